@@ -53,7 +53,8 @@ def report_command(
     from modsim3d.outputs.claims import claimed
     from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.stored_run import open_run
-    from modsim3d.view.report.report import REPORT_FILE, SIDE_BY_SIDE_FILE, write_report
+    from modsim3d.view.report.report import REPORT_FILE, write_report
+    from modsim3d.view.report.side_by_side import SIDE_BY_SIDE_FILE, write_side_by_side
 
     if other is not None and tracks is not None:
         raise ModsimError("--tracks is for one run: leave out RUN_B, or --tracks")
@@ -65,12 +66,16 @@ def report_command(
     followed = opened_tracks(tracks, opened, similarity, scale, threshold)
     path = out_file(out, run / (REPORT_FILE if second is None else SIDE_BY_SIDE_FILE))
     with timed("page"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
-        task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
+        runs = 1 if second is None else 2
+        task = bar.add_task(opened.scene.name, total=-(-opened.steps // every) * runs)
 
         def advance(steps: int) -> None:
             bar.update(task, advance=steps, refresh=True)
 
-        write_report(opened, path, every, advance, followed, second)
+        if second is None:
+            write_report(opened, path, every, advance, followed)
+        else:
+            write_side_by_side(opened, second, path, every, advance)
     if followed is not None:
         say(followed.sentence())
     if not opened.finished:

@@ -35,6 +35,7 @@ class RunRows:
         steps: Number of steps that are there.
         frames: Numbers of the frames that were taken, ascending, shape (F,).
         frame_state: Index of the performance state in each frame, shape (F,).
+        frames_table: The table of frames, F rows.
         truth: The truth table, n rows.
         truth_frame: Number of the frame of each row, shape (n,).
         truth_vessel: Index of the vessel of each row, shape (n,).
@@ -47,6 +48,7 @@ class RunRows:
     steps: int
     frames: Indices
     frame_state: Indices
+    frames_table: pa.Table
     truth: pa.Table
     truth_frame: Indices
     truth_vessel: Indices
@@ -74,6 +76,7 @@ class RunRows:
             steps=steps,
             frames=frame_of(frames),
             frame_state=indices(frames, "state", [state.name for state in scene.detector.states]),
+            frames_table=frames,
             truth=truth,
             truth_frame=frame_of(truth),
             truth_vessel=indices(truth, "vessel", scene.vessel_names),

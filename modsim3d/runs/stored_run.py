@@ -8,6 +8,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 
 from modsim3d.display import key_table, listed
@@ -29,6 +30,7 @@ from modsim3d.runs.files.run_file import (
     read_settings,
 )
 from modsim3d.runs.files.stored_tables import StoredTables
+from modsim3d.runs.files.tables import ROW_GROUP_ROWS
 from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, detected_block, scene_census
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
@@ -168,6 +170,45 @@ class StoredRun:
         parts = [{name: table(block, self.scene) for name, (_, table) in TABLES.items()} for block in blocks]
         return {name: pa.concat_tables([part[name] for part in parts]) for name in TABLES}
 
+    def tables_of_steps(self, count: int) -> Iterator[tuple[int, dict[str, pa.Table]]]:
+        """Rows of `frames`, `truth` and `detections` of `count` steps at a time, each time after their first step.
+
+        All rows are never in memory together.
+
+        Raises:
+            RunDirectoryError: They are not what a run has written.
+        """
+        if self.stored is not None:
+            self.stored.check_checksums()
+        chunk: dict[str, pa.Table] = {}
+        done = 0
+        for first, stop in self._chunks(count):
+            rows = self._tables_of(first, stop)
+            chunk = {name: pa.concat_tables([chunk[name], rows[name]]) for name in TABLES} if chunk else rows
+            whole = stop if stop == self.steps else done + (stop - done) // count * count
+            while done < whole:
+                edge = min(done + count, self.steps)
+                places = {name: _split_at(table, edge) for name, table in chunk.items()}
+                yield done, {name: table.slice(0, places[name]) for name, table in chunk.items()}
+                chunk = {name: table.slice(places[name]) for name, table in chunk.items()}
+                done = edge
+
+    def _chunks(self, count: int) -> Iterator[Range]:
+        """Ranges of steps to read at once: blocks of an interrupted run; else about as many rows as a row group has."""
+        if self.stored is None:
+            yield from self._ranges()
+            return
+        rows = max(len(table) for table in self.stored.by_name.values())
+        steps = max(count, ROW_GROUP_ROWS * self.steps // max(rows, 1))
+        yield from block_ranges(self.steps, steps)
+
+    def _tables_of(self, first: int, stop: int) -> dict[str, pa.Table]:
+        """The tables of steps first to stop − 1, which are a block if the run was interrupted."""
+        if self.stored is not None:
+            return self.stored.rows(first, stop)
+        block = self._simulation.detect(self._kept(first, stop), first, stop)
+        return {name: table(block, self.scene) for name, (_, table) in TABLES.items()}
+
     def check_has_steps(self) -> None:
         """Refuse an interrupted run that has no whole block.
 
@@ -209,6 +250,11 @@ class StoredRun:
         if truth is None:
             raise RunDirectoryError(f"{self.folder} has lost the truth of steps {first} to {stop - 1}")
         return truth
+
+
+def _split_at(table: pa.Table, step: int) -> int:
+    """The first row of a table in order of step that is not before a step."""
+    return int(np.searchsorted(table["step"].to_numpy(), step))
 
 
 def opened_run(run: StoredRun | StrPath) -> StoredRun:

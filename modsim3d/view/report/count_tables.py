@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import defaultdict
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from modsim3d.arrays import Mask
+from modsim3d.arrays import Indices, Mask
 from modsim3d.runs.outcomes import Outcome, having
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.scene.scene import Scene
 
+Masks = dict[str, Mask]
 Rows = list[tuple[str, ...]]
 
 _DETECTED = ("Annotated", "Detected", "Missed", "Miss rate")
@@ -77,71 +80,118 @@ class DetectorCounts:
 
 
 class CountTables:
-    """Tables of counts over all steps of a run. A frame is one camera at one step."""
+    """Tables of counts over all steps of a run, which may come in parts. A frame is one camera at one step."""
 
-    def __init__(self, rows: RunRows) -> None:
-        """Find what is counted in the rows of a run."""
-        self._rows = rows
-        visible_px, silhouette_px = rows.numbers("visible_px"), rows.numbers("silhouette_px")
-        self._partly_hidden = (visible_px > 0) & (visible_px < silhouette_px)
-        self._wholly_hidden = (visible_px == 0) & (silhouette_px > 0)
-        self.total = self._counts(np.ones(len(rows.annotated), bool), np.ones(len(rows.outcomes), bool))
+    def __init__(self, scene: Scene) -> None:
+        """Begin with nothing counted."""
+        self._scene = scene
+        self._overall = _Tally(1)
+        self._of_vessels = _Tally(len(scene.vessels))
+        self._of_states = _Tally(len(scene.detector.states))
+        self._of_cameras = _Tally(len(scene.cameras))
 
-    def _counts(self, truth: Mask, detections: Mask) -> DetectorCounts:
-        """The counts of some rows of the truth, shape (n,), and some detections, shape (m,)."""
-        annotated, outcome = self._rows.annotated & truth, self._rows.outcomes[detections]
-        false = int(having(outcome, Outcome.FALSE_POSITIVE).sum())
-        return DetectorCounts(
-            annotated=int(annotated.sum()),
-            detected=int((annotated & self._rows.detected).sum()),
-            true_detections=len(outcome) - false,
-            mislabelled=int(having(outcome, Outcome.MISLABELLED).sum()),
-            below_half_iou=int(having(outcome, Outcome.BELOW_HALF_IOU).sum()),
-            off_vessel=int(having(outcome, Outcome.OFF_VESSEL).sum()),
-            false_positives=false,
-        )
+    def add(self, rows: RunRows) -> None:
+        """Count the rows of some steps."""
+        truth, detections = _truth_counts(rows), _detection_counts(rows)
+        cameras = len(self._scene.cameras)
+        every = (np.zeros(len(each), dtype=np.int64) for each in (rows.frames, rows.truth_frame, rows.detection_frame))
+        self._overall.add(*every, truth, detections)
+        states = rows.frame_state, rows.states_of(rows.truth_frame), rows.states_of(rows.detection_frame)
+        self._of_states.add(*states, truth, detections)
+        frames = (each % cameras for each in (rows.frames, rows.truth_frame, rows.detection_frame))
+        self._of_cameras.add(*frames, truth, detections)
+        none = np.empty(0, dtype=np.int64)
+        self._of_vessels.add(none, rows.truth_vessel, rows.detection_vessel, truth, detections)
+
+    @property
+    def total(self) -> DetectorCounts:
+        """What the detector made of all frames."""
+        return self._overall.counts(0)
 
     def overall(self) -> Rows:
         """Name, count and its share of everything that happened, summed over frames."""
-        vessels, partly_hidden = len(self._rows.annotated), int(self._partly_hidden.sum())
+        vessels, partly_hidden, wholly_hidden = (self._overall.of(name, 0) for name in _SEEN)
         return [
-            ("Frames", str(len(self._rows.frame_state)), ""),
+            ("Frames", str(self._overall.of("frames", 0)), ""),
             ("Vessels in frames", str(vessels), "summed over frames"),
             ("Partly hidden", str(partly_hidden), f"{_share(partly_hidden, vessels)} of vessels in frames"),
-            ("Wholly hidden", str(int(self._wholly_hidden.sum())), ""),
+            ("Wholly hidden", str(wholly_hidden), ""),
             *self.total.named(),
         ]
 
     def by_vessel(self) -> Rows:
         """A row for each vessel, with the columns of `VESSEL_HEADER`."""
-        table = []
-        for index, name in enumerate(self._rows.scene.vessel_names):
-            mine = self._rows.truth_vessel == index
-            hidden = [int((mine & column).sum()) for column in (mine, self._partly_hidden, self._wholly_hidden)]
-            counts = self._counts(mine, self._rows.detection_vessel == index)
-            table.append((name, *map(str, hidden), *counts.cells()))
-        return table
+        tally = self._of_vessels
+        return [
+            (name, *(str(tally.of(column, index)) for column in _SEEN), *tally.counts(index).cells())
+            for index, name in enumerate(self._scene.vessel_names)
+        ]
 
     def by_state(self) -> Rows:
         """A row for each performance state, with the columns of `STATE_HEADER`."""
-        rows, names = self._rows, [state.name for state in self._rows.scene.detector.states]
-        truth, detections = rows.states_of(rows.truth_frame), rows.states_of(rows.detection_frame)
-        return [
-            self._row(name, rows.frame_state == index, truth == index, detections == index)
-            for index, name in enumerate(names)
-        ]
+        return self._of_states.rows([state.name for state in self._scene.detector.states])
 
     def by_camera(self) -> Rows:
         """A row for each camera, with the columns of `CAMERA_HEADER`."""
-        rows, names = self._rows, [camera.name for camera in self._rows.scene.cameras]
-        frame, truth, detections = (each % len(names) for each in (rows.frames, rows.truth_frame, rows.detection_frame))
+        return self._of_cameras.rows([camera.name for camera in self._scene.cameras])
+
+
+_SEEN = ("vessels", "partly_hidden", "wholly_hidden")
+
+
+class _Tally:
+    """Sums of columns of ones and zeros over rows, by the number of a group."""
+
+    def __init__(self, groups: int) -> None:
+        self._groups = groups
+        self._sums: dict[str, Indices] = defaultdict(lambda: np.zeros(groups, dtype=np.int64))
+
+    def add(self, frames: Indices, truth_of: Indices, detections_of: Indices, truth: Masks, detections: Masks) -> None:
+        """Add rows: the group of each frame, each row of the truth and each detection, −1 for none; and their columns."""
+        self._sums["frames"] += np.bincount(frames, minlength=self._groups)
+        for group, columns in ((truth_of, truth), (detections_of, detections)):
+            for name, column in columns.items():
+                self._sums[name] += np.bincount(group[column & (group >= 0)], minlength=self._groups)
+
+    def of(self, name: str, group: int) -> int:
+        """The sum of a column."""
+        return int(self._sums[name][group])
+
+    def counts(self, group: int) -> DetectorCounts:
+        """What the detector made of a group."""
+        return DetectorCounts(**{field.name: self.of(field.name, group) for field in fields(DetectorCounts)})
+
+    def rows(self, names: list[str]) -> Rows:
+        """A row for each group, with its frames."""
+        counts = map(self.counts, range(len(names)))
         return [
-            self._row(name, frame == index, truth == index, detections == index) for index, name in enumerate(names)
+            (name, str(self.of("frames", index)), *each.cells(), *each.false_cells())
+            for index, (name, each) in enumerate(zip(names, counts, strict=True))
         ]
 
-    def _row(self, name: str, frames: Mask, truth: Mask, detections: Mask) -> tuple[str, ...]:
-        counts = self._counts(truth, detections)
-        return name, str(int(frames.sum())), *counts.cells(), *counts.false_cells()
+
+def _truth_counts(rows: RunRows) -> Masks:
+    """What is counted of the truth: which rows have it, shape (n,) each."""
+    visible_px, silhouette_px = rows.numbers("visible_px"), rows.numbers("silhouette_px")
+    return {
+        "vessels": np.ones(len(visible_px), dtype=bool),
+        "partly_hidden": (visible_px > 0) & (visible_px < silhouette_px),
+        "wholly_hidden": (visible_px == 0) & (silhouette_px > 0),
+        "annotated": rows.annotated,
+        "detected": rows.annotated & rows.detected,
+    }
+
+
+def _detection_counts(rows: RunRows) -> Masks:
+    """What is counted of the detections: which have it, shape (m,) each."""
+    false = having(rows.outcomes, Outcome.FALSE_POSITIVE)
+    return {
+        "true_detections": ~false,
+        "mislabelled": having(rows.outcomes, Outcome.MISLABELLED),
+        "below_half_iou": having(rows.outcomes, Outcome.BELOW_HALF_IOU),
+        "off_vessel": having(rows.outcomes, Outcome.OFF_VESSEL),
+        "false_positives": false,
+    }
 
 
 def named_values(values: dict[str, Any], prefix: str = "") -> Rows:

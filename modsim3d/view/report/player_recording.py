@@ -1,144 +1,161 @@
-"""The frames of a run for the player of its page, in few bytes.
+"""The frames of a run for the player of its page, in few bytes, and in parts that the player unpacks when it needs them.
 
-Columns of small integers are stored one after the other, gzipped, in base64. A length in the image is a multiple of
-`quantum_px`, which is 0.1 px for all but very large images.
+A length in the image is a multiple of `quantum_px`, which is 0.1 px for all but very large images.
 """
 
 from __future__ import annotations
 
-import base64
-import gzip
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Indices
 from modsim3d.detector.records import KINDS
-from modsim3d.runs.files.columns import NOBODY, indices, numbers
 from modsim3d.runs.outcomes import Outcome
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks
-from modsim3d.view.report.packing import Column, in_quanta, starts
-from modsim3d.view.report.silhouettes import NONE, silhouette_columns
-from modsim3d.view.report.track_columns import track_columns, track_facts
-from modsim3d.view.report.truth_numbers import number_columns
+from modsim3d.view.report.clock import clock
+from modsim3d.view.report.overview import Overview, ShownRows
+from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, packed, starts
+from modsim3d.view.report.part_columns import ALL_SEA, PartFrames, detection_columns, frame_columns, truth_columns
+from modsim3d.view.report.parts import PartRows, parts, shown_in_a_part
+from modsim3d.view.report.places import Places
+from modsim3d.view.report.silhouettes import Silhouettes
+from modsim3d.view.report.track_columns import Lanes, TrackRows, track_facts
 
 FINEST_PX = 0.1
-UNKNOWN_FRACTION, WHOLE = 255, 250
-"""Visible fractions are counted in 250ths."""
-ALIGNED_BYTES = 8
-"""A typed array in the browser begins at a multiple of its item's size."""
-NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)
-"""What stands for the state and the horizon of a camera that has not taken a frame yet."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The frames of a run for the player: columns of numbers, and what they mean (names, colours, times)."""
+    """The frames of a run for the player.
 
+    Attributes:
+        name: Tells the recordings of a page apart: `A`, `B`.
+        facts: What the numbers mean: names, colours, times.
+        overview: Packed columns of what the timeline shows, which the player unpacks first.
+        parts: Packed columns of each part of the shown steps.
+    """
+
+    name: str
     facts: dict[str, Any]
-    columns: dict[str, Column]
-
-    def packed(self) -> tuple[list[dict[str, Any]], str]:
-        """Where each column begins, and all of them as text; the same for the same numbers."""
-        index, parts, offset = [], [], 0
-        for name, column in self.columns.items():
-            data = np.ascontiguousarray(column, dtype=column.dtype.newbyteorder("<")).tobytes()
-            index.append({"name": name, "type": column.dtype.name, "offset": offset, "length": int(column.size)})
-            padding = -len(data) % ALIGNED_BYTES
-            parts += [data, bytes(padding)]
-            offset += len(data) + padding
-        return index, base64.b64encode(gzip.compress(b"".join(parts), compresslevel=9, mtime=0)).decode("ascii")
+    overview: bytes
+    parts: tuple[bytes, ...]
 
 
 def recording(
-    rows: RunRows, every: int, progress: Callable[[int], None], followed: FollowedTracks | None = None
+    run: StoredRun,
+    every: int = 1,
+    progress: Callable[[int], None] = lambda steps: None,
+    followed: FollowedTracks | None = None,
+    name: str = "A",
+    count: Callable[[RunRows], None] = lambda rows: None,
 ) -> Recording:
-    """The recording of every K-th step, with tracks if there are some.
+    """The recording of every K-th step of a run, with tracks if there are some.
 
-    A camera with a frame rate of its own shows the last frame that it took. Before its first one it shows an empty
-    frame, which is stored after all others. `progress` is called with the number of steps done since its last call.
+    A camera with a frame rate of its own shows the last frame that it took. Before its first one it shows an empty frame.
+
+    Args:
+        run: The run; no more than a part of it is in memory at once.
+        every: K.
+        progress: Called with the number of shown steps done since its last call.
+        followed: Tracks of the run.
+        name: The recording's name on its page.
+        count: Called with all rows of the run, some steps at a time.
+
+    Raises:
+        RunDirectoryError: The tables are not what a run has written.
     """
-    scene, cameras = rows.scene, len(rows.scene.cameras)
-    steps = np.arange(0, rows.steps, every)
-    taken = rows.last_taken(steps)
-    numbered = np.where(taken == NOBODY, NOBODY, taken * cameras + np.arange(cameras)).ravel()
-    frames = np.unique(numbered[numbered != NOBODY])
-    quantum = quantum_px([camera.intrinsics.image_size_px for camera in scene.cameras])
-    horizons, frame, silhouettes = silhouette_columns(rows, taken, frames, quantum, progress)
-    state, pages = rows.states_of(frames), len(frames)
-    if np.any(numbered == NOBODY):
-        state, horizons, pages = np.append(state, NO_STATE), np.vstack([horizons, ALL_SEA]), pages + 1
-    columns: dict[str, Column] = {
-        "state": state.astype(np.uint8),
-        "horizon": horizons.astype(np.float32),
-        "shapeStart": starts(frame, pages),
-        **silhouettes,
-        **_truth_columns(rows, frames, pages, quantum),
-        **_detection_columns(rows, frames, pages, quantum),
-    }
-    facts = _facts(scene, steps, quantum)
-    if followed is not None:
-        columns |= track_columns(followed, frames, pages, quantum)
-        facts["tracks"] = track_facts(followed)
-    if len(frames) < numbered.size:  # some are shown more than once
-        shown = np.where(numbered == NOBODY, len(frames), np.searchsorted(frames, numbered))
-        columns |= {"frame": shown.astype(np.uint32), "taken": taken.ravel().astype(np.int32)}
-    return Recording(facts, columns)
+    recorder = _Recorder(run, every, followed)
+    done = []
+    for part in parts(run, every, count):
+        done.append(packed(recorder.columns(part)))
+        progress(len(part.steps))
+    facts, overview = recorder.overview()
+    facts |= {"parts": len(done), "partSteps": shown_in_a_part(run.scene, every)}
+    return Recording(name, facts, packed(overview), tuple(done))
 
 
-def _truth_columns(rows: RunRows, frames: Indices, pages: int, quantum: float) -> dict[str, Column]:
-    """The truth of frames, the farthest vessel of each frame first."""
-    order = np.lexsort((-rows.numbers("depth_m"), rows.truth_frame))
-    shown = order[np.isin(rows.truth_frame[order], frames)]
-    occluders = rows.occluders()
-    main_hider = np.full(len(order), NONE)
-    least_first = np.argsort(occluders.px, kind="stable")
-    main_hider[occluders.hidden[least_first]] = occluders.name[least_first]  # what is written last stays
-    return {
-        "truthStart": starts(np.searchsorted(frames, rows.truth_frame[shown]), pages),
-        "vessel": rows.truth_vessel[shown].astype(np.uint16),
-        "flags": (rows.annotated[shown] + 2 * rows.detected[shown]).astype(np.uint8),
-        "fraction": in_250ths(rows.numbers("visible_fraction")[shown]),
-        "depth": rows.numbers("depth_m")[shown].astype(np.float32),
-        "hider": main_hider[shown].astype(np.uint16),
-        "full": in_quanta(rows.boxes_px("full")[shown], quantum),
-        "visible": in_quanta(rows.boxes_px("visible")[shown], quantum),
-        **number_columns(rows, shown),
-    }
+class _Recorder:
+    """What is the same for all parts of a recording, or is gathered over them."""
+
+    def __init__(self, run: StoredRun, every: int, followed: FollowedTracks | None) -> None:
+        self._scene, self._every, self._followed = run.scene, every, followed
+        self._steps = np.arange(0, run.steps, every)
+        self._quantum = quantum_px([camera.intrinsics.image_size_px for camera in run.scene.cameras])
+        self._places = Places(run.scene)
+        self._silhouettes = Silhouettes(run.scene, self._quantum)
+        sizes = len(self._steps), len(run.scene.vessels), len(run.scene.detector.states)
+        self._overviews = [Overview(*sizes) for _ in run.scene.cameras]
+        self._lanes, self._tracks = [], None
+        if followed is not None:
+            self._lanes = [Lanes(len(run.scene.vessels)) for _ in run.scene.cameras]
+            self._tracks = TrackRows(followed, run.scene, self._steps)
+
+    def columns(self, part: PartRows) -> dict[str, Column | Coded]:
+        """The columns of a part, which is added to the overviews."""
+        frames = PartFrames(part)
+        horizons = np.empty((frames.pages, 3))
+        horizons[frames.count :] = ALL_SEA
+        shape_frame, silhouettes = self._silhouettes.columns(part.rows, frames.steps, horizons)
+        columns = {
+            **frame_columns(part, frames),
+            "horizon": Coded(horizons.astype(np.float32), by=ROW_BEFORE),
+            "shapeStart": Coded(starts(shape_frame, frames.pages), by=ROW_BEFORE),
+            **silhouettes,
+            **truth_columns(part.rows, frames, self._quantum),
+            **detection_columns(part.rows, frames, self._quantum),
+            **self._places.columns(part.steps),
+        }
+        if self._tracks is not None:
+            columns |= self._tracks.columns(frames, self._quantum)
+        self._add(part, frames.shown, columns)
+        return columns
+
+    def _add(self, part: PartRows, shown: Indices, columns: Mapping[str, Column | Coded]) -> None:
+        index = part.steps // self._every
+        plain = {name: each.values if isinstance(each, Coded) else each for name, each in columns.items()}
+        for camera, overview in enumerate(self._overviews):
+            overview.add(ShownRows.of(index, shown[:, camera], plain))
+        for camera, lanes in enumerate(self._lanes):
+            lanes.add(index, shown[:, camera], part.taken[:, camera], plain)
+
+    def overview(self) -> tuple[dict[str, Any], dict[str, Column | Coded]]:
+        """The facts, and the columns of what the timeline shows, once all parts are there."""
+        scene, steps = self._scene, self._steps
+        timestamps = scene.timestamps(0, int(steps[-1]) + 1)[:: self._every]
+        times, columns = clock(timestamps)
+        every: dict[str, Column | Coded] = {**columns, **self._silhouettes.still_columns()}
+        for camera, overview in enumerate(self._overviews):
+            every |= overview.columns(f"{camera}.", half=bool(self._lanes))
+        for camera, lanes in enumerate(self._lanes):
+            every |= lanes.columns(f"{camera}.lanes.")
+        facts = {
+            "length": len(steps),
+            "every": self._every,
+            "clock": times,
+            "overviews": [overview.facts(self._quantum) for overview in self._overviews],
+            **_facts(scene, self._quantum),
+            **self._places.facts(),
+        }
+        if self._followed is not None:
+            facts["tracks"] = track_facts(self._followed)
+        return facts, every
 
 
-def _detection_columns(rows: RunRows, frames: Indices, pages: int, quantum: float) -> dict[str, Column]:
-    drawn = np.flatnonzero(np.isin(rows.detection_frame, frames))
-    return {
-        "drawnStart": starts(np.searchsorted(frames, rows.detection_frame[drawn]), pages),
-        "drawnVessel": np.where(rows.detection_vessel < 0, NONE, rows.detection_vessel)[drawn].astype(np.uint16),
-        "label": indices(rows.detections, "label", rows.scene.detector.labels)[drawn].astype(np.uint16),
-        "confidence": np.rint(1000 * numbers(rows.detections, "confidence")[drawn]).astype(np.uint16),
-        "outcome": rows.outcomes[drawn],
-        "kind": indices(rows.detections, "kind", KINDS)[drawn].astype(np.uint8),
-        "box": in_quanta(rows.detection_boxes_px()[drawn], quantum),
-    }
-
-
-def _facts(scene: Scene, steps: Indices, quantum: float) -> dict[str, Any]:
-    """What the numbers mean: names, times, colours."""
-    stop = int(steps[-1]) + 1
-    timestamps, times_s = scene.timestamps(0, stop), scene.times_s(0, stop)
+def _facts(scene: Scene, quantum: float) -> dict[str, Any]:
+    """What the numbers mean: names, colours."""
     vessels = [palette.vessel_colour(index) for index in range(len(scene.vessels))]
     obstacles = [palette.obstacle_colour(index) for index in range(len(scene.obstacles))]
     return {
         "name": scene.name,
         "quantum": quantum,
         "mode": scene.annotation.mode,
-        "steps": steps.tolist(),
-        "timestamps": [timestamps[step] for step in steps],
-        "times": np.round(times_s[steps], 6).tolist(),
         "states": [state.name for state in scene.detector.states],
         "labels": list(scene.detector.labels),
         "kinds": list(KINDS),
@@ -164,10 +181,3 @@ def _css(colour: palette.Colour) -> str:
 def quantum_px(image_sizes_px: list[tuple[int, int]]) -> float:
     """The finest length with which every place in the images fits into 16 bits."""
     return max(FINEST_PX, max(max(size) for size in image_sizes_px) / (NONE - 1))
-
-
-def in_250ths(fraction: Array) -> NDArray[np.uint8]:
-    """Visible fractions in 250ths, of the same shape; NaN is `UNKNOWN_FRACTION`, and a part never rounds to 0 or 1."""
-    counted = np.clip(np.rint(np.nan_to_num(fraction) * WHOLE), np.where(fraction > 0, 1, 0), WHOLE)
-    counted = np.where((fraction < 1) & (counted == WHOLE), WHOLE - 1, counted)
-    return np.where(np.isnan(fraction), UNKNOWN_FRACTION, counted).astype(np.uint8)

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import html
 import os
-import re
-from collections.abc import Callable
-from importlib.resources import files
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import orjson
-
 from modsim3d.errors import RunDirectoryError
-from modsim3d.outputs.placing import write_files
-from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.pages.page import heading, table
@@ -26,8 +18,10 @@ from modsim3d.view.report.count_tables import (
     VESSEL_HEADER,
     CountTables,
     DetectorCounts,
+    Rows,
     named_values,
 )
+from modsim3d.view.report.player_page import PageText, write_page
 from modsim3d.view.report.player_recording import recording
 
 REPORT_FILE = "report.html"
@@ -35,41 +29,6 @@ RELATED = {"verify.html": "verification", "compare.html": "comparison of sources
 """Pages that other commands write into a run directory, and what they are."""
 LOUD_SHARE = 0.1
 """A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says; as the summary of a run has it."""
-STYLES = ("base.css", "player.css", "timeline.css", "tables.css")
-SCRIPTS = (
-    "elements.js",
-    "colours.js",
-    "words.js",
-    "recording.js",
-    "kinds.js",
-    "highlight.js",
-    "picture.js",
-    "track_picture.js",
-    "bounds.js",
-    "pane.js",
-    "closeup.js",
-    "vessel_list.js",
-    "moments.js",
-    "strips.js",
-    "moment_controls.js",
-    "timeline.js",
-    "lanes.js",
-    "legend.js",
-    "hint.js",
-    "gestures.js",
-    "focus.js",
-    "hover.js",
-    "numbers.js",
-    "share.js",
-    "loop.js",
-    "keys.js",
-    "key_help.js",
-    "address.js",
-    "player.js",
-    "start.js",
-)
-"""In the order in which they need each other; in the page they are one script."""
-STYLES = ("base.css", "player.css", "timeline.css", "tables.css", "boxes.css", "vessel_list.css", "numbers.css", "actions.css", "keys.css")
 
 
 def write_report(
@@ -78,6 +37,8 @@ def write_report(
     every: int = 1,
     progress: Callable[[int], None] = lambda steps: None,
     followed: FollowedTracks | None = None,
+    *,
+    in_files: bool = False,
 ) -> Path:
     """Write the page of a run and return its file; the same run gives the same bytes.
 
@@ -87,68 +48,49 @@ def write_report(
         every: Show every K-th step; the tables count all of them.
         progress: Called with the number of shown steps done since its last call.
         followed: The tracks of a tracker, for lanes below the timeline; none if None.
+        in_files: Write the parts of the recording into files in `parts_folder(out)`, which the page reads when it needs
+            them, and not into the page.
 
     Raises:
-        RunDirectoryError: An interrupted run has kept nothing yet.
-        OutputError: The file cannot be written.
+        RunDirectoryError: An interrupted run has kept nothing yet, or the tables are not what a run has written.
+        OutputError: A file cannot be written.
+    """
+    check_steps(run)
+    out = run.folder / REPORT_FILE if out is None else out
+    counts = CountTables(run.scene)
+    frames = recording(run, every, progress, followed, count=counts.add)
+    lead = html.escape(_lead(run, every))
+    text = PageText(
+        title=f"{run.scene.name}: report of a run",
+        name=run.scene.name,
+        lead=lead if followed is None else f"{lead}</p>\n  <p>{html.escape(followed.sentence())}",
+        notes=_notes(run, every, out),
+        result=_result(counts.total),
+        tables=_tables(counts, run.settings),
+        lanes=followed is not None,
+    )
+    write_page(text, [frames], out, in_files=in_files)
+    return out
+
+
+def check_steps(run: StoredRun) -> None:
+    """Raise an error if there is nothing to show of a run.
+
+    Raises:
+        RunDirectoryError: It was interrupted before its first steps were kept.
     """
     if not run.steps:
         raise RunDirectoryError(
             f"{run.folder} was interrupted before its first steps were finished: there is nothing to show; "
             "go on with modsim3d run --resume"
         )
-    out = run.folder / REPORT_FILE if out is None else out
-    page = _page(run, every, out, progress, followed)
-    write_files({out: page})
-    return out
 
 
-def _page(
-    run: StoredRun, every: int, out: Path, progress: Callable[[int], None], followed: FollowedTracks | None
-) -> str:
-    rows = RunRows.of(run)
-    counts = CountTables(rows)
-    frames = recording(rows, every, progress, followed)
-    index, columns = frames.packed()
-    script = "\n".join(map(_part, SCRIPTS))
-    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
-    parts = {
-        "title": html.escape(f"{run.scene.name}: report of a run"),
-        "name": html.escape(run.scene.name),
-        # No script but this one runs and nothing is fetched, whatever a vessel is called.
-        "policy": f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:",
-        "style": "".join(map(_part, STYLES)) + (_part("lanes.css") if followed else ""),
-        "lead": html.escape(_lead(frames.facts)),
-        "sentence": f"\n  <p>{html.escape(followed.sentence())}</p>" if followed else "",
-        "lanes": "\n" + _part("lanes.html").rstrip("\n") if followed else "",
-        **{name: _part(f"{name}.html") for name in ("vessel_list", "note")},
-        "moments": _part("moments.html").replace("{{actions}}", _part("actions.html")),
-        "numbers": _part("numbers.html").replace("{{quantum}}", f"{frames.facts['quantum']:.3g}"),
-        "notes": _notes(run, every, out),
-        "result": _result(counts.total),
-        "tables": _tables(counts, run.settings),
-        "facts": _json_in_html({**frames.facts, "columns": index}),
-        "columns": columns,
-        "script": script,
-    }
-    # In one pass: what is put in is not looked at again.
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _part("page.html"))
-
-
-def _part(name: str) -> str:
-    return (files("modsim3d.view.report") / "player" / name).read_text(encoding="utf-8")
-
-
-def _json_in_html(value: object) -> str:
-    """JSON that no HTML parser finds a tag in."""
-    text = orjson.dumps(value).decode("utf-8")
-    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
-
-
-def _lead(facts: dict[str, Any]) -> str:
-    cameras, vessels = _count(len(facts["cameras"]), "simulated camera"), _count(len(facts["vessels"]), "vessel")
+def _lead(run: StoredRun, every: int) -> str:
+    scene, last = run.scene, (run.steps - 1) // every * every
+    cameras, vessels = _count(len(scene.cameras), "simulated camera"), _count(len(scene.vessels), "vessel")
     return (
-        f"What {cameras} saw of {vessels} in {facts['times'][-1]:g} s, and what a "
+        f"What {cameras} saw of {vessels} in {round(float(scene.times_s(0, last + 1)[-1]), 6):g} s, and what a "
         "simulated vessel detector made of it. The truth is known exactly, so each mistake of the detector is counted "
         "and marked."
     )
@@ -204,6 +146,11 @@ def _tables(counts: CountTables, settings: dict[str, Any]) -> str:
         ("By vessel", counts.by_vessel(), VESSEL_HEADER),
         ("Settings and versions", named_values(settings), ()),
     ]
+    return sections(parts)
+
+
+def sections(parts: Sequence[tuple[str, Rows, Sequence[str]]]) -> str:
+    """Tables below the player: their titles, rows and headers."""
     return "\n".join(
         f"<section>{heading(title)}<div class=scroll>{table(rows, header)}</div></section>"
         for title, rows, header in parts

@@ -15,6 +15,7 @@ from modsim3d.runs.files.columns import NOBODY
 from modsim3d.runs.outcomes import Outcome, having
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.view.report.packing import ROW_BEFORE, Coded, Column
 
 DETECTORS_OWN = "detected"
 """The column of the truth that depends on the detector."""
@@ -122,3 +123,15 @@ def differences(first: RunRows, second: RunRows, every: int = 1) -> Differences:
         _, end = np.nonzero((edges != 0)[:, 1:] & differs)
         parts.append((np.full(len(vessel), camera), vessel, begin, end, shown[vessel, begin]))
     return Differences(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def difference_columns(found: Differences) -> dict[str, Column | Coded]:
+    """The differences for the player of a page, in order of camera and first step."""
+    order = np.lexsort((found.vessel, found.index, found.camera))
+    return {
+        "camera": Coded(found.camera[order].astype(np.uint16), by=ROW_BEFORE),
+        "vessel": found.vessel[order].astype(np.uint16),
+        "index": Coded(found.index[order].astype(np.uint32), by=ROW_BEFORE),
+        "long": Coded((found.until - found.index)[order].astype(np.uint32)),
+        "outcomes": found.outcomes[order],
+    }

@@ -2,85 +2,115 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.runs.files.columns import NOBODY
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.scene.scene import Scene
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.triangles import triangles_of
 from modsim3d.view.report.contours import contours, one_way_round
+from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column
 from modsim3d.view.report.painting_order import in_front, painting_order
 
-NONE = 0xFFFF
-"""A box side, a vessel or an occluder that is not there; every place in an image is below it."""
+STILL = 1 << 31
+"""The first number of the outlines that all parts share."""
 STEPS_TOGETHER = 250
 """Steps whose geometry is computed together: few calls, little memory."""
 MOST_FACES = 300_000
 """Number of faces whose outlines are computed together: few calls, little memory."""
 
 
-def silhouette_columns(
-    rows: RunRows, taken: Indices, frames: Indices, quantum_px: float, progress: Callable[[int], None]
-) -> tuple[Array, Indices, dict[str, NDArray[Any]]]:
-    """The horizons and silhouettes of a run's frames, for its player.
+class Silhouettes:
+    """The horizons and silhouettes of a run that comes in parts.
 
-    A silhouette refers to an outline, so that what stands still before a camera ashore is stored once.
-
-    Args:
-        rows: The run.
-        taken: Step of the frame that each camera shows at each shown step, shape (steps, cameras).
-        frames: Numbers of those frames, ascending, shape (F,).
-        quantum_px: The unit of lengths in the image.
-        progress: Called with the number of steps done since its last call.
-
-    Returns:
-        Sea half plane of each frame, shape (F, 3); index of the frame of each silhouette, ascending, shape (s,); and
-        the columns `owner` and `outline` of the silhouettes, shape (s,), `lineCount` of the outlines, `cornerCount` of
-        their lines, and `corners` of the lines: column and row by turns, in quanta.
+    A silhouette refers to an outline, so that what stands still is stored once: what an obstacle shows to a camera ashore
+    once for all parts, the rest once in each part.
     """
-    scene, cameras, occluder_count = rows.scene, len(rows.scene.cameras), len(rows.scene.occluder_names)
-    horizons, hides = np.empty((len(frames), 3)), _hides(rows, occluder_count)
-    outlines: dict[tuple[bytes, bytes], int] = {}
-    found: list[tuple[int, int, int]] = []
-    for index, steps in _once_each(taken, progress):
-        camera, numbers = scene.cameras[index], steps * cameras + index
-        sight = scene.sight(camera, steps)
-        horizons[np.searchsorted(frames, numbers)] = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
-        before = sight.outlines()
-        numbered = replace(before, frame=numbers[before.frame])
-        for shape in shapes(numbered, camera.intrinsics, quantum_px, occluder_count, hides):
-            key = shape.count.tobytes(), shape.corners.tobytes()
-            found.append((shape.frame, shape.occluder, outlines.setdefault(key, len(outlines))))
-    table = np.array(found, dtype=np.int64).reshape(-1, 3)
-    number, occluder, outline = table[np.argsort(table[:, 0], kind="stable")].T
-    columns: dict[str, NDArray[Any]] = {
-        "owner": occluder.astype(np.uint16),
-        "outline": outline.astype(np.uint32),
-        "lineCount": np.array([len(count) // 4 for count, _ in outlines], dtype=np.uint32),
-        "cornerCount": np.frombuffer(b"".join(count for count, _ in outlines), np.uint32),
-        "corners": np.frombuffer(b"".join(corners for _, corners in outlines), np.uint16),
-    }
-    return horizons, np.searchsorted(frames, number), columns
+
+    def __init__(self, scene: Scene, quantum_px: float) -> None:
+        """Begin with no part of a run of a scene; lengths in the image are in this unit."""
+        self._scene, self._quantum_px = scene, quantum_px
+        self._still = _OutlineStore()
+
+    def columns(
+        self, rows: RunRows, frames: Sequence[Indices], horizons: Array
+    ) -> tuple[Indices, dict[str, Column | Coded]]:
+        """The silhouettes of one part, and its horizons.
+
+        Args:
+            rows: The run's rows of these frames at least.
+            frames: For each camera the steps of its frames, ascending, shape (F_c,).
+            horizons: Receives the sea half plane of each frame, camera by camera, shape (F, 3) with F = ΣF_c at least.
+
+        Returns:
+            Number of the frame of each silhouette, counted camera by camera, ascending, shape (s,); and the columns
+            `owner` and `outline` of the silhouettes, shape (s,), `lineCount` of the outlines, `cornerCount` of their
+            lines, and `corners` of the lines: column and row, in quanta, shape (k, 2).
+        """
+        scene, occluder_count = self._scene, len(self._scene.occluder_names)
+        moving, hides = _OutlineStore(), _hides(rows, occluder_count)
+        found: list[tuple[int, int, int]] = []
+        begin = 0
+        for index, every in enumerate(frames):
+            camera = scene.cameras[index]
+            still_owner = len(scene.vessels) if camera.mount.vessel is None else occluder_count
+            for first in range(0, len(every), STEPS_TOGETHER):
+                steps = every[first : first + STEPS_TOGETHER]
+                sight, place = scene.sight(camera, steps), begin + first
+                half_planes = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
+                horizons[place : place + len(steps)] = half_planes
+                before = sight.outlines()
+                numbered = replace(before, frame=(steps * len(scene.cameras) + index)[before.frame])
+                for shape in shapes(numbered, camera.intrinsics, self._quantum_px, occluder_count, hides):
+                    store = self._still if shape.occluder >= still_owner else moving
+                    number = store.number(shape) + (STILL if store is self._still else 0)
+                    at = place + int(np.searchsorted(steps, shape.frame // len(scene.cameras)))
+                    found.append((at, shape.occluder, number))
+            begin += len(every)
+        table = np.array(found, dtype=np.int64).reshape(-1, 3)
+        frame, owner, outline = table[np.argsort(table[:, 0], kind="stable")].T
+        return frame, {
+            "owner": Coded(owner.astype(np.uint16), by=ROW_BEFORE),
+            "outline": Coded(outline.astype(np.uint32), by="owner"),
+            **moving.columns(),
+        }
+
+    def still_columns(self) -> dict[str, Column | Coded]:
+        """The outlines that all parts refer to, numbered from `STILL` on."""
+        return self._still.columns()
 
 
-def _once_each(taken: Indices, progress: Callable[[int], None]) -> Iterator[tuple[int, Indices]]:
-    """Cameras and steps of their frames, some at a time; a frame that is shown at several steps comes once."""
-    done = [NOBODY] * taken.shape[1]
-    for first in range(0, len(taken), STEPS_TOGETHER):
-        some = taken[first : first + STEPS_TOGETHER]
-        for camera, column in enumerate(some.T):
-            steps = np.unique(column[column > done[camera]])
-            if len(steps):
-                done[camera] = int(steps[-1])
-                yield camera, steps
-        progress(len(some))
+class _OutlineStore:
+    """Different outlines, numbered in the order in which they come."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[tuple[bytes, bytes], int] = {}
+        self._owners: list[int] = []
+
+    def number(self, shape: Shape) -> int:
+        """The number of a shape's outline, a new one if no other has the same lines."""
+        number = self._numbers.setdefault((shape.count.tobytes(), shape.corners.tobytes()), len(self._owners))
+        if number == len(self._owners):
+            self._owners.append(shape.occluder)
+        return number
+
+    def columns(self) -> dict[str, Column | Coded]:
+        """Their owners, the numbers of their lines and of the lines' corners, and the corners."""
+        lines = np.array([len(count) // 4 for count, _ in self._numbers], dtype=np.uint32)
+        corners = np.frombuffer(b"".join(corners for _, corners in self._numbers), np.uint16)
+        counts = np.frombuffer(b"".join(count for count, _ in self._numbers), np.uint32)
+        return {
+            "outlineOwner": Coded(np.array(self._owners, dtype=np.uint16), by=ROW_BEFORE),
+            "lineCount": Coded(lines, by="outlineOwner"),
+            "cornerCount": Coded(counts, by=ROW_BEFORE),
+            "corners": Coded(corners.reshape(-1, 2), by=OUTLINE_BEFORE),
+        }
 
 
 def _hides(rows: RunRows, occluder_count: int) -> Indices:

@@ -6,18 +6,17 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.view.report.packing import Column
-from modsim3d.view.report.silhouettes import NONE
+from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, starts
 
 WHOLE_IMAGE = NONE - 1
 """Fractions of a silhouette that are in the image are counted in 65,534ths; `NONE` is a null."""
 
 
-def number_columns(rows: RunRows, shown: Indices) -> dict[str, Column]:
+def number_columns(rows: RunRows, shown: Indices) -> dict[str, Column | Coded]:
     """Columns of some rows of the truth, by their indices.
 
-    Pixels that are hidden are stored in place of those that are seen: most are 0. `hiderName` and `hiderPx` have
-    `hiderCount` entries for each row, most pixels first.
+    Pixels that are hidden are stored in place of those that are seen: most are 0. `hiderName` and `hiderPx` have the
+    entries of each row from `hiderStart` on, most pixels first.
     """
     silhouette_px = rows.numbers("silhouette_px")[shown]
     occluders = rows.occluders()
@@ -30,7 +29,7 @@ def number_columns(rows: RunRows, shown: Indices) -> dict[str, Column]:
         "silhouettePx": silhouette_px.astype(np.float32),
         "hiddenPx": (silhouette_px - rows.numbers("visible_px")[shown]).astype(np.float32),
         "inFrame": _in_parts(rows.numbers("in_frame_fraction")[shown]),
-        "hiderCount": np.bincount(hidden[order], minlength=len(shown)).astype(np.uint16),
+        "hiderStart": Coded(starts(hidden[order], len(shown)), by=ROW_BEFORE),
         "hiderName": occluders.name[order].astype(np.uint16),
         "hiderPx": occluders.px[order].astype(np.float32),
     }

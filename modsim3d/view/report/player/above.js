@@ -42,8 +42,8 @@ class Above {
     this.fit(facts.extent);
     context.fillStyle = colourOf('--track');
     context.fillRect(0, 0, this.width, this.height);
-    this.view(cameras[camera]);
-    for (const ring of facts.land) this.area(ring, facts.colours.owners.at(-1));
+    if (cameras[camera]) this.view(cameras[camera]);
+    facts.obstacles.forEach((rings, i) => this.area(rings, facts.colours.owners[facts.vessels.length + i]));
     this.trails(recording, index, facts);
     this.placed = [];
     vessels.forEach((place, vessel) => place && this.vessel(place, vessel, facts, vessel === chosen));
@@ -65,12 +65,16 @@ class Above {
     context.fill();
   }
 
-  area(ring, colour) {
-    this.context.beginPath();
-    ring.forEach(([x, y]) => this.context.lineTo(...this.toCanvas(x, y)));
-    this.context.closePath();
-    this.context.fillStyle = colour;
-    this.context.fill();
+  // The closed lines of an obstacle; inner ones are holes.
+  area(rings, colour) {
+    const { context } = this;
+    context.beginPath();
+    for (const ring of rings) {
+      ring.forEach(([x, y], i) => (i ? context.lineTo(...this.toCanvas(x, y)) : context.moveTo(...this.toCanvas(x, y))));
+      context.closePath();
+    }
+    context.fillStyle = colour;
+    context.fill('evenodd');
   }
 
   // Where vessels were at the steps before, as far as they are at hand.

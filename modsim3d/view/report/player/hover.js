@@ -22,7 +22,7 @@ function boxesOf({ recording }, frame, shown) {
   frame.detections.forEach((each, place) => {
     if (each.false ? shown.false : shown.detections) boxes.push({ box: each.box, vessel: each.false ? null : each.vessel, alarm: each.false ? place : null });
   });
-  if (shown.tracks) for (const { box, vessel, lane } of tracksAt(recording, frame.index, frame.camera)) boxes.push({ box, vessel, lane });
+  if (shown.tracks) for (const { box, vessel, lane } of recording.tracks(frame.index, frame.camera)) boxes.push({ box, vessel, lane });
   return boxes.map((each) => ({ alarm: null, lane: null, ...each }));
 }
 

@@ -13,10 +13,11 @@ function keysOf(player) {
     ] },
     { title: 'Moments: the next one; with shift the one before', keys: [
       row('N B', 'next and previous one of the chosen kind', { n: actions.next, b: actions.previous }),
-      ...KINDS.map(({ kind, key, one }) => row(key.toUpperCase(), one, { [key]: ({ shiftKey }) => player.momentRow.seek(shiftKey ? -1 : 1, kind) })),
+      ...KINDS.filter(({ kind }) => player.differences || kind !== 'differs').map(({ kind, key, one }) => row(key.toUpperCase(), one, { [key]: ({ shiftKey }) => player.momentRow.seek(shiftKey ? -1 : 1, kind) })),
     ] },
     { title: 'Picture', keys: [
       row('C', 'next camera', { c: () => player.look((player.camera + 1) % player.recording.facts.cameras.length) }),
+      ...(player.differences || player.recording.facts.cameras.length < 2 ? [] : [row('G', 'another camera beside the first; again for the next, then none', { g: () => player.stage.nextBeside() })]),
       row('V', 'next vessel; with shift the previous one', { v: ({ shiftKey }) => player.followNext(shiftKey ? -1 : 1) }),
       row('Esc', 'choose no vessel', { Escape: () => player.choose(null) }),
       row('+ −', 'zoom, as with the mouse wheel; drag to move', { '+': actions.zoomIn, '=': actions.zoomIn, '-': actions.zoomOut }),

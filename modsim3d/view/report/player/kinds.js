@@ -8,6 +8,7 @@ const KINDS = [
   { kind: 'off', name: 'off its vessel', key: 'w', one: 'box that is off its vessel', legend: 'off its vessel: line to it' },
   { kind: 'hidden', name: 'occlusion begins', key: 'o', one: 'onset of an occlusion' },
   { kind: 'state', name: 'state changes', key: 's', one: 'change of the performance state' },
+  { kind: 'differs', name: 'runs differ', key: 'x', one: 'difference between the runs' },
 ];
 
 function kindOf(kind) { return KINDS.find((each) => each.kind === kind); }

@@ -1,6 +1,6 @@
 // A lane per track of one camera, on the time axis of the timeline: which vessel it follows, its gaps, its switches.
 
-const LANE_PX = 13, LEAST_PX = 3, MARK_PX = 4, HALF_SEEN = 0.5;
+const LANE_PX = 13, LEAST_PX = 3, MARK_PX = 4;
 
 class Lanes {
   constructor(panel, canvas, recording, timeline) {
@@ -11,15 +11,15 @@ class Lanes {
 
   // The lanes of a camera in the order of first appearance, each in stretches of one vessel.
   of(camera) {
-    return this.found[camera] ??= findLanes(this.recording, camera);
+    return this.found[camera] ??= lanesIn(this.recording, camera);
   }
 
   prepare(camera) {
     const { timeline } = this, { cameras, tracks } = this.recording.facts, width = timeline.canvas.clientWidth;
+    this.camera = camera;
     this.lanes = this.of(camera);
     const of = cameras.length > 1 ? ` of ${cameras[camera].name}` : '';
     $('lanesTitle').textContent = `Tracks${of}: ${this.lanes.length} of ${tracks.name}, in the order in which they begin`;
-    this.summary = timeline.summary;
     const whole = this.lanes.length * LANE_PX;
     $('lanesSpace').style.height = `${whole}px`;
     this.high = Math.min(this.panel.clientHeight, whole);
@@ -50,13 +50,11 @@ class Lanes {
 
   // The performance states, pale, behind all lanes.
   states() {
-    const { context, timeline, recording } = this, { state } = this.summary, { length, facts } = recording;
+    const { context, timeline, recording } = this, { facts } = recording;
     context.globalAlpha = 0.45;
-    for (let from = 0, to = 0; from < length; from = to) {
-      while (to < length && state[to] === state[from]) to++;
-      if (state[from] >= facts.states.length) continue; // no frame yet
-      context.fillStyle = facts.states.length > 1 ? stateColour(state[from], facts.states.length) : colourOf('--track');
-      context.fillRect(timeline.x(from), 0, timeline.x(to) - timeline.x(from), this.high);
+    for (const { index, until, state } of recording.states(this.camera)) {
+      context.fillStyle = facts.states.length > 1 ? stateColour(state, facts.states.length) : colourOf('--track');
+      context.fillRect(timeline.x(index), 0, timeline.x(until + 1) - timeline.x(index), this.high);
     }
     context.globalAlpha = 1;
   }
@@ -85,15 +83,13 @@ class Lanes {
   // Where the vessel that the lane follows, or has followed last, is less than half seen.
   occlusions(lane) {
     if (lane.hidden) return lane.hidden;
-    const { length } = this.recording, { fraction } = this.summary, found = [], pieces = lane.stretches;
+    const half = this.recording.halfSeen(this.camera), found = [], pieces = lane.stretches;
     let vessel = null;
     pieces.forEach((piece, i) => {
       vessel = piece.vessel ?? vessel;
       const stop = pieces[i + 1]?.from ?? piece.to;
-      for (let index = piece.from; vessel !== null && index < stop; index++) {
-        if (!(fraction[vessel * length + index] < HALF_SEEN)) continue;
-        if (found.at(-1)?.to === index) found.at(-1).to = index + 1;
-        else found.push({ from: index, to: index + 1 });
+      for (const { index, until, key } of half) {
+        if (key === vessel && index < stop && until >= piece.from) found.push({ from: Math.max(index, piece.from), to: Math.min(until + 1, stop) });
       }
     });
     return lane.hidden = found;
@@ -129,17 +125,18 @@ class Lanes {
 
   // A step and a lane of it, if one is given, in words.
   hint(index, lane, camera) {
-    const when = stepInWords(this.recording, index, this.recording.state(index, camera));
+    const { recording } = this, { state } = recording.states(camera).findLast((each) => each.index <= index) ?? {};
+    const when = stepInWords(recording, index, recording.facts.states[state] ?? '–');
     return lane ? `${when}\n${this.say(lane, index)}` : when;
   }
 
   // A lane at a step, in words.
   say(lane, index) {
-    const { facts, length } = this.recording, here = this.at(lane, index), name = `track ${lane.number}`;
+    const { facts } = this.recording, overview = this.recording.overview(this.camera), here = this.at(lane, index), name = `track ${lane.number}`;
     if (!here) return `${name}: no box`;
     if (here.vessel === null) return `${name} follows nothing`;
-    const fraction = this.summary.fraction[here.vessel * length + index], words = [`${name} follows ${facts.vessels[here.vessel].name}`];
-    words.push(`${percent(fraction)} visible`);
+    const bin = overview.binOf(index), of = (name) => overview.sum(name, here.vessel, bin, bin + 1), words = [`${name} follows ${facts.vessels[here.vessel].name}`];
+    if (of('seen')) words.push(`${percent(of('fraction') / of('seen'))} visible`);
     const mark = lane.marks.find((each) => each.index === index);
     if (mark?.switched) words.push(`switch: the vessel had another track before`);
     if (mark?.moved) words.push(`switch: the track had another vessel before`);
@@ -147,22 +144,26 @@ class Lanes {
   }
 }
 
-function findLanes(recording, camera) {
-  const { facts, length } = recording, lanes = new Map();
-  for (let index = 0, before = -1; index < length; index++) {
-    const frame = recording.frame(index, camera), again = frame === before;
-    before = frame;
-    for (const { lane: number, vessel, pale, switched, moved } of tracksAt(recording, index, camera)) {
-      if (!lanes.has(number)) lanes.set(number, { number: facts.tracks.numbers[number], stretches: [], marks: [], steps: new Map() });
-      const lane = lanes.get(number), last = lane.stretches.at(-1);
-      if (last?.to === index && last.vessel === vessel && last.pale === pale) last.to = index + 1;
-      else lane.stretches.push({ from: index, to: index + 1, vessel, pale });
-      if (!again && (switched || moved)) lane.marks.push({ index, switched, moved });
-      if (vessel !== null) lane.steps.set(vessel, (lane.steps.get(vessel) ?? 0) + 1);
-    }
-  }
-  for (const lane of lanes.values()) { // the vessel that it follows most
-    lane.vessel = [...lane.steps].reduce((best, each) => (each[1] > best[1] ? each : best), [null, 0])[0];
-  }
+// The lanes of a camera, as track_columns.py has found them.
+function lanesIn({ facts, columns }, camera) {
+  const of = (name) => columns[`${camera}.lanes.${name}`], { numbers, flags } = facts.tracks, lanes = new Map();
+  const [index, long, vessel, pale] = ['index', 'long', 'vessel', 'pale'].map(of);
+  of('lane').forEach((lane, i) => {
+    if (!lanes.has(lane)) lanes.set(lane, { number: numbers[lane], stretches: [], marks: [] });
+    const follows = vessel[i] === NONE ? null : vessel[i];
+    lanes.get(lane).stretches.push({ from: index[i], to: index[i] + long[i] + 1, vessel: follows, pale: pale[i] > 0 });
+  });
+  of('markLane').forEach((lane, i) => {
+    const flag = of('markFlags')[i];
+    lanes.get(lane).marks.push({ index: of('markIndex')[i], switched: (flag & flags.SWITCHED) > 0, moved: (flag & flags.MOVED) > 0 });
+  });
+  for (const lane of lanes.values()) lane.vessel = mostFollowed(lane);
   return [...lanes.values()];
+}
+
+// The vessel that a lane follows in most steps; null if it follows none.
+function mostFollowed({ stretches }) {
+  const steps = new Map();
+  for (const { from, to, vessel } of stretches) if (vessel !== null) steps.set(vessel, (steps.get(vessel) ?? 0) + to - from);
+  return [...steps].reduce((best, each) => (each[1] > best[1] ? each : best), [null, 0])[0];
 }

@@ -32,8 +32,8 @@ const STRIP_MARKS = [
 ];
 
 // The entries of the legend that a camera needs.
-function legendOf(recording, summary) {
-  const { colours, states, tracks } = recording.facts, there = ([kind]) => !summary[kind] || summary[kind].some((count) => count);
+function legendOf(recording, overview) {
+  const { colours, states, tracks } = recording.facts, there = ([kind]) => !overview[kind] || overview[kind].some((count) => count);
   const [colour] = colours.vessels, alarm = colourOf('--alarm'), strip = `<path d="M2 4h26v7H2z" fill="${colour}"/>`;
   const parts = [
     entries('Image', SYMBOLS.filter(there).map(([kind, text]) => [symbolOf(kind, colours), text])),

@@ -11,7 +11,7 @@ class MomentControls {
     });
   }
 
-  of(kind) { return this.moments.of(this.player.camera, kind, this.player.timeline.summary); }
+  of(kind) { return this.moments.of(this.player.camera, kind); }
 
   // The kinds of moments that the camera has.
   fill() {
@@ -22,10 +22,10 @@ class MomentControls {
   }
 
   lookFor(kind) {
-    const { camera, timeline } = this.player;
+    const { camera } = this.player;
     this.kind = kind;
     $('kind').value = kind;
-    const list = this.moments.look(camera, kind, timeline.summary), shown = list.slice(0, MOST_LISTED);
+    const list = this.moments.look(camera, kind), shown = list.slice(0, MOST_LISTED);
     const options = shown.map((moment, place) => new Option(this.moments.text(moment), place));
     const more = list.length > MOST_LISTED ? ` (the first ${MOST_LISTED})` : '';
     $('moment').replaceChildren(new Option(`go to …${more}`, ''), ...options);

@@ -1,64 +1,21 @@
 // Moments worth a look, of one kind: when something begins to be so, of which vessel, and until when it lasts.
 
-// A vessel is occluded from when it is hidden by this much until it is seen but for that little, so that a flicker
-// between 0.99 and 1 is no onset.
-const BEGINS_BELOW = 0.9, ENDS_ABOVE = 0.98;
-
-// What is so of a vessel at a step; false alarms are of no vessel.
-const HOLDS = {
-  missed: (summary, at) => summary.lost[at] > 0,
-  mislabelled: (summary, at, { MISLABELLED }) => (summary.outcome[at] & MISLABELLED) > 0,
-  off: (summary, at, { OFF_VESSEL }) => (summary.outcome[at] & OFF_VESSEL) > 0,
-  bad: (summary, at, { BELOW_HALF_IOU }) => (summary.outcome[at] & BELOW_HALF_IOU) > 0,
-};
-
-// In order of time; frames in a row are one moment.
-function findMoments(kind, summary, recording) {
-  if (kind === 'state') return stateChanges(summary, recording);
-  const { length, facts } = recording, moments = [];
-  const collect = (vessel, test) => {
-    for (let index = 0, last = null; index < length; index++) {
-      if (!test(index, last !== null)) last = null;
-      else if (last) last.until = index;
-      else moments.push(last = { index, until: index, vessel });
-    }
-  };
-  if (kind === 'false') collect(null, (index) => summary.false[index] > 0);
-  else facts.vessels.forEach((_, vessel) => {
-    const first = vessel * length, { fraction } = summary;
-    if (kind === 'hidden') collect(vessel, (index, is) => fraction[first + index] <= (is ? ENDS_ABOVE : BEGINS_BELOW));
-    else collect(vessel, (index) => HOLDS[kind](summary, first + index, facts.outcomes));
-  });
-  return moments.sort((a, b) => a.index - b.index || a.vessel - b.vessel);
-}
-
-// Each lasts until the state changes again.
-function stateChanges({ state }, { length, facts }) {
-  const moments = [];
-  for (let index = 1; index < length; index++) {
-    if (state[index] !== state[index - 1] && state[index - 1] < facts.states.length) moments.push({ index, until: index, vessel: null, state: state[index] });
-    else if (moments.length) moments.at(-1).until = index;
-  }
-  return moments;
-}
-
 class Moments {
-  constructor(recording) {
+  constructor(recording, differences) {
     this.recording = recording;
-    this.found = new Map(); // by camera and kind
+    this.differences = differences;
     this.list = [];
     this.place = null;
   }
 
   // Those of a kind that a camera sees.
-  of(camera, kind, summary) {
-    const key = `${camera} ${kind}`;
-    if (!this.found.has(key)) this.found.set(key, findMoments(kind, summary, this.recording));
-    return this.found.get(key);
+  of(camera, kind) {
+    if (kind === 'differs') return this.differences?.of(camera) ?? [];
+    return this.recording.moments(camera, kind);
   }
 
-  look(camera, kind, summary) {
-    this.list = this.of(camera, kind, summary);
+  look(camera, kind) {
+    this.list = this.of(camera, kind);
     this.place = null;
     return this.list;
   }

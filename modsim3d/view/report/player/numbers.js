@@ -23,7 +23,7 @@ function fixed(value, digits) { return value === null || Number.isNaN(value) ? n
 
 function truthRows(recording, frame) {
   return frame.truths.toReversed().map((truth) => {
-    const numbers = recording.numbers(truth.row), { silhouettePx, hiddenPx } = numbers;
+    const numbers = recording.numbers(frame.index, truth.row), { silhouettePx, hiddenPx } = numbers;
     const visiblePx = silhouettePx - hiddenPx, visibleFraction = silhouettePx > 0 ? visiblePx / silhouettePx : null;
     return { ...recording.facts.vessels[truth.vessel], ...truth, ...numbers, visiblePx, visibleFraction };
   });

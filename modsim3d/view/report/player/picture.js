@@ -121,10 +121,10 @@ class Picture {
   }
 
   // Filled where its lines wind around, holes left open; a vessel is set off from what is behind it.
-  silhouette(recording, { owner, outline }) {
-    const { facts } = recording;
+  silhouette(recording, shape) {
+    const { facts } = recording, { owner } = shape;
     this.context.beginPath();
-    for (const line of recording.lines(outline)) this.closed(line);
+    for (const line of recording.lines(shape)) this.closed(line);
     if (owner < facts.vessels.length) this.stroke(facts.colours.sea, 1.5);
     this.context.fillStyle = facts.colours.owners[owner];
     this.context.fill();

@@ -20,7 +20,7 @@ class Player {
     this.above = new Above($('above'), (vessel) => this.choose(vessel));
     this.timeline = new Timeline($('timeline'), recording);
     this.lanes = facts.tracks ? new Lanes($('lanesPanel'), $('lanes'), recording, this.timeline) : null;
-    this.differenceLanes = differences ? new DifferenceLanes($('differences'), differences, this.timeline) : null;
+    this.differenceLanes = differences && new DifferenceLanes($('differencesPanel'), $('differences'), differences, this.timeline);
     this.moments = new Moments(recording, differences);
     this.momentRow = new MomentControls(this);
     this.list = new VesselList($('vessels'), facts, (vessel) => this.choose(this.followed === vessel ? null : vessel));
@@ -37,7 +37,8 @@ class Player {
     this.resize();
     this.momentRow.fill();
     this.home();
-    if (!this.fromAddress()) this.go(Math.max(0, this.timeline.summary.seen.findIndex((seen) => seen > 0)));
+    const { overview } = this.timeline;
+    if (!this.fromAddress()) this.go(overview.firstOf(Math.max(0, overview.seen.findIndex((seen) => seen > 0))));
     clearTimeout(writeAddress.timer); // the address stays as it is until something is done
   }
 
@@ -80,8 +81,13 @@ class Player {
     rove($('vessels'));
     const { timeline, lanes } = this;
     listenOnTimeline(timeline, this, $('hint'));
-    const hint = { element: $('hint'), text: (x, y) => timeline.say(timeline.indexAt(x), timeline.vesselAt(y), this.camera) };
+    const hint = { element: $('hint'), text: (x, y) => timeline.say(timeline.indexAt(x), timeline.vesselAt(y)) };
     listenToTime(timeline.canvas, this, (y) => timeline.vesselAt(y), hint);
+    const { differenceLanes } = this;
+    if (differenceLanes) {
+      const hint = { element: $('differenceHint'), text: (x, y) => differenceLanes.hint(timeline.indexAt(x), y) };
+      listenToTime(differenceLanes.canvas, this, (y) => differenceLanes.vesselAt(y), hint);
+    }
     if (!lanes) return;
     const laneHint = { element: $('laneHint'), text: (x, y) => lanes.hint(timeline.indexAt(x), lanes.laneAt(y), this.camera) };
     listenToTime(lanes.canvas, this, (y) => lanes.vesselOf(lanes.laneAt(y), this.index), laneHint);
@@ -89,6 +95,7 @@ class Player {
 
   // ---- steps and moments
 
+  // Show a step: at once if it is ready, or as soon as it is. Returns when it is shown.
   go(index) {
     const before = this.index;
     this.index = Math.min(Math.max(index, 0), this.recording.length - 1);
@@ -97,6 +104,7 @@ class Player {
     this.draw();
     this.lanes?.reveal(this.index);
     keepAddress(this);
+    return this.waiting;
   }
 
   step(by) { this.play(false); this.go(this.index + by); }
@@ -154,14 +162,16 @@ class Player {
   }
 
   // Show a moment, with its vessel close up; all of the image if it is out of sight.
-  goTo(moment) {
+  async goTo(moment) {
     if (!moment) return;
     this.play(false);
-    if (this.momentRow.kind !== 'state') this.followed = moment.vessel;
+    const ofVessels = this.momentRow.kind !== 'state';
+    if (ofVessels) this.followed = moment.vessel;
     this.loop.aimAt(moment, this.recording.facts);
-    this.go(moment.index);
+    await this.go(moment.index);
+    if (this.index !== moment.index) return; // the user has gone on
     if (this.followed !== null) this.list.reveal(this.followed);
-    if (this.momentRow.kind === 'state') return;
+    if (!ofVessels) return;
     if (moment.vessel === null) this.choose(null, this.frameOf(this.pane).detections.findIndex((each) => each.false));
     const found = this.recording.detections(this.index, this.camera).filter(moment.vessel === null ? (each) => each.false
       : (each) => each.vessel === moment.vessel && !each.false);
@@ -174,7 +184,11 @@ class Player {
     const { hash } = location, { facts } = this.recording, asked = partsOf(hash);
     const camera = placeOf(asked.get('camera'), facts.cameras), vessel = placeOf(asked.get('vessel'), facts.vessels);
     const index = indexInAddress(hash, facts), layers = layersInAddress(hash, this.shown);
-    if (camera !== null && camera !== this.camera) this.look(camera);
+    if (camera !== null && camera !== this.stage.panes[0].camera) {
+      this.stage.activate(this.stage.panes[0]);
+      this.look(camera);
+    }
+    if (asked.get('beside')) this.stage.beside(asked.get('beside'));
     if (layers) this.show(layers);
     if (index !== null) this.go(index);
     if (vessel !== null) this.choose(vessel);
@@ -241,11 +255,36 @@ class Player {
     this.timeline.prepare(this.recording, this.camera);
     this.lanes?.prepare(this.camera);
     this.differenceLanes?.prepare(this.camera);
-    $('legend').replaceChildren(...legendOf(this.recording, this.timeline.summary));
+    $('legend').replaceChildren(...legendOf(this.recording, this.timeline.overview));
     this.draw();
   }
 
+  // What a step needs of each recording is made ready first.
   draw() {
+    const { index } = this, recordings = new Set(this.panes.map((pane) => pane.recording));
+    if (![...recordings].every((recording) => recording.ready(index))) {
+      this.waiting ??= this.makeReady(recordings);
+      return;
+    }
+    this.waiting = null;
+    this.drawFrame();
+    for (const recording of recordings) recording.prefetch(index);
+  }
+
+  async makeReady(recordings) {
+    try {
+      for (let index = -1; index !== this.index;) { // until the step is still the wanted one when it is ready
+        index = this.index;
+        await Promise.all([...recordings].map((recording) => recording.load(index)));
+      }
+      this.draw();
+    } catch (error) {
+      this.waiting = null;
+      showFailure(error);
+    }
+  }
+
+  drawFrame() {
     const started = performance.now(), { recording, index, pane, stage } = this;
     recording.rowsRead = 0;
     const frame = stage.draw(index, this), chosen = this.closeup.draw(pane, frame, this.followed, this.shown, this.alarm);

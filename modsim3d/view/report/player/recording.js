@@ -1,114 +1,176 @@
-// The recording: columns of numbers and what they mean. Its other side is recording.py.
+// The recording of a run: what its numbers mean, what the timeline shows, and its frames in parts that are unpacked when they
+// are needed. Its other side is player_recording.py.
 
-const NONE = 0xffff, UNKNOWN_FRACTION = 255, WHOLE = 250;
-const ARRAYS = { uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array, int32: Int32Array, float32: Float32Array };
+const UNKNOWN_FRACTION = 255, WHOLE = 250, STILL = 2 ** 31;
+const MOST_PARTS = 8; // unpacked at once
+const AROUND = 20; // steps before and after a frame that are made ready with it
 
-async function openRecording() {
-  const facts = JSON.parse(document.getElementById('facts').textContent);
+async function openRecording(name) {
   if (!window.DecompressionStream) throw new Error('This browser is too old to unpack the recording; a newer one will do.');
-  const text = atob(document.getElementById('columns').textContent);
-  const packed = new Uint8Array(text.length);
-  for (let i = 0; i < text.length; i++) packed[i] = text.charCodeAt(i);
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream('gzip'));
-  const bytes = await new Response(stream).arrayBuffer();
-  const columns = {};
-  for (const { name, type, offset, length } of facts.columns) columns[name] = new ARRAYS[type](bytes, offset, length);
-  return new Recording(facts, columns);
+  const facts = JSON.parse($(`facts-${name}`).textContent);
+  const columns = await unpackColumns($(`overview-${name}`).textContent);
+  Object.assign(facts, timesIn(facts, columns), { steps: Array.from({ length: facts.length }, (_, i) => i * facts.every) });
+  return new Recording(name, facts, columns);
 }
 
 class Recording {
-  constructor(facts, columns) {
-    this.facts = facts;
-    this.columns = columns;
-    this.summaries = [];
-    this.length = facts.steps.length;
+  constructor(name, facts, columns) {
+    Object.assign(this, { name, facts, columns, length: facts.length });
     this.rowsRead = 0; // how many rows were looked at, so that a test can see that a frame costs no more than itself
-    this.lineStart = starts(columns.lineCount);
-    this.cornerStart = starts(columns.cornerCount);
+    this.still = new Outlines(columns);
+    this.parts = new Map(); // by number: a part that is unpacked, or the promise of it; the one used last comes last
+    this.overviews = [];
+    this.found = new Map();
   }
 
-  // The frame that a camera shows at a step: the last that it took.
-  frame(index, camera) {
-    const cell = index * this.facts.cameras.length + camera;
-    return this.columns.frame ? this.columns.frame[cell] : cell;
+  // ---- parts
+
+  // Whether the frames of a step can be shown at once.
+  ready(index) { return this.parts.get(this.partOf(index)) instanceof Part; }
+
+  // Make the frames of a step ready.
+  async load(index) {
+    const number = this.partOf(index), before = this.parts.get(number);
+    if (before) return before;
+    const promise = this.unpack(number);
+    this.parts.set(number, promise);
+    try {
+      const part = await promise;
+      this.parts.set(number, part);
+      this.forget();
+      return part;
+    } catch (error) {
+      this.parts.delete(number);
+      throw error;
+    }
   }
+
+  async unpack(number) {
+    const { partSteps } = this.facts, text = await textOfPart(this.facts.folder, this.name, number);
+    return new Part(await unpackColumns(text), number * partSteps, Math.min((number + 1) * partSteps, this.length));
+  }
+
+  // Make ready what may be wanted next.
+  prefetch(index) {
+    for (const near of [index - AROUND, index + AROUND]) if (near >= 0 && near < this.length && !this.ready(near)) this.load(near);
+  }
+
+  partOf(index) { return Math.floor(index / this.facts.partSteps); }
+
+  // The part of a step, which must be ready.
+  part(index) {
+    const number = this.partOf(index), part = this.parts.get(number);
+    if (!(part instanceof Part)) throw new Error(`Step ${index} is not ready: await recording.load(${index}) first.`);
+    this.parts.delete(number);
+    this.parts.set(number, part);
+    return part;
+  }
+
+  forget() {
+    const unpacked = [...this.parts].filter(([, part]) => part instanceof Part);
+    for (const [number] of unpacked.slice(0, -MOST_PARTS)) this.parts.delete(number);
+  }
+
+  // ---- the whole run
+
+  // What the timeline shows of a camera.
+  overview(camera) {
+    return this.overviews[camera] ??= new Overview(this.facts.overviews[camera], this.columns, camera, this.length);
+  }
+
+  // Moments of a kind that a camera sees, in order of time; frames in a row are one moment. Kinds are missed, false,
+  // mislabelled, off, bad, hidden, and state for changes of the performance state.
+  moments(camera, kind) {
+    if (kind === 'state') return this.states(camera).slice(1).map(({ index, until, state }) => ({ index, until, state, vessel: null }));
+    return this.once(`${camera} ${kind}`, () => momentsIn(this.columns, camera, kind).map(({ index, until, key }) => ({ index, until, vessel: key })));
+  }
+
+  // The performance states of a camera's frames, each with its first and last step; those of no frame are left out.
+  states(camera) {
+    const found = this.once(`${camera} state`, () => momentsIn(this.columns, camera, 'state'));
+    return found.filter(({ key }) => key < this.facts.states.length).map(({ index, until, key }) => ({ index, until, state: key }));
+  }
+
+  // Where vessels are less than half visible to a camera; stored with tracks only.
+  halfSeen(camera) { return this.once(`${camera} half`, () => momentsIn(this.columns, camera, 'half')); }
+
+  once(key, find) {
+    if (!this.found.has(key)) this.found.set(key, find());
+    return this.found.get(key);
+  }
+
+  // ---- one step, which must be ready
+
+  state(index, camera) {
+    const part = this.part(index);
+    return this.facts.states[part.columns.state[this.frameIn(part, index, camera)]] ?? '–';
+  }
+
+  // The frame that a camera shows at a step, by its number in the part: the last that it took.
+  frameIn(part, index, camera) { return part.columns.frame[(index - part.first) * this.facts.cameras.length + camera]; }
 
   // When that frame was taken, in words, if it was not at this very step.
   age(index, camera) {
-    if (!this.columns.taken) return '';
-    const step = this.columns.taken[index * this.facts.cameras.length + camera];
+    const { first, columns: { taken } } = this.part(index);
+    if (!taken) return '';
+    const step = taken[(index - first) * this.facts.cameras.length + camera];
     return step < 0 ? 'no frame yet' : step === this.facts.steps[index] ? '' : `frame of step ${step}`;
   }
 
-  state(index, camera) { return this.facts.states[this.columns.state[this.frame(index, camera)]] ?? '–'; }
+  // The rows of a table of a frame, by the name of the column that says where each frame's begin.
+  rows(name, index, camera, row) {
+    const part = this.part(index), frame = this.frameIn(part, index, camera), start = part.columns[name], rows = [];
+    for (let at = start[frame]; at < start[frame + 1]; at++) {
+      this.rowsRead++;
+      rows.push(row(part.columns, at, part));
+    }
+    return rows;
+  }
 
   // The side of the horizon on which the sea lies: a x + b y + c >= 0.
   horizon(index, camera) {
-    const start = 3 * this.frame(index, camera);
-    return this.columns.horizon.subarray(start, start + 3);
+    const part = this.part(index), start = 3 * this.frameIn(part, index, camera);
+    return part.columns.horizon.subarray(start, start + 3);
   }
 
   // What is to be painted, from back to front: whose it is, and which outline it has.
   shapes(index, camera) {
-    const frame = this.frame(index, camera), { shapeStart, owner, outline } = this.columns, shapes = [];
-    for (let at = shapeStart[frame]; at < shapeStart[frame + 1]; at++) {
-      this.rowsRead++;
-      shapes.push({ owner: owner[at], outline: outline[at] });
-    }
-    return shapes;
+    return this.rows('shapeStart', index, camera, ({ owner, outline }, at, part) => (
+      outline[at] >= STILL ? { owner: owner[at], outline: outline[at] - STILL, outlines: this.still }
+        : { owner: owner[at], outline: outline[at], outlines: part.outlines }));
   }
 
-  // The closed lines of an outline in pixels, each as x, y, x, y, ...
-  lines(outline) {
-    const { corners } = this.columns, { quantum } = this.facts, lines = [];
-    for (let line = this.lineStart[outline]; line < this.lineStart[outline + 1]; line++) {
-      const part = corners.subarray(2 * this.cornerStart[line], 2 * this.cornerStart[line + 1]);
-      lines.push(Array.from(part, (value) => value * quantum));
-    }
-    return lines;
-  }
+  // The closed lines of a shape in pixels, each as x, y, x, y, ...
+  lines({ outline, outlines }) { return outlines.lines(outline, this.facts.quantum); }
 
   // The vessels that are in the image, farthest first.
-  truths(index, camera) {
-    const frame = this.frame(index, camera), { truthStart } = this.columns, rows = [];
-    for (let row = truthStart[frame]; row < truthStart[frame + 1]; row++) rows.push(this.truth(row));
-    return rows;
-  }
+  truths(index, camera) { return this.rows('truthStart', index, camera, (columns, row) => this.truth(columns, row)); }
 
-  truth(row) {
-    this.rowsRead++;
-    const { vessel, flags, fraction, depth, hider } = this.columns;
+  truth(columns, row) {
+    const { vessel, flags, fraction, depth, hider } = columns;
     const annotated = (flags[row] & 1) > 0, detected = (flags[row] & 2) > 0;
-    const full = this.box('full', row), visible = this.box('visible', row);
+    const full = this.box(columns.full, row), visible = this.box(columns.visible, row);
     return {
       row, vessel: vessel[row], annotated, detected, missed: annotated && !detected,
       fraction: fraction[row] === UNKNOWN_FRACTION ? null : fraction[row] / WHOLE,
-      depth: depth[row], hider: hider[row] === NONE ? null : this.facts.occluders[hider[row]],
+      depth: depth[row] / 10, hider: hider[row] === NONE ? null : this.facts.occluders[hider[row]],
       full, visible, target: this.facts.mode === 2 ? visible ?? full : full,
     };
   }
 
   // The numbers of a row of the truth that no picture needs; null where a camera cannot know.
-  numbers(row) {
-    const { silhouettePx, hiddenPx, inFrame, hiderCount, hiderName, hiderPx } = this.columns;
-    this.hiderStart ??= starts(hiderCount);
-    const hiders = [];
-    for (let at = this.hiderStart[row]; at < this.hiderStart[row + 1]; at++) hiders.push({ name: this.facts.occluders[hiderName[at]], px: hiderPx[at] });
+  numbers(index, row) {
+    const { columns: { silhouettePx, hiddenPx, inFrame, hiderStart, hiderName, hiderPx } } = this.part(index), hiders = [];
+    for (let at = hiderStart[row]; at < hiderStart[row + 1]; at++) hiders.push({ name: this.facts.occluders[hiderName[at]], px: hiderPx[at] });
     return { silhouettePx: silhouettePx[row], hiddenPx: hiddenPx[row], inFrame: inFrame[row] === NONE ? null : inFrame[row] / WHOLE_IMAGE, hiders };
   }
 
   // What the detector put out.
   detections(index, camera) {
-    const frame = this.frame(index, camera), { drawnStart, drawnVessel, label, confidence, outcome, kind } = this.columns, rows = [];
-    for (let row = drawnStart[frame]; row < drawnStart[frame + 1]; row++) {
-      this.rowsRead++;
-      const vessel = drawnVessel[row];
-      rows.push({
-        vessel: vessel === NONE ? null : vessel, label: this.facts.labels[label[row]], kind: this.facts.kinds[kind[row]],
-        confidence: confidence[row] / 1000, box: this.box('box', row), ...this.mistakes(outcome[row]),
-      });
-    }
-    return rows;
+    return this.rows('drawnStart', index, camera, ({ drawnVessel, label, confidence, outcome, kind, box }, row) => ({
+      vessel: drawnVessel[row] === NONE ? null : drawnVessel[row], label: this.facts.labels[label[row]], kind: this.facts.kinds[kind[row]],
+      confidence: confidence[row] / 1000, box: this.box(box, row), ...this.mistakes(outcome[row]),
+    }));
   }
 
   // What is wrong with a detection: not the one of a vessel, another class than its vessel's, IoU below 0.5, a box that does not touch its vessel's.
@@ -117,58 +179,73 @@ class Recording {
     return { false: (outcome & FALSE_POSITIVE) > 0, mislabelled: (outcome & MISLABELLED) > 0, bad: (outcome & BELOW_HALF_IOU) > 0, off: (outcome & OFF_VESSEL) > 0 };
   }
 
+  // The boxes of tracks.
+  tracks(index, camera) {
+    const { flags } = this.facts.tracks;
+    return this.rows('trackStart', index, camera, ({ trackLane, trackVessel, trackFlags, trackBox }, row) => ({
+      lane: trackLane[row], vessel: trackVessel[row] === NONE ? null : trackVessel[row], box: this.box(trackBox, row),
+      pale: (trackFlags[row] & flags.UNSCORED) > 0, switched: (trackFlags[row] & flags.SWITCHED) > 0, moved: (trackFlags[row] & flags.MOVED) > 0,
+    }));
+  }
+
+  // Where everything is, in metres and radians from above: null for a vessel that is absent, and for a camera whose vessel is.
+  places(index) {
+    const { first, columns } = this.part(index), { vessels, cameras } = this.facts, row = index - first, turn = 2 * Math.PI / 65536;
+    const place = (values, at) => ({ x: values[2 * at] / 100, y: values[2 * at + 1] / 100 });
+    return {
+      vessels: vessels.map((_, i) => {
+        const at = row * vessels.length + i;
+        return columns.placed[at] ? { ...place(columns.place, at), heading: columns.heading[at] * turn } : null;
+      }),
+      cameras: cameras.map((_, i) => {
+        const at = row * cameras.length + i, left = columns.cameraLooks[2 * at], right = columns.cameraLooks[2 * at + 1];
+        const fov = ((left - right) & 0xffff) * turn;
+        return columns.cameraPlaced[at] ? { ...place(columns.cameraPlace, at), yaw: right * turn + fov / 2, fov } : null;
+      }),
+    };
+  }
+
   // x_min, y_min, x_max, y_max in pixels, or null.
-  box(name, row) {
-    const sides = this.columns[name].subarray(4 * row, 4 * row + 4);
+  box(boxes, row) {
+    const sides = boxes.subarray(4 * row, 4 * row + 4);
     return sides[0] === NONE ? null : Array.from(sides, (side) => side * this.facts.quantum);
   }
+}
 
-  // What the timeline shows of a camera: for each step counts, and for each vessel and step its visible fraction and
-  // what went wrong.
-  summary(camera) { return this.summaries[camera] ??= this.summed(camera); }
-
-  summed(camera) {
-    const { columns, length } = this, vessels = this.facts.vessels.length;
-    const summary = {
-      state: new Uint8Array(length), seen: new Uint16Array(length), annotated: new Uint16Array(length), missed: new Uint16Array(length),
-      false: new Uint16Array(length), mislabelled: new Uint16Array(length), bad: new Uint16Array(length), off: new Uint16Array(length),
-      fraction: new Float32Array(vessels * length).fill(NaN), lost: new Uint8Array(vessels * length),
-      outcome: new Uint8Array(vessels * length),
-      rows: [Infinity, -Infinity], // of the image: the least and the greatest that a vessel reaches
-    };
-    for (let index = 0; index < length; index++) {
-      const frame = this.frame(index, camera);
-      summary.state[index] = columns.state[frame];
-      summary.seen[index] = columns.truthStart[frame + 1] - columns.truthStart[frame];
-      for (let row = columns.truthStart[frame]; row < columns.truthStart[frame + 1]; row++) {
-        const at = columns.vessel[row] * length + index, fraction = columns.fraction[row];
-        const missed = columns.flags[row] === 1;
-        summary.fraction[at] = fraction === UNKNOWN_FRACTION ? 1 : fraction / WHOLE;
-        summary.lost[at] = missed ? 1 : 0;
-        summary.annotated[index] += columns.flags[row] & 1;
-        summary.missed[index] += missed ? 1 : 0;
-        summary.rows[0] = Math.min(summary.rows[0], columns.full[4 * row + 1] * this.facts.quantum);
-        summary.rows[1] = Math.max(summary.rows[1], columns.full[4 * row + 3] * this.facts.quantum);
-      }
-      for (let row = columns.drawnStart[frame]; row < columns.drawnStart[frame + 1]; row++) {
-        const { false: wrong, mislabelled, bad, off } = this.mistakes(columns.outcome[row]);
-        if (wrong) {
-          summary.false[index]++;
-          continue;
-        }
-        summary.outcome[columns.drawnVessel[row] * length + index] = columns.outcome[row];
-        summary.mislabelled[index] += mislabelled ? 1 : 0;
-        summary.bad[index] += bad ? 1 : 0;
-        summary.off[index] += off ? 1 : 0;
-      }
-    }
-    return summary;
+// The frames of consecutive steps.
+class Part {
+  constructor(columns, first, stop) {
+    Object.assign(this, { columns, first, stop, outlines: new Outlines(columns) });
   }
 }
 
-// Where each of some stretches begins, and the end of the last, from their lengths.
-function starts(lengths) {
-  const begins = new Uint32Array(lengths.length + 1);
-  lengths.forEach((length, i) => { begins[i + 1] = begins[i] + length; });
-  return begins;
+class Outlines {
+  constructor({ lineCount, cornerCount, corners }) {
+    Object.assign(this, { corners, lineStart: beginnings(lineCount), cornerStart: beginnings(cornerCount) });
+  }
+
+  lines(outline, quantum) {
+    const lines = [];
+    for (let line = this.lineStart[outline]; line < this.lineStart[outline + 1]; line++) {
+      const part = this.corners.subarray(2 * this.cornerStart[line], 2 * this.cornerStart[line + 1]);
+      lines.push(Array.from(part, (value) => value * quantum));
+    }
+    return lines;
+  }
 }
+
+// The packed text of a part: in the page, or in a file beside it, which is a script because a page from a disk can read no other.
+function textOfPart(folder, name, number) {
+  const id = `part-${name}-${number}`;
+  if (!folder) return $(id).textContent;
+  return new Promise((resolve, reject) => {
+    const script = element('script', { src: `${folder}/${name}-${number}.js` });
+    takers.set(id, resolve);
+    script.addEventListener('load', () => { script.remove(); takers.delete(id); });
+    script.addEventListener('error', () => reject(new Error(`${folder}/${name}-${number}.js cannot be read: copy the whole folder with the page.`)));
+    document.head.append(script);
+  });
+}
+
+const takers = new Map();
+window.takePart = (id, text) => takers.get(id)?.(text);

@@ -49,13 +49,18 @@ class Stage {
     this.home();
   }
 
+  nextBeside() {
+    const names = ['', ...this.recordings[0].facts.cameras.map(({ name }) => name)];
+    this.beside(names[(names.indexOf(this.besideName ?? '') + 1) % names.length]);
+  }
+
   // The camera beside the first one; null if there is none.
   get besideName() { return this.linked || !this.panes[1] ? null : this.panes[1].facts.name; }
 
   // Runs are compared through the same camera.
   look(camera) { for (const pane of this.linked ? this.panes : [this.active]) pane.show(camera); }
 
-  home() { for (const pane of this.panes) pane.home(pane.recording.summary(pane.camera).rows); }
+  home() { for (const pane of this.panes) pane.home(pane.recording.overview(pane.camera).rows); }
 
   resize() {
     for (const pane of this.panes) {

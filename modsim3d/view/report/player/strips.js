@@ -10,14 +10,14 @@ function stripHeight(withClasses) {
 
 function seenTopOf(withClasses) { return withClasses ? CLASS_PX + STRIP_GAP_PX : 0; }
 
-// Paint the columns of a strip, each of which begins at `x` and counts frames: those in which the vessel is `seen`, the `sum` of its
-// visible fractions, and what went wrong in them. The last column ends at `end`.
+// Paint the columns of a strip, each of which begins at `x` and counts frames: those in which the vessel is `seen`, the sum of its
+// visible fractions (`fraction`), and what went wrong in them. The last column ends at `end`.
 function paintStrip(context, columns, end, top, colour, withClasses) {
   const seenTop = top + seenTopOf(withClasses), markTop = seenTop + SEEN_PX + STRIP_GAP_PX;
   const hidden = channels(colourOf('--hidden')), own = channels(colour), alarm = colourOf('--alarm'), edge = colourOf('--edge');
   const rect = (fill, x, y, wide, high) => { context.fillStyle = fill; context.fillRect(x, y, wide, high); };
   rect(colourOf('--track'), columns[0].x, seenTop, end - columns[0].x, SEEN_PX);
-  runs(columns, end, ({ seen, sum }) => (seen ? mixed(hidden, own, sum / seen) : ''), (fill, from, to) => {
+  runs(columns, end, ({ seen, fraction }) => (seen ? mixed(hidden, own, fraction / seen) : ''), (fill, from, to) => {
     rect(fill, from, seenTop, to - from, SEEN_PX - 1);
     rect(edge, from, seenTop + SEEN_PX - 1, to - from, 1); // a pale colour too is seen to begin and to end
   });

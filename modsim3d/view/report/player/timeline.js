@@ -13,16 +13,16 @@ class Timeline {
     this.panel.addEventListener('scroll', () => { this.paint(); this.draw(this.index, this.followed); });
   }
 
-  // Lay out a camera's rows and draw what does not move. Only this looks at all frames; drawing the playhead copies it.
+  // Lay out a camera's rows and draw what does not move; drawing the playhead copies it.
   prepare(recording, camera) {
     const { facts } = recording;
-    Object.assign(this, { recording, camera, summary: recording.summary(camera) });
-    this.vessels = facts.vessels.map((_, vessel) => vessel).filter((vessel) => this.everSeen(vessel));
+    Object.assign(this, { recording, camera, overview: recording.overview(camera) });
+    this.vessels = facts.vessels.map((_, vessel) => vessel).filter((vessel) => this.overview.everSeen(vessel));
     const width = this.panel.parentElement.clientWidth;
     this.left = Math.min(132, 0.32 * width);
     this.wide = width - this.left;
     // Misses and false alarms always, the rest where there is some.
-    this.kinds = BARS.filter(([kind], i) => i < 2 || this.summary[kind].some((count) => count));
+    this.kinds = BARS.filter(([kind], i) => i < 2 || this.overview[kind].some((count) => count));
     this.withClasses = this.kinds.some(([kind]) => kind === 'mislabelled');
     this.rowPx = stripHeight(this.withClasses);
     this.rowsTop = STATE_PX + this.kinds.length * (BARS_PX + GAP_PX) + 2 * GAP_PX;
@@ -50,7 +50,7 @@ class Timeline {
     context.font = '12px system-ui, sans-serif';
     context.textBaseline = 'middle';
     this.states(context);
-    this.kinds.forEach(([kind, name], i) => this.bars(context, STATE_PX + GAP_PX + i * (BARS_PX + GAP_PX), name, this.summary[kind]));
+    this.kinds.forEach(([kind, name], i) => this.bars(context, STATE_PX + GAP_PX + i * (BARS_PX + GAP_PX), name, this.overview[kind]));
     context.save();
     context.beginPath();
     context.rect(0, this.rowsTop, this.left + this.wide, this.rowsPx);
@@ -61,19 +61,13 @@ class Timeline {
     this.axis(context);
   }
 
-  everSeen(vessel) {
-    const { length } = this.recording, { fraction } = this.summary;
-    for (let at = vessel * length; at < (vessel + 1) * length; at++) if (!Number.isNaN(fraction[at])) return true;
-    return false;
-  }
-
-  // First frame and the one after the last of each column of pixels, and where it is.
+  // First bin of steps and the one after the last of each column of pixels, where it is, and how many steps it has.
   pixelColumns() {
-    const { length } = this.recording, count = Math.max(1, Math.min(Math.round(this.wide), length)), columns = [];
+    const { bins } = this.overview, count = Math.max(1, Math.min(Math.round(this.wide), bins)), columns = [];
+    const edge = (bin) => Math.round(this.x(Math.min(this.overview.firstOf(bin), this.recording.length))); // on whole pixels there are no seams
     for (let k = 0; k < count; k++) {
-      const first = Math.floor((k * length) / count), stop = Math.floor(((k + 1) * length) / count);
-      const x = Math.round(this.left + (k * this.wide) / count); // on whole pixels there are no seams
-      columns.push({ first, stop, x, wide: Math.round(this.left + ((k + 1) * this.wide) / count) - x });
+      const first = Math.floor((k * bins) / count), stop = Math.floor(((k + 1) * bins) / count), x = edge(first);
+      columns.push({ first, stop, x, wide: edge(stop) - x, steps: this.overview.stopOf(stop - 1) - this.overview.firstOf(first) });
     }
     return columns;
   }
@@ -86,15 +80,13 @@ class Timeline {
   }
 
   states(context) {
-    const { state } = this.summary, { length, facts } = this.recording;
+    const { facts } = this.recording;
     this.text(context, 'detector', 0, STATE_PX / 2, this.left - 6);
-    for (let from = 0, to = 0; from < length; from = to) {
-      while (to < length && state[to] === state[from]) to++;
-      if (state[from] >= facts.states.length) continue; // no frame yet
-      const x = this.x(from), wide = ((to - from) * this.wide) / length;
-      context.fillStyle = stateColour(state[from], facts.states.length);
+    for (const { index, until, state } of this.recording.states(this.camera)) {
+      const x = this.x(index), wide = this.x(until + 1) - x;
+      context.fillStyle = stateColour(state, facts.states.length);
       context.fillRect(x, 0, wide + 0.3, STATE_PX);
-      const name = facts.states[state[from]];
+      const name = facts.states[state];
       if (context.measureText(name).width + 8 >= wide) continue;
       this.text(context, name, x + 4, STATE_PX / 2 + 1, wide, moreDistinct(context.fillStyle, '--ink', '--paper'));
     }
@@ -102,16 +94,17 @@ class Timeline {
 
   // How many in each column of pixels: the mean of its frames, in parts of the greatest.
   bars(context, top, name, counts) {
-    const most = counts.reduce((a, b) => Math.max(a, b), 0);
-    this.text(context, most ? `${name}, up to ${most}` : `${name}: none`, 0, top + BARS_PX / 2, this.left - 6);
+    const { overview } = this, most = counts.reduce((a, b, bin) => Math.max(a, b / (overview.stopOf(bin) - overview.firstOf(bin))), 0);
+    const greatest = overview.width > 1 ? most.toFixed(1) : most;
+    this.text(context, most ? `${name}, up to ${greatest}` : `${name}: none`, 0, top + BARS_PX / 2, this.left - 6);
     context.fillStyle = colourOf('--track');
     context.fillRect(this.left, top, this.wide, BARS_PX);
     context.fillStyle = colourOf('--alarm');
     if (most) {
-      for (const { first, stop, x, wide } of this.columns) {
+      for (const { first, stop, x, wide, steps } of this.columns) {
         let sum = 0;
-        for (let index = first; index < stop; index++) sum += counts[index];
-        const high = (BARS_PX * sum) / (stop - first) / most;
+        for (let bin = first; bin < stop; bin++) sum += counts[bin];
+        const high = (BARS_PX * sum) / steps / most;
         context.fillRect(x, top + BARS_PX - high, wide, high);
       }
     }
@@ -119,26 +112,13 @@ class Timeline {
 
   // A vessel's visible fraction as the strength of its colour, and what went wrong below it.
   strip(context, vessel, top) {
-    const { facts, length } = this.recording;
+    const { facts } = this.recording;
     this.text(context, facts.vessels[vessel].name, NAME_LEFT_PX, top + seenTopOf(this.withClasses) + SEEN_PX / 2 + 1, this.left - NAME_LEFT_PX - 6);
     if (!this.counted.has(vessel)) { // once, not each time the panel scrolls
-      const count = ({ first, stop, x }) => ({ x, ...this.counts(vessel * length + first, vessel * length + stop) });
-      this.counted.set(vessel, this.columns.map(count));
+      const sums = (first, stop) => Object.fromEntries(COUNTED_OF_VESSELS.map((name) => [name, this.overview.sum(name, vessel, first, stop)]));
+      this.counted.set(vessel, this.columns.map(({ first, stop, x }) => ({ x, ...sums(first, stop) })));
     }
     paintStrip(context, this.counted.get(vessel), this.left + this.wide, top, facts.colours.vessels[vessel], this.withClasses);
-  }
-
-  // What became of a vessel in some frames.
-  counts(first, stop) {
-    const { fraction, lost, outcome } = this.summary, count = { seen: 0, sum: 0, missed: 0, false: 0, mislabelled: 0, bad: 0, off: 0 };
-    for (let at = first; at < stop; at++) {
-      if (Number.isNaN(fraction[at])) continue;
-      count.seen++;
-      count.sum += fraction[at];
-      count.missed += lost[at];
-      for (const [kind, is] of Object.entries(this.recording.mistakes(outcome[at]))) count[kind] += is;
-    }
-    return count;
   }
 
   axis(context) {
@@ -181,21 +161,16 @@ class Timeline {
     else if (top + this.rowPx > this.rowsTop + this.rowsPx) this.panel.scrollTop += top + this.rowPx - this.rowsTop - this.rowsPx;
   }
 
-  // A step and a vessel of it, if one is given, in words.
-  say(index, vessel, camera) {
-    const { recording } = this, { facts } = recording;
-    const { annotated, missed, false: wrong, mislabelled, bad, off, fraction, outcome, lost } = this.summary;
+  // A step, or the steps of its bin in a long run, and a vessel, if one is given, in words.
+  say(index, vessel) {
+    const { recording, overview } = this, { facts } = recording, bin = overview.binOf(index), counts = (name) => overview[name][bin];
+    const state = facts.states[overview.state[bin]] ?? '–', long = overview.stopOf(bin) - overview.firstOf(bin);
     const lines = [
-      stepInWords(recording, index, recording.state(index, camera)),
-      [`${annotated[index]} annotated`, `${missed[index]} missed`, `${wrong[index]} false`, some(mislabelled[index], 'of a wrong class'),
-        some(bad[index], 'with IoU below 0.5'), some(off[index], 'off their vessel')].filter((word) => word).join(', '),
+      long > 1 ? stepsInWords(recording, overview.firstOf(bin), overview.stopOf(bin) - 1, state) : stepInWords(recording, index, state),
+      [`${counts('annotated')} annotated`, `${counts('missed')} missed`, `${counts('false')} false`, some(counts('mislabelled'), 'of a wrong class'),
+        some(counts('bad'), 'with IoU below 0.5'), some(counts('off'), 'off their vessel')].filter((word) => word).join(', '),
     ];
-    if (vessel !== null) {
-      const at = vessel * recording.length + index, seen = fraction[at];
-      const words = [Number.isNaN(seen) ? 'not in the image' : `${percent(seen)} visible`];
-      if (lost[at]) words.push('missed');
-      lines.push(`${facts.vessels[vessel].name}: ${[...words, ...wordsFor(recording.mistakes(outcome[at]))].join(', ')}`);
-    }
+    if (vessel !== null) lines.push(`${facts.vessels[vessel].name}: ${vesselInBin(overview, vessel, bin).join(', ')}`);
     return lines.join('\n');
   }
 

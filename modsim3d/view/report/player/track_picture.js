@@ -2,26 +2,12 @@
 
 const FALSE_TRACK = '#b4bac0', SEAM = '#ffffffd0';
 
-// The tracks in the frame that a camera shows at a step.
-function tracksAt(recording, index, camera) {
-  const { trackStart, trackLane, trackVessel, trackFlags } = recording.columns, { flags } = recording.facts.tracks;
-  const frame = recording.frame(index, camera), rows = [];
-  for (let row = trackStart[frame]; row < trackStart[frame + 1]; row++) {
-    recording.rowsRead++;
-    rows.push({
-      lane: trackLane[row], vessel: trackVessel[row] === NONE ? null : trackVessel[row], box: recording.box('trackBox', row),
-      pale: (trackFlags[row] & flags.UNSCORED) > 0, switched: (trackFlags[row] & flags.SWITCHED) > 0, moved: (trackFlags[row] & flags.MOVED) > 0,
-    });
-  }
-  return rows;
-}
-
 function trackColour(vessel, { colours }) { return vessel === null ? FALSE_TRACK : colours.vessels[vessel]; }
 
 class TrackPicture extends Picture {
   draw(recording, index, camera, shown, frame, marked) {
     super.draw(recording, index, camera, { ...shown, labels: false }, frame, marked);
-    if (shown.tracks) for (const track of tracksAt(recording, index, camera)) this.track(track, recording.facts);
+    if (shown.tracks) for (const track of recording.tracks(index, camera)) this.track(track, recording.facts);
     if (shown.labels || shown.tracks) {
       if (!shown.labels) this.plates = this.plates.filter(({ track }) => track);
       this.labels();

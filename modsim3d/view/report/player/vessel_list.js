@@ -63,17 +63,27 @@ class VesselList {
   }
 
   // While a run plays, rows stay where they are; they are sorted and filtered anew when it pauses.
-  show(frame, carrier, playing) {
+  // `other` is the same frame of another run.
+  show(frame, carrier, playing, other) {
     const truths = new Map(frame.truths.map((truth) => [truth.vessel, truth]));
     const detections = new Map(frame.detections.filter((each) => !each.false).map((each) => [each.vessel, each]));
     for (const each of this.rows) {
       const truth = each.truth = truths.get(each.vessel), found = each.found = detections.get(each.vessel);
       const texts = truth ? describe(truth, found) : ['', '', each.name === carrier ? 'carries the camera' : 'not in the image'];
+      if (truth && other) texts[2] = this.both(each, other);
+      each.cells[2].classList.toggle('differs', Boolean(truth && other) && texts[2].includes('≠'));
       each.row.classList.toggle('away', !truth);
       each.row.classList.toggle('wrong', isWrong(each));
       texts.forEach((text, i) => { if (each.cells[i].textContent !== text) each.cells[i].textContent = text; });
     }
     if (!playing && (this.order || $('which').value !== 'all')) this.arrange();
+  }
+
+  // What both runs made of a vessel; this one's first.
+  both({ vessel, truth, found }, { truths, detections }) {
+    const mine = describe(truth, found)[2], theirs = describe(truths.find((each) => each.vessel === vessel), detections.find((each) => each.vessel === vessel && !each.false))[2];
+    const plain = (text) => text.replace(/ [\d.]+/, '');
+    return plain(mine) === plain(theirs) ? mine : `${mine} ≠ ${theirs}`;
   }
 
   // `chosen` is in the close-up, `followed` was asked for.

@@ -33,4 +33,18 @@ function frameInWords(recording, { index, camera, truths, detections }) {
   ].filter((word) => word).join(' · ');
 }
 
+function stepsInWords({ facts }, first, last, state) {
+  return `${facts.timestamps[first]}–${facts.timestamps[last]} s, steps ${facts.steps[first]} to ${facts.steps[last]}: detector ${state}`;
+}
+
+// What became of a vessel in a bin of an overview; how often, where it has several steps.
+function vesselInBin(overview, vessel, bin) {
+  const of = (name) => overview.sum(name, vessel, bin, bin + 1), seen = of('seen'), long = overview.stopOf(bin) - overview.firstOf(bin);
+  if (!seen) return ['not in the image'];
+  const often = (name, word) => of(name) > 0 && (long > 1 ? `${word} in ${of(name)}` : word);
+  const off = often('off', 'off its vessel'), bad = often('bad', 'IoU below 0.5'), share = `${percent(of('fraction') / seen)} visible`;
+  const words = [long > 1 ? `in ${seen} of ${long} steps, ${share}` : share, often('missed', 'missed'), often('mislabelled', 'wrong class'), off];
+  return [...words, (long > 1 || !off) && bad].filter((word) => word);
+}
+
 function stepInWords({ facts }, index, state) { return `${facts.timestamps[index]} s, step ${facts.steps[index]}: detector ${state}`; }

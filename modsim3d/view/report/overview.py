@@ -1,0 +1,178 @@
+"""What the timeline of a run's page shows: counts in bins of steps, and the moments worth a look, found once in Python."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modsim3d.arrays import Indices, Mask
+from modsim3d.runs.outcomes import Outcome, having
+from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column
+from modsim3d.view.report.stretches import Stretches, StretchesBuilder, onsets
+
+UNKNOWN_FRACTION, WHOLE = 255, 250
+"""Visible fractions are counted in 250ths."""
+MISSED, HIDDEN, FALSE, MISLABELLED, BAD, OFF = "missed", "hidden", "false", "mislabelled", "bad", "off"
+WRONG = {MISLABELLED: Outcome.MISLABELLED, BAD: Outcome.BELOW_HALF_IOU, OFF: Outcome.OFF_VESSEL}
+"""What may be wrong with a detection of a vessel."""
+MOMENT_KINDS = (MISSED, FALSE, MISLABELLED, OFF, BAD, HIDDEN)
+BEGINS, ENDS = 0.9 * WHOLE, 0.98 * WHOLE
+"""A vessel is occluded from when no more of it is visible until more than that is, so that a flicker is no onset."""
+LITTLE = "little"
+"""A vessel is hidden by a little at least."""
+HALF = "half"
+"""A vessel is less than half visible."""
+COUNTS = ("seen", "annotated", MISSED, FALSE, MISLABELLED, BAD, OFF)
+VESSEL_COUNTS = ("seen", "fraction", MISSED, MISLABELLED, BAD, OFF)
+MOST_BINS, LEAST_BINS, MOST_CELLS = 6000, 1000, 600_000
+"""Bins of steps, and bins times vessels: as fine as any screen, and small."""
+
+
+def steps_in_a_bin(steps: int, vessels: int) -> int:
+    """Number of shown steps in each bin of an overview; the last bin may have fewer."""
+    most = min(max(MOST_CELLS // max(vessels, 1), LEAST_BINS), MOST_BINS)
+    return max(1, -(-steps // most))
+
+
+@dataclass(frozen=True, eq=False)
+class ShownRows:
+    """What one camera shows at some shown steps, a row of the truth or a detection for each step that shows it.
+
+    Attributes:
+        index: Index of each shown step, shape (i,).
+        state: Number of the performance state at each of them, shape (i,).
+        truth_index: Index of the step of each row of the truth, shape (n,).
+        vessel: Its vessel, shape (n,).
+        annotated: Whether it was annotated, shape (n,).
+        missed: Whether it was missed, shape (n,).
+        fraction: Its visible fraction in 250ths, 250 if it is not known, shape (n,).
+        rows: The least and the greatest row of its box, in quanta, shape (n, 2).
+        drawn_index: Index of the step of each detection, shape (m,).
+        drawn_vessel: Its vessel, shape (m,).
+        outcome: Its outcome, shape (m,).
+    """
+
+    index: Indices
+    state: Indices
+    truth_index: Indices
+    vessel: Indices
+    annotated: Mask
+    missed: Mask
+    fraction: Indices
+    rows: Indices
+    drawn_index: Indices
+    drawn_vessel: Indices
+    outcome: Column
+
+    @classmethod
+    def of(cls, index: Indices, frame: Indices, columns: dict[str, Column]) -> ShownRows:
+        """From the columns of a part, and the frame in it that the camera shows at each step, shape (i,)."""
+        truth, truth_at = rows_of(frame, columns["truthStart"])
+        drawn, drawn_at = rows_of(frame, columns["drawnStart"])
+        fraction = columns["fraction"][truth].astype(np.int64)
+        return cls(
+            index=index,
+            state=columns["state"][frame].astype(np.int64),
+            truth_index=index[truth_at],
+            vessel=columns["vessel"][truth].astype(np.int64),
+            annotated=columns["flags"][truth] & 1 > 0,
+            missed=columns["flags"][truth] == 1,
+            fraction=np.where(fraction == UNKNOWN_FRACTION, WHOLE, fraction),
+            rows=columns["full"][truth][:, [1, 3]],
+            drawn_index=index[drawn_at],
+            drawn_vessel=columns["drawnVessel"][drawn].astype(np.int64),
+            outcome=columns["outcome"][drawn],
+        )
+
+    @property
+    def false(self) -> Mask:
+        """Which detections are false positives, shape (m,)."""
+        return having(self.outcome, Outcome.FALSE_POSITIVE)
+
+
+def rows_of(frame: Indices, start: Column) -> tuple[Indices, Indices]:
+    """The rows of each of some frames, one after the other, and which of the frames each is of."""
+    first, count = start[frame].astype(np.int64), np.diff(start.astype(np.int64))[frame]
+    which = np.repeat(np.arange(len(frame)), count)
+    return np.arange(len(which)) + np.repeat(first - (np.cumsum(count) - count), count), which
+
+
+class Overview:
+    """Counts of one camera in bins of steps, and moments, of a run that comes in parts."""
+
+    def __init__(self, steps: int, vessels: int, states: int) -> None:
+        """Begin with none of so many shown steps."""
+        self.width = steps_in_a_bin(steps, vessels)
+        self._vessels = vessels
+        bins = -(-steps // self.width)
+        self._states = np.zeros((bins, states), dtype=np.int64)
+        self._counts = {name: np.zeros(bins, dtype=np.int64) for name in COUNTS}
+        self._of_vessels = {name: np.zeros(vessels * bins, dtype=np.int64) for name in VESSEL_COUNTS}
+        self._rows = [NONE, 0]
+        self._found = {name: StretchesBuilder() for name in ("state", HALF, LITTLE, *MOMENT_KINDS)}
+
+    def add(self, shown: ShownRows) -> None:
+        """Add what the camera shows at some steps."""
+        self._found["state"].add(shown.state, shown.index)
+        known = shown.state < self._states.shape[1]
+        np.add.at(self._states, (shown.index[known] // self.width, shown.state[known]), 1)
+        every = np.ones(len(shown.vessel), bool)
+        self._count("seen", shown.truth_index, shown.vessel, every)
+        self._count("annotated", shown.truth_index, shown.vessel, shown.annotated)
+        self._count(MISSED, shown.truth_index, shown.vessel, shown.missed)
+        np.add.at(self._of_vessels["fraction"], self._cells(shown.truth_index, shown.vessel), shown.fraction)
+        self._find(HIDDEN, shown.truth_index, shown.vessel, shown.fraction <= BEGINS)
+        self._find(LITTLE, shown.truth_index, shown.vessel, shown.fraction <= ENDS)
+        self._find(HALF, shown.truth_index, shown.vessel, 2 * shown.fraction < WHOLE)
+        false = shown.false
+        self._count(FALSE, shown.drawn_index, shown.drawn_vessel, false)
+        for name, flag in WRONG.items():
+            self._count(name, shown.drawn_index, shown.drawn_vessel, having(shown.outcome, flag) & ~false)
+        if len(shown.rows):
+            top, bottom = int(shown.rows[:, 0].min()), int(shown.rows[:, 1].max())
+            self._rows = [min(self._rows[0], top), max(self._rows[1], bottom)]
+
+    def _count(self, name: str, index: Indices, vessel: Indices, which: Mask) -> None:
+        index, vessel = index[which], vessel[which]
+        np.add.at(self._counts[name], index // self.width, 1)
+        if name in self._of_vessels:
+            np.add.at(self._of_vessels[name], self._cells(index, vessel), 1)
+        if name == FALSE:
+            index = np.unique(index)
+            self._found[FALSE].add(np.full(len(index), self._vessels), index)
+        elif name in self._found:
+            self._found[name].add(vessel, index)
+
+    def _find(self, name: str, index: Indices, vessel: Indices, which: Mask) -> None:
+        self._found[name].add(vessel[which], index[which])
+
+    def _cells(self, index: Indices, vessel: Indices) -> Indices:
+        return vessel * len(self._states) + index // self.width
+
+    def stretches(self, kind: str) -> Stretches:
+        """Stretches of a kind of moment, of `HALF` or of `state`; the key is the vessel or the state."""
+        found = self._found[kind].stretches()
+        return onsets(found, self._found[LITTLE].stretches()) if kind == HIDDEN else found
+
+    def facts(self, quantum_px: float) -> dict[str, Any]:
+        """Steps in a bin, and the least and greatest row of the image, in pixels, that a vessel reaches."""
+        seen = self._rows[0] <= self._rows[1]
+        return {"width": self.width, "rows": [row * quantum_px for row in self._rows] if seen else None}
+
+    def columns(self, prefix: str, *, half: bool) -> dict[str, Column | Coded]:
+        """The counts and the moments, named after their kinds; with `half`, also where vessels are less than half seen."""
+        state = np.where(self._states.any(axis=1), self._states.argmax(axis=1), NONE).astype(np.uint16)
+        columns: dict[str, Column | Coded] = {f"{prefix}state": Coded(state, by=ROW_BEFORE)}
+        for name, counts in self._counts.items():
+            columns[f"{prefix}{name}"] = Coded(counts.astype(np.uint32), by=ROW_BEFORE)
+        for name, counts in self._of_vessels.items():
+            columns[f"{prefix}vessels.{name}"] = Coded(counts.astype(np.uint32), by=ROW_BEFORE)
+        for name in ("state", *([HALF] if half else []), *MOMENT_KINDS):
+            found = self.stretches(name).by_time()
+            key = np.where(found.key < (1 << 16) if name == "state" else found.key < self._vessels, found.key, NONE)
+            columns[f"{prefix}moments.{name}.index"] = Coded(found.first.astype(np.uint32), by=ROW_BEFORE)
+            columns[f"{prefix}moments.{name}.long"] = Coded((found.until - found.first).astype(np.uint32))
+            columns[f"{prefix}moments.{name}.key"] = Coded(key.astype(np.uint16), by=ROW_BEFORE)
+        return columns

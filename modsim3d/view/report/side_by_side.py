@@ -1,0 +1,108 @@
+"""The page of two runs of the same truth: their images beside each other, one timeline, and where they differ."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable
+from pathlib import Path
+
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun
+from modsim3d.view.report.compared_counts import PAIRED_HEADER, compared_counts, paired_detections
+from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, named_values
+from modsim3d.view.report.packing import packed
+from modsim3d.view.report.player_page import PageText, write_page
+from modsim3d.view.report.player_recording import recording
+from modsim3d.view.report.recording_html import data_element, json_in_html
+from modsim3d.view.report.report import check_steps, sections
+from modsim3d.view.report.run_differences import Differences, check_same_truth, difference_columns, differences
+
+SIDE_BY_SIDE_FILE = "side_by_side.html"
+
+
+def write_side_by_side(
+    first: StoredRun,
+    second: StoredRun,
+    out: Path | None = None,
+    every: int = 1,
+    progress: Callable[[int], None] = lambda steps: None,
+    *,
+    in_files: bool = False,
+) -> Path:
+    """Write the page of two runs and return its file; the same runs give the same bytes.
+
+    Args:
+        first: A run, A on the page.
+        second: A run of the same truth, B on the page.
+        out: The file; `side_by_side.html` in the first run's directory if None.
+        every: Show every K-th step; the tables count all of them.
+        progress: Called with the number of shown steps done since its last call, of both runs together.
+        in_files: As of `write_report`.
+
+    Raises:
+        RunDirectoryError: The runs do not hold the same truth, or their tables are not what a run has written.
+        OutputError: A file cannot be written.
+    """
+    for run in (first, second):
+        check_steps(run)
+    check_same_truth(first, second)
+    out = first.folder / SIDE_BY_SIDE_FILE if out is None else out
+    runs, names = (first, second), run_names(first, second)
+    tables = [CountTables(run.scene) for run in runs]
+    recordings = [
+        recording(run, every, progress, name=name, count=counts.add)
+        for run, name, counts in zip(runs, "AB", tables, strict=True)
+    ]
+    one, other = (RunRows.of(run) for run in runs)
+    found = differences(one, other, every)
+    compared = compared_counts(tables[0], tables[1])
+    parts = [
+        ("What happened", compared, ("", *names, "")),
+        ("Vessels in frames, by who detected them", paired_detections(one, other), PAIRED_HEADER),
+        *(
+            (f"By vessel: {name}", counts.by_vessel(), VESSEL_HEADER)
+            for name, counts in zip(names, tables, strict=True)
+        ),
+        *((f"Settings: {name}", named_values(run.settings), ()) for name, run in zip(names, runs, strict=True)),
+    ]
+    note = f"<p class=soft>Every {every}th step is shown; the tables count all of them.</p>" if every > 1 else ""
+    text = PageText(
+        title=f"{first.scene.name}: two runs side by side",
+        name=f"{first.scene.name}: two runs",
+        lead=html.escape(
+            f"{names[0]} and {names[1]}: what two detectors, or one with two seeds, made of the same truth. "
+            f"They differ in {_stretches(len(found.vessel))}."
+        ),
+        notes=note,
+        result=_result(compared, names),
+        tables=sections(parts),
+    )
+    write_page(text, recordings, out, in_files=in_files, differences=_differences_html(found, names))
+    return out
+
+
+def run_names(first: StoredRun, second: StoredRun) -> tuple[str, str]:
+    """What the runs are called on the page: their letters and the names of their folders."""
+    return f"A {first.folder.resolve().name}", f"B {second.folder.resolve().name}"
+
+
+def _differences_html(found: Differences, names: tuple[str, str]) -> str:
+    facts = f'<script type="application/json" id="runs">{json_in_html(names)}</script>'
+    return f"{facts}\n{data_element('differences-columns', packed(difference_columns(found)))}"
+
+
+def _stretches(number: int) -> str:
+    return f"{number} stretch{'' if number == 1 else 'es'} of frames of a vessel"
+
+
+def _result(compared: list[tuple[str, ...]], names: tuple[str, str]) -> str:
+    tiles = "\n".join(
+        f"<div><dt>{html.escape(name)}</dt>"
+        + "".join(
+            f'<dd class="of{letter}"><b>{letter}</b> {count}</dd><dd>{html.escape(share)}</dd>'
+            for letter, count, share in (("A", one, share), ("B", other, second_share))
+        )
+        + "</div>"
+        for name, one, share, other, second_share in compared
+    )
+    return f'<dl class="result two" aria-label="{html.escape(" and ".join(names), quote=True)}">\n{tiles}\n</dl>'
