@@ -26,7 +26,7 @@ class Places:
         """Begin with the scene's obstacles."""
         self._scene = scene
         self._land = [footprint(obstacle) for obstacle in scene.obstacles]
-        self._reach = [np.array(shape.bounds).reshape(2, 2) for shape in self._land if not shape.is_empty]
+        self._reach: list[Array] = []
         self._half_m = np.array([vessel.length_m for vessel in scene.vessels])[:, None] / 2
 
     def columns(self, steps: Indices) -> dict[str, Column | Coded]:
@@ -52,7 +52,7 @@ class Places:
         }
 
     def facts(self) -> dict[str, Any]:
-        """Length and beam of vessels, outlines of obstacles, and the least and greatest w1 and w2 of all, in metres."""
+        """Length and beam of vessels, outlines of obstacles, and the least and greatest w1 and w2 of vessels and cameras, in metres."""
         return {
             "dimensions": [[round(v.length_m, 2), round(v.beam_m, 2)] for v in self._scene.vessels],
             "obstacles": [_rings(shape) for shape in self._land],

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.view.pages.page import UNKNOWN
 from modsim3d.view.report.compared_counts import PAIRED_HEADER, compared_counts, paired_detections
-from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, named_values
+from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, Rows, named_values
 from modsim3d.view.report.packing import packed
 from modsim3d.view.report.player_page import PageText, write_page
 from modsim3d.view.report.player_recording import recording
@@ -57,13 +58,13 @@ def write_side_by_side(
     found = differences(one, other, every)
     compared = compared_counts(tables[0], tables[1])
     parts = [
-        ("What happened", compared, ("", *names, "")),
+        ("What happened", compared, ("", names[0], "", names[1], "")),
         ("Vessels in frames, by who detected them", paired_detections(one, other), PAIRED_HEADER),
         *(
             (f"By vessel: {name}", counts.by_vessel(), VESSEL_HEADER)
             for name, counts in zip(names, tables, strict=True)
         ),
-        *((f"Settings: {name}", named_values(run.settings), ()) for name, run in zip(names, runs, strict=True)),
+        ("Settings that differ", _differing_settings(first, second), ("", *names)),
     ]
     note = f"<p class=soft>Every {every}th step is shown; the tables count all of them.</p>" if every > 1 else ""
     text = PageText(
@@ -86,6 +87,14 @@ def run_names(first: StoredRun, second: StoredRun) -> tuple[str, str]:
     return f"A {first.folder.resolve().name}", f"B {second.folder.resolve().name}"
 
 
+def _differing_settings(first: StoredRun, second: StoredRun) -> Rows:
+    one, other = (dict(named_values(run.settings)) for run in (first, second))
+    names = [
+        name for name in {**one, **other} if one.get(name) != other.get(name) and not name.startswith("truncation.")
+    ]
+    return [(name, one.get(name, UNKNOWN), other.get(name, UNKNOWN)) for name in names]
+
+
 def _differences_html(found: Differences, names: tuple[str, str]) -> str:
     facts = f'<script type="application/json" id="runs">{json_in_html(names)}</script>'
     return f"{facts}\n{data_element('differences-columns', packed(difference_columns(found)))}"
@@ -95,7 +104,7 @@ def _stretches(number: int) -> str:
     return f"{number} stretch{'' if number == 1 else 'es'} of frames of a vessel"
 
 
-def _result(compared: list[tuple[str, ...]], names: tuple[str, str]) -> str:
+def _result(compared: Rows, names: tuple[str, str]) -> str:
     tiles = "\n".join(
         f"<div><dt>{html.escape(name)}</dt>"
         + "".join(

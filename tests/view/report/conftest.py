@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from modsim3d.runs.detect_run import detect_run
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
@@ -51,6 +52,14 @@ def mistaken_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("mistaken")
     run_scene(load_scene(mistaken_strait(folder)), folder / "run")
     return folder / "run"
+
+
+@pytest.fixture(scope="session")
+def other_folder(mistaken_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The detector of the mistaken run over the same truth, with another seed."""
+    folder = tmp_path_factory.mktemp("other") / "other"
+    detect_run(mistaken_folder, folder, seed=77)
+    return folder
 
 
 @pytest.fixture(scope="session")

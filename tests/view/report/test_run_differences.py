@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.blocks import Frame
-from modsim3d.runs.detect_run import detect_run
 from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
@@ -16,14 +13,6 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view.report.run_differences import VesselOutcome, check_same_truth, differences, vessel_outcomes
 from tests.scenes import write_scene
-
-
-@pytest.fixture(scope="session")
-def other_folder(mistaken_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The detector of the mistaken run over the same truth, with another seed."""
-    folder = tmp_path_factory.mktemp("other") / "other"
-    detect_run(mistaken_folder, folder, seed=77)
-    return folder
 
 
 def outcome_in(frame: Frame, row: int) -> VesselOutcome:

@@ -1,6 +1,6 @@
 // The view from above: where the vessels are at a step, where the camera looks, and where the vessels come from.
 
-const TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 16 / 10;
+const TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.2;
 
 class Above {
   constructor(canvas, choose) {
@@ -35,14 +35,15 @@ class Above {
     return [this.width / 2 + (x - this.middle[0]) * this.scale, this.height / 2 - (y - this.middle[1]) * this.scale];
   }
 
-  draw({ recording, camera }, index, chosen) {
+  // `shown` are the cameras whose images are on the page.
+  draw(recording, shown, index, chosen) {
     const { context } = this, { facts } = recording, { vessels, cameras } = recording.places(index);
     this.names = facts.vessels.map(({ name }) => name);
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     this.fit(facts.extent);
     context.fillStyle = colourOf('--track');
     context.fillRect(0, 0, this.width, this.height);
-    if (cameras[camera]) this.view(cameras[camera]);
+    for (const camera of new Set(shown)) if (cameras[camera]) this.view(cameras[camera]);
     facts.obstacles.forEach((rings, i) => this.area(rings, facts.colours.owners[facts.vessels.length + i]));
     this.trails(recording, index, facts);
     this.placed = [];

@@ -1,6 +1,6 @@
 // The close-up of one vessel: the one that was chosen; else the one of before, while it is there; else the nearest.
 
-const CLOSEUP_ASPECT = 2;
+const CLOSEUP_ASPECT = 2.2;
 
 class Closeup {
   constructor(canvas) {

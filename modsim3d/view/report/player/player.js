@@ -288,7 +288,7 @@ class Player {
     const started = performance.now(), { recording, index, pane, stage } = this;
     recording.rowsRead = 0;
     const frame = stage.draw(index, this), chosen = this.closeup.draw(pane, frame, this.followed, this.shown, this.alarm);
-    this.above.draw(pane, index, this.followed);
+    this.above.draw(recording, this.panes.map((each) => each.camera), index, this.followed);
     this.list.show(frame, pane.facts.carrier, this.playing, stage.otherFrame);
     this.list.mark(chosen, this.followed);
     this.numbers.show(frame);

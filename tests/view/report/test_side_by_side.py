@@ -1,0 +1,171 @@
+"""Two images on a page: two cameras of a run, or two runs of the same truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d import cli
+from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import open_run
+from modsim3d.view.report.compared_counts import paired_detections
+from modsim3d.view.report.run_differences import VesselOutcome, differences
+from modsim3d.view.report.side_by_side import write_side_by_side
+from tests.view.report.browser import Browser
+
+SIZE = (1440, 1000)
+
+
+@pytest.fixture(scope="module")
+def both(mistaken_folder: Path, other_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("both") / "both.html"
+    return write_side_by_side(open_run(mistaken_folder), open_run(other_folder), out)
+
+
+def frames(browser: Browser) -> list[dict]:
+    """What the panes show: the boxes of the detections."""
+    return browser.run(
+        "player.panes.map(pane => pane.recording.detections(player.index, pane.camera).map(each => each.box))"
+    )
+
+
+def test_both_runs_show_their_own_detections_of_one_frame(browser, both, mistaken_folder, other_folder):
+    browser.open(both, SIZE, "#step=50")
+    expected = [
+        next(frame for frame in open_run(folder).frames(50, 51) if frame.camera == "bow").detections.boxes_px
+        for folder in (mistaken_folder, other_folder)
+    ]
+    for shown, boxes in zip(frames(browser), expected, strict=True):
+        np.testing.assert_allclose(shown, boxes, atol=0.051)
+    titles = browser.run("[...document.querySelectorAll('.run')].map(each => each.textContent)")
+    assert titles == [f"A {mistaken_folder.name}", f"B {other_folder.name}"]
+
+
+def test_differences_are_moments_lanes_and_labels(browser, both, mistaken_folder, other_folder):
+    browser.open(both, SIZE)
+    rows = [RunRows.of(open_run(folder)) for folder in (mistaken_folder, other_folder)]
+    found = differences(*rows)
+    first = np.flatnonzero(found.camera == 0)
+    first = first[np.lexsort((found.vessel[first], found.index[first]))]
+    browser.press("x")
+    assert browser.run("player.index") == found.index[first[0]]
+    assert browser.run("player.followed") == found.vessel[first[0]]
+    assert browser.run("player.moments.list.length") == len(first)
+    vessels = browser.run("player.differenceLanes.lanes.map(([vessel]) => vessel)")
+    assert vessels == sorted(set(found.vessel[first].tolist()))
+    a, b = (VesselOutcome(each) for each in found.outcomes[first[0]])
+    labels = browser.run("player.panes.map(pane => pane.picture.plates.map(plate => plate.text))")
+    assert f"B: {_words(b)}" in labels[0]
+    assert f"A: {_words(a)}" in labels[1]
+
+
+def _words(outcome: VesselOutcome) -> str:
+    named = {VesselOutcome.BELOW_HALF_IOU: "IoU below 0.5", VesselOutcome.MISLABELLED: "wrong class"}
+    return named.get(outcome, outcome.name.lower().replace("off_vessel", "off its vessel"))
+
+
+def test_the_images_of_two_runs_move_together_and_show_one_camera(browser, both):
+    browser.open(both, SIZE)
+    browser.press("+")
+    views = browser.run("player.panes.map(pane => pane.picture.view)")
+    assert views[0] == views[1]
+    browser.click("#picture2")
+    assert browser.run("player.pane.run").startswith("B ")
+    browser.press("c")
+    assert browser.run("player.panes.map(pane => pane.camera)") == [1, 1]
+    assert browser.run("player.timeline.recording.name") == "B"
+
+
+def test_the_list_says_where_the_runs_differ(browser, both):
+    browser.open(both, SIZE)
+    browser.press("x")
+    vessel = browser.run("player.followed")
+    assert "≠" in browser.run(f"player.list.rows[{vessel}].cells[2].textContent")
+
+
+def test_paired_counts_are_of_all_annotated_vessels(mistaken_folder, other_folder):
+    rows = [RunRows.of(open_run(folder)) for folder in (mistaken_folder, other_folder)]
+    table = [list(map(int, row[1:])) for row in paired_detections(*rows)]
+    assert table[-1] == np.sum(table[:-1], axis=0).tolist()
+    annotated, both_runs, only_a, only_b, neither = table[-1]
+    assert annotated == int(rows[0].annotated.sum()) == both_runs + only_a + only_b + neither
+    assert both_runs + only_a == int((rows[0].annotated & rows[0].detected).sum())
+    assert both_runs + only_b == int((rows[1].annotated & rows[1].detected).sum())
+
+
+def test_a_second_camera_stands_beside_the_first(browser, mistaken_page):
+    browser.open(mistaken_page, SIZE, "#step=30&beside=quay")
+    assert browser.run("player.panes.map(pane => pane.facts.name)") == ["bow", "quay"]
+    left, right = browser.run(
+        "[...document.querySelectorAll('.pane canvas')].map(each => each.getBoundingClientRect().toJSON())"
+    )
+    assert left["right"] <= right["left"] and left["top"] == right["top"]
+    browser.click("#picture2")
+    assert browser.run("[player.camera, player.timeline.camera]") == [1, 1]
+    browser.press("u")  # writes the address
+    assert "camera=bow&beside=quay" in browser.run("location.hash")
+    browser.press("g")
+    assert browser.run("player.panes.length") == 1
+    assert browser.run("document.querySelector('#picture2')") is None
+
+
+def test_from_above_vessels_are_where_the_scene_has_them(browser, mistaken_page, mistaken_folder):
+    browser.open(mistaken_page, SIZE, "#step=40")
+    run = open_run(mistaken_folder)
+    poses = run.scene.poses.poses(40, 41)
+    for vessel, place in enumerate(browser.run("player.recording.places(40).vessels")):
+        assert (place is not None) == poses.present[0, vessel]
+        if place:
+            np.testing.assert_allclose([place["x"], place["y"]], poses.positions_m[0, vessel, :2], atol=0.006)
+    placed = browser.run("player.above.placed")
+    chosen = placed[0]
+    box = browser.run("document.querySelector('#above').getBoundingClientRect().toJSON()")
+    browser.click("#above", chosen["x"] / box["width"], chosen["y"] / box["height"])
+    near = [each["vessel"] for each in placed if abs(each["x"] - chosen["x"]) + abs(each["y"] - chosen["y"]) < 15]
+    assert browser.run("player.followed") in near
+
+
+def call(monkeypatch, capsys, *arguments) -> tuple[int, str]:
+    monkeypatch.setattr("sys.argv", ["modsim3d", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    told = capsys.readouterr()
+    return int(stopped.value.code), " ".join((told.out + told.err).split())
+
+
+def test_the_command_takes_two_runs(monkeypatch, capsys, mistaken_folder, other_folder, run_folder, tmp_path):
+    out = tmp_path / "two.html"
+    assert call(monkeypatch, capsys, "report", mistaken_folder, other_folder, "--out", out, "--every", 20)[0] == 0
+    facts = json.loads(out.read_text().partition('id="facts-B">')[2].partition("</script>")[0])
+    assert facts["every"] == 20
+    status, told = call(monkeypatch, capsys, "report", mistaken_folder, run_folder, "--out", tmp_path / "no.html")
+    assert status == 2 and "show different truth" in told
+    status, told = call(
+        monkeypatch,
+        capsys,
+        "report",
+        mistaken_folder,
+        other_folder,
+        "--tracks",
+        "tracks",
+        "--out",
+        tmp_path / "no.html",
+    )
+    assert status == 2 and "--tracks is for one run" in told
+    assert not (tmp_path / "no.html").exists()
+
+
+def test_the_same_runs_give_the_same_bytes(both, mistaken_folder, other_folder, tmp_path):
+    again = write_side_by_side(open_run(mistaken_folder), open_run(other_folder), tmp_path / "again.html")
+    assert again.read_bytes() == both.read_bytes()
+
+
+def test_an_interrupted_first_run_without_steps_is_refused(mistaken_folder):
+    run = open_run(mistaken_folder)
+    with pytest.raises(RunDirectoryError, match="nothing to show"):
+        write_side_by_side(replace(run, steps=0), run)
