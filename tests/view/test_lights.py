@@ -186,6 +186,9 @@ def test_strait_by_night(strait):
     }
 
 
+WINDOW = Window.whole((800, 600), 800)
+
+
 def scene_with(folder, wall_at_m, heading_deg=90.0):
     """A boat 250 m ahead of the camera on w1, and a wall before or behind it."""
     path = crossing(folder)
@@ -208,6 +211,8 @@ def test_a_wall_hides_a_light_behind_it_and_its_own_hull_does_not(tmp_path, wall
         seen = solids.sight.camera_poses.to_camera(light.place_m[None, None])[0, 0]
         inverse_depth = solids.intrinsics.near_clip_m / seen[2]
         assert is_hidden(solids, light.vessel, solids.intrinsics.project(seen[None])[0], inverse_depth) is hidden
+    draw_lights(rgb := np.zeros((600, 800, 3), np.float32), solids, WINDOW, ground_speeds(scene, 0), 0.0)
+    assert (rgb.max() == 0) == hidden
 
 
 @pytest.mark.parametrize(("heading_deg", "side"), [(90, Colour.RED), (-90, Colour.GREEN)])
@@ -226,6 +231,7 @@ def test_lights_are_drawn_where_they_are_in_their_colours(tmp_path, heading_deg,
     hazy = np.zeros_like(rgb)
     draw_lights(hazy, solids, window, speeds, 3.912 / 300)
     assert 0 < hazy.sum() < 0.6 * rgb.sum()
+    assert 0.3 < hazy.max() < 0.8 * rgb.max()
 
 
 def test_fog_takes_lights_away_and_distance_weakens_them(tmp_path):
