@@ -14,11 +14,13 @@ from modsim3d.ais.vessel_track import VesselTrack
 from modsim3d.arrays import Array, Mask
 from modsim3d.view.pages.charts import colour_of, nice_ticks, svg
 
-WIDTH = 960.0
+WIDTH = 1100.0
 LEFT, RIGHT, TOP, BOTTOM = 56.0, 20.0, 8.0, 30.0
 MARGIN = 0.05
-LEAST_ASPECT, MOST_ASPECT = 0.45, 0.9
+LEAST_ASPECT, MOST_ASPECT = 0.45, 0.75
 """Height of the map over its width."""
+NOT_FAR = 0.2
+"""A position that was removed as a jump enlarges the map by at most this share of it; others are on its edge."""
 LEAST_EXTENT_M = 200.0
 MOST_POINTS, MOST_OF_A_VESSEL = 60_000, 400
 MOST_NAMES = 40
@@ -89,12 +91,12 @@ def traffic_map(traffic: Traffic) -> str:
     ]
     parts.append(_crosses(frame, jumps_m))
     parts.append(_names(traffic, frame))
-    outside = int((~frame.holds(jumps_m)).sum())
+    outside = not frame.holds(jumps_m).all()
     caption = [
         "w1 points east, w2 north. Lines are the tracks of the hulls' centres",
         "" if crowded else ", dots the reports that they were made from",
         ". Dashes join reports between which a vessel is absent, and crosses are positions that were removed as jumps",
-        f" ({outside:,} of {len(jumps_m):,} outside the map)" if outside else "",
+        "; those on the edge lie outside the map" if outside else "",
         ". A triangle is where a vessel is last, and points ahead. The wedge is what the scene's camera sees. "
         "AIS does not say where land is.",
         " The dashed frame is the region, where it is on the map." if traffic.options.region else "",
@@ -106,9 +108,9 @@ def traffic_map(traffic: Traffic) -> str:
 
 
 def _not_far(places_m: Array, others_m: Array) -> Array:
-    """Those of some places that lie no further from the box around others than that is long, shape (k, 2)."""
+    """Those of some places that hardly enlarge the box around others, shape (k, 2)."""
     low, high = others_m.min(axis=0), others_m.max(axis=0)
-    reach = (high - low).max()
+    reach = NOT_FAR * (high - low).max()
     near: Array = places_m[((places_m >= low - reach) & (places_m <= high + reach)).all(axis=1)]
     return near
 
@@ -211,21 +213,22 @@ def _triangle(vessel: VesselTrack, frame: _Frame, size: float) -> str:
 
 
 def _crosses(frame: _Frame, jumps_m: Array) -> str:
-    places = frame.place(jumps_m[frame.holds(jumps_m)]).tolist()
+    places = np.clip(frame.place(jumps_m), (LEFT, TOP), (WIDTH - RIGHT, frame.height - BOTTOM)).tolist()
     marks = "".join(f"M{x - 4:.1f} {y - 4:.1f}l8 8m0 -8l-8 8" for x, y in places)
     return f'<path d="{marks}" stroke="var(--bad)" stroke-width="1.8" fill="none"/>' if marks else ""
 
 
 def _names(traffic: Traffic, frame: _Frame) -> str:
-    """A name where each track ends, unless it would lie on another one."""
-    taken: list[tuple[float, float, float]] = []
+    """A name where each track ends, unless it would lie on another one or on a vessel."""
+    ends = frame.place(np.concatenate([vessel.places_m[-1:] for vessel in traffic.vessels])).tolist()
+    taken = [(x - 9, y + 4, 18.0) for x, y in ends]
     texts = []
     longest = sorted(traffic.vessels, key=lambda vessel: (-vessel.hull.length_m, vessel.mmsi))[:MOST_NAMES]
     for vessel in longest:
         name = vessel_name(vessel)
         ((x, y),) = frame.place(vessel.places_m[-1:]).tolist()
         wide = LETTER_PX * len(name)
-        for left, base in ((x + 6, y + 4), (x - 6 - wide, y + 4), (x - wide / 2, y - 7), (x - wide / 2, y + 16)):
+        for left, base in ((x + 11, y + 4), (x - 11 - wide, y + 4), (x - wide / 2, y - 11), (x - wide / 2, y + 20)):
             inside = left >= LEFT and left + wide <= WIDTH - RIGHT and TOP + LINE_PX <= base <= frame.height - BOTTOM
             if inside and not any(
                 left < other + length and other < left + wide and abs(base - line) < LINE_PX
