@@ -31,7 +31,7 @@ def mixed_log(folder: Path) -> Path:
     rows.append(row(50, 91, 181, mmsi=219000004))
     rows += [row(100 + 100 * k, 57.5, 14, mmsi=219000005) for k in range(3)]
     rows.append(row(60, mmsi=2190007))
-    rows.append(row(70, "x56", 12.01))
+    rows += [row(70, "x56", 12.01), row(75, 91, 181)]
     return old_file(folder, *rows, name="mixed & more.csv")
 
 
@@ -54,7 +54,7 @@ def test_the_page_begins_with_the_result(said):
         "581 steps, one every 1 s."
     )
     assert (
-        "74 of 82 messages used as positions; 2 positions removed as jumps; length or beam guessed for 1 " in lines[2]
+        "74 of 83 messages used as positions; 2 positions removed as jumps; length or beam guessed for 1 " in lines[2]
     )
 
 
@@ -93,7 +93,7 @@ def test_the_log_is_named_with_its_checksum(tmp_path):
     log = mixed_log(tmp_path)
     said = text_of(ais_page(traffic_of(log)))
     checksum = hashlib.sha256(log.read_bytes()).hexdigest()
-    assert f"mixed & more.csv|MarineCadastre|82|sha256:{checksum}|" in said.splitlines()
+    assert f"mixed & more.csv|MarineCadastre|83|sha256:{checksum}|" in said.splitlines()
 
 
 def test_what_a_ship_calls_itself_is_no_markup(tmp_path):
@@ -134,7 +134,7 @@ def test_lanes_show_when_a_vessel_is_there(traffic):
     lanes = drawn(ais_page(traffic), 1)
     widths = [float(width) for width in re.findall(r'<rect x="[\d.]+" width="([\d.]+)"', lanes)]
     assert len(widths) == 4
-    assert widths[1] == pytest.approx(widths[0] * 140 / 580, abs=0.2)
+    assert widths[1:3] == pytest.approx([widths[0] * 140 / 580] * 2, abs=0.2)
 
 
 def test_a_long_list_is_cut_and_vessels_left_out_are_counted_by_reason(tmp_path):
