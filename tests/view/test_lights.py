@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from modsim3d.scene.meshes import mesh_name
 from modsim3d.scene.reading import load_scene
 from modsim3d.vessels.vessel import Vessel
 from modsim3d.view.pictures.solids import Solids
@@ -95,6 +96,18 @@ def test_lights_by_bearing(case):
 )
 def test_kind_of_a_vessel(shape, label, name, kind):
     assert kind_of(vessel(10, shape=shape, label=label, name=name)) is kind
+
+
+@pytest.mark.parametrize(
+    ("entry", "name"),
+    [
+        ("sailboat", "sailboat"),
+        ("meshes/sailboat.glb", "sailboat"),  # as the copy of a scene in a run has it
+        ({"file": "hulls/my_sloop.stl", "forward": "+x"}, "my_sloop"),
+    ],
+)
+def test_a_mesh_has_the_same_name_in_a_scene_and_in_its_copy(entry, name):
+    assert mesh_name(entry) == name
 
 
 @pytest.mark.parametrize(("miles", "candela"), [(1, 0.9), (2, 4.3), (3, 12), (4, 27), (5, 52), (6, 94)])
