@@ -76,17 +76,17 @@ def without_position(positions: Positions) -> Mask:
 
 def sift(
     positions: Positions, region: Region | None, first_s: float, last_s: float
-) -> tuple[Positions, dict[str, int]]:
+) -> tuple[Positions, dict[str, Indices]]:
     """Keep positions of ships in a region (everywhere if None) and between two Unix times.
 
     Returns:
-        What was kept, and reason → number of positions dropped.
+        What was kept, and reason → the sender of each position dropped, shape (n,).
     """
-    dropped: dict[str, int] = {}
+    dropped: dict[str, Indices] = {}
 
     def drop(reason: str, wrong: Mask) -> None:
         nonlocal positions
-        dropped[reason] = int(wrong.sum())
+        dropped[reason] = positions.mmsi[wrong]
         positions = positions.take(~wrong)
 
     leading = positions.mmsi // 100_000_000

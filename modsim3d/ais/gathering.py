@@ -16,7 +16,7 @@ from modsim3d.ais.options import COMMAND_LINE, Options, time_text
 from modsim3d.ais.read_csv import read_csv
 from modsim3d.ais.read_nmea import read_nmea
 from modsim3d.ais.recognise import recognise, source_of
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
 from modsim3d.inputs.budgets import MAX_PROBLEMS
 
@@ -27,6 +27,12 @@ BAD = ("unreadable", "checksum", "undecodable")
 SHOWN_PROBLEMS = 20
 
 
+def by_sender(reason: str, mmsi: Indices) -> Counter[tuple[int, str]]:
+    """Sender and reason → number of positions, given the sender of each, shape (n,)."""
+    senders, counts = np.unique(mmsi, return_counts=True)
+    return Counter({(sender, reason): count for sender, count in zip(senders.tolist(), counts.tolist(), strict=True)})
+
+
 @dataclass
 class FileTally:
     """What was found in one file.
@@ -34,6 +40,7 @@ class FileTally:
     Attributes:
         messages: Number of messages read.
         dropped: Reason → number of messages dropped when the file was read.
+        senders: Sender and reason → number of positions dropped, of those that could be read.
         problems: One line on each of the first dropped messages.
     """
 
@@ -41,6 +48,7 @@ class FileTally:
     format: str
     messages: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
+    senders: Counter[tuple[int, str]] = field(default_factory=Counter)
     problems: list[str] = field(default_factory=list)
 
     def add(self, chunk: Chunk) -> None:
@@ -49,6 +57,11 @@ class FileTally:
         self.dropped.update(chunk.dropped)
         self.dropped["particulars_only"] += chunk.messages - len(chunk.positions) - sum(chunk.dropped.values())
         self.problems += chunk.problems[: SHOWN_PROBLEMS - len(self.problems)]
+
+    def drop(self, reason: str, mmsi: Indices) -> None:
+        """Count positions that are dropped, given the sender of each, shape (n,)."""
+        self.dropped[reason] += len(mmsi)
+        self.senders.update(by_sender(reason, mmsi))
 
     def refuse_rubbish(self, whole: bool = True) -> None:
         """Raise an InputError if too many messages could not be read; of a part of the file, only if most of many."""
@@ -159,6 +172,7 @@ def _read_file(
             check_order(source_of(tally.path), positions, options.swap_coordinates)
         extent.add(positions)
         kept, dropped = sift(positions, options.region, *options.window_s)
-        tally.dropped.update(dropped)
+        for reason, mmsi in dropped.items():
+            tally.drop(reason, mmsi)
         yield kept, chunk.particulars
     tally.refuse_rubbish()

@@ -43,7 +43,7 @@ DEFAULTS = {
     "length": "length missing: typical of the ship type",
     "beam": "beam missing: typical of the ship type",
     "antenna": "antenna's place missing: taken to be the middle of the hull",
-    "air_draft": "never in AIS: typical of the ship type",
+    "air_draft": "air draft, never in AIS: typical of the ship type",
 }
 
 

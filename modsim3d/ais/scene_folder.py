@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,10 @@ from modsim3d.inputs.text_files import read_text
 from modsim3d.outputs.locks import LOCK_FILE
 from modsim3d.outputs.placing import write_files
 
-SCENE, REPORT = "scene.yaml", "report.json"
-FILES = (SCENE, REPORT, "vessels.json", "detector.yaml", "poses.json.gz")
+SCENE, REPORT, PAGE = "scene.yaml", "report.json", "ais.html"
+FILES = (SCENE, REPORT, PAGE, "vessels.json", "detector.yaml", "poses.json.gz")
+CAMERA_HALF_ANGLE_RAD = math.atan(960 * 5e-6 / 0.007)
+"""Half the angle that the scene's camera sees from left to right."""
 SCENE_TEXT = """\
 # Traffic from AIS: {vessels} vessels from {start}, one step every {time_step:g} s; made by `modsim3d ais`.
 # w1 points east, w2 north of the origin. report.json says what was left out
@@ -66,7 +69,9 @@ def check_free(folder: Path, overwrite: bool) -> None:
         raise ModsimError(f"{folder} is not empty and holds no scene made from AIS, so it is left alone")
 
 
-def write_scene(traffic: Traffic, folder: Path, detector: Path, overwrite: bool = False) -> None:
+def write_scene(
+    traffic: Traffic, folder: Path, detector: Path, overwrite: bool = False, page: str | None = None
+) -> None:
     """Write everything that the scene needs, and the report.
 
     Args:
@@ -74,6 +79,7 @@ def write_scene(traffic: Traffic, folder: Path, detector: Path, overwrite: bool 
         folder: The scene folder; made if it does not exist.
         detector: A detector file with one label, to be copied or spread over the scene's labels.
         overwrite: Replace a scene folder that is there.
+        page: The page that shows what became of the reports, as HTML; none is written if None.
 
     Raises:
         ModsimError: The folder is not free.
@@ -86,6 +92,8 @@ def write_scene(traffic: Traffic, folder: Path, detector: Path, overwrite: bool 
         REPORT: _json_text(report(traffic)),
         SCENE: _scene_text(traffic),
     }
+    if page is not None:
+        files[PAGE] = page
     packed = gzip.compress(_poses_text(traffic).encode("utf-8"), mtime=0)
     write_files({folder / "poses.json.gz": packed} | {folder / name: text for name, text in files.items()})
 

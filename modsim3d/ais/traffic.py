@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from modsim3d.ais.cleaning import blank_unknown, in_order
-from modsim3d.ais.gathering import FileTally, Gathered, gather
+from modsim3d.ais.gathering import FileTally, Gathered, by_sender, gather
 from modsim3d.ais.geography import local_metres, median_place
 from modsim3d.ais.hulls import Hull, hulls
 from modsim3d.ais.messages import Positions
@@ -35,6 +35,7 @@ class Traffic:
         origin: Latitude and longitude of w1 = w2 = 0.
         vessels: Those that are there at some step, by identity.
         elsewhere: Identities of vessels with usable positions that are there at no step.
+        left_out: Reason → number of positions dropped, of each sender of whom no position is left.
         camera: A place to look from.
     """
 
@@ -45,6 +46,7 @@ class Traffic:
     grid: TimeGrid
     vessels: list[VesselTrack]
     elsewhere: list[int]
+    left_out: dict[int, dict[str, int]]
     camera: Viewpoint
 
 
@@ -64,6 +66,8 @@ def read_traffic(paths: Sequence[Path], options: Options) -> Traffic:
     grid = time_grid(positions, options)
     near = grid.within(positions.time_s, options.max_gap_s)
     dropped["outside_window"] += int((~near).sum())
+    senders = sum((tally.senders for tally in gathered.files), Counter[tuple[int, str]]())
+    senders.update(by_sender("outside_window", positions.mmsi[~near]))
     positions = blank_unknown(positions.take(near))
     if not len(positions):
         raise _nothing_left(gathered, options)
@@ -75,7 +79,17 @@ def read_traffic(paths: Sequence[Path], options: Options) -> Traffic:
     if not vessels:
         raise _nothing_left(gathered, options)
     elsewhere = [track.mmsi for track in tracks if not len(track.steps)]
-    return Traffic(options, gathered.files, dropped, origin, grid, vessels, elsewhere, _camera(vessels))
+    left_out = _left_out(senders, {track.mmsi for track in tracks})
+    return Traffic(options, gathered.files, dropped, origin, grid, vessels, elsewhere, left_out, _camera(vessels))
+
+
+def _left_out(senders: Counter[tuple[int, str]], kept: set[int]) -> dict[int, dict[str, int]]:
+    """Why positions were dropped, of each sender that is not among those kept."""
+    reasons: dict[int, dict[str, int]] = {}
+    for (mmsi, reason), count in sorted(senders.items()):
+        if mmsi not in kept:
+            reasons.setdefault(mmsi, {})[reason] = count
+    return reasons
 
 
 def _tracks(

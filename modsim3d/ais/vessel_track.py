@@ -29,8 +29,10 @@ class VesselTrack:
     """One vessel of the traffic.
 
     Attributes:
-        messages: Number of positions that were used.
-        jumps: Number of positions that the vessel cannot have reached, and that were dropped.
+        reported_s: Times of the positions that were used, since the first step, ascending, shape (m,).
+        reported_m: w1 and w2 of the antenna at these, shape (m, 2).
+        jumps_s: Times of the positions that the vessel cannot have reached, and that were dropped, shape (k,).
+        jumps_m: w1 and w2 of these, shape (k, 2).
         replaced: What was missing → in how many of the used positions it was replaced.
         steps: The steps at which it is there, ascending, shape (n,).
         places_m: w1 and w2 of the hull's centre at these, shape (n, 2).
@@ -39,12 +41,24 @@ class VesselTrack:
 
     mmsi: int
     hull: Hull
-    messages: int
-    jumps: int
+    reported_s: Array
+    reported_m: Array
+    jumps_s: Array
+    jumps_m: Array
     replaced: Counter[str]
     steps: Indices
     places_m: Array
     headings_rad: Array
+
+    @property
+    def messages(self) -> int:
+        """Number of positions that were used."""
+        return len(self.reported_s)
+
+    @property
+    def jumps(self) -> int:
+        """Number of positions that were dropped because the vessel cannot have reached them."""
+        return len(self.jumps_s)
 
 
 def vessel_track(positions: Positions, places_m: Array, hull: Hull, grid: TimeGrid, options: Options) -> VesselTrack:
@@ -52,9 +66,9 @@ def vessel_track(positions: Positions, places_m: Array, hull: Hull, grid: TimeGr
 
     Jumps are dropped, and missing headings and courses filled in.
     """
-    kept = reachable(positions.time_s - grid.start_s, places_m, options.max_speed_kn * KNOT_M_S)
-    used, places = positions.take(kept), places_m[kept]
-    since_s = used.time_s - grid.start_s
+    every_s = positions.time_s - grid.start_s
+    kept = reachable(every_s, places_m, options.max_speed_kn * KNOT_M_S)
+    used, places, since_s = positions.take(kept), places_m[kept], every_s[kept]
     speed, course, heading = used.speed_kn, used.course_deg, used.heading_deg
     compass, source = fill_headings(since_s, places, speed, course, heading, options.max_gap_s)
     course_taken = np.isnan(course) & ~np.isnan(heading) & (speed >= MOVING_KN)
@@ -70,8 +84,10 @@ def vessel_track(positions: Positions, places_m: Array, hull: Hull, grid: TimeGr
     return VesselTrack(
         mmsi=int(used.mmsi[0]),
         hull=hull,
-        messages=len(used),
-        jumps=int((~kept).sum()),
+        reported_s=since_s,
+        reported_m=places,
+        jumps_s=every_s[~kept],
+        jumps_m=places_m[~kept],
         replaced=+replaced,
         steps=steps,
         places_m=to_hull_centre(antenna, headings, hull.ahead_m, hull.to_port_m),

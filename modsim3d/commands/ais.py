@@ -78,6 +78,7 @@ def ais_command(
     from modsim3d.inputs.shipped import data_folder
     from modsim3d.outputs import claims
     from modsim3d.outputs.locks import locked_folder
+    from modsim3d.view.pages.ais_page import ais_page
 
     options = given.Options(
         origin=given.parse_origin(origin) if origin else None,
@@ -100,16 +101,20 @@ def ais_command(
         with timed("reading"):
             traffic = read_traffic(files, options)
         tell_files(read)
-        write_scene(traffic, out, data_folder("scenes") / "detectors" / "thesis.yaml", overwrite)
+        detector = data_folder("scenes") / "detectors" / "thesis.yaml"
+        with timed("writing"):
+            write_scene(traffic, out, detector, overwrite, ais_page(traffic))
     _print_summary(traffic, out)
 
 
 def _print_summary(traffic: Traffic, folder: Path) -> None:
     from modsim3d.ais.report import summary_rows
+    from modsim3d.ais.scene_folder import PAGE
 
     console = open_console()
     for title, rows in summary_rows(traffic):
         print_rows(console, title, rows)
     print_line(console, "")
     print_path(console, "scene folder", folder)
+    print_path(console, "page", folder / PAGE)
     print_line(console, f"run it with   modsim3d run {folder}")

@@ -9,7 +9,7 @@ from pathlib import Path
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import MOST_PROBLEMS, nearest
 from modsim3d.motion.poses import NamedSource, PoseRequest
-from modsim3d.scene.meshes import SceneMeshes
+from modsim3d.scene.meshes import SceneMeshes, mesh_name
 from modsim3d.vessels.vessel import Vessel, parse_vessels
 
 MOST_NAMES = 3
@@ -46,7 +46,8 @@ def drawn_vessels(
 def _with_mesh(vessel: Vessel, mesh: object, request: PoseRequest, meshes: SceneMeshes, section: str) -> Vessel:
     if mesh is None:
         return vessel
-    return replace(vessel, solid=meshes.solid(mesh, request.folder, section, vessel.name, "mesh"))
+    solid = meshes.solid(mesh, request.folder, section, vessel.name, "mesh")
+    return replace(vessel, solid=solid, shape=mesh_name(mesh))
 
 
 def _name_problems(vessels: Sequence[Vessel], request: PoseRequest) -> Iterator[str]:

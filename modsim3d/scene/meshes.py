@@ -86,6 +86,11 @@ class SceneMeshes:
         return name
 
 
+def mesh_name(entry: object) -> str:
+    """The name of the mesh of an entry, without folder and ending: the same in a scene and in its copy."""
+    return Path(str(entry.get("file", "") if isinstance(entry, dict) else entry)).stem
+
+
 def read_obstacle(
     name: str, keys: ObstacleKeys, meshes: SceneMeshes, folder: Path, scene: str, truth_source: str
 ) -> Obstacle:

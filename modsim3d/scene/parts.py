@@ -24,7 +24,7 @@ from modsim3d.motion.poses import LivePoses, NamedSource, PoseRequest, PoseSourc
 from modsim3d.motion.waves.levels import Axes, find_level
 from modsim3d.scene.drawn_vessels import drawn_vessels
 from modsim3d.scene.keys import SceneKeys
-from modsim3d.scene.meshes import SceneMeshes, read_obstacle
+from modsim3d.scene.meshes import SceneMeshes, mesh_name, read_obstacle
 from modsim3d.scene.settings import Setting, Settings
 from modsim3d.vessels.obstacles import Obstacle
 from modsim3d.vessels.vessel import Vessel, load_mapping, parse_vessels
@@ -185,7 +185,7 @@ class SceneParts:
             return vessel
         read = partial(self.meshes.solid, entry, place.folder, place.source, *place.path, vessel.name, "mesh")
         solid = self._collect(read)
-        return vessel if solid is None else replace(vessel, solid=solid)
+        return vessel if solid is None else replace(vessel, solid=solid, shape=mesh_name(entry))
 
     def _obstacles(self) -> tuple[Obstacle, ...]:
         if self.keys is None:

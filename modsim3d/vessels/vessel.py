@@ -56,7 +56,10 @@ def shoebox() -> Solid:
 
 @dataclass(frozen=True)
 class Vessel:
-    """A vessel as the scene describes it: its ID, its true class, its extents along v1, v2 and v3, and its shape."""
+    """A vessel as the scene describes it: its ID, its true class, its extents along v1, v2 and v3, and its shape.
+
+    `shape` is the name of its mesh, empty if it has none.
+    """
 
     name: str
     label: str
@@ -64,6 +67,7 @@ class Vessel:
     beam_m: float
     air_draft_m: float
     solid: Solid = field(default_factory=shoebox)
+    shape: str = ""
 
     @property
     def extents_m(self) -> Array:

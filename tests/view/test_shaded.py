@@ -19,7 +19,6 @@ from modsim3d.view import palette
 from modsim3d.view.pictures.solids import Solids
 from modsim3d.view.pictures.window import Window
 from modsim3d.view.shaded import shaded_picture
-from modsim3d.view.shaded.navigation_lights import GREEN, RED, WHITE, lights
 from modsim3d.view.shaded.render_style import RenderStyle
 from modsim3d.view.shaded.sea_and_sky import DAY, Rays, fogged
 from modsim3d.view.shaded.shaded_picture import ShadedPictureRenderer
@@ -258,7 +257,9 @@ def test_fog_leaves_two_percent_of_the_contrast_at_the_visibility():
 def test_fog_hides_what_is_far_and_night_darkens(renderer, shaded, scene, solids):
     window = Window.whole((800, 600), 400)
     clear, fog, night = (
-        np.asarray(ShadedPictureRenderer(shaded, style).picture(solids, window, scene.vessels)).astype(float)
+        np.asarray(ShadedPictureRenderer(shaded, style).picture(solids, window, np.ones(len(scene.vessels)))).astype(
+            float
+        )
         for style in (DAYLIGHT, RenderStyle(shaded=True, visibility_m=100.0), RenderStyle(shaded=True, night=True))
     )
     far = solids.ids(window, renderer) == len(scene.vessels) + 1  # the island, 300 m away
@@ -279,21 +280,6 @@ def test_weather_is_said_to_be_an_illustration(shaded, solids):
     rows, columns = np.nonzero((np.abs(calm.astype(int) - foggy) > 8).any(axis=-1))
     assert rows.min() > 440
     assert columns.min() == 0
-
-
-@pytest.mark.parametrize(("heading_deg", "colours"), [(90, [WHITE, RED]), (-90, [WHITE, GREEN]), (0, [WHITE])])
-def test_lights_are_red_to_port_and_green_to_starboard(tmp_path, heading_deg, colours):
-    """The camera is at the origin, the boat right ahead of it on w1: heading w2 it shows its port side."""
-    heading = math.radians(heading_deg)
-    path = crossing(tmp_path)
-    scene = json.loads(path.read_text())
-    step = 100 * np.array([math.cos(heading), math.sin(heading)])
-    scene["poses"]["tracks"] = {"boat": [[0, 250, 0], [100, 250 + step[0], step[1]]]}
-    path.write_text(json.dumps(scene))
-    loaded = load_scene(path)
-    places, shown = lights(loaded.sight(loaded.cameras[0], np.array([0])), loaded.vessels)
-    assert shown.tolist() == [list(colour) for colour in colours]
-    assert places[0, 2] == pytest.approx(3, abs=0.1)
 
 
 @pytest.mark.parametrize("value", [0.0, -5.0, math.inf, math.nan])

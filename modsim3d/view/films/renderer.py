@@ -20,6 +20,7 @@ from modsim3d.view.pictures.ids_picture import ids_picture
 from modsim3d.view.pictures.solids import open_id_renderer
 from modsim3d.view.pictures.track_marks import NO_TRACKS, FrameTracks
 from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded.lights.seen import ground_speeds
 from modsim3d.view.shaded.render_style import RenderStyle
 from modsim3d.view.shaded.shaded_picture import ShadedPictureRenderer
 
@@ -80,7 +81,9 @@ class FilmRenderer:
         layers, on_scene = self._plan.layers_of(kind), kind == "scene" or self._plan.boxes_on_scene
         ground = None
         if self._shaded_renderer is not None and kind != "corners" and on_scene:
-            ground = self._shaded_renderer.picture(camera_view.solids, window, self._scene.vessels)
+            night = self._shaded_renderer.style.night
+            speeds_m_s = ground_speeds(self._scene, camera_view.frame.step) if night else None
+            ground = self._shaded_renderer.picture(camera_view.solids, window, speeds_m_s)
             layers = replace(layers, horizon=False, silhouettes=False)
         return frame_picture(camera_view, window, layers, self._id_renderer, ground=ground, nominal_width_px=nominal)
 

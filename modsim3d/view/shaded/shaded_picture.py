@@ -16,13 +16,12 @@ from modsim3d.arrays import Array, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
-from modsim3d.vessels.vessel import Vessel
 from modsim3d.view import palette
 from modsim3d.view.pictures.canvas import Canvas, font, text_size
 from modsim3d.view.pictures.plain import occluder_colour
 from modsim3d.view.pictures.solids import SUN, Solids
 from modsim3d.view.pictures.window import Window
-from modsim3d.view.shaded.navigation_lights import glow, lights
+from modsim3d.view.shaded.lights.glow import draw_lights
 from modsim3d.view.shaded.render_style import RenderStyle
 from modsim3d.view.shaded.sea_and_sky import Backdrop, Floats, Rays, backdrop, fogged
 
@@ -46,14 +45,14 @@ class ShadedPictureRenderer:
         self._grounds: dict[tuple[str, Intrinsics, Window], _Ground] = {}
 
     def picture(
-        self, solids: Solids, window: Window, vessels: tuple[Vessel, ...] = (), samples: int = SAMPLES
+        self, solids: Solids, window: Window, speeds_m_s: Array | None = None, samples: int = SAMPLES
     ) -> Image.Image:
         """A shaded picture.
 
         Args:
             solids: The solids before the camera.
             window: The part of its image to show, and how large.
-            vessels: All vessels of the scene, whose lights are shown by night.
+            speeds_m_s: Speeds over ground of all vessels, shape (V,), whose lights are shown by night if it is given.
             samples: Buffer pixels for each pixel of the window and axis; with 1 edges are not smoothed.
         """
         rays = _rays(solids.intrinsics, window)
@@ -63,10 +62,10 @@ class ShadedPictureRenderer:
         regions = _region(faces, solids, window), _region(mirrored, solids, window, margin_px=2 * SMEAR)
         rgb, rows = ground.begin(), _rows(regions)
         self._reflect(rgb, ground.backdrop, mirrored, solids, window, regions[1])
-        depth_m = self._stand(rgb, rays, faces, solids, window, regions[0], samples)
-        if self.style.night and vessels:
+        self._stand(rgb, rays, faces, solids, window, regions[0], samples)
+        if self.style.night and speeds_m_s is not None:
             rows = slice(0, window.size[1])
-            self._lights(rgb, depth_m, solids, window, vessels)
+            draw_lights(rgb, solids, window, speeds_m_s, self.style.extinction_per_m)
         picture = Image.fromarray(ground.end(rows, rays.inside))
         if self.style.caption:
             _write(picture, self.style.caption)
@@ -103,11 +102,10 @@ class ShadedPictureRenderer:
         window: Window,
         region: Region,
         samples: int,
-    ) -> Floats:
-        """Draw the solids in a region; returns their depth in metres at each pixel, else infinity, shape (h, w)."""
-        depth_m = np.full(rgb.shape[:2], np.inf, np.float32)
+    ) -> None:
+        """Draw the solids in a region."""
         if not region.width or not region.height:
-            return depth_m
+            return
         lit = self._lit(faces, solids, window, region, samples)
         here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
         colour = lit.colour
@@ -117,24 +115,6 @@ class ShadedPictureRenderer:
             colour = np.rint(misty * lit.drawn[..., None] * 255).astype(np.uint8)
         cover = _reduced(lit.drawn * np.uint8(255), samples)[..., None]
         rgb[here] = rgb[here] * (1 - cover) + _reduced(colour, samples)
-        depth_m[here] = lit.depth_m[::samples, ::samples]
-        return depth_m
-
-    def _lights(
-        self, rgb: Floats, depth_m: Floats, solids: Solids, window: Window, vessels: tuple[Vessel, ...]
-    ) -> None:
-        """Draw the lights that nothing hides."""
-        places, colours = lights(solids.sight, vessels)
-        seen = solids.sight.camera_poses.to_camera(places[None])[0]
-        pixels = window.to_picture(solids.intrinsics.project(seen))
-        width, height = window.size
-        for place, colour, pixel in zip(seen, colours, pixels, strict=True):
-            x, y = float(pixel[0]), float(pixel[1])
-            if not (0 <= x < width and 0 <= y < height) or depth_m[int(y), int(x)] < 0.98 * place[2]:
-                continue
-            bright = np.exp(-self.style.extinction_per_m * np.linalg.norm(place))
-            radius = max(1.0, window.size[0] / 1280 * float(np.clip(400 / place[2], 1.2, 4)))
-            glow(rgb, np.array([x, y]), colour * bright, radius)
 
     def _reflect(
         self, rgb: Floats, behind: Backdrop, mirrored: LitFaces, solids: Solids, window: Window, region: Region

@@ -1,0 +1,273 @@
+"""Drawings for the page of `modsim3d ais`: the map of the traffic, and when each vessel is there. Both are SVG."""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.ais.geography import local_metres
+from modsim3d.ais.scene_folder import CAMERA_HALF_ANGLE_RAD
+from modsim3d.ais.traffic import Traffic
+from modsim3d.ais.vessel_track import VesselTrack
+from modsim3d.arrays import Array, Mask
+from modsim3d.view.pages.charts import colour_of, nice_ticks, svg
+
+WIDTH = 1100.0
+LEFT, RIGHT, TOP, BOTTOM = 56.0, 20.0, 8.0, 30.0
+MARGIN = 0.05
+LEAST_ASPECT, MOST_ASPECT = 0.45, 0.75
+"""Height of the map over its width."""
+NOT_FAR = 0.2
+"""A position that was removed as a jump enlarges the map by at most this share of it; others are on its edge."""
+LEAST_EXTENT_M = 200.0
+MOST_POINTS, MOST_OF_A_VESSEL = 60_000, 400
+MOST_NAMES = 40
+LETTER_PX, LINE_PX = 6.2, 12.0
+"""Width of a letter of a name, roughly, and the height of its line."""
+MOST_LANES = 60
+KILOMETRES_FROM_M = 10_000.0
+CROWD = 100
+"""Of more vessels the triangles are half as large, and reports are left out."""
+LANE_PX, LANE_LEFT = 16.0, 190.0
+
+
+def vessel_name(vessel: VesselTrack) -> str:
+    """The name that a vessel broadcasts, or else its MMSI."""
+    return vessel.hull.name or str(vessel.mmsi)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """The part of the world that the map shows, in metres, and its height in pixels."""
+
+    west_m: float
+    south_m: float
+    px_a_metre: float
+    height: float
+
+    @classmethod
+    def around(cls, places_m: Array) -> _Frame:
+        low, high = places_m.min(axis=0), places_m.max(axis=0)
+        size = np.maximum((high - low) * (1 + 2 * MARGIN), LEAST_EXTENT_M)
+        size = np.maximum(size, [size[1] / MOST_ASPECT, size[0] * LEAST_ASPECT])
+        west, south = ((low + high - size) / 2).tolist()
+        scale = (WIDTH - LEFT - RIGHT) / float(size[0])
+        return cls(west, south, scale, float(size[1]) * scale + TOP + BOTTOM)
+
+    @property
+    def east_m(self) -> float:
+        return self.west_m + (WIDTH - LEFT - RIGHT) / self.px_a_metre
+
+    @property
+    def north_m(self) -> float:
+        return self.south_m + (self.height - TOP - BOTTOM) / self.px_a_metre
+
+    def place(self, places_m: Array) -> Array:
+        """Columns and rows in the drawing of w1 and w2, shape (n, 2)."""
+        x = LEFT + (places_m[:, 0] - self.west_m) * self.px_a_metre
+        y = self.height - BOTTOM - (places_m[:, 1] - self.south_m) * self.px_a_metre
+        return np.stack([x, y], axis=-1)
+
+    def holds(self, places_m: Array) -> Mask:
+        """Which places are on the map, shape (n,)."""
+        x, y = places_m[:, 0], places_m[:, 1]
+        on_map: Mask = (x >= self.west_m) & (x <= self.east_m) & (y >= self.south_m) & (y <= self.north_m)
+        return on_map
+
+
+def traffic_map(traffic: Traffic) -> str:
+    """The map: tracks, reports, positions that were removed, and the camera."""
+    camera_m = np.array([traffic.camera.position_m[:2]])
+    jumps_m = np.concatenate([vessel.jumps_m for vessel in traffic.vessels])
+    shown_m = np.concatenate([*(vessel.places_m for vessel in traffic.vessels), camera_m])
+    frame = _Frame.around(np.concatenate([shown_m, _not_far(jumps_m, shown_m)]))
+    crowded = len(traffic.vessels) > CROWD
+    most = max(2, min(MOST_OF_A_VESSEL, MOST_POINTS // len(traffic.vessels)))
+    parts = [_grid(frame), _region(traffic, frame), _camera(traffic, frame)]
+    parts += [
+        _vessel(vessel, frame, most, colour_of(index), crowded=crowded) for index, vessel in enumerate(traffic.vessels)
+    ]
+    parts.append(_crosses(frame, jumps_m))
+    parts.append(_names(traffic, frame))
+    outside = not frame.holds(jumps_m).all()
+    caption = [
+        "w1 points east, w2 north. Lines are the tracks of the hulls' centres",
+        "" if crowded else ", dots the reports that they were made from",
+        ". Dashes join reports between which a vessel is absent, and crosses are positions that were removed as jumps",
+        "; those on the edge lie outside the map" if outside else "",
+        ". A triangle is where a vessel is last, and points ahead. The wedge is what the scene's camera sees. "
+        "AIS does not say where land is.",
+        " The dashed frame is the region, where it is on the map." if traffic.options.region else "",
+        f" Of long tracks at most {most} points are drawn." if _any_longer(traffic, most) else "",
+        f" The {MOST_NAMES} longest vessels have names." if len(traffic.vessels) > MOST_NAMES else "",
+    ]
+    drawing = svg(WIDTH, round(frame.height, 1), "map of the traffic", "\n".join(part for part in parts if part))
+    return _wide(drawing, "".join(caption))
+
+
+def _not_far(places_m: Array, others_m: Array) -> Array:
+    """Those of some places that hardly enlarge the box around others, shape (k, 2)."""
+    low, high = others_m.min(axis=0), others_m.max(axis=0)
+    reach = NOT_FAR * (high - low).max()
+    near: Array = places_m[((places_m >= low - reach) & (places_m <= high + reach)).all(axis=1)]
+    return near
+
+
+def _any_longer(traffic: Traffic, most: int) -> bool:
+    return any(len(vessel.steps) > most for vessel in traffic.vessels)
+
+
+def _wide(drawing: str, caption: str) -> str:
+    """A drawing that narrow screens scroll, so that its text stays legible."""
+    wide = drawing.replace('style="max-width:100%', 'style="max-width:100%;min-width:640px', 1)
+    inner = f'<div style="overflow-x:auto">\n{wide}</div>'
+    return f"<figure>\n{inner}\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>"
+
+
+def _grid(frame: _Frame) -> str:
+    bottom, right = frame.height - BOTTOM, WIDTH - RIGHT
+    unit, unit_m = ("km", 1000) if frame.east_m - frame.west_m > KILOMETRES_FROM_M else ("m", 1)
+    clip = f'x="{LEFT}" y="{TOP}" width="{right - LEFT:.1f}" height="{bottom - TOP:.1f}"'
+    lines = [f'<clipPath id="map"><rect {clip}/></clipPath><rect {clip} fill="none" stroke="var(--line)"/>']
+
+    def text(x: float, y: float, anchor: str, shown: str) -> None:
+        place = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"'
+        lines.append(f'<text {place} fill="var(--soft)">{shown}</text>')
+
+    for metres in nice_ticks(frame.west_m, frame.east_m, 8):
+        x = float(frame.place(np.array([[metres, frame.south_m]]))[0, 0])
+        lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{bottom:.1f}" stroke="var(--line)"/>')
+        text(x, bottom + 14, "middle", f"{metres / unit_m:g}")
+    for metres in nice_ticks(frame.south_m, frame.north_m, 6):
+        y = float(frame.place(np.array([[frame.west_m, metres]]))[0, 1])
+        lines.append(f'<line x1="{LEFT}" x2="{right:.1f}" y1="{y:.1f}" y2="{y:.1f}" stroke="var(--line)"/>')
+        text(LEFT - 5, y + 4, "end", f"{metres / unit_m:g}")
+    text(right, bottom + 27, "end", f"w1, {unit}")
+    text(LEFT + 4, TOP + 13, "start", f"w2, {unit}")
+    return "\n".join(lines)
+
+
+def _region(traffic: Traffic, frame: _Frame) -> str:
+    """The edge of the region that was asked for."""
+    region = traffic.options.region
+    if region is None:
+        return ""
+    south, north, west = region.south_deg, region.north_deg, region.west_deg
+    east = west + region.width_deg
+    latitudes, longitudes = np.array([south, south, north, north]), np.array([west, east, east, west])
+    corners = frame.place(local_metres(latitudes, longitudes, traffic.origin)).tolist()
+    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+    style = 'fill="none" stroke="var(--soft)" stroke-dasharray="8 5"'
+    return f'<g clip-path="url(#map)"><polygon points="{points}" {style}><title>region</title></polygon></g>'
+
+
+def _camera(traffic: Traffic, frame: _Frame) -> str:
+    """The camera and the directions of its image's edges."""
+    camera, far_m = traffic.camera, 2 * (frame.east_m - frame.west_m)
+    angles = camera.yaw_rad + np.array([-CAMERA_HALF_ANGLE_RAD, CAMERA_HALF_ANGLE_RAD])
+    at = np.array(camera.position_m[:2])
+    ends = at + far_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    (x, y), *edges = frame.place(np.concatenate([at[None], ends])).tolist()
+    wedge = " ".join(f"{a:.1f},{b:.1f}" for a, b in ((x, y), *edges))
+    return (
+        f'<g clip-path="url(#map)"><polygon points="{wedge}" fill="var(--soft)" fill-opacity="0.12"/>'
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="var(--soft)"/></g>'
+        f'<text x="{x + 7:.1f}" y="{y + 4:.1f}" fill="var(--soft)">camera</text>'
+    )
+
+
+def _vessel(vessel: VesselTrack, frame: _Frame, most: int, colour: str, *, crowded: bool) -> str:
+    """Its track, without a line where it is absent; what joins it there; and its reports."""
+    pieces = np.split(np.arange(len(vessel.steps)), np.flatnonzero(np.diff(vessel.steps) > 1) + 1)
+    every = max(1, -(-len(vessel.steps) // most))
+    lines, joins = "", ""
+    last = None
+    for piece in pieces:
+        kept = np.unique(np.append(piece[::every], piece[-1]))
+        points = [f"{x:.1f},{y:.1f}" for x, y in frame.place(vessel.places_m[kept]).tolist()]
+        lines += f"M{' '.join(points)}"
+        joins += f"M{last} {points[0]}" if last else ""
+        last = points[-1]
+    reports = vessel.reported_m[:: max(1, -(-len(vessel.reported_m) // most))]
+    reports = reports[frame.holds(reports)]
+    dots = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in frame.place(reports).tolist())
+    colours = f'fill="{colour}" stroke="var(--paper)" stroke-width="0.8"'
+    marks = [f'<path d="{lines}" stroke-width="{0.8 if crowded else 1.6}" stroke-linecap="round"/>']
+    if joins:
+        marks.append(f'<path d="{joins}" stroke-width="1" stroke-dasharray="2 4"/>')
+    if dots and not crowded:
+        marks.append(f'<path d="{dots}" stroke-width="3.4" stroke-linecap="round" stroke-opacity="0.6"/>')
+    marks.append(f'<polygon points="{_triangle(vessel, frame, 0.5 if crowded else 1.0)}" {colours}/>')
+    name = html.escape(vessel_name(vessel))
+    return f'<g fill="none" stroke="{colour}"><title>{name}</title>{"".join(marks)}</g>'
+
+
+def _triangle(vessel: VesselTrack, frame: _Frame, size: float) -> str:
+    """Its last place, pointing ahead; w2 is up and rows go down."""
+    cosine, sine = float(np.cos(vessel.headings_rad[-1])), float(np.sin(vessel.headings_rad[-1]))
+    ((x, y),) = frame.place(vessel.places_m[-1:]).tolist()
+    corners = ((9.0 * size, 0.0), (-5.0 * size, 5.0 * size), (-5.0 * size, -5.0 * size))
+    return " ".join(f"{x + a * cosine - b * sine:.1f},{y - a * sine - b * cosine:.1f}" for a, b in corners)
+
+
+def _crosses(frame: _Frame, jumps_m: Array) -> str:
+    places = np.clip(frame.place(jumps_m), (LEFT, TOP), (WIDTH - RIGHT, frame.height - BOTTOM)).tolist()
+    marks = "".join(f"M{x - 4:.1f} {y - 4:.1f}l8 8m0 -8l-8 8" for x, y in places)
+    return f'<path d="{marks}" stroke="var(--bad)" stroke-width="1.8" fill="none"/>' if marks else ""
+
+
+def _names(traffic: Traffic, frame: _Frame) -> str:
+    """A name where each track ends, unless it would lie on another one or on a vessel."""
+    ends = frame.place(np.concatenate([vessel.places_m[-1:] for vessel in traffic.vessels])).tolist()
+    taken = [(x - 9, y + 4, 18.0) for x, y in ends]
+    texts = []
+    longest = sorted(traffic.vessels, key=lambda vessel: (-vessel.hull.length_m, vessel.mmsi))[:MOST_NAMES]
+    for vessel in longest:
+        name = vessel_name(vessel)
+        ((x, y),) = frame.place(vessel.places_m[-1:]).tolist()
+        wide = LETTER_PX * len(name)
+        for left, base in ((x + 11, y + 4), (x - 11 - wide, y + 4), (x - wide / 2, y - 11), (x - wide / 2, y + 20)):
+            inside = left >= LEFT and left + wide <= WIDTH - RIGHT and TOP + LINE_PX <= base <= frame.height - BOTTOM
+            if inside and not any(
+                left < other + length and other < left + wide and abs(base - line) < LINE_PX
+                for other, line, length in taken
+            ):
+                taken.append((left, base, wide))
+                texts.append(f'<text x="{left:.1f}" y="{base:.1f}">{html.escape(name)}</text>')
+                break
+    style = 'paint-order="stroke" stroke="var(--paper)" stroke-width="3" stroke-linejoin="round"'
+    return f"<g {style}>{''.join(texts)}</g>"
+
+
+def presence_chart(traffic: Traffic, caption: str) -> str:
+    """A lane for each vessel: bars while it is in the scene, and dots at its reports."""
+    shown = sorted(traffic.vessels, key=lambda vessel: (len(vessel.steps), vessel.mmsi))[:MOST_LANES]
+    shown = sorted(shown, key=lambda vessel: vessel.mmsi)
+    times = traffic.grid.times_s
+    span_s = max(float(times[-1]), 1e-9)
+    height = LANE_PX * len(shown) + 32
+    scale = (WIDTH - LANE_LEFT - 12) / span_s
+    parts = []
+    for lane, vessel in enumerate(shown):
+        y = LANE_PX * (lane + 0.5)
+        name = html.escape(vessel_name(vessel)[:26])
+        parts.append(f'<text x="{LANE_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{name}</text>')
+        for piece in np.split(vessel.steps, np.flatnonzero(np.diff(vessel.steps) > 1) + 1):
+            first, last = float(times[piece[0]]), float(times[piece[-1]])
+            box = f'x="{LANE_LEFT + first * scale:.1f}" width="{max((last - first) * scale, 1.0):.1f}"'
+            parts.append(f'<rect {box} y="{y - 5:.1f}" height="10" rx="2" fill="{colour_of(0)}" fill-opacity="0.35"/>')
+        inside = vessel.reported_s[(vessel.reported_s >= 0) & (vessel.reported_s <= span_s)]
+        inside = inside[:: max(1, -(-len(inside) // MOST_OF_A_VESSEL))]
+        dots = "".join(f"M{LANE_LEFT + s * scale:.1f} {y:.1f}h0" for s in inside.tolist())
+        parts.append(
+            f'<path d="{dots}" stroke="{colour_of(0)}" stroke-width="3" stroke-linecap="round"/>' if dots else ""
+        )
+    for seconds in nice_ticks(0.0, span_s, 8):
+        x = LANE_LEFT + seconds * scale
+        parts.append(
+            f'<text x="{x:.1f}" y="{height - 16:.1f}" text-anchor="middle" fill="var(--soft)">{seconds:g}</text>'
+        )
+    parts.append(f'<text x="{WIDTH - 12}" y="{height - 3:.1f}" text-anchor="end" fill="var(--soft)">seconds</text>')
+    return _wide(svg(WIDTH, height, "when each vessel is in the scene", "\n".join(parts)), caption)

@@ -1,0 +1,306 @@
+"""The page of `modsim3d ais`: what became of the reports of ships, with the map."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from modsim3d.ais.gathering import SHOWN_PROBLEMS
+from modsim3d.ais.options import Options, time_text
+from modsim3d.ais.report import REASONS, messages_read, messages_used, summary_rows
+from modsim3d.ais.traffic import Traffic
+from modsim3d.ais.vessel_track import VesselTrack
+from modsim3d.view.pages import page
+from modsim3d.view.pages.ais_drawings import MOST_LANES, presence_chart, traffic_map
+
+MOST_ROWS = 200
+NOT_SHIPS = "not_a_ship"
+GUESSED = {
+    "type": "type",
+    "length": "length",
+    "beam": "beam",
+    "antenna": "place of the antenna",
+    "air_draft": "air draft",
+}
+
+
+def ais_page(traffic: Traffic) -> str:
+    """The page as HTML; the same traffic from the same files gives the same page."""
+    body = [
+        *_result(traffic),
+        traffic_map(traffic),
+        *_vessels(traffic),
+        *_left_out(traffic),
+        *_messages(traffic),
+        *_jumps(traffic),
+        *_times(traffic),
+        *_values(traffic),
+        *_how(traffic),
+    ]
+    return page.page("Traffic from AIS", body)
+
+
+def _result(traffic: Traffic) -> list[str]:
+    kept, grid = len(traffic.vessels), traffic.grid
+    span = f"from {_time(grid.start_s)} to {_time(grid.end_s)}"
+    steps = f"{_counted(len(grid.timestamps), 'step')}, one every {traffic.options.time_step_s:g} s"
+    lead = f"{kept:,} of {_counted(kept + len(_lost(traffic)), 'vessel')} in the scene, {span}: {steps}."
+    jumps, guessed = sum(vessel.jumps for vessel in traffic.vessels), _guessed(traffic)
+    used = f"{messages_used(traffic):,} of {_counted(messages_read(traffic), 'message')} used as positions"
+    removed = f"{_counted(jumps, 'position')} removed as {'a jump' if jumps == 1 else 'jumps'}"
+    sizes = f"length or beam guessed for {_counted(guessed, 'vessel')}"
+    far = _farthest(traffic)
+    warning = [page.paragraph(f"The farthest position is {far}.", "bad")] if "where the plane" in far else []
+    return [
+        page.paragraph(lead, "lead"),
+        *warning,
+        page.paragraph(f"{used}; {removed}; {sizes}. Air draft is not in AIS: it is typical of the ship type."),
+    ]
+
+
+def _guessed(traffic: Traffic) -> int:
+    return sum(bool({"length", "beam"} & set(vessel.hull.defaults)) for vessel in traffic.vessels)
+
+
+def _lost(traffic: Traffic) -> dict[int, str]:
+    """Vessels that are not in the scene, and why."""
+    gap = f"at no step: no two reports around one are at most {traffic.options.max_gap_s:g} s apart"
+    lost = dict.fromkeys(traffic.elsewhere, gap)
+    for mmsi, reasons in traffic.left_out.items():
+        if set(reasons) != {NOT_SHIPS}:
+            several = sorted(reasons.items(), key=lambda entry: (-entry[1], entry[0]))
+            lost[mmsi] = "; ".join(f"{_reason(name, traffic)} ({count:,})" for name, count in several)
+    return lost
+
+
+def _reason(name: str, traffic: Traffic) -> str:
+    return REASONS[name].format(max_speed_kn=traffic.options.max_speed_kn)
+
+
+def _vessels(traffic: Traffic) -> list[str]:
+    header = (
+        *("MMSI", "name", "type", "label", "length, m", "beam, m", "air draft, m"),
+        *("centre from antenna", "guessed from the type"),
+    )
+    rows = [
+        (
+            str(vessel.mmsi),
+            _shown(vessel.hull.name) or page.UNKNOWN,
+            vessel.hull.group.replace("_", " "),
+            _shown(traffic.options.label(vessel.hull.group)),
+            *(f"{value:g}" for value in (vessel.hull.length_m, vessel.hull.beam_m, vessel.hull.air_draft_m)),
+            _offset(vessel),
+            ", ".join(GUESSED[name] for name in vessel.hull.defaults),
+        )
+        for vessel in traffic.vessels
+    ]
+    said = (
+        "Ships report the place of their antenna; the scene has the centres of hulls, moved by what the table says. "
+        "Where a size is guessed, it is that of a typical ship of the type, and the antenna is in the middle."
+    )
+    return [page.heading("Vessels in the scene"), page.paragraph(said), *_limited(rows, header)]
+
+
+def _offset(vessel: VesselTrack) -> str:
+    """Where the centre of its hull lies from its antenna."""
+    ahead, port = vessel.hull.ahead_m, vessel.hull.to_port_m
+    along = f"{'ahead' if ahead > 0 else 'astern'} {abs(ahead):g} m" if ahead else ""
+    across = f"to {'port' if port > 0 else 'starboard'} {abs(port):g} m" if port else ""
+    return ", ".join(part for part in (along, across) if part) or "the same"
+
+
+def _left_out(traffic: Traffic) -> list[str]:
+    lost = _lost(traffic)
+    stations = sum(set(reasons) == {NOT_SHIPS} for reasons in traffic.left_out.values())
+    others = "1 other sender is no ship" if stations == 1 else f"{stations:,} other senders are no ships"
+    also = f" {others}: {REASONS[NOT_SHIPS]}." if stations else ""
+    parts = [page.heading("Vessels that are not in the scene")]
+    if not lost:
+        return [*parts, page.paragraph(f"None: every vessel with a position is in the scene.{also}")]
+    why = Counter(lost.values())
+    if len(lost) > MOST_ROWS:  # too many to name: a log of a day, cut to a region
+        groups = Counter(reason.rpartition(" (")[0] or reason for reason in lost.values())
+        rows = [
+            (reason, f"{count:,}") for reason, count in sorted(groups.items(), key=lambda item: (-item[1], item[0]))
+        ]
+        return [*parts, *_limited(rows, ("reason, of its positions", "vessels")), page.paragraph(also.strip())]
+    rows = [(str(mmsi), reason) for mmsi, reason in sorted(lost.items(), key=lambda item: (-why[item[1]], item))]
+    also_said = [page.paragraph(also.strip())] if also else []
+    return [*parts, *_limited(rows, ("MMSI", "why, with the number of its positions")), *also_said]
+
+
+def _messages(traffic: Traffic) -> list[str]:
+    read, used = messages_read(traffic), messages_used(traffic)
+    particulars = traffic.dropped["particulars_only"]
+    tables = dict(summary_rows(traffic))
+    rows = [
+        ("read", f"{read:,}", ""),
+        ("used as positions", f"{used:,}", _share(used, read)),
+        ("with names and dimensions only", f"{particulars:,}", _share(particulars, read)),
+    ]
+    rows += [
+        (f"dropped: {meaning}", f"{int(count):,}", _share(int(count), read))
+        for _, count, meaning in tables["messages dropped"]
+    ]
+    parts = [page.heading("Messages"), page.table(rows, ("messages", "number", "share"))]
+    for tally in traffic.files:
+        if tally.problems:
+            bad = sum(tally.dropped[reason] for reason in ("unreadable", "checksum", "undecodable"))
+            shown = f", of which the first {len(tally.problems)}" if bad > SHOWN_PROBLEMS else ""
+            parts.append(page.paragraph(f"{_shown(tally.path.name)}: what could not be read{shown}:"))
+            parts.append(page.table([(_shown(problem),) for problem in tally.problems]))
+    return parts
+
+
+def _jumps(traffic: Traffic) -> list[str]:
+    header = ("MMSI", "name", "seconds after the start", "w1, m", "w2, m", "off the track, m")
+    rows = [row for vessel in traffic.vessels for row in _jump_rows(vessel)]
+    limit = f"{traffic.options.max_speed_kn:g} kn"
+    said = (
+        f"A position is removed if the vessel can reach it only faster than {limit} from the one before, or the next "
+        "one from it. The map has crosses there. All other positions are used as they were reported."
+    )
+    parts = [page.heading("Positions removed as jumps"), page.paragraph(said)]
+    return [*parts, *(_limited(rows, header) if rows else [page.paragraph("There are none.")])]
+
+
+def _jump_rows(vessel: VesselTrack) -> list[tuple[str, ...]]:
+    way = [np.interp(vessel.jumps_s, vessel.reported_s, vessel.reported_m[:, axis]) for axis in (0, 1)]
+    off_m = np.linalg.norm(vessel.jumps_m - np.stack(way, axis=-1), axis=-1)
+    places = zip(vessel.jumps_s.tolist(), vessel.jumps_m.tolist(), off_m.tolist(), strict=True)
+    return [
+        (str(vessel.mmsi), _shown(vessel.hull.name) or page.UNKNOWN, f"{s:.0f}", f"{x:.0f}", f"{y:.0f}", f"{d:.0f}")
+        for s, (x, y), d in places
+    ]
+
+
+def _times(traffic: Traffic) -> list[str]:
+    longest = f"{traffic.options.max_gap_s:g} s"
+    said = (
+        "Between two reports a vessel follows the curve that fits their positions, speeds and courses, or a straight "
+        f"line where these do not fit. Where they are more than {longest} apart it is absent."
+    )
+    header = (
+        *("MMSI", "name", "reports", "usual interval, s", "longest bridged, s"),
+        *("gaps", "longest gap, s", "steps", "share of all steps"),
+    )
+    rows = [_time_row(vessel, traffic) for vessel in traffic.vessels]
+    shown = "" if len(rows) <= MOST_LANES else f", of the {MOST_LANES} vessels that are absent for longest"
+    chart = presence_chart(traffic, f"When each vessel is in the scene{shown}. Dots are its reports.")
+    return [page.heading("Between the reports"), page.paragraph(said), chart, *_limited(rows, header)]
+
+
+def _time_row(vessel: VesselTrack, traffic: Traffic) -> tuple[str, ...]:
+    apart_s = np.diff(vessel.reported_s)
+    bridged, gaps = (apart_s[apart_s <= traffic.options.max_gap_s], apart_s[apart_s > traffic.options.max_gap_s])
+    present, steps = len(vessel.steps), len(traffic.grid.timestamps)
+    return (
+        str(vessel.mmsi),
+        _shown(vessel.hull.name) or page.UNKNOWN,
+        f"{vessel.messages:,}",
+        f"{np.median(apart_s):g}" if len(apart_s) else page.UNKNOWN,
+        f"{bridged.max():g}" if len(bridged) else page.UNKNOWN,
+        f"{len(gaps)}",
+        f"{gaps.max():g}" if len(gaps) else page.UNKNOWN,
+        f"{present:,}",
+        _share(present, steps),
+    )
+
+
+def _values(traffic: Traffic) -> list[str]:
+    tables = dict(summary_rows(traffic))
+    parts = [page.heading("Values replaced and guessed")]
+    for title, header, nothing in (
+        (
+            "values replaced, in messages",
+            ("missing in a message: what stands for it", "messages"),
+            "No value was missing in a message that was used.",
+        ),
+        ("defaults, in vessels", ("missing of a vessel: what stands for it", "vessels"), "Nothing was guessed."),
+    ):
+        rows = [(f"{meaning[:1].upper()}{meaning[1:]}", f"{int(count):,}") for _, count, meaning in tables[title]]
+        parts.append(page.table(rows, header) if rows else page.paragraph(nothing))
+    return parts
+
+
+def _how(traffic: Traffic) -> list[str]:
+    files = [
+        (_shown(tally.path.name), tally.format, f"{tally.messages:,}", f"sha256:{_sha256(tally.path)}")
+        for tally in traffic.files
+    ]
+    return [
+        page.heading("How it was made"),
+        page.paragraph("By modsim3d ais, from these files:"),
+        page.table(files, ("file", "format", "messages", "checksum")),
+        page.table(_options(traffic), ("option", "why")),
+        page.paragraph(
+            "The sea is flat: latitude and longitude became metres east (w1) and north (w2) of the origin on the plane "
+            f"that touches the Earth there. The farthest position is {_farthest(traffic).partition(',')[0]}.",
+            "soft",
+        ),
+    ]
+
+
+def _options(traffic: Traffic) -> list[tuple[str, str]]:
+    """The options that make this scene again, and which of them were given."""
+    options, usual = traffic.options, Options()
+    origin, given, default = "{:.7f},{:.7f}".format(*traffic.origin), "given", "by default"
+    end = "by --duration" if options.duration_s is not None else "the last report"
+    rows = [
+        (f"--origin {origin}", given if options.origin else "the median position"),
+        (f"--start {time_text(traffic.grid.start_s)}", "the first report" if options.start_s is None else given),
+        (f"--end {time_text(traffic.grid.end_s)}", end if options.end_s is None else given),
+    ]
+    if options.region is not None:
+        rows.append((f"--region {options.region}", given))
+    for name, value, unless in (
+        ("time-step", options.time_step_s, usual.time_step_s),
+        ("max-gap", options.max_gap_s, usual.max_gap_s),
+        ("max-speed", options.max_speed_kn, usual.max_speed_kn),
+    ):
+        rows.append((f"--{name} {value:g}", default if value == unless else given))
+    if options.swap_coordinates:
+        rows.append(("--swap-coordinates", given))
+    rows.append(("--labels type", given) if options.labels_by_type else ("--labels vessel", default))
+    return rows + [(f"--label {group}={_shown(label)}", given) for group, label in sorted(options.labels.items())]
+
+
+def _farthest(traffic: Traffic) -> str:
+    rows = {name: (number, meaning) for _, table in summary_rows(traffic) for name, number, meaning in table}
+    return " ".join(rows["farthest"])
+
+
+def _sha256(path: Path) -> str:
+    """Checksum of a file; a dash for one that cannot be read a second time."""
+    if not path.is_file():
+        return page.UNKNOWN
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _limited(rows: Sequence[Sequence[str]], header: Sequence[str]) -> list[str]:
+    """A table of the first rows, and a line that says how many there are."""
+    parts = [page.table(rows[:MOST_ROWS], header)]
+    if len(rows) > MOST_ROWS:
+        parts.append(page.paragraph(f"The first {MOST_ROWS} of {len(rows):,}; report.json has all vessels.", "soft"))
+    return parts
+
+
+def _time(unix_s: float) -> str:
+    return time_text(unix_s).replace("T", " ").replace("Z", " UTC")
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{100 * part / whole:.1f} %" if whole else page.UNKNOWN
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def _shown(text: str) -> str:
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)

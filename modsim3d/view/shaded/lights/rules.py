@@ -1,0 +1,187 @@
+"""Which lights a vessel shows: COLREG 1972, Rules 21 to 26 and 30, with places by Annex I.
+
+Nobody is towing, restricted, constrained by draught, not under command or on pilotage duty: no scene says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from modsim3d.vessels.vessel import Vessel
+from modsim3d.view.shaded.lights.kinds import Kind, kind_of
+from modsim3d.view.shaded.lights.lantern import Colour, Lantern, Sector
+
+KNOT_M_S = 1852 / 3600
+STANDS_M_S = 0.5 * KNOT_M_S
+"""A vessel that is slower is taken to be at anchor, or to make no way while she fishes."""
+SLOW_M_S = 7 * KNOT_M_S
+"""Rule 23 d (ii): below 7 m and 7 knots a white light is enough."""
+MIDSHIPS = 0.0
+
+
+def lanterns(vessel: Vessel, speed_m_s: float) -> tuple[Lantern, ...]:
+    """The lights of a vessel at a speed over ground in metres per second; NaN if it is not known."""
+    rig = _Rig(vessel)
+    kind, stands = kind_of(vessel), speed_m_s < STANDS_M_S
+    if kind is Kind.OARS:
+        return (rig.all_round("torch", Colour.WHITE, rig.top_m),)
+    if kind in (Kind.TRAWLING, Kind.FISHING):
+        return _fishing(rig, kind, makes_way=not stands)
+    if stands:
+        return _anchored(rig)
+    return _sailing(rig) if kind is Kind.SAIL else _power_driven(rig, speed_m_s)
+
+
+def _power_driven(rig: _Rig, speed_m_s: float) -> tuple[Lantern, ...]:
+    """Rule 23; Rule 24 too, as long as nothing is towed."""
+    if rig.length_m >= 50:
+        return (rig.masthead(rig.fore), rig.masthead(rig.after), *rig.sides(), rig.stern())
+    if rig.length_m >= 12:
+        return (rig.masthead(rig.fore), *rig.sides(), rig.stern())
+    white = rig.all_round("all-round", Colour.WHITE, rig.top_m)
+    if rig.length_m < 7 and not speed_m_s > SLOW_M_S:
+        return (white,)
+    return (white, *rig.sides())
+
+
+def _sailing(rig: _Rig) -> tuple[Lantern, ...]:
+    """Rule 25: the three lights of a vessel below 20 m are in one lantern at the top of the mast."""
+    if rig.length_m < 7:
+        return (rig.all_round("torch", Colour.WHITE, rig.deck_m + 1.0),)
+    if rig.length_m < 20:
+        return (*rig.sides(rig.top), rig.stern(rig.top))
+    return (*rig.sides(), rig.stern())
+
+
+def _fishing(rig: _Rig, kind: Kind, *, makes_way: bool) -> tuple[Lantern, ...]:
+    """Rule 26: trawlers green over white, others red over white; a long trawler also a masthead light above them."""
+    trawls = kind is Kind.TRAWLING
+    masthead = trawls and rig.length_m >= 50
+    upper_m = rig.fore[2] * rig.height_m if masthead else rig.top_m
+    shown = [
+        rig.all_round("upper", Colour.GREEN if trawls else Colour.RED, upper_m),
+        rig.all_round("lower", Colour.WHITE, upper_m - rig.apart_m),
+    ]
+    if masthead:
+        shown.append(rig.masthead(rig.after))
+    return (*shown, *rig.sides(), rig.stern()) if makes_way else tuple(shown)
+
+
+def _anchored(rig: _Rig) -> tuple[Lantern, ...]:
+    """Rule 30: one white light, and below 50 m no more; else one in the fore part and a lower one at the stern."""
+    if rig.length_m < 50:
+        return (rig.all_round("anchor", Colour.WHITE, rig.top_m),)
+    fore_m = min(rig.deck_m + 10.5, rig.top_m)
+    aft_m = max(fore_m - 4.5, 0.5 * fore_m)
+    return (
+        rig.all_round("anchor", Colour.WHITE, fore_m, 0.4),
+        rig.all_round("anchor aft", Colour.WHITE, aft_m, -0.45),
+    )
+
+
+@dataclass(frozen=True)
+class _Rig:
+    """A vessel, and where its lights are."""
+
+    vessel: Vessel
+
+    @property
+    def length_m(self) -> float:
+        return self.vessel.length_m
+
+    @property
+    def height_m(self) -> float:
+        return self.vessel.air_draft_m
+
+    @property
+    def top_m(self) -> float:
+        """No light is higher than the vessel."""
+        return self.height_m
+
+    @property
+    def deck_m(self) -> float:
+        """Height of the uppermost continuous deck, from which Annex I counts; as in the shipped meshes, roughly."""
+        return min(0.25 * self.height_m, 0.1 * self.length_m)
+
+    @property
+    def apart_m(self) -> float:
+        """Between two lights one above the other (Annex I, section 2 i)."""
+        return 2.0 if self.length_m >= 20 else 1.0
+
+    @cached_property
+    def top(self) -> tuple[float, float, float]:
+        """The highest point, in the middle of the ship: the top of a mast if the mesh has one."""
+        return self._highest(-0.5)
+
+    def _highest(self, from_v1: float) -> tuple[float, float, float]:
+        vertices = self.vessel.solid.vertices
+        ahead = vertices[vertices[:, 0] >= from_v1]
+        highest = ahead[ahead[:, 2] >= ahead[:, 2].max() - 1e-6]
+        return float(highest[:, 0].mean()), MIDSHIPS, float(highest[0, 2])
+
+    @cached_property
+    def fore(self) -> tuple[float, float, float]:
+        """Of the forward masthead light, or the only one (Annex I, sections 2 and 3).
+
+        It is 6 m above the deck, or as much as the vessel is broad up to 12 m. From 20 m on it is before midships. From
+        50 m on it is in the foremost quarter, and 4.5 m lower than the one abaft. A foremast that is higher carries it.
+        """
+        if self.length_m < 50:
+            return self.top if self.length_m < 20 or self.top[0] > 0 else (0.1, MIDSHIPS, 1.0)
+        wanted_m = self.deck_m + float(np.clip(self.vessel.beam_m, 6.0, 12.0))
+        most_m = max(self.height_m - 4.5, 0.6 * self.height_m)
+        mast = self._highest(0.25)
+        if wanted_m <= mast[2] * self.height_m <= most_m:
+            return mast
+        return 0.3, MIDSHIPS, min(wanted_m, most_m) / self.height_m
+
+    @cached_property
+    def after(self) -> tuple[float, float, float]:
+        """Of the after masthead light: at the full height, half the length behind the other, or 100 m."""
+        behind = min(0.5, 100.0 / self.length_m)
+        return min(self.top[0], self.fore[0] - behind), MIDSHIPS, 1.0
+
+    def all_round(self, name: str, colour: Colour, height_m: float, v1: float | None = None) -> Lantern:
+        """A light that is seen from everywhere, above the highest point unless `v1` says where."""
+        place = (self.top[0] if v1 is None else v1, MIDSHIPS, height_m / self.height_m)
+        return Lantern(name, colour, Sector.ALL_ROUND, 2.0 if self.length_m < 50 else 3.0, place)
+
+    def masthead(self, place: tuple[float, float, float]) -> Lantern:
+        """A masthead light."""
+        miles = {12.0: 2.0, 20.0: 3.0, 50.0: 5.0}
+        seen_nm = next((miles[below] for below in miles if self.length_m < below), 6.0)
+        return Lantern("masthead", Colour.WHITE, Sector.MASTHEAD, seen_nm, place)
+
+    def sides(self, place: tuple[float, float, float] | None = None) -> tuple[Lantern, Lantern]:
+        """Sidelights, both at one place if it is given; else at the sides, below three quarters of the masthead."""
+        seen_nm = 1.0 if self.length_m < 12 else 2.0 if self.length_m < 50 else 3.0
+        v1, v3 = self._side_place()
+        port, starboard = (place, place) if place else ((v1, 0.5, v3), (v1, -0.5, v3))
+        return (
+            Lantern("port side", Colour.RED, Sector.PORT, seen_nm, port),
+            Lantern("starboard side", Colour.GREEN, Sector.STARBOARD, seen_nm, starboard),
+        )
+
+    def stern(self, place: tuple[float, float, float] | None = None) -> Lantern:
+        """A stern light."""
+        seen_nm = 2.0 if self.length_m < 50 else 3.0
+        return Lantern("stern", Colour.WHITE, Sector.STERN, seen_nm, place or self._stern_place())
+
+    def _side_place(self) -> tuple[float, float]:
+        """v1 and v3 of sidelights at the side of the hull (Annex I, sections 2 g, 2 j and 3 b)."""
+        kind, mast_m = kind_of(self.vessel), self.fore[2] * self.height_m
+        if kind is Kind.SAIL:
+            return 0.1, min(self.deck_m + 1.0, self.height_m) / self.height_m
+        height_m = self.deck_m + 0.6 * (mast_m - self.deck_m)
+        if kind in (Kind.TRAWLING, Kind.FISHING):  # twice as far below the lower light as that is below the upper one
+            height_m = min(height_m, self.top_m - 3 * self.apart_m)
+        if self.length_m < 20:
+            height_m = min(height_m, mast_m - 1.0)
+        v1 = 0.2 if self.length_m < 20 else min(self.top[0], self.fore[0])
+        return v1, max(height_m, 0.3 * mast_m) / self.height_m
+
+    def _stern_place(self) -> tuple[float, float, float]:
+        return -0.5, MIDSHIPS, (self.deck_m + 0.1 * (self.height_m - self.deck_m)) / self.height_m

@@ -1,0 +1,267 @@
+"""Lights by night: which ones each kind and size of vessel shows to each bearing, where they are and how far seen."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from modsim3d.scene.meshes import mesh_name
+from modsim3d.scene.reading import load_scene
+from modsim3d.vessels.vessel import Vessel
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded.lights.glow import draw_lights
+from modsim3d.view.shaded.lights.kinds import Kind, kind_of
+from modsim3d.view.shaded.lights.lantern import NAUTICAL_MILE_M, THRESHOLD_LUX, Colour, Lantern, Sector
+from modsim3d.view.shaded.lights.rules import KNOT_M_S, lanterns
+from modsim3d.view.shaded.lights.seen import ground_speeds, is_hidden, lights_towards
+from tests.scenes import crossing
+
+W, R, G = "white", "red", "green"
+BEARINGS = (0, 45, 90, 112.4, 112.6, 135, 180, -135, -112.6, -112.4, -90, -45)
+"""In degrees from right ahead; those to port come first."""
+
+
+def around(ahead, port, abaft, starboard):
+    """Colours at each of the bearings, given those of four sectors; each from the highest light down."""
+    return [ahead, *[port] * 3, *[abaft] * 5, *[starboard] * 3]
+
+
+def vessel(length_m, *, shape="", label="Vessel", name="one", air_draft_m=None):
+    return Vessel(name, label, length_m, 0.2 * length_m, air_draft_m or 0.4 * length_m, shape=shape)
+
+
+def speed(knots):
+    return knots * KNOT_M_S
+
+
+SHIP = around([W, W, R, G], [W, W, R], [W], [W, W, G])
+MOTOR = around([W, R, G], [W, R], [W], [W, G])
+SMALL = around([W, R, G], [W, R], [W], [W, G])
+TORCH = around([W], [W], [W], [W])
+TRICOLOUR = around([R, G], [R], [W], [G])
+TRAWL = around([G, W, R, G], [G, W, R], [G, W, W], [G, W, G])
+NETS = around([R, W, R, G], [R, W, R], [R, W, W], [R, W, G])
+LONG_TRAWL = around([W, G, W, R, G], [W, G, W, R], [G, W, W], [W, G, W, G])
+CASES = {
+    "container ship": (vessel(180, shape="container_ship"), 12, SHIP),
+    "ferry of 50 m": (vessel(50, shape="ferry"), 12, SHIP),
+    "ferry of 49.9 m": (vessel(49.9, shape="ferry"), 12, MOTOR),
+    "fishing vessel that does not fish": (vessel(20, shape="fishing_vessel"), 3, MOTOR),
+    "a vessel of 12 m that nothing is known of": (vessel(12), 6, MOTOR),
+    "motorboat": (vessel(8.5, shape="motorboat"), 20, SMALL),
+    "dinghy, fast": (vessel(6.9, shape="motorboat"), 7.1, SMALL),
+    "dinghy, slow": (vessel(6.9, shape="motorboat"), 6.9, TORCH),
+    "dinghy of a scene with one step": (vessel(6.9, shape="motorboat"), math.nan, TORCH),
+    "sailing boat": (vessel(11, shape="sailboat", air_draft_m=16), 4, TRICOLOUR),
+    "sailing boat of 20 m": (vessel(20, shape="sailboat", air_draft_m=26), 4, around([R, G], [R], [W], [G])),
+    "sailing dinghy": (vessel(6.5, shape="sailboat"), 4, TORCH),
+    "kayak": (vessel(4.8, shape="kayak"), 2, TORCH),
+    "kayak that drifts": (vessel(4.8, shape="kayak"), 0.1, TORCH),
+    "trawler, trawling": (vessel(24, shape="fishing_vessel", label="trawling"), 3, TRAWL),
+    "trawler of 60 m, trawling": (vessel(60, label="trawling"), 3, LONG_TRAWL),
+    "trawler, its trawl on the ground": (vessel(24, label="trawling"), 0.1, around(*[[G, W]] * 4)),
+    "with nets": (vessel(24, name="netting_3"), 3, NETS),
+    "at anchor": (vessel(40, shape="ferry"), 0.4, TORCH),
+    "yacht at anchor": (vessel(11, shape="sailboat"), 0.0, TORCH),
+    "ship at anchor": (vessel(180), 0.4, around(*[[W, W]] * 4)),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_lights_by_bearing(case):
+    one, knots, wanted = CASES[case]
+    carried = lanterns(one, speed(knots))
+    for bearing, colours in zip(BEARINGS, wanted, strict=True):
+        seen = [light for light in carried if light.sector.holds(bearing)]
+        found = [light.colour.name.lower() for light in sorted(seen, key=lambda light: -light.place[2])]
+        assert found == colours, bearing
+
+
+@pytest.mark.parametrize(
+    ("shape", "label", "name", "kind"),
+    [
+        ("", "Vessel", "219000001", Kind.POWER),
+        ("sailboat", "boat", "motorboat", Kind.SAIL),  # the mesh is what one sees
+        ("motorboat", "sailboat", "a", Kind.POWER),
+        ("my_sloop", "Vessel", "a", Kind.SAIL),
+        ("", "Sailing", "a", Kind.SAIL),  # a label of `modsim3d ais --labels type`
+        ("", "Fishing", "a", Kind.POWER),
+        ("", "Vessel", "yacht3", Kind.SAIL),
+        ("", "MotorYacht", "a", Kind.POWER),
+        ("kayak", "boat", "kayak", Kind.OARS),
+        ("", "HighSpeed", "assailant", Kind.POWER),
+    ],
+)
+def test_kind_of_a_vessel(shape, label, name, kind):
+    assert kind_of(vessel(10, shape=shape, label=label, name=name)) is kind
+
+
+@pytest.mark.parametrize(
+    ("entry", "name"),
+    [
+        ("sailboat", "sailboat"),
+        ("meshes/sailboat.glb", "sailboat"),  # as the copy of a scene in a run has it
+        ({"file": "hulls/my_sloop.stl", "forward": "+x"}, "my_sloop"),
+    ],
+)
+def test_a_mesh_has_the_same_name_in_a_scene_and_in_its_copy(entry, name):
+    assert mesh_name(entry) == name
+
+
+@pytest.mark.parametrize(("miles", "candela"), [(1, 0.9), (2, 4.3), (3, 12), (4, 27), (5, 52), (6, 94)])
+def test_intensity_is_that_of_the_rules(miles, candela):
+    """The table of COLREG, Annex I, section 8; at its range a light is the faintest that is seen."""
+    light = Lantern("stern", Colour.WHITE, Sector.STERN, miles, (0, 0, 0))
+    assert light.intensity_cd == pytest.approx(candela, rel=0.06)
+    assert light.illuminance_lux(miles * NAUTICAL_MILE_M) == pytest.approx(THRESHOLD_LUX)
+
+
+@pytest.mark.parametrize(
+    ("length_m", "masthead", "side", "stern"), [(50, 6, 3, 3), (49, 5, 2, 2), (20, 5, 2, 2), (19, 3, 2, 2)]
+)
+def test_ranges_by_length(length_m, masthead, side, stern):
+    """Rule 22."""
+    ranges = {light.name: light.range_nm for light in lanterns(vessel(length_m), speed(8))}
+    assert (ranges["masthead"], ranges["port side"], ranges["stern"]) == (masthead, side, stern)
+    small = {light.name: light.range_nm for light in lanterns(vessel(11), speed(8))}
+    assert small == {"all-round": 2, "port side": 1, "starboard side": 1}
+
+
+@pytest.fixture(scope="module")
+def strait():
+    return load_scene("strait", steps=111)
+
+
+def placed(one, knots=8):
+    """Places of lights in metres from the vessel's origin, by name; of several masthead lights the fore one first."""
+    found = {}
+    for light in lanterns(one, speed(knots)):
+        found.setdefault(light.name, []).append(np.array(light.place) * one.extents_m)
+    return found
+
+
+def test_places_of_a_ships_lights(strait):
+    """Annex I, sections 2 and 3, for the shipped meshes and for boxes of many sizes."""
+    boxes = [vessel(length, air_draft_m=height) for length in (50, 90, 180, 300) for height in (20.0, 45.0)]
+    ships = [one for one in strait.vessels if one.length_m >= 50]
+    assert len(ships) == 2
+    for one in ships + boxes:
+        (fore, after), (side,) = (placed(one)[name] for name in ("masthead", "port side"))
+        assert fore[0] >= 0.25 * one.length_m  # in the foremost quarter
+        assert fore[0] - after[0] >= min(one.length_m / 2, 100) - 1e-9
+        assert after[2] - fore[2] >= 4.5 - 1e-9
+        deck = min(0.25 * one.air_draft_m, 0.1 * one.length_m)
+        assert fore[2] - deck >= min(max(6, one.beam_m), 12) - 1e-9 or fore[2] == pytest.approx(one.air_draft_m - 4.5)
+        assert side[2] - deck <= 0.75 * (fore[2] - deck)
+        assert side[0] <= fore[0]
+        assert after[0] >= -one.length_m / 2
+
+
+@pytest.mark.parametrize("one", [entry[0] for entry in CASES.values()], ids=list(CASES))
+@pytest.mark.parametrize("knots", [0.1, 8])
+def test_no_light_is_outside_the_vessel(one, knots):
+    for light in lanterns(one, speed(knots)):
+        assert (np.abs(light.place[:2]) <= 0.5).all()
+        assert 0 < light.place[2] <= 1
+
+
+def test_the_only_masthead_light_is_before_midships_from_20_m_on(strait):
+    (own,) = (one for one in strait.vessels if one.name == "trawler")
+    for one in (own, vessel(20), vessel(49)):
+        assert placed(one)["masthead"][0][0] > 0
+
+
+def test_the_three_lights_of_a_small_sailing_boat_are_at_the_top_of_its_mast(strait):
+    (one,) = (one for one in strait.vessels if one.name == "sailboat")
+    places = np.array([light.place for light in lanterns(one, speed(4))])
+    assert np.ptp(places, axis=0).max() == 0
+    assert places[0, 2] == pytest.approx(1)
+    assert places[0, 0] == pytest.approx(0.7 / 11, abs=0.01)  # where script/make_meshes puts the mast
+
+
+def test_strait_by_night(strait):
+    """The moment of docs/looks.png, from the bow camera."""
+    solids = Solids.at(strait, strait.cameras[0], 110)
+    shown = {}
+    for light in lights_towards(solids.sight, ground_speeds(strait, 110)):
+        shown.setdefault(strait.vessel_names[light.vessel], []).append(light.lantern.name)
+    assert shown == {
+        "ferry": ["masthead", "masthead", "starboard side"],
+        "container_ship": ["masthead", "masthead", "port side"],
+        "sailboat": ["stern"],
+        "yacht": ["starboard side"],
+        "motorboat": ["all-round", "port side"],
+        "trawler": ["masthead", "port side"],
+        "kayak": ["torch"],
+        "barge": ["stern"],
+    }
+
+
+WINDOW = Window.whole((800, 600), 800)
+
+
+def scene_with(folder, wall_at_m, heading_deg=90.0):
+    """A boat 250 m ahead of the camera on w1, and a wall before or behind it."""
+    path = crossing(folder)
+    scene = json.loads(path.read_text())
+    step = 100 * np.array([math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))])
+    scene["poses"]["tracks"] = {"boat": [[0, 250, 0], [100, 250 + step[0], step[1]]]}
+    ring = [[wall_at_m, -40], [wall_at_m + 2, -40], [wall_at_m + 2, 40], [wall_at_m, 40]]
+    scene["obstacles"] = {"wall": {"polygon_m": ring, "height_m": 30}}
+    path.write_text(json.dumps(scene))
+    return load_scene(path)
+
+
+@pytest.mark.parametrize(("wall_at_m", "hidden"), [(200, True), (290, False)])
+def test_a_wall_hides_a_light_behind_it_and_its_own_hull_does_not(tmp_path, wall_at_m, hidden):
+    scene = scene_with(tmp_path, wall_at_m, heading_deg=180.0)
+    solids = Solids.at(scene, scene.cameras[0], 0)
+    lights = list(lights_towards(solids.sight, ground_speeds(scene, 0)))
+    assert len(lights) == 3
+    for light in lights:
+        seen = solids.sight.camera_poses.to_camera(light.place_m[None, None])[0, 0]
+        inverse_depth = solids.intrinsics.near_clip_m / seen[2]
+        assert is_hidden(solids, light.vessel, solids.intrinsics.project(seen[None])[0], inverse_depth) is hidden
+    draw_lights(rgb := np.zeros((600, 800, 3), np.float32), solids, WINDOW, ground_speeds(scene, 0), 0.0)
+    assert (rgb.max() == 0) == hidden
+
+
+@pytest.mark.parametrize(("heading_deg", "side"), [(90, Colour.RED), (-90, Colour.GREEN)])
+def test_lights_are_drawn_where_they_are_in_their_colours(tmp_path, heading_deg, side):
+    scene = scene_with(tmp_path, 900, heading_deg)
+    solids, window = Solids.at(scene, scene.cameras[0], 0), Window.whole((800, 600), 1600)
+    rgb = np.zeros((1200, 1600, 3), np.float32)
+    speeds = ground_speeds(scene, 0)
+    draw_lights(rgb, solids, window, speeds, 0.0)
+    for light, colour in zip(lights_towards(solids.sight, speeds), (Colour.WHITE, side), strict=True):
+        seen = solids.sight.camera_poses.to_camera(light.place_m[None, None])[0]
+        x, y = window.to_picture(solids.intrinsics.project(seen))[0].astype(int)
+        shares = rgb[y, x] / rgb[y, x].max()
+        np.testing.assert_allclose(shares, np.array(colour.value) / max(colour.value), atol=0.25)
+        assert 0.5 < rgb[y, x].max() < 1.8
+    hazy = np.zeros_like(rgb)
+    draw_lights(hazy, solids, window, speeds, 3.912 / 300)
+    assert 0 < hazy.sum() < 0.6 * rgb.sum()
+    assert 0.3 < hazy.max() < 0.8 * rgb.max()
+
+
+def test_fog_takes_lights_away_and_distance_weakens_them(tmp_path):
+    scene = scene_with(tmp_path, 900)
+    sight = scene.sight(scene.cameras[0], np.array([0]))
+    speeds = ground_speeds(scene, 0)
+    clear, mist = ({light.lantern.name: light.decades for light in lights_towards(sight, speeds, extinction)}
+                   for extinction in (0.0, 3.912 / 500))  # fmt: skip
+    assert set(clear) == set(mist)
+    for name in clear:
+        assert clear[name] - mist[name] == pytest.approx(3.912 / 500 * 250 / math.log(10), rel=0.03)
+    assert not list(lights_towards(sight, speeds, 3.912 / 50))
+
+
+def test_speed_over_ground_is_unknown_of_absent_vessels_and_of_a_single_step(tmp_path):
+    scene = scene_with(tmp_path, 900)
+    np.testing.assert_allclose(ground_speeds(scene, 3), [1.0, np.nan, np.nan])
+    (alone := tmp_path / "alone").mkdir()
+    (path := crossing(alone)).write_text(json.dumps({**json.loads(path.read_text()), "steps": 1}))
+    assert np.isnan(ground_speeds(load_scene(path), 0)).all()
