@@ -193,7 +193,4 @@ def _tables(counts: CountTables, settings: dict[str, Any]) -> str:
         ("By vessel", counts.by_vessel(), VESSEL_HEADER),
         ("Settings and versions", named_values(settings), ()),
     ]
-    return "\n".join(
-        f"<section>{heading(title)}<div class=scroll>{table(rows, header)}</div></section>"
-        for title, rows, header in parts
-    )
+    return "\n".join(f"<section>{heading(title)}{table(rows, header)}</section>" for title, rows, header in parts)
