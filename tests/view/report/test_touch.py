@@ -32,7 +32,7 @@ def frame(browser: Browser) -> None:
 
 
 def within_reach(browser: Browser) -> bool:
-    """Whether the middle of the view lies in the image, and the view is no larger than the image and no smaller than a 20th."""
+    """Whether the view's middle is in the image, and the view is no larger than the image nor smaller than a 20th."""
     x, y, width, aspect, wide, high = browser.run(
         f"(v => [v.x, v.y, v.width, player.picture.aspect, ...player.pane.size])({VIEW})"
     )
