@@ -35,9 +35,9 @@ def page_text(report: Report) -> str:
 _STYLE = (
     "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
     ".plots figure { width: 25rem; margin: 0; } "
-    ".wide { overflow-x: auto; font-size: 0.9rem; } "
+    ".wide { font-size: 0.9rem; } "
     "table.shares td, table.shares th { padding: 0.25rem 0.6rem; } "
-    ".shares .soft { color: inherit; opacity: 0.8; } table.shares th + th { text-align: right; } "
+    ".shares .soft { color: inherit; } table.shares th + th { text-align: right; } "
     ".wide td, .wide th { white-space: nowrap; padding: 0.2rem 0.9rem 0.2rem 0; }"
 )
 _SHARES = (

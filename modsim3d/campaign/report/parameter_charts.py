@@ -13,7 +13,6 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.report.cells import Estimates, by_level, mean_of, seed_cells
 from modsim3d.campaign.report.parameters import Parameter, parameters_of
-from modsim3d.campaign.report.tables import scrolling
 from modsim3d.campaign.report.words import Score, axis_of, number, required_scores
 from modsim3d.campaign.results.means import LEVEL
 from modsim3d.view.pages import charts, page
@@ -191,7 +190,7 @@ def _heat_map(
         cells = "".join(_cell(value, count if differ else 0, span) for value, count in zip(values, counts, strict=True))
         lines.append(f"<tr><th>{html.escape(level)}</th>{cells}</tr>")
     title = f"{name}: columns are {axis_of(second.key)}"
-    table = scrolling("<table>" + "".join(lines) + "</table>")
+    table = page.scrolling("<table>" + "".join(lines) + "</table>")
     return f'<div style="min-width: 0">{page.paragraph(title, "soft")}{table}</div>'
 
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Container, Mapping, Sequence
 from types import MappingProxyType
 
-from modsim3d.view.pages.page import UNKNOWN
+from modsim3d.view.pages.page import UNKNOWN, scrolling
 
 _NO_NOTES: Mapping[int, str] = MappingProxyType({})
 _INTERVAL = re.compile(r"\S+ \[\S+ \S+\]")
@@ -60,7 +60,7 @@ def without_empty(
 def facts_table(rows: Sequence[tuple[str, str]]) -> str:
     """Names with what is said of them."""
     lines = [f"<tr><td>{html.escape(name)}</td><td>{_breaking(html.escape(text))}</td></tr>" for name, text in rows]
-    return "<table>\n" + "\n".join(lines) + "\n</table>"
+    return scrolling("<table>\n" + "\n".join(lines) + "\n</table>")
 
 
 def _breaking(text: str) -> str:
@@ -68,11 +68,6 @@ def _breaking(text: str) -> str:
     if _INTERVAL.fullmatch(text):
         return f'<span style="white-space: nowrap">{text}</span>'
     return _LONG.sub(lambda word: re.sub(r"[./]|\w{16}(?=\w)", r"\g<0><wbr>", word[0]), text)
-
-
-def scrolling(content: str) -> str:
-    """Content that scrolls sideways if it is too wide."""
-    return f'<div style="overflow-x: auto">{content}</div>'
 
 
 def closed(title: str, content: str, opened: bool = False) -> str:

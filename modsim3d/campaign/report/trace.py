@@ -126,4 +126,4 @@ def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[str]:
         f"<tr><td>{html.escape(what)}</td><td><code>{html.escape(shlex.join(words))}</code></td></tr>"
         for what, words in commands.items()
     )
-    yield f"<table>\n{rows}\n</table>"
+    yield page.scrolling(f"<table>\n{rows}\n</table>")

@@ -149,7 +149,7 @@ def _bin_table(bins: Mapping[str, Mapping[str, Bin]], of_occlusions: bool) -> st
         for each in bins.values():
             cells += [_bar(getattr(each[name], key), _text(each[name], key)) for key in per]
         lines.append(f'<tr><th style="white-space: nowrap">{html.escape(name)}</th>{"".join(cells)}</tr>')
-    return '<div style="overflow-x: auto"><table>\n' + "\n".join(lines) + "\n</table></div>"
+    return page.scrolling("<table>\n" + "\n".join(lines) + "\n</table>")
 
 
 def _text(row: Bin, key: str) -> str:

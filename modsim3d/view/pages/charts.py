@@ -14,6 +14,7 @@ from zlib import crc32
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.view.pages.page import scrolling
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999933", "#882255")
 """Colours that colour-blind people can tell apart: Okabe & Ito (2008), and two of Tol (2021)."""
@@ -260,7 +261,7 @@ def confusion_table(names: Sequence[str], counts: Array, shares: Array) -> str:
         known = len(names) + (row < len(names))  # how often nothing was taken for nothing is no number
         cells = map(_share_cell, counts[row, :known], np.nan_to_num(shares[row, :known]))
         lines.append(f"<tr><th>{html.escape(name)}</th>{''.join(cells)}{'' if row < len(names) else '<td></td>'}</tr>")
-    return '<table class="shares">\n' + "\n".join(lines) + "\n</table>"
+    return scrolling('<table class="shares">\n' + "\n".join(lines) + "\n</table>")
 
 
 def _share_cell(count: float, share: float) -> str:

@@ -18,10 +18,10 @@ body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(
        max-width: 72rem; margin: 2rem auto; padding: 0 1rem; overflow-wrap: break-word; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
 p.lead { font-size: 1.1rem; } .soft { color: var(--soft); } .bad { color: var(--bad); font-weight: 600; }
-table { border-collapse: collapse; margin: 0.8rem 0; }
+table { border-collapse: collapse; }
 th, td { text-align: left; padding: 0.25rem 1.2rem 0.25rem 0; border-bottom: 1px solid var(--line); }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
-@media (max-width: 40rem) { table { display: block; overflow-x: auto; } }
+.scroll { overflow-x: auto; margin: 0.8rem 0; } .scroll:focus-visible { outline-offset: -2px; }
 figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
 figcaption { color: var(--soft); font-size: 0.95rem; }
 """
@@ -36,7 +36,7 @@ def page(title: str, body: Iterable[str]) -> str:
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{html.escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-        f"<h1>{html.escape(title)}</h1>\n" + "\n".join(body) + "\n</body>\n</html>\n"
+        f"<main>\n<h1>{html.escape(title)}</h1>\n" + "\n".join(body) + "\n</main>\n</body>\n</html>\n"
     )
 
 
@@ -63,7 +63,12 @@ def table(rows: Sequence[Sequence[str]], header: Sequence[str] = (), bad: Contai
     for index, row in enumerate(rows):
         cells = (_cell(text, first if text == UNKNOWN else text) for text, first in zip(row, shown, strict=False))
         lines.append(('<tr class="bad">' if index in bad else "<tr>") + "".join(cells) + "</tr>")
-    return "<table>\n" + "\n".join(lines) + "\n</table>"
+    return scrolling("<table>\n" + "\n".join(lines) + "\n</table>")
+
+
+def scrolling(content: str) -> str:
+    """A table that scrolls sideways where it is too wide, by keyboard too."""
+    return f'<div class="scroll" tabindex="0" role="group" aria-label="Table">{content}</div>'
 
 
 def _cell(text: str, number: str, tag: str = "td") -> str:

@@ -151,7 +151,4 @@ def _tables(counts: CountTables, settings: dict[str, Any]) -> str:
 
 def sections(parts: Sequence[tuple[str, Rows, Sequence[str]]]) -> str:
     """Tables below the player: their titles, rows and headers."""
-    return "\n".join(
-        f"<section>{heading(title)}<div class=scroll>{table(rows, header)}</div></section>"
-        for title, rows, header in parts
-    )
+    return "\n".join(f"<section>{heading(title)}{table(rows, header)}</section>" for title, rows, header in parts)

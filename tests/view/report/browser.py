@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -133,6 +133,11 @@ class Browser:
             self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, modifiers=8 if shift else 0,
                       **(text if kind == "keyDown" else {}))  # fmt: skip
 
+    def tab(self) -> None:
+        """Press the Tab key: the focus goes on."""
+        for kind in ("rawKeyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key="Tab", code="Tab", windowsVirtualKeyCode=9)
+
     def click(self, selector: str, across: float = 0.5, down: float = 0.5) -> None:
         """Press the mouse on an element, at a share of its width and height."""
         x, y = self._place(selector, across, down)
@@ -144,9 +149,17 @@ class Browser:
         """Move the mouse over an element."""
         self.mouse("mouseMoved", *self._place(selector, across, down))
 
-    def wheel(self, selector: str, by: float) -> None:
-        """Turn the wheel over the middle of an element."""
-        self.mouse("mouseWheel", *self._place(selector, 0.5, 0.5), deltaX=0, deltaY=by)
+    def wheel(self, selector: str, by: float, control: bool = False) -> None:
+        """Turn the wheel over the middle of an element, with or without the Ctrl key."""
+        modifiers = 2 if control else 0
+        self.mouse("mouseWheel", *self._place(selector, 0.5, 0.5), deltaX=0, deltaY=by, modifiers=modifiers)
+
+    def fingers(self, *places: Sequence[tuple[float, float]]) -> None:
+        """Put fingers on the window at the first places, move them to each of the next, and lift them."""
+        for number, points in enumerate(places):
+            touches = [{"x": x, "y": y, "id": finger} for finger, (x, y) in enumerate(points)]
+            self.call("Input.dispatchTouchEvent", type="touchMove" if number else "touchStart", touchPoints=touches)
+        self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
         """A mouse event at a place in the window."""

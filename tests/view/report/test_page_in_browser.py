@@ -303,20 +303,6 @@ def test_playing_goes_on_and_stops_at_the_end(browser, page):
     assert browser.run("player.index") == STEPS - 1
 
 
-def test_wheel_zooms_towards_the_mouse_and_dragging_moves(browser, page):
-    browser.open(page)
-    before = browser.run("player.picture.view")
-    browser.wheel("#picture", -400)
-    after = browser.run("player.picture.view")
-    assert after["width"] == pytest.approx(before["width"] / np.e, rel=1e-3)
-    middle = before["x"] + before["width"] / 2
-    assert after["x"] + after["width"] / 2 == pytest.approx(middle, abs=after["width"] / 200)
-    x, y = browser._place("#picture", 0.5, 0.5)
-    for kind, dx in (("mousePressed", 0), ("mouseMoved", 50), ("mouseReleased", 50)):
-        browser.mouse(kind, x + dx, y, button="left", buttons=1, clickCount=1)
-    assert browser.run("player.picture.view.x") < after["x"]
-
-
 def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
     colour = "getComputedStyle(document.body).backgroundColor"
     browser.open(page)
@@ -328,12 +314,6 @@ def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
     browser.click("#theme")
     assert browser.run(colour) == light
     assert not differ(pixels(browser, "timeline"), timeline)
-
-
-@pytest.mark.parametrize("width", [360, 768, 1280, 1920])
-def test_nothing_is_wider_than_the_window(browser, page, width):
-    browser.open(page, (width, 900))
-    assert browser.run("document.documentElement.scrollWidth") <= width
 
 
 def test_drawing_a_frame_looks_at_its_own_rows_only(browser, page, crowded):

@@ -1,6 +1,6 @@
 // How mouse and fingers move an image. One finger and a bare wheel are left to the page, which they scroll.
 
-const TAP_MS = 350, TAP_PX = 30, SHOWN_MS = 1200;
+const TAP_MS = 350, TAP_PX = 30, SHOWN_MS = 1200, SEEK_PX = 8;
 
 function listenToPane(pane, player) {
   const { canvas } = pane, held = new Map(); // where each button or finger that is down is, by its number
@@ -69,22 +69,30 @@ function teller(place) {
 function onMac() { return /Mac|iP/.test(navigator.platform); }
 
 // Press a moment to see it, and a vessel's strip or lane to see the vessel; `vesselAt` says whose strip is at a height.
-// A finger that scrolls the page past the canvas presses nothing: it is taken back before it is lifted.
+// A finger presses when it is lifted, and seeks once it moves sideways: until then it may be about to scroll the page.
 function listenToTime(canvas, player, vesselAt, hint) {
-  const go = (event) => player.go(player.timeline.indexAt(event.offsetX));
+  let start = null; // of a finger that does not seek yet
+  const seek = (event) => player.go(player.timeline.indexAt(event.offsetX));
   const press = (event) => {
-    go(event);
+    seek(event);
     const vessel = vesselAt(event.offsetY);
     if (vessel !== null) player.follow(vessel);
   };
   canvas.addEventListener('pointerdown', (event) => {
     canvas.setPointerCapture(event.pointerId);
-    if (event.pointerType !== 'touch') press(event);
+    start = event.pointerType === 'touch' ? [event.clientX, event.clientY] : null;
+    if (!start) press(event);
   });
-  canvas.addEventListener('pointerup', (event) => { if (event.pointerType === 'touch') press(event); });
   canvas.addEventListener('pointermove', (event) => {
-    if (canvas.hasPointerCapture(event.pointerId)) go(event);
-    showHint(hint.element, event.clientX, event.clientY, hint.text(event.offsetX, event.offsetY));
+    const { clientX, clientY } = event;
+    if (start && Math.abs(clientX - start[0]) > Math.max(SEEK_PX, Math.abs(clientY - start[1]))) start = null;
+    if (start) return;
+    if (canvas.hasPointerCapture(event.pointerId)) seek(event);
+    showHint(hint.element, clientX, clientY, hint.text(event.offsetX, event.offsetY));
+  });
+  canvas.addEventListener('pointerup', (event) => {
+    if (start) press(event);
+    start = null;
   });
   for (const kind of ['pointerleave', 'pointercancel']) canvas.addEventListener(kind, () => { hint.element.hidden = true; });
 }

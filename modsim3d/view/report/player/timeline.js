@@ -72,10 +72,10 @@ class Timeline {
     return columns;
   }
 
-  text(context, text, x, y, most, colour = '--soft') {
+  text(context, text, x, y, most, colour = colourOf('--soft')) {
     let shown = text;
     while (shown.length > 1 && context.measureText(shown).width > most) shown = `${shown.slice(0, -2)}…`;
-    context.fillStyle = colourOf(colour);
+    context.fillStyle = colour;
     context.fillText(shown, x, y);
   }
 
@@ -88,7 +88,7 @@ class Timeline {
       context.fillRect(x, 0, wide + 0.3, STATE_PX);
       const name = facts.states[state];
       if (context.measureText(name).width + 8 >= wide) continue;
-      this.text(context, name, x + 4, STATE_PX / 2 + 1, wide, moreDistinct(context.fillStyle, '--ink', '--paper'));
+      this.text(context, name, x + 4, STATE_PX / 2 + 1, wide, distinctFrom(context.fillStyle));
     }
   }
 

@@ -1,0 +1,183 @@
+"""The run's page on a desk, a tablet and a phone, light and dark: nothing overlaps, is cut off, or is too pale."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.view.report.report import write_report
+from tests.scenes import write_scene
+from tests.view.report.browser import Browser
+from tests.view.report.sight import CVD, contrast
+from tests.view.report.test_page_in_browser import pixels
+
+DESK, TABLET, PHONE = (1440, 1000), (1024, 768), (390, 844)
+MEASURE = Path(__file__).with_name("layout.js").read_text(encoding="utf-8")
+PLAYER = files("modsim3d.view.report") / "player"
+BOATS = 50
+
+
+@pytest.fixture(scope="module")
+def crowd_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Fifty boats in rows, some with long names, for a few steps."""
+    folder = tmp_path_factory.mktemp("crowd")
+    boats = {
+        f"boat_{k}" + "_of_the_long_name" * (k % 7 == 0): (
+            [10.0, 4.0, 3.0],
+            [[t, 60 + 40 * (k // 8), 8 * (k % 8) - 28 + t / 9] for t in (0, 9)],
+        )
+        for k in range(BOATS)
+    }
+    run_scene(load_scene(str(write_scene(folder, boats, steps=8)), source="analytic"), folder / "run")
+    return write_report(open_run(folder / "run"))
+
+
+def measured(browser: Browser, what: str) -> list[str]:
+    return list(browser.run(f"(() => {{ {MEASURE}; return layout.{what}(); }})()"))
+
+
+def player_value(browser: Browser, expression: str) -> Any:
+    """The value of an expression in which functions and constants of the player's script are known."""
+    scripts = "\n".join((PLAYER / name).read_text(encoding="utf-8") for name in ("colours.js", "strips.js"))
+    return browser.run(f"(() => {{ {scripts}; return {expression}; }})()")
+
+
+def settle(browser: Browser) -> None:
+    browser.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
+
+
+@pytest.mark.parametrize("which", ["page", "crowd_page"])
+def test_at_each_size_nothing_overlaps_or_sticks_out_and_focus_shows_whole(browser, which, request, tmp_path):
+    browser.open(request.getfixturevalue(which), DESK)
+    for size in (DESK, TABLET, PHONE):
+        browser.resize(size)
+        settle(browser)
+        for scheme in ("light", "dark"):
+            browser.scheme(scheme)
+            settle(browser)
+            picture = tmp_path / f"{size[0]}_{scheme}.png"
+            browser.screenshot(picture)
+            with Image.open(picture) as image:
+                assert image.size == size
+                brightness = np.median(np.asarray(image.convert("L"))[:40])
+            assert brightness > 200 if scheme == "light" else brightness < 60
+        browser.scheme("light")
+        assert measured(browser, "overlaps") == []
+        assert measured(browser, "outside") == []
+        assert browser.run("document.documentElement.scrollWidth") <= size[0]
+        assert measured(browser, "badRings") == []
+
+
+def test_on_a_desk_image_controls_and_the_first_rows_of_time_are_seen_at_once(browser, page):
+    browser.open(page, DESK)
+    for name in ("#picture", "#closeup", "#play", "#moment", "#status", "#layers label:last-child"):
+        place = browser.run(f"(() => {{ {MEASURE}; return layout.seen({json.dumps(name)}); }})()")
+        assert 0 <= place["top"] < place["bottom"] <= DESK[1], name
+    assert browser.run("player.timeline.canvas.getBoundingClientRect().top") + 60 < DESK[1]
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE])
+def test_the_hint_is_inside_the_window_and_beside_the_pointer(browser, page, size):
+    browser.open(page, size)
+    for block, down in (("end", 0.97), ("start", 0.03)):
+        browser.run(f"(player.timeline.canvas.scrollIntoView({{block: '{block}', behavior: 'instant'}}), 0)")
+        left, top, wide, high = browser.run(
+            "(b => [b.left, b.top, b.width, b.height])(player.timeline.canvas.getBoundingClientRect())"
+        )
+        for across in (0.01, 0.5, 0.995):
+            x, y = left + across * wide, top + down * high
+            browser.mouse("mouseMoved", x, y)
+            box = browser.run("document.querySelector('#hint:not([hidden])').getBoundingClientRect().toJSON()")
+            assert box["left"] >= 0 and box["top"] >= 0 and box["right"] <= size[0] and box["bottom"] <= size[1]
+            assert not (box["left"] < x < box["right"] and box["top"] < y < box["bottom"])
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_texts_and_graphics_stand_out(browser, mistaken_page, scheme):
+    browser.scheme(scheme)
+    browser.open(mistaken_page, DESK)
+    pale = [(text, found) for text, ink, behind in measured(browser, "texts") if (found := contrast(ink, behind)) < 4.5]
+    assert pale == []
+    colours = {name: player_value(browser, f"colourOf('--{name}')") for name in
+               ("alarm", "paper", "card", "track", "edge", "accent", "soft", "ink")}  # fmt: skip
+    for mark, behind in (
+        ("alarm", "paper"),
+        ("alarm", "track"),
+        ("edge", "paper"),
+        ("edge", "card"),
+        ("accent", "paper"),
+    ):
+        for sight in (None, *CVD):
+            assert contrast(colours[mark], colours[behind], sight) >= 3, (mark, behind, sight)
+    for states in range(1, 7):  # the names on the strip of states
+        for state in range(states):
+            strip, ink = player_value(
+                browser, f"(strip => [strip, channels(distinctFrom(strip))])(stateColour({state}, {states}))"
+            )
+            assert contrast(ink, strip) >= 4.5
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_what_went_wrong_stands_in_rows_of_its_own_whatever_a_vessels_colour(browser, mistaken_page, scheme):
+    browser.scheme(scheme)
+    browser.open(mistaken_page, DESK)
+    rows, row, left = browser.run("(t => [t.vessels.map(v => t.topOf(v)), t.rowPx, t.left])(player.timeline)")
+    seen_top, seen, marks = player_value(browser, "[seenTopOf(true), SEEN_PX, MARK_ROW_PX]")
+    alarm = tuple(map(int, player_value(browser, "colourOf('--alarm')")[4:-1].split(",")))
+    browser.run("player.go(player.recording.length - 1)")  # the playhead stands at the end
+    picture = pixels(browser, "timeline")[:, int(left) + 1 : -12]
+    found = 0
+    for top in (round(row) for row in rows):
+        gap_above, gap_below = picture[top + seen_top - 1], picture[top + seen_top + seen]
+        assert not gap_above.any() and not gap_below.any()
+        of_classes, below = picture[top : top + seen_top - 1], picture[top + seen_top + seen + 1 :][:marks]
+        for part in (of_classes, below):
+            drawn = part[part[..., 3] > 0]
+            assert (drawn == (*alarm, 255)).all()
+            found += len(drawn)
+    assert found and row == seen_top + seen + 1 + marks + player_value(browser, "ROW_GAP_PX")
+
+
+def test_a_miss_is_seen_however_short(browser, page):
+    browser.open(page, PHONE)
+    missed = browser.run(
+        "(t => t.vessels.map(v => t.counted.get(v).filter(({ missed }) => missed).map(({ x }) => x)))(player.timeline)"
+    )
+    tops, bottom = (
+        browser.run("(t => t.vessels.map(v => t.topOf(v)))(player.timeline)"),
+        player_value(browser, "SEEN_PX + MARK_ROW_PX"),
+    )
+    browser.run("player.go(0)")
+    picture = pixels(browser, "timeline")
+    assert sum(map(len, missed)) > 10
+    for top, columns in zip(tops, missed, strict=True):
+        assert (picture[round(top) + bottom, [x for x in columns if x > min(columns) + 4], 3] == 255).all()
+
+
+def test_fifty_vessels_keep_their_names_and_the_rows_scroll_under_a_fixed_axis(browser, crowd_page):
+    browser.open(crowd_page, DESK)
+    vessels, row = browser.run("[player.timeline.vessels.length, player.timeline.rowPx]")
+    assert vessels == BOATS and row >= 14
+    whole, shown = browser.run("(p => [p.scrollHeight, p.clientHeight])(player.timeline.panel)")
+    assert shown <= 500 < whole
+    before = pixels(browser, "timeline")
+    browser.run(f"player.follow({vessels - 1})")
+    settle(browser)
+    after = pixels(browser, "timeline")
+    top, rows_top, rows = browser.run("(t => [t.topOf(t.followed), t.rowsTop, t.rowsPx])(player.timeline)")
+    assert rows_top <= top <= rows_top + rows - row
+    assert (after[int(rows_top + rows) :] == before[int(rows_top + rows) :]).all()  # the axis
+    assert (after[: int(rows_top)] == before[: int(rows_top)]).all()
+    named = after[int(top) : int(top + row), 8:120, 3]
+    assert (named > 128).sum() > 30
+    browser.hover("#timeline", 0.5, (top + row / 2) / browser.run("player.timeline.height"))
+    assert f"boat_{vessels - 1}" in browser.run("document.querySelector('#hint').textContent")
