@@ -109,7 +109,7 @@ def _truth_columns(rows: RunRows, frames: Indices, pages: int, quantum: float) -
         "hider": main_hider[shown].astype(np.uint16),
         "full": in_quanta(rows.boxes_px("full")[shown], quantum),
         "visible": in_quanta(rows.boxes_px("visible")[shown], quantum),
-        **number_columns(rows, shown),
+        **number_columns(rows, shown, main_hider),
     }
 
 

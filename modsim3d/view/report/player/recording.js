@@ -87,13 +87,15 @@ class Recording {
     };
   }
 
-  // The numbers of a row of the truth that no picture needs; null where a camera cannot know.
+  // The numbers of a row of the truth that no picture needs; null where a camera cannot know. The main hider comes first.
   numbers(row) {
-    const { silhouettePx, hiddenPx, inFrame, hiderCount, hiderName, hiderPx } = this.columns;
-    this.hiderStart ??= starts(hiderCount);
-    const hiders = [];
-    for (let at = this.hiderStart[row]; at < this.hiderStart[row + 1]; at++) hiders.push({ name: this.facts.occluders[hiderName[at]], px: hiderPx[at] });
-    return { silhouettePx: silhouettePx[row], hiddenPx: hiddenPx[row], inFrame: inFrame[row] === NONE ? null : inFrame[row] / WHOLE_IMAGE, hiders };
+    const { silhouettePx, hiddenPx, inFrame, hider, otherCount, otherName, otherPx } = this.columns, { occluders } = this.facts;
+    this.otherStart ??= starts(otherCount);
+    const others = [];
+    for (let at = this.otherStart[row]; at < this.otherStart[row + 1]; at++) others.push({ name: occluders[otherName[at]], px: otherPx[at] });
+    const rest = others.reduce((px, other) => px - other.px, hiddenPx[row]);
+    const hiders = hider[row] === NONE ? [] : [{ name: occluders[hider[row]], px: rest }, ...others];
+    return { silhouettePx: silhouettePx[row], hiddenPx: hiddenPx[row], inFrame: inFrame[row] === NONE ? null : inFrame[row] / WHOLE_SILHOUETTE, hiders };
   }
 
   // What the detector put out.
