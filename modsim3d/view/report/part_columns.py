@@ -72,17 +72,17 @@ def truth_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str
     """The truth of frames, the farthest vessel of each frame first."""
     frame, depth_m = frames.of(rows.truth_frame), rows.numbers("depth_m")
     order = np.lexsort((-depth_m, frame))
-    shown = order[frame[order] != NOBODY]
+    shown, hiders = order[frame[order] != NOBODY], _main_hiders(rows)
     return {
         "truthStart": Coded(starts(frame[shown], frames.pages), by=ROW_BEFORE),
         "vessel": Coded(rows.truth_vessel[shown].astype(np.uint16), by=ROW_BEFORE),
         "flags": (rows.annotated[shown] + 2 * rows.detected[shown]).astype(np.uint8),
         "fraction": Coded(in_250ths(rows.numbers("visible_fraction")[shown]), by="vessel"),
         "depth": Coded(np.rint(PER_METRE * depth_m[shown]).astype(np.uint32), by="vessel"),
-        "hider": Coded(_main_hiders(rows)[shown].astype(np.uint16), by="vessel"),
+        "hider": Coded(hiders[shown].astype(np.uint16), by="vessel"),
         "full": Coded(in_quanta(rows.boxes_px("full")[shown], quantum), by="vessel"),
         "visible": Coded(in_quanta(rows.boxes_px("visible")[shown], quantum), base="full"),
-        **number_columns(rows, shown),
+        **number_columns(rows, shown, hiders),
     }
 
 

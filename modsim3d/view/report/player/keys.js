@@ -11,9 +11,9 @@ function keysOf(player) {
       row('[ ]', 'slower, faster', { '[': () => player.faster(-1), ']': () => player.faster(1) }),
       row('R', 'repeat: the chosen moment, or the whole run', { r: actions.loop }),
     ] },
-    { title: 'Moments: the next one; with shift the one before', keys: [
-      row('N B', 'next and previous one of the chosen kind', { n: actions.next, b: actions.previous }),
-      ...KINDS.filter(({ kind }) => player.differences || kind !== 'differs').map(({ kind, key, one }) => row(key.toUpperCase(), one, { [key]: ({ shiftKey }) => player.momentRow.seek(shiftKey ? -1 : 1, kind) })),
+    { title: 'Moments: with shift the one before', keys: [
+      row('N B', 'next and previous moment of the chosen kind', { n: actions.next, b: actions.previous }),
+      ...KINDS.filter(({ kind }) => player.differences || kind !== 'differs').map(({ kind, key, one }) => row(key.toUpperCase(), `next ${one}`, { [key]: ({ shiftKey }) => player.momentRow.seek(shiftKey ? -1 : 1, kind) })),
     ] },
     { title: 'Picture', keys: [
       row('C', 'next camera', { c: () => player.look((player.camera + 1) % player.recording.facts.cameras.length) }),

@@ -1,6 +1,6 @@
 // The table below the picture: every number of the truth and of the detections of one frame, to read and to copy.
 
-const WHOLE_IMAGE = 65534;
+const WHOLE_SILHOUETTE = 65534;
 const SIDES = ['x_min_px', 'y_min_px', 'x_max_px', 'y_max_px'];
 
 // The columns are named as in truth.parquet and detections.parquet.
@@ -9,7 +9,7 @@ const TRUTH_COLUMNS = [
   ...['full', 'visible'].flatMap((which) => SIDES.map((side, i) => [`${which}_${side}`, (row) => row[which] && fixed(row[which][i], 1)])),
   ['silhouette_px', (row) => fixed(row.silhouettePx, 1)], ['visible_px', (row) => fixed(row.visiblePx, 1)],
   ['visible_fraction', (row) => fixed(row.visibleFraction, 4)], ['in_frame_fraction', (row) => fixed(row.inFrame, 4)],
-  ['depth_m', (row) => fixed(row.depth, 2)], ['occluded_by', (row) => row.hiders.map(({ name, px }) => `${name}: ${fixed(px, 1)}`).join(', ')],
+  ['depth_m', (row) => fixed(row.depth, 1)], ['occluded_by', (row) => row.hiders.map(({ name, px }) => `${name}: ${fixed(px, 1)}`).join(', ')],
   ['annotated', (row) => row.annotated], ['detected', (row) => row.detected],
 ];
 const DETECTION_COLUMNS = [
@@ -69,7 +69,9 @@ class Numbers {
 
   toggle() {
     this.panel.open = !this.panel.open;
-    if (this.panel.open) this.panel.scrollIntoView({ block: 'nearest' });
+    if (!this.panel.open) return;
+    this.show(this.player.frameOf(this.player.pane));
+    this.panel.scrollIntoView({ block: 'nearest' });
   }
 
   fill(table, columns, rows) {

@@ -158,11 +158,14 @@ class Recording {
     };
   }
 
-  // The numbers of a row of the truth that no picture needs; null where a camera cannot know.
+  // The numbers of a row of the truth that no picture needs; null where a camera cannot know. The main hider comes first.
   numbers(index, row) {
-    const { columns: { silhouettePx, hiddenPx, inFrame, hiderStart, hiderName, hiderPx } } = this.part(index), hiders = [];
-    for (let at = hiderStart[row]; at < hiderStart[row + 1]; at++) hiders.push({ name: this.facts.occluders[hiderName[at]], px: hiderPx[at] });
-    return { silhouettePx: silhouettePx[row], hiddenPx: hiddenPx[row], inFrame: inFrame[row] === NONE ? null : inFrame[row] / WHOLE_IMAGE, hiders };
+    const { columns: { silhouettePx, hiddenPx, inFrame, hider, otherStart, otherName, otherPx } } = this.part(index), { occluders } = this.facts;
+    const others = [];
+    for (let at = otherStart[row]; at < otherStart[row + 1]; at++) others.push({ name: occluders[otherName[at]], px: otherPx[at] });
+    const rest = others.reduce((px, other) => px - other.px, hiddenPx[row]);
+    const hiders = hider[row] === NONE ? [] : [{ name: occluders[hider[row]], px: rest }, ...others];
+    return { silhouettePx: silhouettePx[row], hiddenPx: hiddenPx[row], inFrame: inFrame[row] === NONE ? null : inFrame[row] / WHOLE_SILHOUETTE, hiders };
   }
 
   // What the detector put out.

@@ -1,0 +1,92 @@
+"""What a run's page gives away: an address that follows what is shown, a link, a picture."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from tests.view.report.browser import Browser
+
+SETTLED = "new Promise(done => setTimeout(() => done(decodeURIComponent(location.hash)), 300))"
+
+
+def wait_for(path: Path, patience_s: float = 20.0) -> Path:
+    deadline = time.monotonic() + patience_s
+    while not path.is_file():
+        assert time.monotonic() < deadline, sorted(path.parent.iterdir())
+        time.sleep(0.02)
+    return path
+
+
+def test_the_address_follows_step_camera_vessel_and_layers_and_brings_them_back(browser, page):
+    browser.open(page)
+    browser.run("player.look(1)")
+    browser.run("(player.go(120), player.choose(2))")
+    browser.press("8")
+    browser.press("1")
+    layers = "full,visible,detections,false,missed,labels,names"
+    vessel = browser.run("player.recording.facts.vessels[2].name")
+    address = f"#step=120&camera=C2&vessel={vessel}&layers={layers}"
+    assert browser.run(SETTLED) == address
+    browser.open(page, hash=address)
+    shown = "Object.keys(player.shown).filter(name => player.shown[name]).join(',')"
+    state = f"[player.index, player.camera, player.followed, {shown}]"
+    assert browser.run(state) == [120, 1, 2, layers]
+    assert browser.run(
+        "[document.querySelector('#layer-silhouettes').checked, document.querySelector('#camera').value]"
+    ) == [False, "1"]
+    browser.run("(location.hash = '#step=50&camera=C1', new Promise(done => setTimeout(done, 50)))")
+    assert browser.run(state) == [50, 0, 2, layers]
+
+
+def test_the_address_is_left_alone_until_something_is_done_and_while_the_run_plays(browser, page):
+    browser.open(page)
+    assert browser.run(SETTLED) == ""
+    browser.run("(player.setSpeed(50), player.go(5), player.play(true))")
+    assert browser.run(SETTLED) == ""
+    browser.run("player.play(false)")
+    assert browser.run(SETTLED) == browser.run("`#step=${player.index}&camera=C1`")
+
+
+@pytest.mark.parametrize(
+    "hash", ["#step=50&camera=nowhere&vessel=nobody&layers=ghosts&x=%", "#vessel=&step=50&&=&layers"]
+)
+def test_names_that_are_not_there_are_passed_over(browser, page, hash):
+    browser.open(page, hash=hash)
+    assert browser.run("document.querySelector('#failure').hidden")
+    assert browser.run("[player.index, player.camera, player.followed]") == [50, 0, None]
+
+
+def copied(browser: Browser) -> str:
+    return browser.run("navigator.clipboard.readText()")
+
+
+def test_the_link_is_copied_or_offered_in_a_field(browser, page):
+    browser.call("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
+    browser.open(page, hash="#step=40")
+    browser.press("ArrowRight")
+    browser.click("[data-do=link]")
+    assert (
+        browser.run("new Promise(done => setTimeout(() => done(document.querySelector('#note').textContent), 50))")
+        == "The link copied"
+    )
+    assert copied(browser) == page.resolve().as_uri() + "#step=41&camera=C1"
+    browser.run("(Object.defineProperty(navigator, 'clipboard', { value: undefined }), player.actions.link())")
+    field = "(field => [field.value, field.selectionEnd - field.selectionStart])(document.activeElement)"
+    link = browser.run("location.href")
+    assert browser.run(field) == [link, len(link)]
+
+
+def test_the_picture_is_saved_under_scene_camera_and_step_with_a_caption(browser, page, tmp_path):
+    browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    browser.open(page, hash="#step=40")
+    browser.click("[data-do=save]")
+    with Image.open(wait_for(tmp_path / "simulation_3_C1_40.png")) as image:
+        saved = image.convert("L")
+    wide, high = browser.run("[player.pane.canvas.width, player.pane.canvas.height]")
+    assert saved.size == (wide, high + 30)
+    dark = sum(saved.crop((0, high, wide, high + 30)).histogram()[:100])
+    assert 100 < dark < 0.2 * 30 * wide  # text on paper

@@ -1,0 +1,138 @@
+"""Boxes in the picture of a run's page: what the mouse is over, and what is chosen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.view.report.browser import Browser
+from tests.view.report.test_keys import escape
+from tests.view.report.test_page_in_browser import differ, pixels
+
+SEPARATE = """(() => { // a detection that no other box touches, as [step, vessel, x, y of its middle on the canvas]
+  for (let index = 0; index < player.recording.length; index++) {
+    player.go(index);
+    const [{ truths, detections }] = player.frames;
+    const boxes = [...truths, ...detections].map(each => [each.vessel, each.full ?? each.box]);
+    for (const each of detections.filter(({ false: wrong }) => wrong === WRONG)) {
+      const [x0, y0, x1, y1] = each.box;
+      const free = boxes.every(([vessel, box]) => box === each.box || (vessel === each.vessel && vessel !== null)
+        || box[2] < x0 || box[0] > x1 || box[3] < y0 || box[1] > y1);
+      if (!free || !player.picture.shows(each.box)) continue;
+      return [index, each.vessel, detections.indexOf(each), ...player.picture.toCanvas((x0 + x1) / 2, (y0 + y1) / 2)];
+    }
+  }
+})()"""
+
+
+def separate(browser: Browser, wrong: bool) -> list[Any]:
+    found = browser.run(SEPARATE.replace("WRONG", str(wrong).lower()))
+    assert found
+    return found
+
+
+def over(browser: Browser, x: float, y: float) -> tuple[str, float, float]:
+    """A place of the picture as shares of it."""
+    wide, high = browser.run("[player.pane.canvas.clientWidth, player.pane.canvas.clientHeight]")
+    return "#picture", x / wide, y / high
+
+
+@pytest.fixture
+def opened(browser: Browser, mistaken_page) -> Browser:
+    browser.open(mistaken_page)
+    return browser
+
+
+def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
+    index, vessel, _, x, y = separate(opened, wrong=False)
+    opened.run(f"player.go({index})")
+    before = pixels(opened)
+    opened.hover(*over(opened, x, y))
+    tip = opened.run("document.querySelector('.tip').innerText")
+    name, found, truth = opened.run(
+        f"(frame => [player.recording.facts.vessels[{vessel}].name,"
+        f" frame.detections.find(each => each.vessel === {vessel}),"
+        f" frame.truths.find(each => each.vessel === {vessel})])(player.frames[0])"
+    )
+    assert tip.startswith(name)
+    assert f"{truth['depth']:.0f} m" in tip
+    assert f"{found['label']} {found['confidence']:.2f}" in tip
+    a, b = np.array(found["box"]), np.array(truth["target"])
+    shared = np.prod(np.maximum(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0))
+    iou = shared / (np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - shared)
+    assert f"IoU {iou:.2f}" in tip
+    assert differ(pixels(opened), before)
+    opened.hover("#slider", 0.5, 0.5)
+    assert opened.run("document.querySelector('.tip').hidden")
+    assert not differ(pixels(opened), before)
+
+
+def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
+    index, vessel, _, x, y = separate(opened, wrong=False)
+    opened.run(f"player.go({index})")
+    timeline = pixels(opened, "timeline")
+    opened.click(*over(opened, x, y))
+    assert opened.run("player.followed") == vessel
+    name = opened.run(f"player.recording.facts.vessels[{vessel}].name")
+    assert name in opened.run("document.querySelector('#vessels tr.followed').textContent")
+    assert opened.run("document.querySelector('#chosen').textContent").startswith(name)
+    assert differ(pixels(opened, "timeline"), timeline)
+    opened.hover("#slider", 0.5, 0.5)
+    assert_ring(opened, f"player.frames[0].truths.find(each => each.vessel === {vessel})")
+    escape(opened)
+    assert opened.run("player.followed") is None
+    assert not differ(pixels(opened, "timeline"), timeline)
+
+
+def assert_ring(browser: Browser, truth: str) -> None:
+    """White on the left of what is seen of a vessel."""
+    x, y = browser.run(f"(({{ visible: [x0, y0, x1, y1] }}) => player.picture.toCanvas(x0, (y0 + y1) / 2))({truth})")
+    left = pixels(browser)[int(y), max(int(x) - 13, 0) : int(x) - 4, :3]
+    assert (left.min(axis=1) > 240).any()
+
+
+def test_choosing_on_the_timeline_puts_a_ring_around_the_vessel(opened):
+    opened.run("player.go(30)")
+    row = opened.run(
+        "player.timeline.vessels.findIndex(vessel => player.frames[0].truths.some(each => "
+        "each.vessel === vessel && each.visible && player.picture.toCanvas(each.visible[0], 0)[0] > 20))"
+    )
+    top, high, height = opened.run("(t => [t.rowsTop, t.rowPx, t.height])(player.timeline)")
+    x, wide = opened.run("[player.timeline.x(30.5), player.timeline.canvas.clientWidth]")
+    opened.click("#timeline", x / wide, (top + (row + 0.5) * high) / height)
+    assert opened.run("player.index") == 30
+    assert_ring(opened, "player.frames[0].truths.find(each => each.vessel === player.followed)")
+
+
+def test_a_press_on_a_false_alarm_shows_its_data_and_the_next_frame_forgets_it(opened):
+    index, _, place, x, y = separate(opened, wrong=True)
+    opened.run(f"player.go({index})")
+    closeup = pixels(opened, "closeup")
+    opened.click(*over(opened, x, y))
+    assert opened.run("[player.alarm, player.followed]") == [place, None]
+    found = opened.run(f"player.frames[0].detections[{place}]")
+    said = opened.run("document.querySelector('#chosen').textContent")
+    assert "false" in said
+    assert f"{found['label']} {found['confidence']:.2f}" in said
+    assert differ(pixels(opened, "closeup"), closeup)
+    opened.press("ArrowRight")
+    assert opened.run("player.alarm") is None
+
+
+def test_the_smallest_box_under_the_mouse_is_meant_and_a_drag_chooses_nothing(opened):
+    truth = "{ vessel: VESSEL, visible: null, full: BOX, fraction: 0, depth: 9, missed: false, target: BOX }"
+    boxes = [(0, "[0, 0, 90, 90]"), (1, "[10, 10, 40, 40]"), (2, "[20, 20, 80, 80]")]
+    truths = ", ".join(truth.replace("VESSEL", str(vessel)).replace("BOX", box) for vessel, box in boxes)
+    opened.run("player.picture.fit([0, 0, 100, 50])")
+    hit = (
+        "(at => { const [hover] = player.hovers; hover.at = player.picture.toCanvas(...at);"
+        f" return hover.find({{ truths: [{truths}], detections: [] }}, player.shown)?.vessel ?? null; }})"
+    )
+    assert [opened.run(f"{hit}([{x}, {x}])") for x in (5, 30, 60, 95)] == [0, 1, 2, None]
+    opened.run("(player.hovers[0].at = null, player.home(), player.choose(0))")
+    x, y = opened._place("#picture", 0.5, 0.02)
+    for kind, dx in (("mousePressed", 0), ("mouseMoved", 40), ("mouseReleased", 40)):
+        opened.mouse(kind, x + dx, y, button="left", buttons=1, clickCount=1)
+    assert opened.run("player.followed") == 0

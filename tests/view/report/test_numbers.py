@@ -1,0 +1,74 @@
+"""The table of a run's page: every column of the truth of the chosen frame, as it is in the run's tables."""
+
+from __future__ import annotations
+
+import math
+
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+STEP = 90
+ROWS = "[...document.querySelectorAll('#{} tr')].map(row => [...row.cells].map(cell => cell.textContent))"
+LEFT_OUT = {"camera", "step", "timestamp"}  # above the table
+BOX = {f"{which}_{side}_px" for which in ("full", "visible") for side in ("x_min", "y_min", "x_max", "y_max")}
+TENTHS = {*BOX, "silhouette_px", "visible_px", "depth_m"}
+DIGITS = {**dict.fromkeys(TENTHS, 1), "visible_fraction": 4, "in_frame_fraction": 4}
+
+
+def test_the_table_has_every_column_of_the_truth(browser, mistaken_page, mistaken_folder):
+    browser.open(mistaken_page, hash=f"#step={STEP}")
+    browser.press("d")
+    header, *rows = browser.run(ROWS.format("numbersTruth"))
+    table = pq.read_table(mistaken_folder / "truth.parquet")
+    truth = table.filter((pc.field("step") == STEP) & (pc.field("camera") == "bow")).to_pylist()
+    assert set(header) == set(table.column_names) - LEFT_OUT
+    assert any(len(row["occluded_by"]) > 1 for row in truth)
+    expected = {row["vessel"]: row for row in truth}
+    assert [row[0] for row in rows] == [row["vessel"] for row in sorted(truth, key=lambda row: row["depth_m"])]
+    for cells in (dict(zip(header, row, strict=True)) for row in rows):
+        row = expected[cells["vessel"]]
+        for name, digits in DIGITS.items():
+            value = row[name]
+            assert (cells[name] == "") == (value is None), name
+            if value is not None:
+                assert math.isclose(float(cells[name]), value, abs_tol=0.51 * 10**-digits, rel_tol=1e-6), name
+        assert [cells["label"], cells["annotated"], cells["detected"]] == [
+            row["label"], str(row["annotated"]).lower(), str(row["detected"]).lower()]  # fmt: skip
+        said = dict(part.split(": ") for part in cells["occluded_by"].split(", ") if part)
+        assert set(said) == {each["id"] for each in row["occluded_by"]}
+        for each in row["occluded_by"]:
+            assert math.isclose(float(said[each["id"]]), each["px"], abs_tol=0.06, rel_tol=1e-6)
+
+
+def test_the_table_has_the_detections_and_follows_steps_but_not_play(browser, mistaken_page, mistaken_folder):
+    browser.open(mistaken_page, hash=f"#step={STEP}")
+    browser.click("#numbers summary")
+    browser.run("new Promise(done => setTimeout(done, 50))")  # the browser opens it in its own time
+    header, *rows = browser.run(ROWS.format("numbersDetections"))
+    table = pq.read_table(mistaken_folder / "detections.parquet")
+    found = table.filter((pc.field("step") == STEP) & (pc.field("camera") == "bow")).to_pylist()
+    assert len(rows) == len(found) > 3
+    for cells, row in zip((dict(zip(header, row, strict=True)) for row in rows), found, strict=True):
+        for name in ("detection", "label", "kind", "vessel", "state"):
+            assert cells[name] == ("" if row[name] is None else str(row[name]))
+        assert math.isclose(float(cells["confidence"]), row["confidence"], abs_tol=5.1e-4)
+        assert math.isclose(float(cells["x_max_px"]), row["x_max_px"], abs_tol=0.051)
+        assert (cells["outcome"] == "false alarm") == (row["kind"] not in ("true", "merged", "split"))
+    said = "document.querySelector('#numbersOf').textContent"
+    assert f"step {STEP}" in browser.run(said)
+    browser.run("(player.playing = true, player.go(20))")
+    assert f"step {STEP}" in browser.run(said)
+    browser.run("player.play(false)")
+    assert "step 20" in browser.run(said)
+
+
+def test_the_numbers_are_copied_as_cells(browser, mistaken_page):
+    browser.call("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
+    browser.open(mistaken_page, hash=f"#step={STEP}")
+    browser.press("d")
+    browser.click("#numbersCopy")
+    text = browser.run("new Promise(done => setTimeout(() => done(navigator.clipboard.readText()), 50))")
+    of, truth, detections = text.rstrip("\n").split("\n\n")
+    assert of == f"bow, {browser.run('player.recording.facts.timestamps[player.index]')} s, step {STEP}"
+    assert [line.split("\t") for line in truth.split("\n")] == browser.run(ROWS.format("numbersTruth"))
+    assert [line.split("\t") for line in detections.split("\n")] == browser.run(ROWS.format("numbersDetections"))
