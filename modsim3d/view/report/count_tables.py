@@ -146,9 +146,7 @@ class _Tally:
         self._groups = groups
         self._sums: dict[str, Indices] = defaultdict(lambda: np.zeros(groups, dtype=np.int64))
 
-    def add(
-        self, frames: Indices, truth_of: Indices, detections_of: Indices, truth: Masks, detections: Masks
-    ) -> None:
+    def add(self, frames: Indices, truth_of: Indices, detections_of: Indices, truth: Masks, detections: Masks) -> None:
         """Add rows: the group of each frame, each row of the truth and each detection, −1 for none; and their columns."""
         self._sums["frames"] += np.bincount(frames, minlength=self._groups)
         for group, columns in ((truth_of, truth), (detections_of, detections)):

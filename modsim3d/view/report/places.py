@@ -42,7 +42,9 @@ class Places:
         self._reach = [np.array([every.min(axis=0), every.max(axis=0)])]
         return {
             "placed": there.astype(np.uint8),
-            "place": Coded(_centimetres(np.where(there[..., None], place_m, 0.0)).reshape(len(steps), -1), by=ROW_BEFORE),
+            "place": Coded(
+                _centimetres(np.where(there[..., None], place_m, 0.0)).reshape(len(steps), -1), by=ROW_BEFORE
+            ),
             "heading": Coded(_turns(np.where(there, poses.headings_rad, 0.0)), by=ROW_BEFORE),
             "cameraPlaced": camera_there.astype(np.uint8),
             "cameraPlace": Coded(_centimetres(camera_m).reshape(len(steps), -1), by=ROW_BEFORE),

@@ -47,7 +47,9 @@ class TrackRows:
         return {
             "trackStart": Coded(starts(frame[order], frames.pages), by=ROW_BEFORE),
             "trackLane": Coded(tracks.identity[rows].astype(np.uint32), by=ROW_BEFORE),
-            "trackVessel": Coded(np.where(followed.false, NONE, followed.vessel)[rows].astype(np.uint16), by="trackLane"),
+            "trackVessel": Coded(
+                np.where(followed.false, NONE, followed.vessel)[rows].astype(np.uint16), by="trackLane"
+            ),
             "trackFlags": self._flags[rows].astype(np.uint8),
             "trackBox": Coded(in_quanta(tracks.boxes_px[rows], quantum), by="trackLane"),
         }

@@ -59,7 +59,7 @@ class Player {
 
   // The kinds of moments that the camera has.
   fillKinds() {
-    const count = ([kind]) => this.moments.look(this.camera, kind).length, kinds = KINDS.filter(count);
+    const count = ([kind]) => this.recording.momentCount(this.camera, kind), kinds = KINDS.filter(count);
     $('kind').replaceChildren(...kinds.map((kind) => new Option(`${kind[1]}: ${count(kind)}`, kind[0])));
     $('momentRow').hidden = !kinds.length;
     this.lookFor(kinds.some(([kind]) => kind === this.kind) ? this.kind : (kinds[0] ?? KINDS[0])[0]);
