@@ -18,9 +18,9 @@ from modsim3d.vessels.vessel import shoebox
 def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
     """Which rows of the outlines may hide which others of their frame in part.
 
-    Of two solids at depths that do not overlap the nearer one is in front. Otherwise a plane between them, or between the
-    boxes around them, tells which one is. Without such a plane the truth decides, if one of the two hides the other and not the other way round. It does not say what vessels hide of
-    obstacles.
+    Of two solids at depths that do not overlap the nearer one is in front. Otherwise a plane between them, or between
+    the boxes around them, tells which one is. Without such a plane the truth decides, if one of the two hides the other
+    and not the other way round. It does not say what vessels hide of obstacles.
 
     Args:
         outlines: The solids before the camera.

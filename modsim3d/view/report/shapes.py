@@ -48,8 +48,8 @@ class Shapes:
     def take(self, chosen: Mask) -> Shapes:
         """The shapes that are chosen by a mask, shape (s,)."""
         lines, corners = (np.repeat(chosen, np.diff(first)) for first in (self.first_line, self.first_corner))
-        columns = (column[chosen] for column in (self.frame, self.occluder, self.lines))
-        return Shapes(*columns, self.count[lines], self.corners[corners])
+        frame, occluder = self.frame[chosen], self.occluder[chosen]
+        return Shapes(frame, occluder, self.lines[chosen], self.count[lines], self.corners[corners])
 
     def pieces(self) -> Iterator[tuple[Indices, NDArray[np.uint16]]]:
         """The counts and the corners of each shape."""

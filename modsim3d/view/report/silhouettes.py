@@ -29,8 +29,8 @@ MOST_FACES = 300_000
 class Silhouettes:
     """The horizons and silhouettes of a run that comes in parts.
 
-    A silhouette refers to an outline, so that what stands still is stored once: what an obstacle shows to a camera ashore
-    once for all parts, the rest once in each part.
+    A silhouette refers to an outline, so that what stands still is stored once: what an obstacle shows to a camera
+    ashore once for all parts, the rest once in each part.
     """
 
     def __init__(self, scene: Scene, quantum_px: float) -> None:
