@@ -24,9 +24,9 @@ from modsim3d.scene.reading import data_folder, load_scene
 from modsim3d.view.films.plan import FilmPlan
 from modsim3d.view.films.renderer import FilmRenderer
 from modsim3d.view.pictures.solids import open_id_renderer
-from modsim3d.view.report.count_tables import CountTables
-from modsim3d.view.report.player_recording import recording
+from modsim3d.view.report.report import write_report
 from tests.scenes import CAMERA_HEIGHT_M, write_scene
+from tests.view.report.unpacking import read
 
 STEP_S, STEPS = 0.1, 60
 LENS = {
@@ -192,22 +192,21 @@ def test_films_show_the_last_frame_that_a_camera_took(finished):
     assert np.ptp(right[7].reshape(-1, 3), axis=0).max() == 0  # nothing yet
 
 
-def test_report_has_each_frame_once_and_says_which_is_shown(finished):
-    rows = RunRows.of(open_run(finished))
-    whole, thinned = (recording(rows, every, lambda steps: None).columns for every in (1, 3))
-    taken = whole["taken"].reshape(STEPS, 2)
-    assert taken[:, 0].tolist() == list(range(STEPS))
-    assert taken[:11, 1].tolist() == [-1] * 8 + [8, 8, 10]
-    assert len(whole["state"]) == STEPS + len(SLOW) + 1  # and one for no frame yet
-    frame, count = whole["frame"].reshape(STEPS, 2), np.diff(whole["truthStart"])
-    assert frame[7, 1] == STEPS + len(SLOW)
-    assert count[frame[7, 1]] == 0
-    assert frame[9, 1] == frame[8, 1] != frame[10, 1]
+def test_report_has_each_frame_once_and_says_which_is_shown(finished, tmp_path):
+    run = open_run(finished)
+    whole, thinned = (read(write_report(run, tmp_path / f"{every}.html", every)) for every in (1, 3))
+    assert whole.taken[:, 0].tolist() == list(range(STEPS))
+    assert whole.taken[:11, 1].tolist() == [-1] * 8 + [8, 8, 10]
+    assert whole.stored == STEPS + len(SLOW) + 1  # and one for no frame yet
+    assert whole.shown.max() == STEPS + len(SLOW) - 1
+    shown, count = whole.shown[:, 1], np.diff(whole.columns["truthStart"])
+    assert shown[7] == -1
+    assert shown[9] == shown[8] != shown[10]
     truth = pq.read_table(finished / "truth.parquet").to_pylist()
     for step, camera in ((9, 8), (30, 30)):
-        assert count[frame[step, 1]] == sum(row["camera"] == "slow" and row["step"] == camera for row in truth)
-    assert thinned["taken"].reshape(-1, 2)[3:5].tolist() == [[9, 8], [12, 10]]
-    assert {name: text for name, text, _ in CountTables(rows).overall()}["Frames"] == str(STEPS + len(SLOW))
+        assert count[shown[step]] == sum(row["camera"] == "slow" and row["step"] == camera for row in truth)
+    assert thinned.taken[3:5].tolist() == [[9, 8], [12, 10]]
+    assert f'<td>Frames</td><td class="number">{STEPS + len(SLOW)}</td>' in (tmp_path / "3.html").read_text()
 
 
 @pytest.mark.parametrize(

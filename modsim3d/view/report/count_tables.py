@@ -94,12 +94,12 @@ class CountTables:
         """Count the rows of some steps."""
         truth, detections = _truth_counts(rows), _detection_counts(rows)
         cameras = len(self._scene.cameras)
-        every = (np.zeros(len(each), dtype=np.int64) for each in (rows.frames, rows.truth_frame, rows.detection_frame))
-        self._overall.add(*every, truth, detections)
-        states = rows.frame_state, rows.states_of(rows.truth_frame), rows.states_of(rows.detection_frame)
-        self._of_states.add(*states, truth, detections)
-        frames = (each % cameras for each in (rows.frames, rows.truth_frame, rows.detection_frame))
-        self._of_cameras.add(*frames, truth, detections)
+        of_frames, of_truth, of_detections = rows.frames, rows.truth_frame, rows.detection_frame
+        zero = np.zeros_like
+        self._overall.add(zero(of_frames), zero(of_truth), zero(of_detections), truth, detections)
+        self._of_cameras.add(of_frames % cameras, of_truth % cameras, of_detections % cameras, truth, detections)
+        state = rows.states_of
+        self._of_states.add(rows.frame_state, state(of_truth), state(of_detections), truth, detections)
         none = np.empty(0, dtype=np.int64)
         self._of_vessels.add(none, rows.truth_vessel, rows.detection_vessel, truth, detections)
 
@@ -147,7 +147,7 @@ class _Tally:
         self._sums: dict[str, Indices] = defaultdict(lambda: np.zeros(groups, dtype=np.int64))
 
     def add(self, frames: Indices, truth_of: Indices, detections_of: Indices, truth: Masks, detections: Masks) -> None:
-        """Add rows: the group of each frame, each row of the truth and each detection, −1 for none; and their columns."""
+        """Add rows: the groups of frames, of rows of the truth and of detections, −1 for none; and their columns."""
         self._sums["frames"] += np.bincount(frames, minlength=self._groups)
         for group, columns in ((truth_of, truth), (detections_of, detections)):
             for name, column in columns.items():

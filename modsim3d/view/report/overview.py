@@ -1,4 +1,4 @@
-"""What the timeline of a run's page shows: counts in bins of steps, and the moments worth a look, found once in Python."""
+"""What the timeline of a run's page shows: counts in bins of steps, and the moments worth a look."""
 
 from __future__ import annotations
 
@@ -94,7 +94,8 @@ class ShownRows:
 
 def rows_of(frame: Indices, start: Column) -> tuple[Indices, Indices]:
     """The rows of each of some frames, one after the other, and which of the frames each is of."""
-    first, count = start[frame].astype(np.int64), np.diff(start.astype(np.int64))[frame]
+    begins: Indices = start.astype(np.int64)
+    first, count = begins[frame], begins[frame + 1] - begins[frame]
     which = np.repeat(np.arange(len(frame)), count)
     return np.arange(len(which)) + np.repeat(first - (np.cumsum(count) - count), count), which
 
@@ -162,7 +163,7 @@ class Overview:
         return {"width": self.width, "rows": [row * quantum_px for row in self._rows] if seen else None}
 
     def columns(self, prefix: str, *, half: bool) -> dict[str, Column | Coded]:
-        """The counts and the moments, named after their kinds; with `half`, also where vessels are less than half seen."""
+        """The counts and the moments by their kinds; with `half`, also where vessels are less than half seen."""
         state = np.where(self._states.any(axis=1), self._states.argmax(axis=1), NONE).astype(np.uint16)
         columns: dict[str, Column | Coded] = {f"{prefix}state": Coded(state, by=ROW_BEFORE)}
         for name, counts in self._counts.items():

@@ -1,8 +1,8 @@
 """Columns of whole numbers in few bytes for the player of a run's page; its other side is `player/columns.js`.
 
-A column that changes little is stored as differences: from its row before, from the row before of the same vessel, or from
-another column. The differences are zigzag numbers (0, −1, 1, −2 become 0, 1, 2, 3), first the low bytes of all of them,
-then the higher ones, so that gzip finds long runs of zeros.
+A column that changes little is stored as differences: from its row before, from the row before of the same vessel, or
+from another column. The differences are zigzag numbers (0, −1, 1, −2 become 0, 1, 2, 3), first the low bytes of all of
+them, then the higher ones, so that gzip finds long runs of zeros.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Coded:
 
     Attributes:
         values: The column, shape (n,) or (n, k).
-        by: Each row is the difference from the row before (`ROW_BEFORE`), from the row before with the same value in the
-            column of this name, or from the corner of the outline before (`OUTLINE_BEFORE`).
+        by: Each row is the difference from the row before (`ROW_BEFORE`), from the row before with the same value in
+            the column of this name, or from the corner of the outline before (`OUTLINE_BEFORE`).
         base: Each row is the difference from the same row of the column of this name.
     """
 

@@ -18,9 +18,9 @@ from modsim3d.vessels.vessel import shoebox
 def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
     """Which rows of the outlines may hide which others of their frame in part.
 
-    A plane between two solids, or between the boxes around them, tells which one is in front. Without such a plane the
-    truth decides, if one of the two hides the other and not the other way round. It does not say what vessels hide of
-    obstacles.
+    Of two solids at depths that do not overlap the nearer one is in front. Otherwise a plane between them, or between
+    the boxes around them, tells which one is. Without such a plane the truth decides, if one of the two hides the other
+    and not the other way round. It does not say what vessels hide of obstacles.
 
     Args:
         outlines: The solids before the camera.
@@ -34,14 +34,29 @@ def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[I
     boxes = replace(outlines, parts=tuple(map(_in_a_box, outlines.parts)))
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
     others = outlines.occluder[first] != outlines.occluder[second]
-    order = order_of_pairs(boxes, first[others], second[others])
+    first, second = first[others], second[others]
+    nearest_m, farthest_m = _depths_m(boxes)
+    first_nearer, second_nearer = farthest_m[first] <= nearest_m[second], farthest_m[second] <= nearest_m[first]
+    apart = first_nearer | second_nearer
+    order = order_of_pairs(boxes, first[~apart], second[~apart])
     one, other = order.first[order.intersecting], order.second[order.intersecting]
     one_hides = np.isin(_keys(outlines, other, one, occluder_count), hides)
     other_hides = np.isin(_keys(outlines, one, other, occluder_count), hides)
     by_one, by_other = one_hides & ~other_hides, other_hides & ~one_hides
     hidden = (order.second[order.first_can_hide], order.first[order.second_can_hide], other[by_one], one[by_other])
     hider = (order.first[order.first_can_hide], order.second[order.second_can_hide], one[by_one], other[by_other])
-    return np.concatenate(hidden), np.concatenate(hider)
+    farther = second[first_nearer], first[second_nearer & ~first_nearer]
+    nearer = first[first_nearer], second[second_nearer & ~first_nearer]
+    return np.concatenate([*hidden, *farther]), np.concatenate([*hider, *nearer])
+
+
+def _depths_m(outlines: Outlines) -> tuple[Array, Array]:
+    """The least and the greatest depth of each row's vertices, two arrays of shape (n,)."""
+    nearest_m, farthest_m = np.zeros((2, len(outlines)))
+    for part in outlines.parts:
+        depths_m = part.vertices_camera[..., 2]
+        nearest_m[part.rows], farthest_m[part.rows] = depths_m.min(axis=1), depths_m.max(axis=1)
+    return nearest_m, farthest_m
 
 
 def _in_a_box(part: Part) -> Part:

@@ -15,7 +15,7 @@ from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 
 MOST_SHOWN, SHOWN_ROWS, MOST_ROWS = 250, 8_000, 400_000
-"""Of a part: shown steps; shown steps times vessels; all steps times vessels. Few bytes to unpack before a frame is seen."""
+"""Of a part: shown steps; shown steps times vessels; all steps times vessels. Little is unpacked at once."""
 
 
 @dataclass(frozen=True, eq=False)

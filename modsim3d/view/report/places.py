@@ -64,8 +64,8 @@ def _camera_places(scene: Scene, camera: Camera, steps: Indices) -> tuple[Array,
     """Where a camera is and looks at ascending steps, shape (S,).
 
     Returns:
-        w1 and w2, shape (S, 2); the directions to the left and the right end of its horizon, shape (S, 2); whether it is
-        there, shape (S,): not while the vessel that carries it is absent, which may be so between its frames.
+        w1 and w2, shape (S, 2); the directions to the left and the right end of its horizon, shape (S, 2); whether it
+        is there, shape (S,): not while the vessel that carries it is absent, which may be so between its frames.
     """
     there = np.ones(len(steps), dtype=bool)
     if camera.mount.vessel is not None:

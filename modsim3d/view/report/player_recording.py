@@ -1,4 +1,4 @@
-"""The frames of a run for the player of its page, in few bytes, and in parts that the player unpacks when it needs them.
+"""The frames of a run for the player of its page, in few bytes, and in parts that the player unpacks as needed.
 
 A length in the image is a multiple of `quantum_px`, which is 0.1 px for all but very large images.
 """
@@ -58,7 +58,7 @@ def recording(
 ) -> Recording:
     """The recording of every K-th step of a run, with tracks if there are some.
 
-    A camera with a frame rate of its own shows the last frame that it took. Before its first one it shows an empty frame.
+    A camera with a frame rate of its own shows the last frame that it took, and an empty frame before its first one.
 
     Args:
         run: The run; no more than a part of it is in memory at once.

@@ -24,7 +24,7 @@ def recording_html(recording: Recording, folder: str | None = None) -> str:
 
 
 def part_files(recording: Recording) -> dict[str, str]:
-    """A script for each part that hands it to the player, by the name of its file: a page from a disk can read no data."""
+    """A script for each part, by the name of its file: it hands the part over, as a page on a disk can read no data."""
     return {
         f"{recording.name}-{i}.js": f'takePart("part-{recording.name}-{i}", "{as_text(part)}");\n'
         for i, part in enumerate(recording.parts)

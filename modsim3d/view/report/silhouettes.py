@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
@@ -15,8 +14,9 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.triangles import triangles_of
 from modsim3d.view.report.contours import contours, one_way_round
-from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column
+from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column, same_before
 from modsim3d.view.report.painting_order import in_front, painting_order
+from modsim3d.view.report.shapes import NO_SHAPES, Shapes, concatenated
 
 STILL = 1 << 31
 """The first number of the outlines that all parts share."""
@@ -29,8 +29,8 @@ MOST_FACES = 300_000
 class Silhouettes:
     """The horizons and silhouettes of a run that comes in parts.
 
-    A silhouette refers to an outline, so that what stands still is stored once: what an obstacle shows to a camera ashore
-    once for all parts, the rest once in each part.
+    A silhouette refers to an outline, so that what stands still is stored once: what an obstacle shows to a camera
+    ashore once for all parts, the rest once in each part.
     """
 
     def __init__(self, scene: Scene, quantum_px: float) -> None:
@@ -54,9 +54,9 @@ class Silhouettes:
             lines, and `corners` of the lines: column and row, in quanta, shape (k, 2).
         """
         scene, occluder_count = self._scene, len(self._scene.occluder_names)
-        moving, hides = _OutlineStore(), _hides(rows, occluder_count)
-        found: list[tuple[int, int, int]] = []
-        begin = 0
+        hides = _hides(rows, occluder_count)
+        found: list[Shapes] = [NO_SHAPES]
+        still, begin = [np.empty(0, dtype=bool)], 0
         for index, every in enumerate(frames):
             camera = scene.cameras[index]
             still_owner = len(scene.vessels) if camera.mount.vessel is None else occluder_count
@@ -66,24 +66,46 @@ class Silhouettes:
                 half_planes = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
                 horizons[place : place + len(steps)] = half_planes
                 before = sight.outlines()
-                numbered = replace(before, frame=(steps * len(scene.cameras) + index)[before.frame])
-                for shape in shapes(numbered, camera.intrinsics, self._quantum_px, occluder_count, hides):
-                    store = self._still if shape.occluder >= still_owner else moving
-                    number = store.number(shape) + (STILL if store is self._still else 0)
-                    at = place + int(np.searchsorted(steps, shape.frame // len(scene.cameras)))
-                    found.append((at, shape.occluder, number))
+                numbers = steps * len(scene.cameras) + index
+                numbered = replace(before, frame=numbers[before.frame])
+                drawn = shapes(numbered, camera.intrinsics, self._quantum_px, occluder_count, hides)
+                found.append(replace(drawn, frame=place + np.searchsorted(numbers, drawn.frame)))
+                still.append(drawn.occluder >= still_owner)
             begin += len(every)
-        table = np.array(found, dtype=np.int64).reshape(-1, 3)
-        frame, owner, outline = table[np.argsort(table[:, 0], kind="stable")].T
-        return frame, {
-            "owner": Coded(owner.astype(np.uint16), by=ROW_BEFORE),
-            "outline": Coded(outline.astype(np.uint32), by="owner"),
-            **moving.columns(),
+        every_shape, stands = concatenated(found), np.concatenate(still)
+        outline = np.empty(len(stands), dtype=np.int64)
+        outline[stands] = STILL + self._still.numbers(every_shape.take(stands))
+        moving = every_shape.take(~stands)
+        outline[~stands], new = _changes(moving, _camera_of(moving.frame, frames))
+        order = np.argsort(every_shape.frame, kind="stable")
+        return every_shape.frame[order], {
+            "owner": Coded(every_shape.occluder[order].astype(np.uint16), by=ROW_BEFORE),
+            "outline": Coded(outline[order].astype(np.uint32), by="owner"),
+            **_outline_columns(moving.take(new)),
         }
 
     def still_columns(self) -> dict[str, Column | Coded]:
         """The outlines that all parts refer to, numbered from `STILL` on."""
-        return self._still.columns()
+        return _outline_columns(self._still.shapes())
+
+
+def _camera_of(frame: Indices, frames: Sequence[Indices]) -> Indices:
+    """The camera of each frame, whose numbers are counted camera by camera, shape (n,)."""
+    camera: Indices = np.searchsorted(np.cumsum([len(every) for every in frames]), frame, side="right")
+    return camera
+
+
+def _changes(moving: Shapes, camera: Indices) -> tuple[Indices, Mask]:
+    """The outline of each shape, and which shapes are the first of theirs, both of shape (s,).
+
+    A shape has the outline of the shape before of its occluder in its camera if that is the same.
+    """
+    before = same_before(moving.occluder * (int(camera.max(initial=0)) + 1) + camera)
+    new = ~moving.equal(before)
+    number = np.cumsum(new) - 1
+    while len(repeated := np.flatnonzero(~new & (number != number[before]))):
+        number[repeated] = number[before[repeated]]
+    return number, new
 
 
 class _OutlineStore:
@@ -91,26 +113,30 @@ class _OutlineStore:
 
     def __init__(self) -> None:
         self._numbers: dict[tuple[bytes, bytes], int] = {}
-        self._owners: list[int] = []
+        self._kept: list[Shapes] = [NO_SHAPES]
 
-    def number(self, shape: Shape) -> int:
-        """The number of a shape's outline, a new one if no other has the same lines."""
-        number = self._numbers.setdefault((shape.count.tobytes(), shape.corners.tobytes()), len(self._owners))
-        if number == len(self._owners):
-            self._owners.append(shape.occluder)
-        return number
+    def numbers(self, some: Shapes) -> Indices:
+        """The number of each shape's outline, shape (s,), a new one if no other has the same lines."""
+        found, new = np.empty(len(some), dtype=np.int64), np.zeros(len(some), dtype=bool)
+        for place, (count, corners) in enumerate(some.pieces()):
+            new[place] = (key := (count.tobytes(), corners.tobytes())) not in self._numbers
+            found[place] = self._numbers.setdefault(key, len(self._numbers))
+        self._kept.append(some.take(new))
+        return found
 
-    def columns(self) -> dict[str, Column | Coded]:
-        """Their owners, the numbers of their lines and of the lines' corners, and the corners."""
-        lines = np.array([len(count) // 4 for count, _ in self._numbers], dtype=np.uint32)
-        corners = np.frombuffer(b"".join(corners for _, corners in self._numbers), np.uint16)
-        counts = np.frombuffer(b"".join(count for count, _ in self._numbers), np.uint32)
-        return {
-            "outlineOwner": Coded(np.array(self._owners, dtype=np.uint16), by=ROW_BEFORE),
-            "lineCount": Coded(lines, by="outlineOwner"),
-            "cornerCount": Coded(counts, by=ROW_BEFORE),
-            "corners": Coded(corners.reshape(-1, 2), by=OUTLINE_BEFORE),
-        }
+    def shapes(self) -> Shapes:
+        """A shape with each of them."""
+        return concatenated(self._kept)
+
+
+def _outline_columns(different: Shapes) -> dict[str, Column | Coded]:
+    """The owners of outlines, the numbers of their lines and of the lines' corners, and the corners."""
+    return {
+        "outlineOwner": Coded(different.occluder.astype(np.uint16), by=ROW_BEFORE),
+        "lineCount": Coded(different.lines.astype(np.uint32), by="outlineOwner"),
+        "cornerCount": Coded(different.count.astype(np.uint32), by=ROW_BEFORE),
+        "corners": Coded(different.corners, by=OUTLINE_BEFORE),
+    }
 
 
 def _hides(rows: RunRows, occluder_count: int) -> Indices:
@@ -121,22 +147,9 @@ def _hides(rows: RunRows, occluder_count: int) -> Indices:
     return keys
 
 
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """A silhouette, or the pieces of an obstacle between which nothing else is painted, as l closed lines.
-
-    Their corners follow line after line in quanta, shape (k, 2); `count` is the number of each line's, shape (l,).
-    """
-
-    frame: int
-    occluder: int
-    corners: NDArray[np.uint16]
-    count: NDArray[np.uint32]
-
-
 def shapes(
     outlines: Outlines, intrinsics: Intrinsics, quantum_px: float, occluder_count: int, hides: Indices
-) -> Iterator[Shape]:
+) -> Shapes:
     """The silhouettes of all frames of a camera, frame by frame and from back to front.
 
     Args:
@@ -152,6 +165,7 @@ def shapes(
     begins = np.flatnonzero((np.diff(frame, prepend=-1) != 0) | (np.diff(occluder, prepend=-1) != 0))
     shape_of_row = np.empty(len(order), dtype=np.int64)
     shape_of_row[order] = np.searchsorted(begins, np.arange(len(order)), side="right") - 1
+    drawn = [NO_SHAPES]
     for rows in _in_turns(outlines):
         some = outlines.take(rows)
         triangles = triangles_of(some, intrinsics, guard_px=0.0)
@@ -159,11 +173,10 @@ def shapes(
         kept, corners = one_way_round(triangles.corners_px, corners, _closed(some)[triangles.row])
         found = contours(shape_of_row[rows[triangles.row[kept]]], corners)
         first_line = np.flatnonzero(np.diff(found.shape, prepend=-1))
-        first_corner = (np.cumsum(found.count) - found.count)[first_line]
-        pieces = np.split(found.corners.astype(np.uint16), first_corner)[1:]
-        counts = np.split(found.count.astype(np.uint32), first_line)[1:]
-        for begin, piece, count in zip(begins[found.shape[first_line]].tolist(), pieces, counts, strict=True):
-            yield Shape(int(frame[begin]), int(occluder[begin]), piece, count)
+        begin = begins[found.shape[first_line]]
+        lines = np.diff(first_line, append=len(found.shape))
+        drawn.append(Shapes(frame[begin], occluder[begin], lines, found.count, found.corners.astype(np.uint16)))
+    return concatenated(drawn)
 
 
 def _in_turns(outlines: Outlines) -> list[Indices]:

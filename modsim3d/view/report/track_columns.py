@@ -75,7 +75,7 @@ class Lanes:
         self._taken = NOBODY
 
     def add(self, index: Indices, shown: Indices, taken: Indices, columns: Mapping[str, Column]) -> None:
-        """Add the tracks at some steps: their indices, the frame at each in a part's columns, and its step, shape (i,)."""
+        """Add the tracks at some steps: their indices, the frame of each in a part, and its step, all of shape (i,)."""
         rows, at = rows_of(shown, columns["trackStart"])
         lane, flags = columns["trackLane"][rows].astype(np.int64), columns["trackFlags"][rows]
         vessel = columns["trackVessel"][rows].astype(np.int64)

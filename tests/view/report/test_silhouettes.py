@@ -63,10 +63,10 @@ def test_nothing_has_no_lines():
 
 def test_shapes_of_a_shoebox_are_its_hull_and_nearer_ones_come_later():
     near, far = (vessel("near"), (60.0, 0.0), 0.3), (vessel("far", 40.0), (120.0, 5.0), 0.3)
-    drawn = list(shapes(outlines_of([near, far]), INTRINSICS, 0.1, 2, NONE))
-    assert [shape.occluder for shape in drawn] == [1, 0]
-    assert [len(shape.count) for shape in drawn] == [1, 1]
-    assert all(4 <= shape.count[0] <= 6 for shape in drawn)
+    drawn = shapes(outlines_of([near, far]), INTRINSICS, 0.1, 2, NONE)
+    assert drawn.occluder.tolist() == [1, 0]
+    assert drawn.lines.tolist() == [1, 1]
+    assert all(4 <= count <= 6 for count in drawn.count)
 
 
 def test_who_is_in_front_does_not_depend_on_the_distance_of_the_centres():
@@ -95,8 +95,8 @@ def test_frames_of_a_run_stay_apart():
     present = np.array([[True, False], [True, True], [False, True]])
     bodies = vessel_bodies(vessels, present, positions, world_R_vehicle(np.zeros((3, 2))))
     outlines = outline(INTRINSICS, poses_ashore(Mount((0.0, 0.0, 10.0)), 3), bodies)
-    drawn = [(shape.frame, shape.occluder) for shape in shapes(outlines, INTRINSICS, 0.1, 2, NONE)]
-    assert drawn == [(0, 0), (1, 1), (1, 0), (2, 1)]
+    drawn = shapes(outlines, INTRINSICS, 0.1, 2, NONE)
+    assert list(zip(drawn.frame, drawn.occluder, strict=True)) == [(0, 0), (1, 1), (1, 0), (2, 1)]
 
 
 @given(st.randoms(use_true_random=False), st.integers(1, 12))

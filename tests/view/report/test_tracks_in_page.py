@@ -17,7 +17,7 @@ from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.report.report import write_report
 from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, swapped, with_false, write_csv
 from tests.view.report.test_page_in_browser import differ, pixels
-from tests.view.report.test_report import unpack
+from tests.view.report.unpacking import read
 
 SWAP, FALSE = 100, range(40, 60)
 LANE = "player.lanes.lanes.find(lane => lane.number === {})"
@@ -124,7 +124,7 @@ def test_the_panel_scrolls_to_where_a_track_is_and_draws_only_what_is_in_sight(b
 
 def test_every_kth_step_keeps_the_marks_of_the_steps_between(run_folder, followed, tmp_path, pair):
     every = 7
-    _, columns = unpack(write_report(open_run(run_folder), tmp_path / "page.html", every=every, followed=followed))
+    columns = read(write_report(open_run(run_folder), tmp_path / "page.html", every=every, followed=followed)).columns
     frames, marked = np.diff(columns["trackStart"]), columns["trackFlags"] & 2 > 0
     index = np.repeat(np.arange(len(frames)), frames)[marked] // 2  # of two cameras
     assert index.tolist() == [-(-SWAP // every)] * 2
@@ -149,7 +149,7 @@ def test_command_takes_a_file_and_says_what_is_in_it(monkeypatch, capsys, run_fo
     file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
     assert call(monkeypatch, "report", run_folder, "--tracks", file, "--out", out, "--every", 20) == 0
     assert followed.sentence() in " ".join(capsys.readouterr().out.split())
-    assert unpack(out)[0]["tracks"]["name"] == "made"
+    assert read(out).facts["tracks"]["name"] == "made"
     assert call(monkeypatch, "report", run_folder, "--tracks", file, "--out", file, "--overwrite") == 2
     assert file.read_text(encoding="utf-8").startswith("camera,")
 

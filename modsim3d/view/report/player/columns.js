@@ -26,7 +26,7 @@ function readColumns(bytes) {
 // A column that is stored as differences: bytes of zigzag numbers, the low ones of all first.
 function decoded({ type, length, width, by, base }, bytes, columns) {
   const values = new ARRAYS[type](length), size = values.BYTES_PER_ELEMENT, whole = new WHOLE_ARRAYS[size](values.buffer);
-  const from = base ? columns[base] : null, before = from ? null : rowsBefore(by, length / width, columns);
+  const from = base ? columns[base] : null, before = from || by === 'row' ? null : rowsBefore(by, columns);
   for (let i = 0; i < length; i++) {
     let zigzag = bytes[i];
     for (let place = 1; place < size; place++) zigzag |= bytes[place * length + i] << (8 * place);
@@ -34,6 +34,8 @@ function decoded({ type, length, width, by, base }, bytes, columns) {
   }
   if (from) {
     for (let i = 0; i < length; i++) whole[i] += from[i];
+  } else if (by === 'row') {
+    for (let i = width; i < length; i++) whole[i] += whole[i - width];
   } else if (before) {
     for (let row = 0; row < before.length; row++) {
       if (before[row] < 0) continue;
@@ -44,19 +46,18 @@ function decoded({ type, length, width, by, base }, bytes, columns) {
 }
 
 // The row that each row is a difference from, −1 for none; null if that is so for all.
-function rowsBefore(by, rows, columns) {
+function rowsBefore(by, columns) {
   if (by === null) return null;
-  if (by === 'row') return Int32Array.from({ length: rows }, (_, row) => row - 1);
   return by === 'outline' ? cornersBefore(columns) : sameBefore(columns[by]);
 }
 
 // The last row before each that has the same key.
 function sameBefore(keys) {
   const last = new Map(), before = new Int32Array(keys.length);
-  keys.forEach((key, row) => {
-    before[row] = last.get(key) ?? -1;
-    last.set(key, row);
-  });
+  for (let row = 0; row < keys.length; row++) {
+    before[row] = last.get(keys[row]) ?? -1;
+    last.set(keys[row], row);
+  }
   return before;
 }
 
@@ -76,6 +77,6 @@ function cornersBefore({ outlineOwner, lineCount, cornerCount }) {
 // Where each of some stretches begins, and the end of the last, from their lengths.
 function beginnings(lengths) {
   const begins = new Uint32Array(lengths.length + 1);
-  lengths.forEach((length, i) => { begins[i + 1] = begins[i] + length; });
+  for (let i = 0; i < lengths.length; i++) begins[i + 1] = begins[i] + lengths[i];
   return begins;
 }

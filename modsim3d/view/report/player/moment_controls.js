@@ -11,12 +11,12 @@ class MomentControls {
     });
   }
 
-  of(kind) { return this.moments.of(this.player.camera, kind); }
+  count(kind) { return this.moments.count(this.player.camera, kind); }
 
   // The kinds of moments that the camera has.
   fill() {
-    const kinds = KINDS.filter(({ kind }) => this.of(kind).length);
-    $('kind').replaceChildren(...kinds.map(({ kind, name, key }) => new Option(`${name}: ${this.of(kind).length}  [${key.toUpperCase()}]`, kind)));
+    const kinds = KINDS.filter(({ kind }) => this.count(kind));
+    $('kind').replaceChildren(...kinds.map(({ kind, name, key }) => new Option(`${name}: ${this.count(kind)}  [${key.toUpperCase()}]`, kind)));
     $('momentRow').hidden = !kinds.length;
     if (kinds.length) this.lookFor(kinds.some(({ kind }) => kind === this.kind) ? this.kind : kinds[0].kind);
   }
@@ -39,7 +39,7 @@ class MomentControls {
   // Go to the next (1) or the previous (−1) moment of a kind, or of the chosen one; say so if there is none.
   seek(by, kind = this.kind) {
     const { player } = this;
-    if (!kind || !this.of(kind).length) return say(kind ? `${player.pane.facts.name} has no ${kindOf(kind).one}` : 'There are no moments to look for');
+    if (!kind || !this.count(kind)) return say(kind ? `${player.pane.facts.name} has no ${kindOf(kind).one}` : 'There are no moments to look for');
     if (kind !== this.kind) this.lookFor(kind);
     const found = this.moments.from(player.index, by);
     if (found) player.goTo(found);

@@ -14,6 +14,10 @@ class Moments {
     return this.recording.moments(camera, kind);
   }
 
+  count(camera, kind) {
+    return kind === 'differs' ? this.of(camera, kind).length : this.recording.momentCount(camera, kind);
+  }
+
   look(camera, kind) {
     this.list = this.of(camera, kind);
     this.place = null;

@@ -32,7 +32,16 @@ class Overview {
 // Moments of a kind that a camera sees, in order of time: first and last step, and whose it is, or what state begins.
 function momentsIn(columns, camera, kind) {
   const [index, long, key] = ['index', 'long', 'key'].map((name) => columns[`${camera}.moments.${kind}.${name}`]);
-  return Array.from(index, (first, i) => ({ index: first, until: first + long[i], key: key[i] === NONE ? null : key[i] }));
+  const moments = new Array(index.length);
+  for (let i = 0; i < index.length; i++) moments[i] = { index: index[i], until: index[i] + long[i], key: key[i] === NONE ? null : key[i] };
+  return moments;
+}
+
+// The numbers of the shown steps.
+function stepsIn({ length, every }) {
+  const steps = new Array(length);
+  for (let i = 0; i < length; i++) steps[i] = i * every;
+  return steps;
 }
 
 // The texts and the numbers of the times of all steps, in seconds, as clock.py has stored them.
@@ -43,11 +52,11 @@ function timesIn({ clock: { decimals, first } }, { clock, clockTexts }) {
   }
   const times = new Float64Array(clock.length), one = 10 ** decimals, timestamps = new Array(clock.length);
   let units = first;
-  clock.forEach((by, i) => {
-    units += by;
+  for (let i = 0; i < clock.length; i++) {
+    units += clock[i];
     const digits = `${Math.abs(units)}`.padStart(decimals + 1, '0'), whole = digits.slice(0, digits.length - decimals);
     timestamps[i] = `${units < 0 ? '-' : ''}${whole}.${digits.slice(whole.length).replace(/0+$/, '') || '0'}`;
     times[i] = (units - first) / one;
-  });
+  }
   return { timestamps, times };
 }

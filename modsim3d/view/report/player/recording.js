@@ -9,7 +9,7 @@ async function openRecording(name) {
   if (!window.DecompressionStream) throw new Error('This browser is too old to unpack the recording; a newer one will do.');
   const facts = JSON.parse($(`facts-${name}`).textContent);
   const columns = await unpackColumns($(`overview-${name}`).textContent);
-  Object.assign(facts, timesIn(facts, columns), { steps: Array.from({ length: facts.length }, (_, i) => i * facts.every) });
+  Object.assign(facts, timesIn(facts, columns), { steps: stepsIn(facts) });
   return new Recording(name, facts, columns);
 }
 
@@ -83,6 +83,11 @@ class Recording {
   moments(camera, kind) {
     if (kind === 'state') return this.states(camera).slice(1).map(({ index, until, state }) => ({ index, until, state, vessel: null }));
     return this.once(`${camera} ${kind}`, () => momentsIn(this.columns, camera, kind).map(({ index, until, key }) => ({ index, until, vessel: key })));
+  }
+
+  // How many moments of a kind there are.
+  momentCount(camera, kind) {
+    return kind === 'state' ? this.moments(camera, kind).length : this.columns[`${camera}.moments.${kind}.index`].length;
   }
 
   // The performance states of a camera's frames, each with its first and last step; those of no frame are left out.

@@ -1,0 +1,171 @@
+"""A recording in parts: the same frames, moments and counts wherever it is cut, and what the browser makes of the parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.view.report import overview, parts
+from modsim3d.view.report.clock import clock, said
+from modsim3d.view.report.packing import NONE
+from modsim3d.view.report.report import parts_folder, write_report
+from modsim3d.view.report.stretches import StretchesBuilder
+from tests.view.report.unpacking import Unpacked, read
+
+PART = 7
+
+
+@pytest.fixture(scope="module")
+def run(mistaken_folder: Path) -> StoredRun:
+    """A camera on board and one ashore with a frame rate of its own, obstacles, every kind of mistake."""
+    return open_run(mistaken_folder)
+
+
+@pytest.fixture(scope="module")
+def whole(mistaken_page: Path) -> Unpacked:
+    return read(mistaken_page)
+
+
+@pytest.fixture
+def cut_page(run: StoredRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    monkeypatch.setattr(parts, "MOST_SHOWN", PART)
+    return write_report(run, tmp_path / "cut.html")
+
+
+def test_frames_and_moments_are_the_same_wherever_a_run_is_cut(cut_page, whole):
+    cut = read(cut_page)
+    assert cut.facts["parts"] == -(-whole.facts["length"] // PART) > whole.facts["parts"] == 1
+    assert cut.stored > whole.stored  # a frame that is still shown is in the next part again
+    for name in ("shown", "taken"):
+        np.testing.assert_array_equal(getattr(cut, name), getattr(whole, name))
+    for both in ("columns", "overview"):
+        assert (names := set(getattr(cut, both))) == set(getattr(whole, both))
+        for name in names:
+            np.testing.assert_array_equal(getattr(cut, both)[name], getattr(whole, both)[name], err_msg=name)
+    for one, other in zip(cut.outlines, whole.outlines, strict=True):
+        assert [line.tolist() for line in one] == [line.tolist() for line in other]
+
+
+def test_moments_and_counts_are_those_of_the_frames(whole):
+    facts, columns = whole.facts, whole.columns
+    for camera in range(len(facts["cameras"])):
+        missed: dict[int, list[int]] = {}
+        for index, frame in enumerate(whole.shown[:, camera].tolist()):
+            rows = slice(*columns["truthStart"][frame : frame + 2]) if frame >= 0 else slice(0)
+            lost = columns["vessel"][rows][columns["flags"][rows] == 1]
+            assert whole.overview[f"{camera}.missed"][index] == len(lost)
+            for vessel in lost.tolist():
+                missed.setdefault(vessel, []).append(index)
+        kept = [whole.overview[f"{camera}.moments.missed.{name}"].tolist() for name in ("index", "long", "key")]
+        covered: dict[int, list[int]] = {}
+        for first, long, vessel in zip(*kept, strict=True):
+            covered.setdefault(vessel, []).extend(range(first, first + long + 1))
+        assert covered == missed
+        assert kept[0] == sorted(kept[0])
+
+
+def test_bins_hold_the_sums_of_their_steps(run, whole, monkeypatch, tmp_path):
+    monkeypatch.setattr(overview, "MOST_BINS", 10)
+    monkeypatch.setattr(overview, "LEAST_BINS", 10)
+    binned = read(write_report(run, tmp_path / "binned.html"))
+    (width,) = {each["width"] for each in binned.facts["overviews"]}
+    length = whole.facts["length"]
+    assert width == -(-length // 10)
+    for name in ("0.seen", "0.missed", "0.false", "0.vessels.fraction", "0.vessels.off"):
+        every = whole.overview[name].reshape(-1, length)
+        sums = np.add.reduceat(every, np.arange(0, length, width), axis=1).ravel()
+        np.testing.assert_array_equal(binned.overview[name], sums)
+        assert sums.sum() > 0
+
+
+def test_places_are_those_of_the_scene(whole, run):
+    scene, columns = run.scene, whole.columns
+    poses = scene.poses.poses(0, run.steps)
+    there = columns["placed"].reshape(-1, len(scene.vessels)) > 0
+    np.testing.assert_array_equal(there, poses.present)
+    places = columns["place"].reshape(*there.shape, 2) / 100
+    np.testing.assert_allclose(places[there], poses.positions_m[there][:, :2], atol=0.0051)
+    turned = columns["heading"].reshape(there.shape) * (2 * np.pi / 65536) - poses.headings_rad
+    assert np.abs(np.angle(np.exp(1j * turned)))[there].max() < 1e-4
+    (x0, y0), (x1, y1) = whole.facts["extent"]
+    assert x0 < poses.positions_m[..., 0].min() < poses.positions_m[..., 0].max() < x1
+    assert y0 < poses.positions_m[..., 1].min() < poses.positions_m[..., 1].max() < y1
+    assert len(whole.facts["obstacles"]) == len(scene.obstacles) > 0
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 20)), unique=True), st.integers(1, 20))
+def test_stretches_cover_what_was_added_and_do_not_touch(pairs, part):
+    builder = StretchesBuilder()
+    for first in range(0, 21, part):
+        some = [pair for pair in pairs if first <= pair[1] < first + part]
+        key, index = np.array(some, dtype=np.int64).reshape(-1, 2).T
+        builder.add(key, index)
+    found = builder.stretches()
+    covered = [
+        (key, index)
+        for key, first, until in zip(found.key, found.first, found.until, strict=True)
+        for index in range(first, until + 1)
+    ]
+    assert covered == sorted(pairs)
+    ends = {(key, until + 1) for key, until in zip(found.key, found.until, strict=True)}
+    assert ends.isdisjoint(zip(found.key, found.first, strict=True))
+
+
+@given(st.integers(-(10**6), 10**6), st.integers(1, 5000), st.integers(1, 4), st.integers(1, 30))
+def test_times_come_back_as_they_were_written(first, by, decimals, count):
+    texts = [said(first + i * by, decimals) for i in range(count)]
+    facts, columns = clock(texts)
+    assert float(texts[0]) == pytest.approx(first / 10**decimals)
+    units = facts["first"] + np.cumsum(columns["clock"].values)
+    assert [said(int(unit), facts["decimals"]) for unit in units] == texts
+
+
+@pytest.mark.parametrize("texts", [["1", "2"], ["0.0", "1e3"], ["0.10", "0.2"], ["0.0", "99999999999.0"]])
+def test_times_that_are_no_plain_decimals_are_kept_as_they_are(texts):
+    facts, columns = clock(texts)
+    assert facts == {}
+    assert columns["clockTexts"].tobytes().decode().split("\n") == texts
+
+
+FRAME = "JSON.stringify([0, 1].map(camera => [player.recording.shapes({0}, camera).map(shape => player.recording.lines(shape)),"
+FRAME += "player.recording.truths({0}, camera), player.recording.detections({0}, camera), player.recording.state({0}, camera)]))"
+
+
+def test_the_browser_reads_the_same_from_parts_in_the_page_and_in_files(
+    browser, run, whole, cut_page, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(parts, "MOST_SHOWN", PART)
+    in_files = write_report(run, tmp_path / "files" / "run page.html", in_files=True)
+    assert len(list(parts_folder(in_files).iterdir())) == -(-run.steps // PART)
+    seen = []
+    for page in (cut_page, in_files):
+        browser.open(page)
+        frames = [
+            browser.run(f"player.recording.load({i}).then(() => {FRAME.format(i)})") for i in (0, 8, run.steps - 1)
+        ]
+        seen.append([browser.run("JSON.stringify(player.recording.facts.timestamps)"), *frames])
+        browser.run(f"(async () => {{ for (let i = 0; i < {run.steps}; i++) await player.go(i); }})()")
+        assert browser.run("player.recording.parts.size") < 12
+        assert browser.run("player.recording.ready(player.index) && !player.recording.ready(0)")
+    assert seen[0] == seen[1]
+    boxes = browser.run(f"player.recording.truths({run.steps - 1}, 0).map(each => [each.vessel, ...each.full])")
+    frame = int(whole.shown[-1, 0])
+    rows = slice(*whole.columns["truthStart"][frame : frame + 2])
+    quantum, full = whole.facts["quantum"], whole.columns["full"].reshape(-1, 4)[rows]
+    np.testing.assert_allclose(boxes, np.column_stack([whole.columns["vessel"][rows], full * quantum]))
+    assert whole.columns["hider"].max() == NONE
+
+
+def test_a_part_that_is_missing_is_said(browser, run, tmp_path, monkeypatch):
+    monkeypatch.setattr(parts, "MOST_SHOWN", PART)
+    page = write_report(run, tmp_path / "page.html", in_files=True)
+    (parts_folder(page) / "A-3.js").unlink()
+    browser.open(page)
+    browser.run(f"player.go({3 * PART})")
+    assert "A-3.js cannot be read" in browser.run("document.querySelector('#failure').textContent")
+    browser.errors.clear()  # that of the missing file

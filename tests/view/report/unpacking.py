@@ -1,0 +1,183 @@
+"""Reads the recording of a page as the browser does: slowly, row by row, from the text of the page."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Column = NDArray[Any]
+TABLES = {
+    "shapeStart": ("owner",),
+    "truthStart": ("vessel", "flags", "fraction", "depth", "hider", "full", "visible"),
+    "drawnStart": ("drawnVessel", "label", "confidence", "outcome", "kind", "box"),
+    "trackStart": ("trackLane", "trackVessel", "trackFlags", "trackBox"),
+}
+"""Where the rows of each frame begin, and the columns of these rows."""
+STILL = 1 << 31
+
+
+@dataclass(frozen=True)
+class Unpacked:
+    """A recording whose frames stand one after the other, step by step and camera by camera, each once.
+
+    Attributes:
+        facts: Facts, with `steps`, `timestamps` and `times`.
+        shown: The frame that each camera shows at each step, −1 for none, shape (steps, cameras).
+        taken: The step at which it was taken, −1 for none, shape (steps, cameras).
+        columns: The columns of the frames.
+        outlines: The lines of each shape, a list of arrays of corners.
+        overview: The columns of the overview.
+        stored: Number of frames that are stored.
+    """
+
+    facts: dict[str, Any]
+    shown: Column
+    taken: Column
+    columns: dict[str, Column]
+    outlines: list[list[Column]]
+    overview: dict[str, Column]
+    stored: int
+
+
+@dataclass
+class _Gathered:
+    rows: dict[str, list[Column]] = field(default_factory=dict)
+
+    def add(self, name: str, values: Column) -> None:
+        self.rows.setdefault(name, []).append(values)
+
+
+def read(page: Path, name: str = "A") -> Unpacked:
+    """The recording of a page by its name."""
+    text = page.read_text(encoding="utf-8")
+
+    def inside(element: str) -> str:
+        return re.search(rf'id="{element}">(.*?)</script>', text)[1]
+
+    facts, overview = json.loads(inside(f"facts-{name}")), _columns(inside(f"overview-{name}"))
+    facts["steps"] = [i * facts["every"] for i in range(facts["length"])]
+    _add_times(facts, overview)
+    still, cameras = _outlines(overview), len(facts["cameras"])
+    gathered, outlines, stored = _Gathered(), [], 0
+    numbers: dict[tuple[int, int], int] = {}
+    shown, steps_taken = [], []
+    for number in range(facts["parts"]):
+        part = _columns(inside(f"part-{name}-{number}"))
+        moving = _outlines(part)
+        stored += len(part["state"])
+        for each in ("placed", "place", "heading", "cameraPlaced", "cameraPlace", "cameraLooks"):
+            gathered.add(each, part[each])
+        steps = facts["steps"][number * facts["partSteps"] :][: len(part["frame"]) // cameras]
+        taken = part["taken"].tolist() if "taken" in part else np.repeat(steps, cameras).tolist()
+        steps_taken += taken
+        for cell, (frame, step) in enumerate(zip(part["frame"].tolist(), taken, strict=True)):
+            first, stop = part["truthStart"][frame : frame + 2].tolist()
+            assert step >= 0 or first == stop
+            key = step, cell % cameras
+            shown.append(-1 if step < 0 else numbers.get(key, len(numbers)))
+            if step < 0 or key in numbers:
+                continue
+            numbers[key] = len(numbers)
+            gathered.add("state", part["state"][frame : frame + 1])
+            gathered.add("horizon", part["horizon"].reshape(-1, 3)[frame])
+            for start, names in TABLES.items():
+                if start not in part:
+                    continue
+                first, stop = part[start][frame : frame + 2].tolist()
+                gathered.add(start, np.array([stop - first]))
+                for column in names:
+                    width = 4 if column in ("full", "visible", "box", "trackBox") else 1
+                    gathered.add(column, part[column][width * first : width * stop])
+            first, stop = part["shapeStart"][frame : frame + 2].tolist()
+            outlines += [
+                still[outline - STILL] if outline >= STILL else moving[outline]
+                for outline in part["outline"][first:stop].tolist()
+            ]
+    columns = {column: np.concatenate(values) for column, values in gathered.rows.items()}
+    for start in TABLES:
+        if start in columns:
+            columns[start] = np.concatenate([[0], np.cumsum(columns[start])])
+    cells = (np.array(each).reshape(-1, cameras) for each in (shown, steps_taken))
+    return Unpacked(facts, *cells, columns, outlines, overview, stored)
+
+
+def _add_times(facts: dict[str, Any], overview: dict[str, Column]) -> None:
+    if "clock" not in overview:
+        facts["timestamps"] = overview["clockTexts"].tobytes().decode("utf-8").split("\n")
+        return
+    decimals, units = facts["clock"]["decimals"], facts["clock"]["first"] + np.cumsum(overview["clock"])
+    facts["times"] = ((units - units[0]) / 10**decimals).tolist()
+    facts["timestamps"] = [str(value) for value in (units / 10**decimals).tolist()]
+
+
+def _columns(text: str) -> dict[str, Column]:
+    data = gzip.decompress(base64.b64decode(text))
+    long = int.from_bytes(data[:8], "little")
+    columns: dict[str, Column] = {}
+    for entry in json.loads(data[8 : 8 + long]):
+        begin, length, kind = 8 + long + entry["offset"], entry["length"], np.dtype(entry["type"])
+        if "width" not in entry:
+            columns[entry["name"]] = np.frombuffer(data, kind, length, begin)
+            continue
+        planes = np.frombuffer(data, np.uint8, length * kind.itemsize, begin).reshape(kind.itemsize, length)
+        zigzag = [int.from_bytes(bytes(each), "little") for each in planes.T]
+        signed = [-(each + 1) // 2 if each & 1 else each // 2 for each in zigzag]
+        columns[entry["name"]] = _summed(signed, entry, columns, kind)
+    return columns
+
+
+def _summed(signed: list[int], entry: dict[str, Any], columns: dict[str, Column], kind: np.dtype[Any]) -> Column:
+    width, most = entry["width"], (1 << 8 * kind.itemsize) - 1
+    base = columns[entry["base"]].tolist() if entry["base"] else None
+    before = _before(entry["by"], len(signed) // width, columns)
+    whole: list[int] = []
+    for place, value in enumerate(signed):
+        row, column = divmod(place, width)
+        was = base[place] if base else whole[before[row] * width + column] if before[row] >= 0 else 0
+        whole.append((value + was) & most)
+    return np.array(whole, dtype=f"uint{8 * kind.itemsize}").view(kind)
+
+
+def _before(by: str | None, rows: int, columns: dict[str, Column]) -> list[int]:
+    if by is None:
+        return [-1] * rows
+    if by == "row":
+        return list(range(-1, rows - 1))
+    if by != "outline":
+        return _same_before(columns[by].tolist())
+    before: list[int] = []
+    sizes, begins, last = [], [], {}
+    lines = iter(columns["cornerCount"].tolist())
+    for outline, (owner, count) in enumerate(zip(columns["outlineOwner"].tolist(), columns["lineCount"], strict=True)):
+        size, begin, other = sum(next(lines) for _ in range(count)), len(before), last.get(owner)
+        sizes.append(size)
+        begins.append(begin)
+        last[owner] = outline
+        if other is not None and sizes[other] == size:
+            before += range(begins[other], begins[other] + size)
+        else:
+            before += [-1, *range(begin, begin + size - 1)][:size]
+    return before
+
+
+def _same_before(keys: list[int]) -> list[int]:
+    last: dict[int, int] = {}
+    before = []
+    for row, key in enumerate(keys):
+        before.append(last.get(key, -1))
+        last[key] = row
+    return before
+
+
+def _outlines(columns: dict[str, Column]) -> list[list[Column]]:
+    lines = np.split(columns["corners"].reshape(-1, 2), np.cumsum(columns["cornerCount"])[:-1])
+    ends = np.cumsum(columns["lineCount"]).tolist()
+    return [lines[first:stop] for first, stop in zip([0, *ends], ends, strict=False)]
