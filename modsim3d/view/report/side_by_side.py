@@ -88,7 +88,7 @@ def run_names(first: StoredRun, second: StoredRun) -> tuple[str, str]:
 
 
 def _differing_settings(first: StoredRun, second: StoredRun) -> Rows:
-    one, other = (dict(named_values(run.settings)) for run in (first, second))
+    one, other = ({row[0]: row[1] for row in named_values(run.settings)} for run in (first, second))
     names = [
         name for name in {**one, **other} if one.get(name) != other.get(name) and not name.startswith("truncation.")
     ]

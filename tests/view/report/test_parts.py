@@ -13,7 +13,8 @@ from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.view.report import overview, parts
 from modsim3d.view.report.clock import clock, said
 from modsim3d.view.report.packing import NONE
-from modsim3d.view.report.report import parts_folder, write_report
+from modsim3d.view.report.player_page import parts_folder
+from modsim3d.view.report.report import write_report
 from modsim3d.view.report.stretches import StretchesBuilder
 from tests.view.report.unpacking import Unpacked, read
 
