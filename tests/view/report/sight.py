@@ -17,7 +17,7 @@ CVD = {
 def linear(colour: str | ArrayLike) -> NDArray[np.float64]:
     """Linear red, green and blue of a CSS colour `rgb(r, g, b)`, or of channels from 0 to 255; shape (3,)."""
     channels = re.findall(r"[\d.]+", colour)[:3] if isinstance(colour, str) else colour
-    value = np.asarray(channels, dtype=np.float64) / (1 if str(colour).startswith("color(srgb") else 255)
+    value = np.asarray(channels, dtype=np.float64) / 255
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
