@@ -26,7 +26,7 @@ def axe_core() -> str:
 
 
 def grave_violations(browser: Browser) -> list[str]:
-    """What axe-core finds serious or critical in the open page: which rule, where, and how to mend it."""
+    """What axe-core finds serious or critical in the open page: rule, place and remedy."""
     if not browser.run("Boolean(window.axe)"):
         browser.run(axe_core() + "\n0")
     return list(browser.run(LOOK % json.dumps(GRAVE)))

@@ -9,13 +9,19 @@ import pytest
 
 from modsim3d.runs.detect_run import detect_run
 from modsim3d.runs.run import run_scene
+from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from modsim3d.tracks.similarity import Similarity
+from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.report.report import write_report
 from tests.scenes import mistaken_strait, write_scene
+from tests.view.made_tracks import as_set, perfect, swapped, with_false
 from tests.view.report.browser import Browser, open_browser
 
 STEPS = 260
+SWAP, FALSE = 100, range(40, 60)
+"""Steps at which two made tracks change their vessels, and in which a track follows nothing."""
 HOSTILE = "<script>window.hacked = 1</script>"
 
 
@@ -65,6 +71,32 @@ def other_folder(mistaken_folder: Path, tmp_path_factory: pytest.TempPathFactory
 @pytest.fixture(scope="session")
 def mistaken_page(mistaken_folder: Path) -> Path:
     return write_report(open_run(mistaken_folder))
+
+
+@pytest.fixture(scope="session")
+def rows(run_folder: Path) -> RunRows:
+    return RunRows.of(open_run(run_folder))
+
+
+@pytest.fixture(scope="session")
+def pair(rows: RunRows) -> tuple[int, int]:
+    """Two vessels that the first camera sees before and after the swap."""
+    tracks = perfect(rows)
+    here = tracks.take(tracks.camera == 0)
+    seen = [set(here.track[here.step == step].tolist()) for step in (SWAP - 5, SWAP - 1, SWAP, SWAP + 5)]
+    a, b = sorted(set.intersection(*seen))[:2]
+    return a, b
+
+
+@pytest.fixture(scope="session")
+def followed(rows: RunRows, pair: tuple[int, int]) -> FollowedTracks:
+    return FollowedTracks.of(as_set(with_false(swapped(perfect(rows), *pair, SWAP), FALSE)), rows, Similarity())
+
+
+@pytest.fixture(scope="session")
+def tracks_page(run_folder: Path, followed: FollowedTracks, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("tracks") / "tracks.html"
+    return write_report(open_run(run_folder), out, followed=followed)
 
 
 @pytest.fixture(scope="session")

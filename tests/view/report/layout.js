@@ -64,14 +64,19 @@ const layout = (() => {
     return found;
   };
 
-  const opaque = (colour) => !/^rgba\(.*, 0\)$|^transparent$/.test(colour);
+  // Red, green, blue to 255 and opacity to 1 of a computed colour.
+  const channels = (colour) => {
+    const [r, g, b, alpha = 1] = colour.replace('srgb', '').match(/[\d.]+/g).map(Number), unit = colour.startsWith('color(srgb') ? 255 : 1;
+    return [r * unit, g * unit, b * unit, alpha];
+  };
 
+  // The colour behind what an element holds: that of what is around it shines through what is not opaque.
   const ground = (element) => {
-    for (let at = element; at; at = at.parentElement) {
-      const { backgroundColor } = getComputedStyle(at);
-      if (opaque(backgroundColor)) return backgroundColor;
-    }
-    return 'rgb(255, 255, 255)';
+    if (!element) return [255, 255, 255];
+    const [r, g, b, alpha] = channels(getComputedStyle(element).backgroundColor);
+    if (alpha === 1) return [r, g, b];
+    const behind = ground(element.parentElement);
+    return [r, g, b].map((value, k) => alpha * value + (1 - alpha) * behind[k]);
   };
 
   // The texts of the page, each with the contrast to what is behind it.
@@ -80,7 +85,7 @@ const layout = (() => {
     for (let node = walker.nextNode(); node; node = walker.nextNode()) {
       const element = node.parentElement;
       if (!node.data.trim() || !element.checkVisibility() || /SCRIPT|STYLE|NOSCRIPT/.test(element.tagName)) continue;
-      found.push([node.data.trim().slice(0, 40), getComputedStyle(element).color, ground(element)]);
+      found.push([node.data.trim().slice(0, 40), channels(getComputedStyle(element).color).slice(0, 3), ground(element)]);
     }
     return found;
   };

@@ -45,6 +45,13 @@ def measured(browser: Browser, what: str) -> list[str]:
     return list(browser.run(f"(() => {{ {MEASURE}; return layout.{what}(); }})()"))
 
 
+def pale_texts(browser: Browser) -> list[tuple[str, float]]:
+    """Texts with too little contrast to what is behind them."""
+    texts = measured(browser, "texts")
+    assert texts
+    return [(text, found) for text, ink, behind in texts if (found := contrast(ink, behind)) < 4.5]
+
+
 def player_value(browser: Browser, expression: str) -> Any:
     """The value of an expression in which functions and constants of the player's script are known."""
     scripts = "\n".join((PLAYER / name).read_text(encoding="utf-8") for name in ("colours.js", "strips.js"))
@@ -102,11 +109,10 @@ def test_the_hint_is_inside_the_window_and_beside_the_pointer(browser, page, siz
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_texts_and_graphics_stand_out(browser, mistaken_page, scheme):
+def test_texts_and_graphics_stand_out(browser, page, scheme):
     browser.scheme(scheme)
-    browser.open(mistaken_page, DESK)
-    pale = [(text, found) for text, ink, behind in measured(browser, "texts") if (found := contrast(ink, behind)) < 4.5]
-    assert pale == []
+    browser.open(page, DESK)
+    assert pale_texts(browser) == []
     colours = {name: player_value(browser, f"colourOf('--{name}')") for name in
                ("alarm", "paper", "card", "track", "edge", "accent", "soft", "ink")}  # fmt: skip
     for mark, behind in (

@@ -3,50 +3,20 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from modsim3d import cli
-from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
-from modsim3d.tracks.similarity import Similarity
 from modsim3d.view import palette
-from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.report.report import write_report
-from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, swapped, with_false, write_csv
+from tests.view.made_tracks import FALSE_TRACK, write_csv
+from tests.view.report.conftest import FALSE, SWAP
 from tests.view.report.test_page_in_browser import differ, pixels
 from tests.view.report.unpacking import read
 
-SWAP, FALSE = 100, range(40, 60)
 LANE = "player.lanes.lanes.find(lane => lane.number === {})"
-
-
-@pytest.fixture(scope="module")
-def rows(run_folder: Path) -> RunRows:
-    return RunRows.of(open_run(run_folder))
-
-
-@pytest.fixture(scope="module")
-def pair(rows: RunRows) -> tuple[int, int]:
-    """Two vessels that the first camera sees before and after the swap."""
-    tracks = perfect(rows)
-    here = tracks.take(tracks.camera == 0)
-    seen = [set(here.track[here.step == step].tolist()) for step in (SWAP - 5, SWAP - 1, SWAP, SWAP + 5)]
-    a, b = sorted(set.intersection(*seen))[:2]
-    return a, b
-
-
-@pytest.fixture(scope="module")
-def followed(rows: RunRows, pair: tuple[int, int]) -> FollowedTracks:
-    return FollowedTracks.of(as_set(with_false(swapped(perfect(rows), *pair, SWAP), FALSE)), rows, Similarity())
-
-
-@pytest.fixture(scope="module")
-def tracks_page(run_folder: Path, followed: FollowedTracks, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("tracks") / "tracks.html"
-    return write_report(open_run(run_folder), out, followed=followed)
 
 
 def test_each_track_of_the_camera_has_a_lane_in_the_order_in_which_they_begin(browser, tracks_page, followed):

@@ -1,0 +1,164 @@
+"""Pages for those who use no mouse or do not see them: what axe-core finds, stops of the Tab key, keys on parts."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from modsim3d import cli
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from modsim3d.verify.sources import compare
+from tests.campaign.small_campaign import small_campaign
+from tests.scenes import crossing
+from tests.view.report.axe import grave_violations
+from tests.view.report.browser import Browser
+from tests.view.report.test_layout import DESK, PHONE, pale_texts
+
+STOPS = """(() => { const { id, ariaLabel, textContent, tagName } = document.activeElement;
+return tagName === 'BODY' ? '' : id || ariaLabel || textContent.trim(); })()"""
+
+
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Forty steps: their pages have all parts that longer ones have."""
+    folder = tmp_path_factory.mktemp("short")
+    run_scene(load_scene(crossing(folder, 40), source="analytic"), folder / "run")
+    return folder / "run"
+
+
+def call(*arguments: object) -> None:
+    """Run the command line in this process."""
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
+        patch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
+        cli.main()
+    assert stopped.value.code in (0, 1, 3), arguments
+
+
+def verified(run: Path, folder: Path) -> Path:
+    call("verify", run, "--out", folder)
+    return folder / "verify.html"
+
+
+def compared(run: Path, folder: Path) -> Path:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compare, "WORST", 1)  # drawing them is most of the time
+        call("compare", crossing(folder), "--every", 4, "--out", folder / "out")
+    return folder / "out" / "compare.html"
+
+
+def learned(run: Path, folder: Path) -> Path:
+    call("learn", "--run", run, "--out", folder / "learned.yaml", "--replicates", 20)
+    return folder / "learned.html"
+
+
+def scored(run: Path, folder: Path) -> Path:
+    call("track", run, "--tracker", "reference", "--out", folder / "tracks")
+    call("score", run, folder / "tracks", "--out", folder / "scores")
+    return folder / "scores" / "score.html"
+
+
+def of_campaign(run: Path, folder: Path) -> Path:
+    call("campaign-report", small_campaign(folder), "--out", folder / "campaign.html")
+    return folder / "campaign.html"
+
+
+@pytest.mark.parametrize("make", [verified, compared, learned, scored, of_campaign], ids=lambda make: make.__name__)
+def test_axe_finds_nothing_serious_on_a_page(browser, short_run, tmp_path, make: Callable[[Path, Path], Path]):
+    browser.visit(make(short_run, tmp_path), PHONE)
+    assert grave_violations(browser) == []
+    browser.scheme("dark")
+    assert pale_texts(browser) == []
+
+
+@pytest.mark.parametrize(("which", "scheme", "size"), [("page", "light", DESK), ("tracks_page", "dark", PHONE)])
+def test_axe_finds_nothing_serious_on_the_page_of_a_run(browser, which, scheme, size, request):
+    browser.scheme(scheme)
+    browser.open(request.getfixturevalue(which), size)
+    browser.run("(document.querySelectorAll('details').forEach(each => { each.open = true; }), 0)")
+    assert grave_violations(browser) == []
+
+
+def test_axe_finds_what_is_wrong(browser, tmp_path):
+    page = tmp_path / "bad.html"
+    page.write_text("<!doctype html><html lang=en><title>a</title><h1>a</h1><button></button>", encoding="utf-8")
+    browser.visit(page, PHONE)
+    assert [found for found in grave_violations(browser) if found.startswith("button-name")]
+
+
+def stops(browser: Browser, most: int) -> list[str]:
+    """What the Tab key comes to, until it leaves the page."""
+    found: list[str] = []
+    browser.run("document.activeElement.blur()")
+    while len(found) < most:
+        browser.tab()
+        found.append(str(browser.run(STOPS)))
+        if not found[-1] or found[-1] in found[:-1]:
+            return found[:-1]
+    return found
+
+
+def test_tab_comes_to_play_first_and_to_the_list_of_vessels_once(browser, page):
+    browser.open(page, DESK)
+    order, vessels = stops(browser, 60), browser.run("player.recording.facts.vessels.map(({ name }) => name)")
+    assert order[:4] == ["theme", "play", "One step back", "One step on"]
+    assert {"slider", "moment", "camera", "picture", "layer-labels", "timeline"} <= set(order)
+    assert len([stop for stop in order if stop in vessels]) == 1
+    assert order[-1] == "Table" or len(order) < 40
+    browser.run("document.querySelector('#vessels button').focus()")
+    browser.press("ArrowDown")
+    browser.press("ArrowDown")
+    assert browser.run("[document.activeElement.textContent, player.index]") == [
+        vessels[2],
+        browser.run("player.index"),
+    ]
+    browser.press(" ")
+    assert browser.run("player.followed") == 2
+    for name in order:
+        assert name not in ("", "◐")
+
+
+def test_every_control_has_a_name_in_words(browser, tracks_page):
+    browser.open(tracks_page, PHONE)
+    tree = browser.call("Accessibility.getFullAXTree")["nodes"]
+    names = {node["role"]["value"]: [] for node in tree if not node["ignored"]}
+    for node in tree:
+        if not node["ignored"]:
+            names[node["role"]["value"]].append(node.get("name", {}).get("value", ""))
+    for role in ("button", "combobox", "slider", "checkbox", "image"):
+        assert names[role]
+        assert all(any(letter.isalpha() for letter in name) for name in names[role]), role
+
+
+def test_keys_move_the_image_that_has_the_focus_and_step_otherwise(browser, page):
+    browser.open(page, hash="#step=50")
+    browser.press("+")
+    browser.run("player.pane.canvas.focus()")
+    before = browser.run("player.picture.view")
+    browser.press("ArrowRight", shift=True)
+    after = browser.run("player.picture.view")
+    assert after["x"] == pytest.approx(before["x"] + 0.1 * before["width"])
+    assert browser.run("player.index") == 50
+    browser.press("ArrowRight")
+    assert [browser.run("player.index"), browser.run("player.picture.view")] == [51, after]
+
+
+def test_on_the_timeline_up_and_down_choose_a_vessel_and_say_what_became_of_it(browser, page):
+    browser.open(page, hash="#step=100")
+    browser.run("player.timeline.canvas.focus()")
+    vessels, names = browser.run("[player.timeline.vessels, player.recording.facts.vessels.map(({ name }) => name)]")
+    for key, place in (("ArrowDown", 0), ("ArrowDown", 1), ("ArrowUp", 0)):
+        browser.press(key)
+        assert browser.run("player.followed") == vessels[place]
+    browser.press("ArrowRight")
+    said = browser.run("document.querySelector('#hint:not([hidden])').textContent")
+    assert "step 101:" in said and names[vessels[0]] in said
+    node = browser.run(
+        "(e => ['role', 'aria-valuenow', 'aria-valuetext'].map(name => e.getAttribute(name)))(player.timeline.canvas)"
+    )
+    assert node == ["slider", "101", said]
+    browser.press("Escape")
+    assert browser.run("document.querySelector('#hint').hidden")
