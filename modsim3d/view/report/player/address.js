@@ -48,5 +48,5 @@ function writeAddress(player) {
 // Soon, but not at each step of many: browsers refuse to change the address too often. Not while the run plays.
 function keepAddress(player) {
   clearTimeout(writeAddress.timer);
-  if (!player.playing) writeAddress.timer = setTimeout(() => writeAddress(player), SETTLED_MS);
+  writeAddress.timer = setTimeout(() => { if (!player.playing) writeAddress(player); }, SETTLED_MS);
 }

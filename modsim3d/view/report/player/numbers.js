@@ -18,8 +18,8 @@ const DETECTION_COLUMNS = [
   ['state', ({ state }) => state], ['kind', ({ kind }) => kind], ['vessel', ({ name }) => name], ['iou', ({ iou }) => iou], ['outcome', (row) => row.outcome],
 ];
 
-// Without trailing zeros; nothing for what is not known.
-function fixed(value, digits) { return value === null || Number.isNaN(value) ? null : Number(value.toFixed(digits)); }
+// Nothing for what is not known.
+function fixed(value, digits) { return value === null || Number.isNaN(value) ? null : value.toFixed(digits); }
 
 function truthRows(recording, frame) {
   return frame.truths.toReversed().map((truth) => {
@@ -76,8 +76,8 @@ class Numbers {
 
   fill(table, columns, rows) {
     const cells = (row, i) => columns.map(([, value]) => {
-      const made = value(row, i);
-      return element('td', { textContent: cellText(made), className: typeof made === 'number' ? 'number' : '' });
+      const text = cellText(value(row, i));
+      return element('td', { textContent: text, className: /^[\d.]+$/.test(text) ? 'number' : '' });
     });
     const head = element('tr', {}, ...columns.map(([name]) => element('th', { scope: 'col', textContent: name })));
     table.tHead.replaceChildren(head);
@@ -101,6 +101,6 @@ class Numbers {
   }
 
   copy() {
-    copyText(`${$('numbersOf').textContent}\n\n${separated(TRUTH_COLUMNS, this.truths)}\n\n${separated(DETECTION_COLUMNS, this.detections)}\n`, 'The numbers of this frame');
+    copyText(`${$('numbersOf').textContent}\n\n${separated(TRUTH_COLUMNS, this.truths)}\n\n${separated(DETECTION_COLUMNS, this.detections)}\n`, 'Numbers');
   }
 }

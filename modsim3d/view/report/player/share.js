@@ -20,13 +20,13 @@ async function copyText(text, what) {
     $('byHandText').value = text;
     $('byHandText').focus();
     $('byHandText').select();
-    say(`The browser does not allow copying here: ${what.toLowerCase()} can be copied from the field by hand`);
+    say('The browser does not allow this: copy the text in the field below');
   }
 }
 
 function copyLink(player) {
   writeAddress(player);
-  copyText(location.href.split('#')[0] + addressOf(player), 'The link');
+  copyText(location.href.split('#')[0] + addressOf(player), 'Link');
 }
 
 // The picture as it is on the page, over a strip that says what it shows.
