@@ -31,8 +31,10 @@ from modsim3d.view.report.recording_html import part_files, recording_html
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
 """Pages that other commands write into a run directory, and what they are."""
+PART_FILES = "*-*.js"
+"""Files of parts beside the page."""
 FILES = " 'self' file:"
-"""Where the scripts of parts in files come from: beside the page, on a server or on a disk."""
+"""Where they come from: a server or a disk."""
 LOUD_SHARE = 0.1
 """A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says; as the summary of a run has it."""
 SCRIPTS = (
@@ -96,7 +98,7 @@ def write_report(
     if folder is None:
         write_files({out: page})
         return out
-    with put_folder_in_place(folder, "*-*.js") as partial:
+    with put_folder_in_place(folder, PART_FILES) as partial:
         for name, text in part_files(frames).items():
             (partial / name).write_text(text, encoding="utf-8")
         write_files({out: page})
