@@ -10,12 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.view.report import overview, parts
 from modsim3d.view.report.clock import clock, said
 from modsim3d.view.report.overview import Overview, ShownRows, steps_in_a_bin
+from modsim3d.view.report.player_recording import recording
 from modsim3d.view.report.report import parts_folder, write_report
 from modsim3d.view.report.stretches import StretchesBuilder
+from modsim3d.view.report.vessel_outcomes import VesselOutcome
 from tests.view.report.unpacking import Unpacked, read
 
 PART = 7
@@ -77,6 +80,31 @@ def test_moments_and_counts_are_those_of_the_frames(whole):
             covered.setdefault(vessel, []).extend(range(first, first + long + 1))
         assert covered == missed
         assert kept[0] == sorted(kept[0])
+
+
+def test_stretches_of_outcomes_are_what_became_of_each_vessel(run):
+    names, camera = run.scene.vessel_names, run.scene.cameras[0].name
+    expected: dict[tuple[str, int], VesselOutcome] = {}
+    for frame in (each for each in run.frames() if each.camera == camera):
+        truth = frame.truth
+        for name, annotated, detected in zip(truth.vessels, truth.annotated, truth.detected, strict=True):
+            became = VesselOutcome.DETECTED if detected else VesselOutcome.MISSED
+            expected[name, frame.step] = became if annotated else VesselOutcome.NOT_ANNOTATED
+        for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):
+            if row is not None and outcome:
+                worst = VesselOutcome.OFF_VESSEL if outcome & Outcome.OFF_VESSEL else VesselOutcome.BELOW_HALF_IOU
+                wrong = outcome & (Outcome.OFF_VESSEL | Outcome.BELOW_HALF_IOU)
+                expected[truth.vessels[row], frame.step] = worst if wrong else VesselOutcome.WRONG_CLASS
+    found = recording(run).outcomes[0]
+    covered = {
+        (names[vessel], step): VesselOutcome(outcome)
+        for vessel, outcome, first, until in zip(found.vessel, found.outcome, found.first, found.until, strict=True)
+        for step in range(first, until + 1)
+    }
+    assert covered == expected
+    assert set(expected.values()) == set(VesselOutcome)
+    follows = (np.diff(found.vessel) == 0) & (found.until[:-1] + 1 == found.first[1:])
+    assert np.all(np.diff(found.outcome)[follows])  # one stretch ends where the outcome changes
 
 
 def test_bins_hold_the_sums_of_their_steps(monkeypatch):

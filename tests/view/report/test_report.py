@@ -283,6 +283,22 @@ def test_command_says_where_the_page_is(monkeypatch, capsys, run_folder, tmp_pat
     assert str(tmp_path / "new" / "page.html") in capsys.readouterr().out.replace("\n", "")
 
 
+def test_command_writes_the_frames_beside_the_page_if_asked(monkeypatch, capsys, run_folder, tmp_path):
+    page, folder = tmp_path / "long.html", tmp_path / "long_parts"
+    arguments = "report", run_folder, "--out", page, "--every", 10, "--parts"
+    assert call(monkeypatch, *arguments) == 0
+    assert str(folder) in capsys.readouterr().out.replace("\n", "")
+    assert [path.name for path in folder.iterdir()] == ["A-0.js"]
+    text = page.read_text(encoding="utf-8")
+    assert 'id="part-' not in text
+    assert "script-src 'sha256-" in text
+    assert call(monkeypatch, *arguments) == 2
+    assert call(monkeypatch, *arguments, "--overwrite") == 0
+    (folder / "notes.txt").touch()
+    assert call(monkeypatch, *arguments, "--overwrite") == 2
+    assert str(folder) in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("what", ["missing", "empty", "file in the way"])
 def test_bad_input_is_one_message(monkeypatch, capsys, run_folder, tmp_path, what):
     (tmp_path / "empty").mkdir()
