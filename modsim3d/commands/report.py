@@ -39,6 +39,9 @@ def report_command(
     similarity: SimilarityOption = None,
     scale: ScaleOption = None,
     threshold: ThresholdOption = None,
+    parts: Annotated[
+        bool, typer.Option("--parts", help="Write the frames into a folder beside the page, for very long runs.")
+    ] = False,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -50,9 +53,10 @@ def report_command(
     Example: modsim3d report runs/first
     """
     from modsim3d.errors import ModsimError
-    from modsim3d.outputs.claims import claimed
+    from modsim3d.outputs.claims import claimed, claimed_folders
     from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.stored_run import open_run
+    from modsim3d.view.report.player_page import PART_FILES, parts_folder
     from modsim3d.view.report.report import REPORT_FILE, write_report
     from modsim3d.view.report.side_by_side import SIDE_BY_SIDE_FILE, write_side_by_side
 
@@ -65,7 +69,13 @@ def report_command(
     tell_files(read)
     followed = opened_tracks(tracks, opened, similarity, scale, threshold)
     path = out_file(out, run / (REPORT_FILE if second is None else SIDE_BY_SIDE_FILE))
-    with timed("page"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
+    folders = {parts_folder(path): PART_FILES} if parts else {}
+    with (
+        timed("page"),
+        claimed([path], overwrite=overwrite, inputs=read),
+        claimed_folders(folders, overwrite=overwrite, inputs=read),
+        progress_bar() as bar,
+    ):
         runs = 1 if second is None else 2
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every) * runs)
 
@@ -73,14 +83,17 @@ def report_command(
             bar.update(task, advance=steps, refresh=True)
 
         if second is None:
-            write_report(opened, path, every, advance, followed)
+            write_report(opened, path, every, advance, followed, in_files=parts)
         else:
-            write_side_by_side(opened, second, path, every, advance)
+            write_side_by_side(opened, second, path, every, advance, in_files=parts)
     if followed is not None:
         say(followed.sentence())
     if not opened.finished:
         warn(f"an interrupted run: {opened.steps} of {opened.scene.steps} steps are there and shown")
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB)")
+    for folder in folders:
+        size = sum(file.stat().st_size for file in folder.iterdir())
+        say(f"written  {folder}  ({size / 1e6:.1f} MB): the page needs it beside it")
 
 
 def rerun_command(

@@ -6,6 +6,8 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yaml
 
@@ -65,6 +67,29 @@ def test_some_steps_read_back_are_those_steps(finished):
     run = open_run(finished)
     everything = list(run.frames())
     assert_same_frames(run.frames(240, 260), [frame for frame in everything if 240 <= frame.step < 260])
+
+
+def test_a_step_in_two_row_groups_is_read_whole(finished, tmp_path):
+    folder = shutil.copytree(finished, tmp_path / "run")
+    expected = {name: open_run(finished).table(name) for name in ("frames", "truth", "detections")}
+    for name, table in expected.items():
+        pq.write_table(table, folder / f"{name}.parquet", row_group_size=101)  # cuts the rows of a frame apart
+    content = json.loads((folder / "run.json").read_text())
+    del content["files"]
+    (folder / "run.json").write_text(json.dumps(content))
+    run = open_run(folder)
+    for name, table in expected.items():
+        groups = list(run.finished_tables.by_name[name].groups())
+        assert len(groups) > 3
+        assert pa.concat_tables(groups).equals(table), name
+    found: dict[str, list[pa.Table]] = {name: [] for name in expected}
+    for first, tables in run.tables_of_steps(70):
+        assert all(set(table["step"].to_pylist()) <= set(range(first, first + 70)) for table in tables.values())
+        for name, table in tables.items():
+            found[name].append(table)
+    for name, table in expected.items():
+        assert len(found[name]) == -(-STEPS // 70)
+        assert pa.concat_tables(found[name]).equals(table), name
 
 
 def test_steps_at_which_nothing_is_seen_read_back_as_empty_frames(tmp_path):

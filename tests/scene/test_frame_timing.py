@@ -16,7 +16,6 @@ from modsim3d.errors import InputError
 from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.pipeline import detector_inputs, simulate_frames, truth_block
 from modsim3d.runs.run import run_scene
-from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.selection import select
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.frame_timing import takes_frame

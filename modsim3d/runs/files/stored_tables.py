@@ -59,13 +59,18 @@ class StoredTable:
         return int(self._metadata.num_rows)
 
     def groups(self) -> Iterator[pa.Table]:
-        """The rows, row group by row group: the table of a long run is larger than memory.
+        """The rows, about a row group at a time: the table of a long run is larger than memory.
+
+        A step that is in two row groups comes whole.
 
         Raises:
             RunDirectoryError: A row is not what a run has written.
         """
-        for group, (least, greatest) in enumerate(self._steps.tolist()):
-            yield self._checked(group, group + 1, least, greatest + 1).table
+        first = 0
+        for stop in (self._steps[:, 1] + 1).tolist():
+            if stop > first:
+                yield self.rows(first, stop).table
+                first = stop
 
     def rows(self, first: int, stop: int) -> Rows:
         """The rows of steps first to stop − 1; only the row groups are read that may hold such rows.

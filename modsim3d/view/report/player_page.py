@@ -15,8 +15,10 @@ from modsim3d.outputs.placing import put_folder_in_place, write_files
 from modsim3d.view.report.player_recording import Recording
 from modsim3d.view.report.recording_html import part_files, recording_html
 
+PART_FILES = "*-*.js"
+"""Files of parts beside the page."""
 FILES = " 'self' file:"
-"""Where the scripts of parts in files come from: beside the page, on a server or on a disk."""
+"""Where they come from: a server or a disk."""
 SCRIPTS = (
     "elements.js",
     "colours.js",
@@ -113,7 +115,7 @@ def write_page(
     if folder is None:
         write_files({out: page})
         return
-    with put_folder_in_place(folder, "*-*.js") as partial:
+    with put_folder_in_place(folder, PART_FILES) as partial:
         for recording in recordings:
             for name, content in part_files(recording).items():
                 (partial / name).write_text(content, encoding="utf-8")

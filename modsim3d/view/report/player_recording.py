@@ -27,6 +27,7 @@ from modsim3d.view.report.parts import PartRows, parts, shown_in_a_part
 from modsim3d.view.report.places import Places
 from modsim3d.view.report.silhouettes import Silhouettes
 from modsim3d.view.report.track_columns import Lanes, TrackRows, track_facts
+from modsim3d.view.report.vessel_outcomes import OutcomesBuilder, OutcomeStretches
 
 FINEST_PX = 0.1
 
@@ -40,12 +41,14 @@ class Recording:
         facts: What the numbers mean: names, colours, times.
         overview: Packed columns of what the timeline shows, which the player unpacks first.
         parts: Packed columns of each part of the shown steps.
+        outcomes: What became of the vessels, of each camera.
     """
 
     name: str
     facts: dict[str, Any]
     overview: bytes
     parts: tuple[bytes, ...]
+    outcomes: tuple[OutcomeStretches, ...]
 
 
 def recording(
@@ -78,7 +81,7 @@ def recording(
         progress(len(part.steps))
     facts, overview = recorder.overview()
     facts |= {"parts": len(done), "partSteps": shown_in_a_part(run.scene, every)}
-    return Recording(name, facts, packed(overview), tuple(done))
+    return Recording(name, facts, packed(overview), tuple(done), recorder.outcomes())
 
 
 class _Recorder:
@@ -92,6 +95,7 @@ class _Recorder:
         self._silhouettes = Silhouettes(run.scene, self._quantum)
         sizes = len(self._steps), len(run.scene.vessels), len(run.scene.detector.states)
         self._overviews = [Overview(*sizes) for _ in run.scene.cameras]
+        self._outcomes = [OutcomesBuilder() for _ in run.scene.cameras]
         self._lanes, self._tracks = [], None
         if followed is not None:
             self._lanes = [Lanes(len(run.scene.vessels)) for _ in run.scene.cameras]
@@ -120,10 +124,16 @@ class _Recorder:
     def _add(self, part: PartRows, shown: Indices, columns: Mapping[str, Column | Coded]) -> None:
         index = part.steps // self._every
         plain = {name: each.values if isinstance(each, Coded) else each for name, each in columns.items()}
-        for camera, overview in enumerate(self._overviews):
-            overview.add(ShownRows.of(index, shown[:, camera], plain))
+        for camera, (overview, outcomes) in enumerate(zip(self._overviews, self._outcomes, strict=True)):
+            rows = ShownRows.of(index, shown[:, camera], plain)
+            overview.add(rows)
+            outcomes.add(rows)
         for camera, lanes in enumerate(self._lanes):
             lanes.add(index, shown[:, camera], part.taken[:, camera], plain)
+
+    def outcomes(self) -> tuple[OutcomeStretches, ...]:
+        """What became of the vessels, of each camera, once all parts are there."""
+        return tuple(each.stretches() for each in self._outcomes)
 
     def overview(self) -> tuple[dict[str, Any], dict[str, Column | Coded]]:
         """The facts, and the columns of what the timeline shows, once all parts are there."""

@@ -2,34 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from modsim3d.arrays import Indices
 from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.files.columns import NOBODY
-from modsim3d.runs.outcomes import Outcome, having
-from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.report.packing import ROW_BEFORE, Coded, Column
+from modsim3d.view.report.vessel_outcomes import OutcomeStretches
 
 DETECTORS_OWN = "detected"
 """The column of the truth that depends on the detector."""
-
-
-class VesselOutcome(IntEnum):
-    """What a detector made of a vessel in a frame, from good to bad; NONE where it was not given to the detector."""
-
-    NONE = 0
-    RIGHT = 1
-    BELOW_HALF_IOU = 2
-    MISLABELLED = 3
-    OFF_VESSEL = 4
-    MISSED = 5
 
 
 def check_same_truth(first: StoredRun, second: StoredRun) -> None:
@@ -72,17 +58,6 @@ def _first_difference(one: pa.Table, other: pa.Table) -> str:
     return "its columns"
 
 
-def vessel_outcomes(rows: RunRows) -> NDArray[np.uint8]:
-    """The `VesselOutcome` of each row of the truth, shape (n,); of a box around two vessels, both are RIGHT."""
-    outcome = np.where(rows.annotated, VesselOutcome.MISSED, VesselOutcome.NONE).astype(np.uint8)
-    outcome[rows.annotated & rows.detected] = VesselOutcome.RIGHT
-    own = rows.detected_row != NOBODY
-    row, flags = rows.detected_row[own], rows.outcomes[own]
-    for flag in (Outcome.BELOW_HALF_IOU, Outcome.MISLABELLED, Outcome.OFF_VESSEL):  # the worst is written last
-        outcome[row[having(flags, flag)]] = VesselOutcome[str(flag.name)]
-    return outcome
-
-
 @dataclass(frozen=True, eq=False)
 class Differences:
     """Stretches of shown steps in which two detectors made different things of a vessel, by camera, vessel and step.
@@ -92,36 +67,30 @@ class Differences:
         vessel: Index of the vessel, shape (d,).
         index: First shown step, shape (d,).
         until: Last shown step, shape (d,).
-        outcomes: The `VesselOutcome` in the first and the second run, shape (d, 2).
+        outcomes: Numbers of the `VesselOutcome` in the first and the second run, shape (d, 2).
     """
 
     camera: Indices
     vessel: Indices
     index: Indices
     until: Indices
-    outcomes: NDArray[np.uint8]
+    outcomes: Indices
 
 
-def differences(first: RunRows, second: RunRows, every: int = 1) -> Differences:
-    """Where two runs of the same truth differ, at every K-th step.
-
-    A camera with a frame rate of its own shows the last frame that it took.
-    """
-    cameras, vessels = len(first.scene.cameras), len(first.scene.vessels)
-    taken = first.last_taken(np.arange(0, first.steps, every))
-    made = np.column_stack([vessel_outcomes(first), vessel_outcomes(second)])
+def differences(first: Sequence[OutcomeStretches], second: Sequence[OutcomeStretches]) -> Differences:
+    """Where two runs of the same truth differ, from what became of the vessels of each camera in them."""
     parts = []
-    for camera in range(cameras):
-        here = first.truth_frame % cameras == camera
-        by_step = np.zeros((first.steps + 1, vessels, 2), dtype=np.uint8)  # the last one: no frame yet, or NOBODY
-        by_step[first.truth_frame[here] // cameras, first.truth_vessel[here]] = made[here]
-        shown = by_step[taken[:, camera]].transpose(1, 0, 2)
-        differs = shown[..., 0] != shown[..., 1]
-        keyed = np.where(differs, 1 + shown[..., 0].astype(np.int16) * len(VesselOutcome) + shown[..., 1], 0)
-        edges = np.diff(np.pad(keyed, ((0, 0), (1, 1))), axis=1)
-        vessel, begin = np.nonzero((edges != 0)[:, :-1] & differs)
-        _, end = np.nonzero((edges != 0)[:, 1:] & differs)
-        parts.append((np.full(len(vessel), camera), vessel, begin, end, shown[vessel, begin]))
+    for camera, (one, other) in enumerate(zip(first, second, strict=True)):
+        span = int(one.until.max(initial=0)) + 1
+        begins = [stretches.vessel * span + stretches.first for stretches in (one, other)]
+        begin = np.union1d(*begins)  # each run's outcome changes at some of them
+        row, other_row = (np.searchsorted(each, begin, side="right") - 1 for each in begins)
+        outcomes = np.column_stack([one.outcome[row], other.outcome[other_row]])
+        vessel, index = np.divmod(begin, span)
+        until = np.minimum(one.until[row], other.until[other_row])
+        differs = outcomes[:, 0] != outcomes[:, 1]
+        columns = np.full(len(begin), camera), vessel, index, until, outcomes
+        parts.append([column[differs] for column in columns])
     return Differences(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -133,5 +102,5 @@ def difference_columns(found: Differences) -> dict[str, Column | Coded]:
         "vessel": found.vessel[order].astype(np.uint16),
         "index": Coded(found.index[order].astype(np.uint32), by=ROW_BEFORE),
         "long": Coded((found.until - found.index)[order].astype(np.uint32)),
-        "outcomes": found.outcomes[order],
+        "outcomes": found.outcomes[order].astype(np.uint8),
     }

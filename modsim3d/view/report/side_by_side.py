@@ -54,12 +54,12 @@ def write_side_by_side(
         recording(run, every, progress, name=name, count=counts.add)
         for run, name, counts in zip(runs, "AB", tables, strict=True)
     ]
-    one, other = (RunRows.of(run) for run in runs)
-    found = differences(one, other, every)
+    found = differences(recordings[0].outcomes, recordings[1].outcomes)
     compared = compared_counts(tables[0], tables[1])
+    paired = paired_detections(*(RunRows.of(run) for run in runs))
     parts = [
         ("What happened", compared, ("", names[0], "", names[1], "")),
-        ("Vessels in frames, by who detected them", paired_detections(one, other), PAIRED_HEADER),
+        ("Vessels in frames, by who detected them", paired, PAIRED_HEADER),
         *(
             (f"By vessel: {name}", counts.by_vessel(), VESSEL_HEADER)
             for name, counts in zip(names, tables, strict=True)

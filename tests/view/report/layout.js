@@ -50,7 +50,8 @@ const layout = (() => {
       element.scrollIntoView({ block: 'nearest', behavior: 'instant' });
       const style = getComputedStyle(element), offset = parseFloat(style.outlineOffset), wide = offset + parseFloat(style.outlineWidth);
       const { left, top, right, bottom } = element.getBoundingClientRect();
-      const ring = { left: left - wide, top: top - wide, right: right + wide, bottom: bottom + wide }, cut = style.outlineStyle === 'none' ? 'no ring' : '';
+      const ring = { left: left - wide, top: top - wide, right: right + wide, bottom: bottom + wide };
+      let cut = style.outlineStyle === 'none' ? 'no ring' : '';
       for (let around = element.parentElement; around; around = around.parentElement) {
         if (!clips(around)) continue;
         const hole = around.getBoundingClientRect();

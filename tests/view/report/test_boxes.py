@@ -14,7 +14,7 @@ from tests.view.report.test_page_in_browser import differ, pixels
 SEPARATE = """(() => { // a detection that no other box touches, as [step, vessel, x, y of its middle on the canvas]
   for (let index = 0; index < player.recording.length; index++) {
     player.go(index);
-    const [{ truths, detections }] = player.frames;
+    const [{ truths, detections }] = player.stage.frames;
     const boxes = [...truths, ...detections].map(each => [each.vessel, each.full ?? each.box]);
     for (const each of detections.filter(({ false: wrong }) => wrong === WRONG)) {
       const [x0, y0, x1, y1] = each.box;
@@ -54,7 +54,7 @@ def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
     name, found, truth = opened.run(
         f"(frame => [player.recording.facts.vessels[{vessel}].name,"
         f" frame.detections.find(each => each.vessel === {vessel}),"
-        f" frame.truths.find(each => each.vessel === {vessel})])(player.frames[0])"
+        f" frame.truths.find(each => each.vessel === {vessel})])(player.stage.frames[0])"
     )
     assert tip.startswith(name)
     assert f"{truth['depth']:.0f} m" in tip
@@ -89,7 +89,7 @@ def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
     assert opened.run("document.querySelector('#chosen').textContent").startswith(name)
     assert differ(pixels(opened, "timeline"), timeline)
     opened.hover("#slider", 0.5, 0.5)
-    assert_ring(opened, f"player.frames[0].truths.find(each => each.vessel === {vessel})")
+    assert_ring(opened, f"player.stage.frames[0].truths.find(each => each.vessel === {vessel})")
     escape(opened)
     assert opened.run("player.followed") is None
     assert not differ(pixels(opened, "timeline"), timeline)
@@ -105,14 +105,14 @@ def assert_ring(browser: Browser, truth: str) -> None:
 def test_choosing_on_the_timeline_puts_a_ring_around_the_vessel(opened):
     opened.run("player.go(30)")
     row = opened.run(
-        "player.timeline.vessels.findIndex(vessel => player.frames[0].truths.some(each => "
+        "player.timeline.vessels.findIndex(vessel => player.stage.frames[0].truths.some(each => "
         "each.vessel === vessel && each.visible && player.picture.toCanvas(each.visible[0], 0)[0] > 20))"
     )
     top, high, height = opened.run("(t => [t.rowsTop, t.rowPx, t.height])(player.timeline)")
     x, wide = opened.run("[player.timeline.x(30.5), player.timeline.canvas.clientWidth]")
     opened.click("#timeline", x / wide, (top + (row + 0.5) * high) / height)
     assert opened.run("player.index") == 30
-    assert_ring(opened, "player.frames[0].truths.find(each => each.vessel === player.followed)")
+    assert_ring(opened, "player.stage.frames[0].truths.find(each => each.vessel === player.followed)")
 
 
 def test_a_press_on_a_false_alarm_shows_its_data_and_the_next_frame_forgets_it(opened):
@@ -121,7 +121,7 @@ def test_a_press_on_a_false_alarm_shows_its_data_and_the_next_frame_forgets_it(o
     closeup = pixels(opened, "closeup")
     opened.click(*over(opened, x, y))
     assert opened.run("[player.alarm, player.followed]") == [place, None]
-    found = opened.run(f"player.frames[0].detections[{place}]")
+    found = opened.run(f"player.stage.frames[0].detections[{place}]")
     said = opened.run("document.querySelector('#chosen').textContent")
     assert "false" in said
     assert f"{found['label']} {found['confidence']:.2f}" in said
@@ -136,11 +136,11 @@ def test_the_smallest_box_under_the_mouse_is_meant_and_a_drag_chooses_nothing(op
     truths = ", ".join(truth.replace("VESSEL", str(vessel)).replace("BOX", box) for vessel, box in boxes)
     opened.run("player.picture.fit([0, 0, 100, 50])")
     hit = (
-        "(at => { const [hover] = player.hovers; hover.at = player.picture.toCanvas(...at);"
+        "(at => { const { hover } = player.pane; hover.at = player.picture.toCanvas(...at);"
         f" return hover.find({{ truths: [{truths}], detections: [] }}, player.shown)?.vessel ?? null; }})"
     )
     assert [opened.run(f"{hit}([{x}, {x}])") for x in (5, 30, 60, 95)] == [0, 1, 2, None]
-    opened.run("(player.hovers[0].at = null, player.home(), player.choose(0))")
+    opened.run("(player.pane.hover.at = null, player.home(), player.choose(0))")
     x, y = opened._place("#picture", 0.5, 0.02)
     for kind, dx in (("mousePressed", 0), ("mouseMoved", 40), ("mouseReleased", 40)):
         opened.mouse(kind, x + dx, y, button="left", buttons=1, clickCount=1)

@@ -56,11 +56,6 @@ def crowded_index(folder: Path) -> int:
     raise AssertionError("no such step")
 
 
-def stored_fraction(fraction: NDArray[np.float64]) -> list[float]:
-    """Fractions as the page has them, in 250ths, as single-precision numbers."""
-    return (in_250ths(fraction) / np.float32(WHOLE)).astype(np.float32).tolist()
-
-
 @pytest.fixture(scope="module")
 def crowded(run_folder: Path) -> int:
     return crowded_index(run_folder)
@@ -185,8 +180,8 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
         truth = frame.truth
         # An occlusion begins where 10% are hidden and ends where 98% are seen: flicker neither begins nor ends one.
         occluded = {
-            name: seen <= (0.98 if occluded.get(name) else 0.9)
-            for name, seen in zip(truth.vessels, stored_fraction(truth.visible_fraction), strict=True)
+            name: seen <= (0.98 if occluded.get(name) else 0.9) * WHOLE
+            for name, seen in zip(truth.vessels, in_250ths(truth.visible_fraction).tolist(), strict=True)
         }
         hidden = np.array(list(occluded.values()))
         states.append(frame.state)

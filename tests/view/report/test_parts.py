@@ -1,7 +1,8 @@
-"""A recording in parts: the same frames, moments and counts wherever it is cut, and what the browser makes of the parts."""
+"""A recording in parts: the same frames, moments and counts wherever it is cut, and what the browser makes of them."""
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.view.report import overview, parts
 from modsim3d.view.report.clock import clock, said
-from modsim3d.view.report.packing import NONE
+from modsim3d.view.report.overview import Overview, ShownRows, steps_in_a_bin
 from modsim3d.view.report.player_page import parts_folder
+from modsim3d.view.report.player_recording import recording
 from modsim3d.view.report.report import write_report
 from modsim3d.view.report.stretches import StretchesBuilder
+from modsim3d.view.report.vessel_outcomes import VesselOutcome
 from tests.view.report.unpacking import Unpacked, read
 
 PART = 7
@@ -32,10 +36,18 @@ def whole(mistaken_page: Path) -> Unpacked:
     return read(mistaken_page)
 
 
-@pytest.fixture
-def cut_page(run: StoredRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    monkeypatch.setattr(parts, "MOST_SHOWN", PART)
-    return write_report(run, tmp_path / "cut.html")
+@pytest.fixture(scope="module")
+def cut_page(run: StoredRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parts, "MOST_SHOWN", PART)
+        return write_report(run, tmp_path_factory.mktemp("cut") / "cut.html")
+
+
+@pytest.fixture(scope="module")
+def page_with_files(run: StoredRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parts, "MOST_SHOWN", PART)
+        return write_report(run, tmp_path_factory.mktemp("in files") / "run page.html", in_files=True)
 
 
 def test_frames_and_moments_are_the_same_wherever_a_run_is_cut(cut_page, whole):
@@ -45,11 +57,12 @@ def test_frames_and_moments_are_the_same_wherever_a_run_is_cut(cut_page, whole):
     for name in ("shown", "taken"):
         np.testing.assert_array_equal(getattr(cut, name), getattr(whole, name))
     for both in ("columns", "overview"):
-        assert (names := set(getattr(cut, both))) == set(getattr(whole, both))
-        for name in names:
-            np.testing.assert_array_equal(getattr(cut, both)[name], getattr(whole, both)[name], err_msg=name)
-    for one, other in zip(cut.outlines, whole.outlines, strict=True):
-        assert [line.tolist() for line in one] == [line.tolist() for line in other]
+        one, other = getattr(cut, both), getattr(whole, both)
+        assert set(one) == set(other)
+        for name, column in one.items():
+            np.testing.assert_array_equal(column, other[name], err_msg=name)
+    for mine, others in zip(cut.outlines, whole.outlines, strict=True):
+        assert [line.tolist() for line in mine] == [line.tolist() for line in others]
 
 
 def test_moments_and_counts_are_those_of_the_frames(whole):
@@ -70,18 +83,65 @@ def test_moments_and_counts_are_those_of_the_frames(whole):
         assert kept[0] == sorted(kept[0])
 
 
-def test_bins_hold_the_sums_of_their_steps(run, whole, monkeypatch, tmp_path):
+def test_stretches_of_outcomes_are_what_became_of_each_vessel(run):
+    names, camera = run.scene.vessel_names, run.scene.cameras[0].name
+    expected: dict[tuple[str, int], VesselOutcome] = {}
+    for frame in (each for each in run.frames() if each.camera == camera):
+        truth = frame.truth
+        for name, annotated, detected in zip(truth.vessels, truth.annotated, truth.detected, strict=True):
+            became = VesselOutcome.DETECTED if detected else VesselOutcome.MISSED
+            expected[name, frame.step] = became if annotated else VesselOutcome.NOT_ANNOTATED
+        for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):
+            if row is not None and outcome:
+                worst = VesselOutcome.OFF_VESSEL if outcome & Outcome.OFF_VESSEL else VesselOutcome.BELOW_HALF_IOU
+                wrong = outcome & (Outcome.OFF_VESSEL | Outcome.BELOW_HALF_IOU)
+                expected[truth.vessels[row], frame.step] = worst if wrong else VesselOutcome.WRONG_CLASS
+    found = recording(run).outcomes[0]
+    covered = {
+        (names[vessel], step): VesselOutcome(outcome)
+        for vessel, outcome, first, until in zip(found.vessel, found.outcome, found.first, found.until, strict=True)
+        for step in range(first, until + 1)
+    }
+    assert covered == expected
+    assert set(expected.values()) == set(VesselOutcome)
+    follows = (np.diff(found.vessel) == 0) & (found.until[:-1] + 1 == found.first[1:])
+    assert np.all(np.diff(found.outcome)[follows])  # one stretch ends where the outcome changes
+
+
+def test_bins_hold_the_sums_of_their_steps(monkeypatch):
+    steps, vessels, rng = 47, 3, np.random.default_rng(0)
+
+    def columns() -> dict[str, np.ndarray]:
+        made = Overview(steps, vessels, 2)
+        made.add(shown)
+        return {name: getattr(each, "values", each) for name, each in made.columns("", half=False).items()}
+
+    rows, drawn = rng.permutation(steps * vessels)[:100], np.arange(40)
+    shown = ShownRows(
+        index=np.arange(steps),
+        state=np.repeat([0, 1], [30, 17]),
+        truth_index=rows // vessels,
+        vessel=rows % vessels,
+        annotated=rng.random(100) < 0.8,
+        missed=rng.random(100) < 0.3,
+        fraction=rng.integers(0, 251, 100),
+        rows=np.ones((100, 2)),
+        drawn_index=rows[drawn] // vessels,
+        drawn_vessel=rows[drawn] % vessels,
+        outcome=rng.choice([0, 1, 2, 4, 12], 40),
+    )
+    whole = columns()
     monkeypatch.setattr(overview, "MOST_BINS", 10)
     monkeypatch.setattr(overview, "LEAST_BINS", 10)
-    binned = read(write_report(run, tmp_path / "binned.html"))
-    (width,) = {each["width"] for each in binned.facts["overviews"]}
-    length = whole.facts["length"]
-    assert width == -(-length // 10)
-    for name in ("0.seen", "0.missed", "0.false", "0.vessels.fraction", "0.vessels.off"):
-        every = whole.overview[name].reshape(-1, length)
-        sums = np.add.reduceat(every, np.arange(0, length, width), axis=1).ravel()
-        np.testing.assert_array_equal(binned.overview[name], sums)
+    binned = columns()
+    assert steps_in_a_bin(steps, vessels) == 5
+    for name in (*overview.COUNTS, *(f"vessels.{each}" for each in overview.VESSEL_COUNTS)):
+        sums = np.add.reduceat(whole[name].reshape(-1, steps), np.arange(0, steps, 5), axis=1).ravel()
+        np.testing.assert_array_equal(binned[name], sums)
         assert sums.sum() > 0
+    assert binned["state"].tolist() == [0] * 6 + [1] * 4
+    for name in (each for each in whole if each.startswith("moments")):
+        np.testing.assert_array_equal(binned[name], whole[name])
 
 
 def test_places_are_those_of_the_scene(whole, run):
@@ -133,38 +193,35 @@ def test_times_that_are_no_plain_decimals_are_kept_as_they_are(texts):
     assert columns["clockTexts"].tobytes().decode().split("\n") == texts
 
 
-FRAME = "JSON.stringify([0, 1].map(camera => [player.recording.shapes({0}, camera).map(shape => player.recording.lines(shape)),"
-FRAME += "player.recording.truths({0}, camera), player.recording.detections({0}, camera), player.recording.state({0}, camera)]))"
+FRAME = """JSON.stringify([0, 1].map((camera) => [
+    player.recording.shapes({0}, camera).map((shape) => player.recording.lines(shape)),
+    player.recording.truths({0}, camera), player.recording.detections({0}, camera), player.recording.state({0}, camera),
+]))"""
 
 
-def test_the_browser_reads_the_same_from_parts_in_the_page_and_in_files(
-    browser, run, whole, cut_page, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(parts, "MOST_SHOWN", PART)
-    in_files = write_report(run, tmp_path / "files" / "run page.html", in_files=True)
-    assert len(list(parts_folder(in_files).iterdir())) == -(-run.steps // PART)
+def test_the_browser_reads_the_same_from_parts_in_the_page_and_in_files(browser, run, whole, cut_page, page_with_files):
+    last = run.steps - 1
+    assert len(list(parts_folder(page_with_files).iterdir())) == -(-run.steps // PART)
     seen = []
-    for page in (cut_page, in_files):
+    for page in (cut_page, page_with_files):
         browser.open(page)
-        frames = [
-            browser.run(f"player.recording.load({i}).then(() => {FRAME.format(i)})") for i in (0, 8, run.steps - 1)
-        ]
-        seen.append([browser.run("JSON.stringify(player.recording.facts.timestamps)"), *frames])
-        browser.run(f"(async () => {{ for (let i = 0; i < {run.steps}; i++) await player.go(i); }})()")
+        said = [browser.run(f"player.recording.load({i}).then(() => {FRAME.format(i)})") for i in (0, 8, last)]
+        seen.append([browser.run("JSON.stringify(player.recording.facts.timestamps)"), *said])
+        browser.run(
+            f"(async () => {{ for (let i = 0; i <= {last}; i += 3) await player.go(i); await player.go({last}); }})()"
+        )
         assert browser.run("player.recording.parts.size") < 12
-        assert browser.run("player.recording.ready(player.index) && !player.recording.ready(0)")
+        assert browser.run("[player.recording.ready(player.index), player.recording.ready(0)]") == [True, False]
     assert seen[0] == seen[1]
-    boxes = browser.run(f"player.recording.truths({run.steps - 1}, 0).map(each => [each.vessel, ...each.full])")
+    boxes = browser.run(f"player.recording.truths({last}, 0).map((each) => [each.vessel, ...each.full])")
     frame = int(whole.shown[-1, 0])
     rows = slice(*whole.columns["truthStart"][frame : frame + 2])
-    quantum, full = whole.facts["quantum"], whole.columns["full"].reshape(-1, 4)[rows]
-    np.testing.assert_allclose(boxes, np.column_stack([whole.columns["vessel"][rows], full * quantum]))
-    assert whole.columns["hider"].max() == NONE
+    full = whole.columns["full"].reshape(-1, 4)[rows] * whole.facts["quantum"]
+    np.testing.assert_allclose(boxes, np.column_stack([whole.columns["vessel"][rows], full]))
 
 
-def test_a_part_that_is_missing_is_said(browser, run, tmp_path, monkeypatch):
-    monkeypatch.setattr(parts, "MOST_SHOWN", PART)
-    page = write_report(run, tmp_path / "page.html", in_files=True)
+def test_a_part_that_is_missing_is_said(browser, page_with_files, tmp_path):
+    page = Path(shutil.copytree(page_with_files.parent, tmp_path / "copy")) / page_with_files.name
     (parts_folder(page) / "A-3.js").unlink()
     browser.open(page)
     browser.run(f"player.go({3 * PART})")

@@ -123,7 +123,7 @@ def test_counts_of_each_camera_are_those_of_the_run(page, run_folder):
 def tiles(page: Path) -> dict[str, tuple[int, str]]:
     """Name, number and meaning of what the page says first."""
     text = page.read_text(encoding="utf-8")
-    assert text.index("<dl class=result>") < text.index('id="picture"')
+    assert text.index("<dl class=result>") < text.index('id="stage"')
     found = re.findall(r"<div><dt>(.*?)</dt><dd>(\d+)</dd><dd>(.*?)</dd></div>", text)
     return {name: (int(number), meaning) for name, number, meaning in found}
 
@@ -281,6 +281,22 @@ def call(monkeypatch, *arguments) -> int:
 def test_command_says_where_the_page_is(monkeypatch, capsys, run_folder, tmp_path):
     assert call(monkeypatch, "report", run_folder, "--out", tmp_path / "new" / "page.html", "--every", 10) == 0
     assert str(tmp_path / "new" / "page.html") in capsys.readouterr().out.replace("\n", "")
+
+
+def test_command_writes_the_frames_beside_the_page_if_asked(monkeypatch, capsys, run_folder, tmp_path):
+    page, folder = tmp_path / "long.html", tmp_path / "long_parts"
+    arguments = "report", run_folder, "--out", page, "--every", 10, "--parts"
+    assert call(monkeypatch, *arguments) == 0
+    assert str(folder) in capsys.readouterr().out.replace("\n", "")
+    assert [path.name for path in folder.iterdir()] == ["A-0.js"]
+    text = page.read_text(encoding="utf-8")
+    assert 'id="part-' not in text
+    assert "script-src 'sha256-" in text
+    assert call(monkeypatch, *arguments) == 2
+    assert call(monkeypatch, *arguments, "--overwrite") == 0
+    (folder / "notes.txt").touch()
+    assert call(monkeypatch, *arguments, "--overwrite") == 2
+    assert str(folder) in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("what", ["missing", "empty", "file in the way"])

@@ -14,8 +14,10 @@ from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.view.report.compared_counts import paired_detections
-from modsim3d.view.report.run_differences import VesselOutcome, differences
+from modsim3d.view.report.player_recording import recording
+from modsim3d.view.report.run_differences import differences
 from modsim3d.view.report.side_by_side import write_side_by_side
+from modsim3d.view.report.vessel_outcomes import VesselOutcome
 from tests.view.report.browser import Browser
 
 SIZE = (1440, 1000)
@@ -48,8 +50,7 @@ def test_both_runs_show_their_own_detections_of_one_frame(browser, both, mistake
 
 def test_differences_are_moments_lanes_and_labels(browser, both, mistaken_folder, other_folder):
     browser.open(both, SIZE)
-    rows = [RunRows.of(open_run(folder)) for folder in (mistaken_folder, other_folder)]
-    found = differences(*rows)
+    found = differences(*(recording(open_run(folder)).outcomes for folder in (mistaken_folder, other_folder)))
     first = np.flatnonzero(found.camera == 0)
     first = first[np.lexsort((found.vessel[first], found.index[first]))]
     browser.press("x")
@@ -67,8 +68,8 @@ def test_differences_are_moments_lanes_and_labels(browser, both, mistaken_folder
 
 
 def _words(outcome: VesselOutcome) -> str:
-    named = {VesselOutcome.BELOW_HALF_IOU: "IoU below 0.5", VesselOutcome.MISLABELLED: "wrong class"}
-    return named.get(outcome, outcome.name.lower().replace("off_vessel", "off its vessel"))
+    named = {VesselOutcome.BELOW_HALF_IOU: "IoU below 0.5", VesselOutcome.DETECTED: "right"}
+    return named.get(outcome, outcome.name.lower().replace("off_vessel", "off its vessel").replace("_", " "))
 
 
 def test_the_images_of_two_runs_move_together_and_show_one_camera(browser, both):

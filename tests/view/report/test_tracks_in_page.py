@@ -103,7 +103,7 @@ def test_every_kth_step_keeps_the_marks_of_the_steps_between(run_folder, followe
 def test_a_page_without_tracks_says_nothing_of_lanes(page, tracks_page):
     script = '<script type="module">'  # is the same on all pages
     plain, with_tracks = (path.read_text(encoding="utf-8").partition(script)[0] for path in (page, tracks_page))
-    for part in ("lanes", '"tracks"'):
+    for part in ('id="lanes"', '"tracks"'):
         assert part not in plain
         assert part in with_tracks
 

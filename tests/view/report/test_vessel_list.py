@@ -9,7 +9,7 @@ from tests.view.report.test_page_in_browser import choose
 
 NAMES = "[...document.querySelectorAll('#vessels tr')].map(row => row.querySelector('button').textContent)"
 FIND = "(find => {{ find.value = '{}'; find.dispatchEvent(new Event('input')); }})(document.querySelector('#find'))"
-TRUTH = "player.frames[0].truths"
+TRUTH = "player.stage.frames[0].truths"
 VESSELS = "player.recording.facts.vessels"
 
 

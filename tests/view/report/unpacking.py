@@ -6,7 +6,7 @@ import base64
 import gzip
 import json
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,14 +47,6 @@ class Unpacked:
     stored: int
 
 
-@dataclass
-class _Gathered:
-    rows: dict[str, list[Column]] = field(default_factory=dict)
-
-    def add(self, name: str, values: Column) -> None:
-        self.rows.setdefault(name, []).append(values)
-
-
 def read(page: Path, name: str = "A") -> Unpacked:
     """The recording of a page by its name."""
     text = page.read_text(encoding="utf-8")
@@ -65,48 +57,67 @@ def read(page: Path, name: str = "A") -> Unpacked:
     facts, overview = json.loads(inside(f"facts-{name}")), _columns(inside(f"overview-{name}"))
     facts["steps"] = [i * facts["every"] for i in range(facts["length"])]
     _add_times(facts, overview)
-    still, cameras = _outlines(overview), len(facts["cameras"])
-    gathered, outlines, stored = _Gathered(), [], 0
-    numbers: dict[tuple[int, int], int] = {}
-    shown, steps_taken = [], []
+    reader = _Reader(facts, _outlines(overview))
     for number in range(facts["parts"]):
-        part = _columns(inside(f"part-{name}-{number}"))
-        moving = _outlines(part)
-        stored += len(part["state"])
+        reader.add(number, _columns(inside(f"part-{name}-{number}")))
+    return reader.unpacked(overview)
+
+
+class _Reader:
+    """Frames, one part after the other."""
+
+    def __init__(self, facts: dict[str, Any], still: list[list[Column]]) -> None:
+        self._facts, self._still, self._cameras = facts, still, len(facts["cameras"])
+        self._rows: dict[str, list[Column]] = {}
+        self._outlines: list[list[Column]] = []
+        self._numbers: dict[tuple[int, int], int] = {}
+        self._shown: list[int] = []
+        self._taken: list[int] = []
+        self._stored = 0
+
+    def add(self, number: int, part: dict[str, Column]) -> None:
+        """Add the part with this number."""
+        moving, part_steps = _outlines(part), self._facts["partSteps"]
+        self._stored += len(part["state"])
         for each in ("placed", "place", "heading", "cameraPlaced", "cameraPlace", "cameraLooks"):
-            gathered.add(each, part[each])
-        steps = facts["steps"][number * facts["partSteps"] :][: len(part["frame"]) // cameras]
-        taken = part["taken"].tolist() if "taken" in part else np.repeat(steps, cameras).tolist()
-        steps_taken += taken
+            self._gather(each, part[each])
+        steps = self._facts["steps"][number * part_steps :][: len(part["frame"]) // self._cameras]
+        taken = part["taken"].tolist() if "taken" in part else np.repeat(steps, self._cameras).tolist()
+        self._taken += taken
         for cell, (frame, step) in enumerate(zip(part["frame"].tolist(), taken, strict=True)):
-            first, stop = part["truthStart"][frame : frame + 2].tolist()
-            assert step >= 0 or first == stop
-            key = step, cell % cameras
-            shown.append(-1 if step < 0 else numbers.get(key, len(numbers)))
-            if step < 0 or key in numbers:
-                continue
-            numbers[key] = len(numbers)
-            gathered.add("state", part["state"][frame : frame + 1])
-            gathered.add("horizon", part["horizon"].reshape(-1, 3)[frame])
-            for start, names in TABLES.items():
-                if start not in part:
-                    continue
-                first, stop = part[start][frame : frame + 2].tolist()
-                gathered.add(start, np.array([stop - first]))
-                for column in names:
-                    width = 4 if column in ("full", "visible", "box", "trackBox") else 1
-                    gathered.add(column, part[column][width * first : width * stop])
-            first, stop = part["shapeStart"][frame : frame + 2].tolist()
-            outlines += [
-                still[outline - STILL] if outline >= STILL else moving[outline]
-                for outline in part["outline"][first:stop].tolist()
-            ]
-    columns = {column: np.concatenate(values) for column, values in gathered.rows.items()}
-    for start in TABLES:
-        if start in columns:
+            key = step, cell % self._cameras
+            self._shown.append(-1 if step < 0 else self._numbers.setdefault(key, len(self._numbers)))
+            if step < 0:
+                first, stop = part["truthStart"][frame : frame + 2].tolist()
+                assert first == stop
+            elif self._shown[-1] == len(self._rows.get("state", [])):
+                self._frame(part, frame, moving)
+
+    def _gather(self, name: str, values: Column) -> None:
+        self._rows.setdefault(name, []).append(values)
+
+    def _frame(self, part: dict[str, Column], frame: int, moving: list[list[Column]]) -> None:
+        self._gather("state", part["state"][frame : frame + 1])
+        self._gather("horizon", part["horizon"].reshape(-1, 3)[frame])
+        for start in TABLES.keys() & part.keys():
+            first, stop = part[start][frame : frame + 2].tolist()
+            self._gather(start, np.array([stop - first]))
+            for column in TABLES[start]:
+                width = 4 if column in ("full", "visible", "box", "trackBox") else 1
+                self._gather(column, part[column][width * first : width * stop])
+        first, stop = part["shapeStart"][frame : frame + 2].tolist()
+        self._outlines += [
+            self._still[outline - STILL] if outline >= STILL else moving[outline]
+            for outline in part["outline"][first:stop].tolist()
+        ]
+
+    def unpacked(self, overview: dict[str, Column]) -> Unpacked:
+        """What was read."""
+        columns = {column: np.concatenate(values) for column, values in self._rows.items()}
+        for start in TABLES.keys() & columns.keys():
             columns[start] = np.concatenate([[0], np.cumsum(columns[start])])
-    cells = (np.array(each).reshape(-1, cameras) for each in (shown, steps_taken))
-    return Unpacked(facts, *cells, columns, outlines, overview, stored)
+        shown, taken = (np.array(each).reshape(-1, self._cameras) for each in (self._shown, self._taken))
+        return Unpacked(self._facts, shown, taken, columns, self._outlines, overview, self._stored)
 
 
 def _add_times(facts: dict[str, Any], overview: dict[str, Column]) -> None:

@@ -1,6 +1,6 @@
 // Where two runs of the same truth differ: what the detectors of A and B made of the same vessels. It is made by run_differences.py.
 
-const OUTCOMES = ['', 'right', 'IoU below 0.5', 'wrong class', 'off its vessel', 'missed']; // from good to bad
+const OUTCOMES = ['not annotated', 'right', 'wrong class', 'IoU below 0.5', 'off its vessel', 'missed']; // from good to bad
 const LETTERS = ['A', 'B'];
 
 class Differences {

@@ -36,6 +36,7 @@ class Recording {
     this.parts.set(number, promise);
     try {
       const part = await promise;
+      this.parts.delete(number); // it is as good as used: others were while it was unpacked
       this.parts.set(number, part);
       this.forget();
       return part;
@@ -198,7 +199,7 @@ class Recording {
 
   // Where everything is, in metres and radians from above: null for a vessel that is absent, and for a camera whose vessel is.
   places(index) {
-    const { first, columns } = this.part(index), { vessels, cameras } = this.facts, row = index - first, turn = 2 * Math.PI / 65536;
+    const { first, columns } = this.parts.get(this.partOf(index)), { vessels, cameras } = this.facts, row = index - first, turn = 2 * Math.PI / 65536;
     const place = (values, at) => ({ x: values[2 * at] / 100, y: values[2 * at + 1] / 100 });
     return {
       vessels: vessels.map((_, i) => {
