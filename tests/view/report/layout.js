@@ -30,6 +30,7 @@ const layout = (() => {
     const found = [];
     parts.forEach((a, i) => parts.slice(i + 1).forEach((b) => {
       if (a.element.contains(b.element) || b.element.contains(a.element)) return;
+      if (a.element.closest('thead') && b.element.closest('tbody')) return; // rows scroll under the head of their table
       const { left, top, right, bottom } = meet(a.place, b.place);
       if (right - left > 0.5 && bottom - top > 0.5) found.push(`${name(a.element)} and ${name(b.element)}`);
     }));
