@@ -36,7 +36,7 @@ class Silhouettes:
     def __init__(self, scene: Scene, quantum_px: float) -> None:
         """Begin with no part of a run of a scene; lengths in the image are in this unit."""
         self._scene, self._quantum_px = scene, quantum_px
-        self._still = _OutlineStore()
+        self._still = OutlineStore()
 
     def columns(
         self, rows: RunRows, frames: Sequence[Indices], horizons: Array
@@ -76,7 +76,7 @@ class Silhouettes:
         outline = np.empty(len(stands), dtype=np.int64)
         outline[stands] = STILL + self._still.numbers(every_shape.take(stands))
         moving = every_shape.take(~stands)
-        outline[~stands], new = _changes(moving, _camera_of(moving.frame, frames))
+        outline[~stands], new = outline_numbers(moving, _camera_of(moving.frame, frames))
         order = np.argsort(every_shape.frame, kind="stable")
         return every_shape.frame[order], {
             "owner": Coded(every_shape.occluder[order].astype(np.uint16), by=ROW_BEFORE),
@@ -95,7 +95,7 @@ def _camera_of(frame: Indices, frames: Sequence[Indices]) -> Indices:
     return camera
 
 
-def _changes(moving: Shapes, camera: Indices) -> tuple[Indices, Mask]:
+def outline_numbers(moving: Shapes, camera: Indices) -> tuple[Indices, Mask]:
     """The outline of each shape, and which shapes are the first of theirs, both of shape (s,).
 
     A shape has the outline of the shape before of its occluder in its camera if that is the same.
@@ -108,10 +108,11 @@ def _changes(moving: Shapes, camera: Indices) -> tuple[Indices, Mask]:
     return number, new
 
 
-class _OutlineStore:
+class OutlineStore:
     """Different outlines, numbered in the order in which they come."""
 
     def __init__(self) -> None:
+        """Begin with none."""
         self._numbers: dict[tuple[bytes, bytes], int] = {}
         self._kept: list[Shapes] = [NO_SHAPES]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -10,10 +11,12 @@ from modsim3d.geometry.camera_poses import Mount, poses_ashore
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.truth.outlines import outline
 from modsim3d.vessels.bodies import vessel_bodies
+from modsim3d.view.report import painting_order as painting
 from modsim3d.view.report.contours import contours
 from modsim3d.view.report.painting_order import in_front, painting_order
-from modsim3d.view.report.silhouettes import shapes
-from tests.scenes import INTRINSICS, outlines_of, vessel
+from modsim3d.view.report.shapes import Shapes
+from modsim3d.view.report.silhouettes import OutlineStore, outline_numbers, shapes
+from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 
 NONE = np.empty(0, dtype=np.int64)
 PLACES = st.integers(0, 12)
@@ -76,6 +79,50 @@ def test_who_is_in_front_does_not_depend_on_the_distance_of_the_centres():
     assert outlines.depth_m[0] < outlines.depth_m[1]
     hidden, hider = in_front(outlines, 2, NONE)
     assert (hidden.tolist(), hider.tolist()) == ([0], [1])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_planes_say_of_who_is_in_front_holds_at_depths_that_do_not_overlap(monkeypatch, seed):
+    outlines = outlines_of(random_places(np.random.default_rng(seed), 40))
+    fast = set(zip(*(rows.tolist() for rows in in_front(outlines, 40, NONE)), strict=True))
+    nearest = [part.vertices_camera[..., 2].min(axis=1) for part in outlines.parts]
+    farthest = [part.vertices_camera[..., 2].max(axis=1) for part in outlines.parts]
+    assert len(nearest) == 1
+    everywhere = np.zeros(len(outlines)), np.full(len(outlines), np.inf)
+    monkeypatch.setattr(painting, "_depths_m", lambda outlines: everywhere)
+    slow = set(zip(*(rows.tolist() for rows in in_front(outlines, 40, NONE)), strict=True))
+    assert len(slow) > 10
+    assert slow <= fast
+    assert all(farthest[0][hider] <= nearest[0][hidden] for hidden, hider in fast - slow)
+
+
+def drawn_shapes(*drawn: tuple[int, list[list[tuple[int, int]]]]) -> Shapes:
+    """Shapes as (occluder, lines), each in a frame of its own."""
+    lines = [line for _, some in drawn for line in some]
+    return Shapes(
+        np.arange(len(drawn)),
+        np.array([occluder for occluder, _ in drawn]),
+        np.array([len(some) for _, some in drawn]),
+        np.array([len(line) for line in lines]),
+        np.array([corner for line in lines for corner in line], dtype=np.uint16),
+    )
+
+
+def test_an_outline_that_stays_is_stored_once():
+    square, moved = [(0, 0), (4, 0), (4, 4), (0, 4)], [(1, 0), (5, 0), (5, 4), (1, 4)]
+    split = [square[:3], [(9, 9), (8, 8), (7, 9)]]
+    some = drawn_shapes(
+        (0, [square]), (1, [square]), (0, [square]), (0, [moved]), (1, [square]), (1, split), (1, split)
+    )
+    number, new = outline_numbers(some, np.zeros(7, dtype=np.int64))
+    assert number.tolist() == [0, 1, 0, 2, 1, 3, 3]
+    assert new.tolist() == [True, True, False, True, False, True, False]
+    other_camera = np.array([0, 0, 1, 1, 1, 1, 1])
+    assert outline_numbers(some, other_camera)[1].tolist() == [True, True, True, True, True, True, False]
+    store = OutlineStore()
+    assert store.numbers(some).tolist() == [0, 0, 0, 1, 0, 2, 2]
+    assert store.numbers(drawn_shapes((5, [moved]), (5, [moved, square]))).tolist() == [1, 3]
+    assert len(store.shapes()) == 4
 
 
 def test_truth_decides_between_intersecting_solids():

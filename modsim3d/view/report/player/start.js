@@ -9,6 +9,7 @@ try {
   $('board').hidden = false;
   const player = new Player(recordings, differences);
   await player.waiting;
+  performance.mark('first frame');
   window.player = player; // for the console, and for tests
 } catch (error) {
   showFailure(error);
