@@ -105,7 +105,7 @@ class Timeline {
   // How many in each column of pixels: the mean of its frames, in parts of the greatest.
   bars(context, top, name, counts) {
     const most = counts.reduce((a, b) => Math.max(a, b), 0);
-    this.text(context, most ? `${name}, up to ${most}` : `${name}: none`, 0, top + BARS_PX / 2, this.left - 6);
+    this.text(context, most ? `${name}, max ${most}` : `${name}: none`, 0, top + BARS_PX / 2, this.left - 6);
     context.fillStyle = colourOf('--track');
     context.fillRect(this.left, top, this.wide, BARS_PX);
     context.fillStyle = colourOf('--alarm');
@@ -210,9 +210,11 @@ class Timeline {
     if (this.still.width && this.still.height) context.drawImage(this.still, 0, 0);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (row !== null && row > this.rowsTop - this.rowPx && row < this.rowsTop + this.rowsPx) {
-      const top = Math.max(row, this.rowsTop), bottom = Math.min(row + this.rowPx, this.rowsTop + this.rowsPx);
+      const top = Math.max(row, this.rowsTop) - ROW_GAP_PX, bottom = Math.min(row + this.rowPx, this.rowsTop + this.rowsPx) - ROW_GAP_PX;
       context.fillStyle = colourOf('--accent');
       context.fillRect(0, top, NAME_LEFT_PX / 2, bottom - top);
+      Object.assign(context, { strokeStyle: colourOf('--accent'), lineWidth: 1 });
+      context.strokeRect(0.5, top + 0.5, this.left - NAME_LEFT_PX, bottom - top - 1);
     }
     for (const [colour, wide] of [['--paper', 5], ['--ink', 2]]) {
       context.fillStyle = colourOf(colour);
