@@ -49,11 +49,13 @@ const layout = (() => {
     for (const element of all('button, select, input, summary, canvas[tabindex], a[href], [tabindex="0"]')) {
       element.focus({ focusVisible: true, preventScroll: true });
       element.scrollIntoView({ block: 'nearest', behavior: 'instant' });
-      const style = getComputedStyle(element), offset = parseFloat(style.outlineOffset), wide = offset + parseFloat(style.outlineWidth);
-      const { left, top, right, bottom } = element.getBoundingClientRect();
+      let ringed = element; // or what is around it has the ring
+      while (ringed !== document.body && getComputedStyle(ringed).outlineStyle === 'none') ringed = ringed.parentElement;
+      const style = getComputedStyle(ringed), wide = parseFloat(style.outlineOffset) + parseFloat(style.outlineWidth);
+      const { left, top, right, bottom } = ringed.getBoundingClientRect();
       const ring = { left: left - wide, top: top - wide, right: right + wide, bottom: bottom + wide };
       let cut = style.outlineStyle === 'none' ? 'no ring' : '';
-      for (let around = element.parentElement; around; around = around.parentElement) {
+      for (let around = ringed.parentElement; around; around = around.parentElement) {
         if (!clips(around)) continue;
         const hole = around.getBoundingClientRect();
         const over = Math.max(hole.left - ring.left, hole.top - ring.top, ring.right - hole.right, ring.bottom - hole.bottom);

@@ -95,7 +95,7 @@ def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, 
 
 def test_silhouettes_cover_the_truth_boxes_in_the_vessels_colour(browser, page, crowded, run_folder):
     """The colour at the middle of what is seen is its vessel's, where no other vessel's box reaches."""
-    browser.open(page, hash=f"#step={crowded}")
+    browser.open(page, (1440, 1000), f"#step={crowded}")  # so wide that a boat is more than its edges
     browser.run(
         "(() => { for (const name in player.shown) player.shown[name] = name === 'silhouettes'; player.whole(); })()"
     )

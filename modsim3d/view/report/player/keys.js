@@ -20,7 +20,8 @@ function keysOf(player) {
       ...(player.differences || player.recording.facts.cameras.length < 2 ? [] : [row('G', 'another camera beside the first; again for the next, then none', { g: () => player.stage.nextBeside() })]),
       row('V', 'next vessel; with shift the previous one', { v: ({ shiftKey }) => player.followNext(shiftKey ? -1 : 1) }),
       row('Esc', 'choose no vessel', { Escape: () => player.choose(null) }),
-      row('+ −', 'zoom, as with the mouse wheel; drag to move', { '+': actions.zoomIn, '=': actions.zoomIn, '-': actions.zoomOut }),
+      row('+ −', 'zoom', { '+': actions.zoomIn, '=': actions.zoomIn, '-': actions.zoomOut }),
+      row('↑ ↓', 'on the list or the timeline: another vessel; on the image with shift and ← →: move it', {}), // focus.js has them
       row('0 9', 'where the vessels are; the whole image', { 0: actions.home, 9: actions.whole }),
       row('1 … 8', `layers: ${LAYERS.map(([, title]) => title.toLowerCase().replace('ids', 'IDs')).join(', ')}`,
         Object.fromEntries(LAYERS.map(([name], i) => [i + 1, () => $(`layer-${name}`).click()]))),

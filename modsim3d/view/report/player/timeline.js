@@ -96,7 +96,7 @@ class Timeline {
   bars(context, top, name, counts) {
     const { overview } = this, most = counts.reduce((a, b, bin) => Math.max(a, b / (overview.stopOf(bin) - overview.firstOf(bin))), 0);
     const greatest = overview.width > 1 ? most.toFixed(1) : most;
-    this.text(context, most ? `${name}, up to ${greatest}` : `${name}: none`, 0, top + BARS_PX / 2, this.left - 6);
+    this.text(context, most ? `${name}, max ${greatest}` : `${name}: none`, 0, top + BARS_PX / 2, this.left - 6);
     context.fillStyle = colourOf('--track');
     context.fillRect(this.left, top, this.wide, BARS_PX);
     context.fillStyle = colourOf('--alarm');
@@ -183,9 +183,11 @@ class Timeline {
     if (this.still.width && this.still.height) context.drawImage(this.still, 0, 0);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (row !== null && row > this.rowsTop - this.rowPx && row < this.rowsTop + this.rowsPx) {
-      const top = Math.max(row, this.rowsTop), bottom = Math.min(row + this.rowPx, this.rowsTop + this.rowsPx);
+      const top = Math.max(row, this.rowsTop) - ROW_GAP_PX, bottom = Math.min(row + this.rowPx, this.rowsTop + this.rowsPx) - ROW_GAP_PX;
       context.fillStyle = colourOf('--accent');
       context.fillRect(0, top, NAME_LEFT_PX / 2, bottom - top);
+      Object.assign(context, { strokeStyle: colourOf('--accent'), lineWidth: 1 });
+      context.strokeRect(0.5, top + 0.5, this.left - NAME_LEFT_PX, bottom - top - 1);
     }
     for (const [colour, wide] of [['--paper', 5], ['--ink', 2]]) {
       context.fillStyle = colourOf(colour);
