@@ -41,6 +41,7 @@ SCRIPTS = (
     "recording.js",
     "kinds.js",
     "highlight.js",
+    "plates.js",
     "picture.js",
     "track_picture.js",
     "pane.js",

@@ -94,7 +94,6 @@ class Hover {
     this.at = [offsetX, offsetY];
     this.find(this.player.frameOf(this.pane), this.player.shown);
     this.place();
-    this.player.activate?.(this.pane);
     if (this.hit) this.player.choose(this.hit.vessel, this.hit.alarm);
     else this.player.choose(null);
     if (pointerType === 'touch') this.tip.hidden = !this.hit;

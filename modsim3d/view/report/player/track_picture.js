@@ -19,12 +19,14 @@ function tracksAt(recording, index, camera) {
 function trackColour(vessel, { colours }) { return vessel === null ? FALSE_TRACK : colours.vessels[vessel]; }
 
 class TrackPicture extends Picture {
-  draw(recording, index, camera, shown, frame, marked) {
-    super.draw(recording, index, camera, { ...shown, labels: false }, frame, marked);
+  draw(recording, index, camera, shown, frame, marked = {}) {
+    super.draw(recording, index, camera, { ...shown, labels: false }, frame, { ...marked, chosen: null });
     if (shown.tracks) for (const track of tracksAt(recording, index, camera)) this.track(track, recording.facts);
+    this.context.globalAlpha = 1;
+    drawChosen(this, marked.chosen);
     if (shown.labels || shown.tracks) {
       if (!shown.labels) this.plates = this.plates.filter(({ track }) => track);
-      this.labels();
+      drawPlates(this);
     }
   }
 
