@@ -145,3 +145,18 @@ def test_the_smallest_box_under_the_mouse_is_meant_and_a_drag_chooses_nothing(op
     for kind, dx in (("mousePressed", 0), ("mouseMoved", 40), ("mouseReleased", 40)):
         opened.mouse(kind, x + dx, y, button="left", buttons=1, clickCount=1)
     assert opened.run("player.followed") == 0
+
+
+def test_a_tap_chooses_the_vessel_and_says_what_it_is(opened):
+    index, vessel, _, x, y = separate(opened, wrong=False)
+    opened.run(f"player.go({index})")
+    x, y = opened._place(*over(opened, x, y))
+    opened.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+    opened.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    opened.run(
+        "new Promise(done => { const look = () => player.followed === null ? setTimeout(look, 20) : done(); look(); })"
+    )
+    assert opened.run("player.followed") == vessel
+    name = opened.run(f"player.recording.facts.vessels[{vessel}].name")
+    assert opened.run("document.querySelector('#note').textContent").startswith(name)
+    assert opened.run("document.querySelector('.tip').hidden")
