@@ -18,7 +18,8 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
-from modsim3d.view.report.player_recording import WHOLE, in_250ths
+from modsim3d.view.report.occlusions import BEGINS, ENDS
+from modsim3d.view.report.player_recording import in_250ths
 from modsim3d.view.report.report import write_report
 from tests.scenes import crossing
 from tests.view.report.browser import Browser
@@ -53,11 +54,6 @@ def crowded_index(folder: Path) -> int:
         if frame.camera == "C1" and hidden.any() and missed.any() and {"true", "false_positive"} <= set(found.kinds):
             return frame.step
     raise AssertionError("no such step")
-
-
-def stored_fraction(fraction: NDArray[np.float64]) -> list[float]:
-    """Fractions as the page has them, in 250ths, as single-precision numbers."""
-    return (in_250ths(fraction) / np.float32(WHOLE)).astype(np.float32).tolist()
 
 
 @pytest.fixture(scope="module")
@@ -184,8 +180,8 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
         truth = frame.truth
         # An occlusion begins where 10% are hidden and ends where 98% are seen: flicker neither begins nor ends one.
         occluded = {
-            name: seen <= (0.98 if occluded.get(name) else 0.9)
-            for name, seen in zip(truth.vessels, stored_fraction(truth.visible_fraction), strict=True)
+            name: int(seen) <= (ENDS if occluded.get(name) else BEGINS)
+            for name, seen in zip(truth.vessels, in_250ths(truth.visible_fraction), strict=True)
         }
         hidden = np.array(list(occluded.values()))
         states.append(frame.state)

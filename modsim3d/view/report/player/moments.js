@@ -2,7 +2,7 @@
 
 // A vessel is occluded from when it is hidden by this much until it is seen but for that little, so that a flicker
 // between 0.99 and 1 is no onset.
-const BEGINS_BELOW = 0.9, ENDS_ABOVE = 0.98;
+const BEGINS = 225, ENDS = 245; // visible, in 250ths
 
 // What is so of a vessel at a step; false alarms are of no vessel.
 const HOLDS = {
@@ -26,7 +26,7 @@ function findMoments(kind, summary, recording) {
   if (kind === 'false') collect(null, (index) => summary.false[index] > 0);
   else facts.vessels.forEach((_, vessel) => {
     const first = vessel * length, { fraction } = summary;
-    if (kind === 'hidden') collect(vessel, (index, is) => fraction[first + index] <= (is ? ENDS_ABOVE : BEGINS_BELOW));
+    if (kind === 'hidden') collect(vessel, (index, is) => Math.round(WHOLE * fraction[first + index]) <= (is ? ENDS : BEGINS));
     else collect(vessel, (index) => HOLDS[kind](summary, first + index, facts.outcomes));
   });
   return moments.sort((a, b) => a.index - b.index || a.vessel - b.vessel);
