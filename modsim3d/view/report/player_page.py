@@ -28,6 +28,7 @@ SCRIPTS = (
     "recording.js",
     "kinds.js",
     "highlight.js",
+    "plates.js",
     "picture.js",
     "track_picture.js",
     "bounds.js",

@@ -96,8 +96,8 @@ def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
 
 
 def assert_ring(browser: Browser, truth: str) -> None:
-    """White on the left of what is seen of a vessel."""
-    x, y = browser.run(f"(({{ visible: [x0, y0, x1, y1] }}) => player.picture.toCanvas(x0, (y0 + y1) / 2))({truth})")
+    """White on the left of a vessel."""
+    x, y = browser.run(f"(({{ full: [x0, y0, x1, y1] }}) => player.picture.toCanvas(x0, (y0 + y1) / 2))({truth})")
     left = pixels(browser)[int(y), max(int(x) - 13, 0) : int(x) - 4, :3]
     assert (left.min(axis=1) > 240).any()
 
@@ -106,7 +106,7 @@ def test_choosing_on_the_timeline_puts_a_ring_around_the_vessel(opened):
     opened.run("player.go(30)")
     row = opened.run(
         "player.timeline.vessels.findIndex(vessel => player.stage.frames[0].truths.some(each => "
-        "each.vessel === vessel && each.visible && player.picture.toCanvas(each.visible[0], 0)[0] > 20))"
+        "each.vessel === vessel && player.picture.toCanvas(each.full[0], 0)[0] > 20))"
     )
     top, high, height = opened.run("(t => [t.rowsTop, t.rowPx, t.height])(player.timeline)")
     x, wide = opened.run("[player.timeline.x(30.5), player.timeline.canvas.clientWidth]")
@@ -145,3 +145,18 @@ def test_the_smallest_box_under_the_mouse_is_meant_and_a_drag_chooses_nothing(op
     for kind, dx in (("mousePressed", 0), ("mouseMoved", 40), ("mouseReleased", 40)):
         opened.mouse(kind, x + dx, y, button="left", buttons=1, clickCount=1)
     assert opened.run("player.followed") == 0
+
+
+def test_a_tap_chooses_the_vessel_and_says_what_it_is(opened):
+    index, vessel, _, x, y = separate(opened, wrong=False)
+    opened.run(f"player.go({index})")
+    x, y = opened._place(*over(opened, x, y))
+    opened.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+    opened.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    opened.run(
+        "new Promise(done => { const look = () => player.followed === null ? setTimeout(look, 20) : done(); look(); })"
+    )
+    assert opened.run("player.followed") == vessel
+    name = opened.run(f"player.recording.facts.vessels[{vessel}].name")
+    assert opened.run("document.querySelector('#note').textContent").startswith(name)
+    assert opened.run("document.querySelector('.tip').hidden")

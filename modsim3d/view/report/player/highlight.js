@@ -8,6 +8,11 @@ function isSameBox(hit, { vessel = null, alarm = null, lane = null }) {
   return hit.vessel === null ? lane === hit.lane : alarm === null && vessel === hit.vessel;
 }
 
+// The box of what is chosen, if there is one: a ring around it, or an arrow to it.
+function drawChosen(picture, box) {
+  if (box) (picture.shows(box) ? drawHalo : drawArrowTo)(picture, box);
+}
+
 // A ring around a box, white with a dark seam, so that it is seen on sky, sea and hulls.
 function drawHalo(picture, [x0, y0, x1, y1]) {
   const { context } = picture, [left, top] = picture.toCanvas(x0, y0), [right, bottom] = picture.toCanvas(x1, y1);
@@ -39,7 +44,8 @@ function drawArrowTo(picture, [x0, y0, x1, y1]) {
 // The box of a vessel or of a false alarm that was chosen, if it is in this frame.
 function chosenBox(frame, vessel, alarm) {
   const truth = vessel === null ? null : frame.truths.find((each) => each.vessel === vessel);
-  return truth ? truth.visible ?? truth.full : alarm === null ? null : frame.detections[alarm]?.box ?? null;
+  if (truth) return truth.full;
+  return alarm === null ? null : frame.detections[alarm]?.box ?? null;
 }
 
 // The stretch that plays again and again, if there is one.

@@ -72,9 +72,9 @@ class Hover {
     Object.assign(this, { pane, player, at: null, hit: null, pressed: null });
     this.tip = element('div', { className: 'tip hint', hidden: true });
     canvas.parentElement.append(this.tip);
-    canvas.addEventListener('pointermove', ({ offsetX, offsetY, buttons }) => this.move(buttons ? null : [offsetX, offsetY]));
+    canvas.addEventListener('pointermove', ({ offsetX, offsetY, buttons, pointerType }) => this.move(buttons || pointerType === 'touch' ? null : [offsetX, offsetY]));
     canvas.addEventListener('pointerleave', () => this.move(null));
-    canvas.addEventListener('pointerdown', ({ clientX, clientY }) => { this.pressed = [clientX, clientY]; });
+    canvas.addEventListener('pointerdown', ({ clientX, clientY, pointerType }) => { this.pressed = { x: clientX, y: clientY, by: pointerType }; });
     canvas.addEventListener('click', (event) => this.press(event));
   }
 
@@ -87,17 +87,14 @@ class Hover {
     if (before?.vessel !== this.hit?.vessel || before?.alarm !== this.hit?.alarm || before?.lane !== this.hit?.lane) this.player.draw();
   }
 
-  // A press that was no drag chooses the box, or nothing where there is none.
-  press({ clientX, clientY, offsetX, offsetY, pointerType }) {
-    const [x, y] = this.pressed ?? [clientX, clientY];
-    if (Math.hypot(clientX - x, clientY - y) > STILL_PX) return;
-    this.at = [offsetX, offsetY];
-    this.find(this.player.frameOf(this.pane), this.player.shown);
-    this.place();
-    this.player.activate?.(this.pane);
-    if (this.hit) this.player.choose(this.hit.vessel, this.hit.alarm);
-    else this.player.choose(null);
-    if (pointerType === 'touch') this.tip.hidden = !this.hit;
+  // A press that was no drag chooses the box, or nothing where there is none. A finger does not stay over the box, so
+  // what it is is said in a message.
+  press({ clientX, clientY, offsetX, offsetY }) {
+    const { player, pane, pressed } = this, frame = player.frameOf(pane);
+    if (pressed && Math.hypot(clientX - pressed.x, clientY - pressed.y) > STILL_PX) return;
+    const hit = boxUnder(pane, frame, player.shown, offsetX, offsetY);
+    player.choose(hit?.vessel ?? null, hit?.alarm ?? null);
+    if (hit && pressed?.by === 'touch') say(boxInWords(hit, frame, pane.recording).join(' · '));
   }
 
   // What the mouse is over in a frame; it is looked up anew in each, so that it is true while the run plays.

@@ -46,8 +46,22 @@ class MomentControls {
     else say(`This is the ${by > 0 ? 'last' : 'first'} ${kindOf(kind).one}`);
   }
 
+  // Show a moment, with its vessel or its first false alarm close up; all of the image if that is out of sight.
+  async show(moment) {
+    const { player, kind } = this, { pane, recording } = player, { index, vessel } = moment;
+    player.play(false);
+    player.loop.aimAt(moment, recording.facts);
+    await player.go(index);
+    if (kind === 'state' || player.index !== index) return; // or the user has gone on
+    const { truths, detections } = player.frameOf(pane);
+    const isOf = (each) => (vessel === null ? each.false : each.vessel === vessel && !each.false);
+    player.choose(vessel, vessel === null ? detections.findIndex(isOf) : null);
+    const boxes = [...detections.filter(isOf).map(({ box }) => box), ...truths.filter((truth) => truth.vessel === vessel).map(({ full }) => full)];
+    if (!boxes.every((box) => pane.picture.shows(box))) player.whole();
+  }
+
   // Mark in the list the moment whose first frame is shown.
-  show(index) {
+  mark(index) {
     const { list, place } = this.moments, chosen = list[place]?.index === index ? `${place}` : '';
     if ($('moment').value !== chosen) $('moment').value = chosen;
   }

@@ -161,24 +161,7 @@ class Player {
     this.setSpeed(SPEEDS[Math.min(Math.max(SPEEDS.indexOf(this.speed) + by, 0), SPEEDS.length - 1)]);
   }
 
-  // Show a moment, with its vessel close up; all of the image if it is out of sight.
-  async goTo(moment) {
-    if (!moment) return;
-    this.play(false);
-    const ofVessels = this.momentRow.kind !== 'state';
-    if (ofVessels) this.followed = moment.vessel;
-    this.loop.aimAt(moment, this.recording.facts);
-    await this.go(moment.index);
-    if (this.index !== moment.index) return; // the user has gone on
-    if (this.followed !== null) this.list.reveal(this.followed);
-    if (!ofVessels) return;
-    if (moment.vessel === null) this.choose(null, this.frameOf(this.pane).detections.findIndex((each) => each.false));
-    const found = this.recording.detections(this.index, this.camera).filter(moment.vessel === null ? (each) => each.false
-      : (each) => each.vessel === moment.vessel && !each.false);
-    const true_ = this.recording.truths(this.index, this.camera).filter(({ vessel }) => vessel === moment.vessel);
-    const boxes = [...found.map(({ box }) => box), ...true_.map(({ full }) => full)];
-    if (!boxes.every((box) => this.picture.shows(box))) this.whole();
-  }
+  goTo(moment) { return moment && this.momentRow.show(moment); }
 
   fromAddress() {
     const { hash } = location, { facts } = this.recording, asked = partsOf(hash);
@@ -311,6 +294,6 @@ class Player {
     this.pane.canvas.setAttribute('aria-label', `Image of ${this.pane.facts.name}: ${words}`);
     const close = this.alarm !== null ? alarmInWords(frame.detections[this.alarm], facts) : chosen === null ? [] : vesselInWords(chosen, frame, facts);
     $('chosen').textContent = $('chosen').title = close.join(' · ');
-    this.momentRow.show(this.index);
+    this.momentRow.mark(this.index);
   }
 }

@@ -5,12 +5,14 @@ const FALSE_TRACK = '#b4bac0', SEAM = '#ffffffd0';
 function trackColour(vessel, { colours }) { return vessel === null ? FALSE_TRACK : colours.vessels[vessel]; }
 
 class TrackPicture extends Picture {
-  draw(recording, index, camera, shown, frame, marked) {
-    super.draw(recording, index, camera, { ...shown, labels: false }, frame, marked);
+  draw(recording, index, camera, shown, frame, marked = {}) {
+    super.draw(recording, index, camera, { ...shown, labels: false }, frame, { ...marked, chosen: null });
     if (shown.tracks) for (const track of recording.tracks(index, camera)) this.track(track, recording.facts);
+    this.context.globalAlpha = 1;
+    drawChosen(this, marked.chosen);
     if (shown.labels || shown.tracks) {
       if (!shown.labels) this.plates = this.plates.filter(({ track }) => track);
-      this.labels();
+      drawPlates(this);
     }
   }
 
