@@ -207,8 +207,8 @@ def test_id_map_tells_obstacles_apart_and_names_them_in_the_key(renderer):
         here = ids == vessels + 1 + i
         if here.sum() > 500:
             assert (picture[here] == palette.obstacle_colour(i)).all(axis=-1).mean() > 0.8, name
-    key = {entry.text: entry.colour for entry in id_entries(scene.vessel_names, names)}
-    assert key["a north_island"] != key["b north_hill"] != key["c south_island"]
+    key = {entry.text: entry.colour for entry in id_entries(dict(enumerate(scene.vessel_names)), names)}
+    assert key["a: north_island"] != key["b: north_hill"] != key["c: south_island"]
     assert len({palette.obstacle_colour(i) for i in range(4)}) == 4
 
 

@@ -13,6 +13,8 @@ from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, fo
 from modsim3d.view.pictures.legend import Entry, legend
 
 GAP_PX = 4
+KEY_SHARE = 0.12
+"""Height of the legend, as a share of what is above it, from which on it is set smaller."""
 SEVERAL = 0.7
 """However narrow a panel, its text is as large as in one of this share of the sheet."""
 
@@ -75,8 +77,8 @@ class FilmLayout:
 
     @cached_property
     def _blank(self) -> Image.Image:
-        key = legend(self.entries, self.width, self.text_px)
         bottom = max(y + height for (_, y), (_, height) in zip(self._places, self.panel_sizes, strict=True))
+        key = legend(self.entries, self.width, self.text_px, KEY_SHARE * bottom)
         height = bottom + key.height
         sheet = Image.new("RGB", (self.width, height + height % 2), palette.PAPER)
         if key.height:
