@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
 from modsim3d.arrays import Array
-from modsim3d.boxes import areas, intersections
+from modsim3d.boxes import areas
 from modsim3d.view.palette import INK, Colour
 from modsim3d.view.pictures.canvas import Canvas
 from modsim3d.view.pictures.window import Box
 
 FARTHEST_ROWS = 16
 """How many rows of text a label may move away from its box."""
-NEAR_COST, ROW_COST, SHIFT_COST = 0.06, 0.05, 0.1
-"""Of the next best place at a box, of a row away from it, of a shift by half a plate; 1 is to cover a boat."""
+GAP_PX = 2
+COLUMN_COST, OTHER_SIDE_COST, ROW_COST = 0.03, 0.1, 0.06
+"""Of the next best column, of the other side of the box, and of a row away from it; to cover a boat costs 1."""
 SHORTENED_FROM, LEFT_OUT_FROM = 0.3, 0.9
 """A text is shortened if that saves so much, and an optional one is left out if it costs so much."""
 
@@ -68,43 +68,44 @@ def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> i
 
 def _best(label: Label, plate: tuple[int, int], size: Array, content: Array, plates: Array) -> tuple[float, Array]:
     """The cost of the best free place for a plate, infinite if there is none, and the place, shape (4,)."""
-    places, cost = _places(label, np.array(plate), size)
-    if not len(places):
-        return np.inf, np.empty(4)
-    areas_px = np.clip(areas(content), 1, areas(places[0]))
-    cost = cost + (intersections(places[:, None], content) / areas_px).sum(axis=1)
-    cost[(intersections(places[:, None], plates) > 0).any(axis=1)] = np.inf
-    best = int(np.argmin(cost))
-    return float(cost[best]), places[best]
-
-
-def _places(label: Label, plate: Array, size: Array) -> tuple[Array, Array]:
-    """Boxes where a label may stand, all inside the picture, shape (k, 4), and what each costs, shape (k,)."""
-    x0, y0, x1, y1 = label.box
-    w, h = plate.tolist()
-    gap = 2
+    w, h = plate
     if w > size[0] or h > size[1]:
-        return np.empty((0, 4)), np.empty(0)
-    over, under = y0 - h - gap, y1 + gap
-    near = [(x0, over), (x1 - w, over), (x0, under), (x1 - w, under)]
-    if label.below:
-        near = near[2:] + near[:2]
-    near += [(x1 + gap, y0), (x0 - w - gap, y0), (x1 + gap, y1 - h), (x0 - w - gap, y1 - h)]
-    if w < (x1 - x0) / 2 and h < (y1 - y0) / 3:
-        near.append((x0 + gap, y0 + gap))
-    row, shift, side = _STEPS.T
-    away_x = np.where(shift < 0, x0 + shift * w / 2, np.where(shift > 0, x1 - w + shift * w / 2, (x0 + x1 - w) / 2))
-    away_y = np.where(side < 0, over - row * (h + gap), under + row * (h + gap))
-    corners = np.concatenate([near, np.stack([away_x, away_y], axis=1)])
-    near_cost = NEAR_COST * np.arange(len(near))
-    cost = np.concatenate([near_cost, near_cost[-1] + ROW_COST * row + SHIFT_COST * np.abs(shift)])
+        return np.inf, np.empty(4)
     # Along an edge of the picture a label slides in, as long as it still touches its box.
-    moved = np.rint(np.clip(corners, 0, size - plate))
-    return np.concatenate([moved, moved + plate], axis=1), cost
+    x, x_cost = _columns(label, w)
+    y, y_cost = _rows(label, h)
+    x, y = np.rint(np.clip(x, 0, size[0] - w)), np.rint(np.clip(y, 0, size[1] - h))
+    covered = _common(x, w, content, 0) / np.clip(areas(content), 1, w * h) @ _common(y, h, content, 1).T
+    cost = x_cost[:, None] + y_cost + covered
+    cost[_common(x, w, plates, 0) @ _common(y, h, plates, 1).T > 0] = np.inf
+    i, j = np.unravel_index(np.argmin(cost), cost.shape)
+    return float(cost[i, j]), np.array([x[i], y[j], x[i] + w, y[j] + h])
 
 
-_STEPS = np.array(list(product(range(1, FARTHEST_ROWS + 1), range(-2, 3), (-1, 1))))
-"""Rows away from the box, shifts by half a plate, and the side: -1 above, 1 below."""
+def _columns(label: Label, width: int) -> tuple[Array, Array]:
+    """Left edges that a label may have, and what each costs, shapes (k,)."""
+    x0, _, x1, _ = label.box
+    left, right = x0 - width - GAP_PX, x1 + GAP_PX
+    edges = [x0, x1 - width, right, left, (x0 + x1 - width) / 2, x0 - width / 2, x1 - width / 2]
+    return np.array(edges), COLUMN_COST * np.arange(float(len(edges)))
+
+
+def _rows(label: Label, height: int) -> tuple[Array, Array]:
+    """Top edges that a label may have, and what each costs, shapes (k,)."""
+    _, y0, _, y1 = label.box
+    away = (height + GAP_PX) * np.arange(1 + FARTHEST_ROWS)
+    above, below = y0 - height - GAP_PX - away, y1 + GAP_PX + away
+    first, second = (below, above) if label.below else (above, below)
+    distance: Array = ROW_COST * np.arange(1.0 + FARTHEST_ROWS)
+    costs = [distance, OTHER_SIDE_COST + distance, np.full(2, OTHER_SIDE_COST)]
+    return np.concatenate([first, second, [y0, y1 - height]]), np.concatenate(costs)
+
+
+def _common(starts: Array, length: int, boxes: Array, axis: int) -> Array:
+    """Length that stretches of one length, n of them, have in common with m boxes along an axis, shape (n, m)."""
+    ends = np.minimum(starts[:, None] + length, boxes[:, axis + 2])
+    common: Array = np.maximum(ends - np.maximum(starts[:, None], boxes[:, axis]), 0.0)
+    return common
 
 
 def _lead(canvas: Canvas, label: Label, place: Array) -> None:
