@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,6 +65,8 @@ def frame_picture(
     *,
     ground: Image.Image | None = None,
     nominal_width_px: int | None = None,
+    wanted: Callable[[Label], bool] = lambda label: True,
+    keep_clear: Sequence[Box] = (),
 ) -> Image.Image:
     """Draw layers of a frame.
 
@@ -74,6 +77,8 @@ def frame_picture(
         id_renderer: Renders ID buffers, for filled and hatched silhouettes.
         ground: A picture to draw on, in place of plain sea and sky.
         nominal_width_px: Width of the picture for which lines and text are meant; the window's if None.
+        wanted: Which labels to write.
+        keep_clear: What labels should not cover, beside vessels and detections, in pixels of the picture.
     """
     solids = camera_view.solids
     half_plane = solids.sea_half_plane
@@ -95,8 +100,8 @@ def frame_picture(
         labels = draw_tracks(canvas, window, camera_view.tracks) + labels
     frame = camera_view.frame
     seen = frame.truth.visible_boxes_px[~np.isnan(frame.truth.visible_boxes_px).any(axis=1)]
-    boxes = [window.corners(box) for box in (*seen, *frame.detections.boxes_px)]
-    draw_labels(canvas, sorted(labels, key=lambda label: label.colour != palette.ALARM), boxes)
+    boxes = [window.corners(box) for box in (*seen, *frame.detections.boxes_px)] + [*keep_clear]
+    draw_labels(canvas, sorted(filter(wanted, labels), key=lambda label: label.colour != palette.ALARM), boxes)
     return picture
 
 
@@ -127,11 +132,11 @@ def _draw_truth(canvas: Canvas, window: Window, camera_view: CameraView, layers:
             canvas.brackets(window.corners(truth.boxes_px[i]), palette.ALARM, 1.5)
             if layers.labels:
                 text = ", ".join(filter(None, (f"missed {truth.vessels[i]}", share and f"{share} seen")))
-                labels.append(_worded(full, text, "missed", palette.ALARM, narrow, below=True))
+                labels.append(_worded(full, text, "missed", palette.ALARM, narrow, truth.vessels[i], below=True))
                 continue
         if share:
             text = f"{truth.vessels[i]}, {share} seen"
-            label = _worded(full, text, share, palette.TRUTH, narrow, below=True)
+            label = _worded(full, text, share, palette.TRUTH, narrow, truth.vessels[i], below=True)
             labels.append(replace(label, short="", optional=True) if share == "0 %" else label)
     return labels
 
@@ -146,9 +151,11 @@ def _percent(fraction: float) -> str:
     return f"{min(max(round(100 * fraction), 1), 99) if fraction else 0} %"
 
 
-def _worded(box: Box, text: str, short: str, colour: Colour, narrow: bool, below: bool = False) -> Label:
+def _worded(
+    box: Box, text: str, short: str, colour: Colour, narrow: bool, vessel: str | None, *, below: bool = False
+) -> Label:
     """A label that may be shortened, and is in a narrow picture."""
-    return Label(box, short, colour, below) if narrow else Label(box, text, colour, below, short)
+    return Label(box, short if narrow else text, colour, below, "" if narrow else short, vessel=vessel)
 
 
 def _draw_detections(canvas: Canvas, window: Window, camera_view: CameraView, layers: Layers) -> list[Label]:
@@ -171,7 +178,8 @@ def _draw_detections(canvas: Canvas, window: Window, camera_view: CameraView, la
             confidence = f"{detections.confidence[i]:.2f}"
             text = f"{_remark(detections.kinds[i])}{detections.labels[i]} {confidence}"
             text += f", {is_a(frame.truth.labels[row])}" if row is not None and mislabelled else ""
-            labels.append(_worded(box, text, confidence, palette.ALARM if mislabelled else colour, narrow))
+            vessel = None if row is None else frame.truth.vessels[row]
+            labels.append(_worded(box, text, confidence, palette.ALARM if mislabelled else colour, narrow, vessel))
     return labels[::-1]
 
 

@@ -26,7 +26,7 @@ class Label:
     """A text on a coloured plate for a box in pixels of the picture, best placed above the box or below it.
 
     `short` is written instead where the text would cover too much; a label without it is never shortened. An `optional`
-    label is left out there.
+    label is left out there. `vessel` is the vessel that it is about, None for a false alarm or a track.
     """
 
     box: Box
@@ -35,6 +35,7 @@ class Label:
     below: bool = False
     short: str = ""
     optional: bool = False
+    vessel: str | None = None
 
 
 def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> int:
