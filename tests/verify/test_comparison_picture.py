@@ -64,7 +64,7 @@ def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
 )
 def test_the_key_says_what_the_rendered_pixels_are_held_against(monkeypatch, name, vessel, region):
     """A mesh's silhouette is no exact visible region: what is missing of it may simply be hidden."""
-    monkeypatch.setattr(report, "comparison_picture", lambda *arguments: arguments[-1])
+    monkeypatch.setattr(report, "comparison_picture", lambda *arguments: arguments[-2])
     scene = load_scene(name)
     case = SimpleNamespace(camera=0, step=0, vessel=scene.vessel_names.index(vessel), boxes_px={})
-    assert report.draw_case(scene, case, None) == region
+    assert report.draw_case(scene, case, None, report.RULE) == region
