@@ -28,17 +28,19 @@ class FilmLayout:
         columns: Number of panels side by side.
         aspects: Width over height of each panel, row by row.
         entries: Entries of the legend at the bottom.
+        enlarged: Size of text and lines, as a multiple of the usual one.
     """
 
     width: int
     columns: int
     aspects: tuple[float, ...]
     entries: tuple[Entry, ...]
+    enlarged: float = 1.0
 
     @property
     def text_px(self) -> int:
         """Size of the text around the panels."""
-        return max(LEAST_TEXT_PX, round(TEXT_PX * self.width / NOMINAL_PX))
+        return max(LEAST_TEXT_PX, round(self.enlarged * TEXT_PX * self.width / NOMINAL_PX))
 
     @property
     def head_px(self) -> int:
@@ -52,8 +54,8 @@ class FilmLayout:
 
     @property
     def nominal_width(self) -> int:
-        """Width of the picture for which lines and text of a panel are meant; at least its own."""
-        return max(self.panel_width, round(SEVERAL * self.width))
+        """Width of the picture for which lines and text of a panel are meant; at least its own, if not enlarged."""
+        return round(self.enlarged * max(self.panel_width, SEVERAL * self.width))
 
     @property
     def panel_width(self) -> int:

@@ -52,6 +52,7 @@ class FilmPlan:
         tracks: The tracks of a tracker, for pictures with the layer `tracks`; none if None.
         note: What is said in the head line after all else.
         vessels: Indices of the vessels in the pictures, for the legend; all if None; see `vessels_in`.
+        enlarged: Size of text and lines, for a picture that a page shows smaller than it is.
     """
 
     kinds: tuple[str, ...]
@@ -67,6 +68,7 @@ class FilmPlan:
     tracks: FollowedTracks | None = None
     note: str = ""
     vessels: tuple[int, ...] | None = None
+    enlarged: float = 1.0
 
     def layers_of(self, kind: str) -> Layers:
         """The layers of a kind."""
@@ -96,7 +98,7 @@ class FilmPlan:
         panels = self.panels()
         several = len(self.kinds) if len(self.kinds) > 1 else min(len(panels), MOST_COLUMNS)
         aspects = tuple(self._aspect(scene, place, kind) for place, kind in panels)
-        return FilmLayout(self.width, self.columns or several, aspects, tuple(entries))
+        return FilmLayout(self.width, self.columns or several, aspects, tuple(entries), self.enlarged)
 
     def _aspect(self, scene: Scene, place: int, kind: str) -> float:
         if kind == "map":
