@@ -246,6 +246,13 @@ def test_each_picture_of_the_sheet_points_at_what_it_is_about_and_names_only_tha
         assert "obstacle:" not in contact_sheet._caption(highlight, frame)
 
 
+def test_an_arrow_covers_no_other_boat_and_stays_in_the_picture():
+    box, above = (300.0, 200.0, 340.0, 230.0), (250.0, 120.0, 390.0, 195.0)
+    arrows = [contact_sheet._arrow(box, others) for others in ([box], [box, above])]
+    assert arrows == [((320.0, 192.0), (0, 1)), ((320.0, 238.0), (0, -1))]
+    assert contact_sheet._arrow((300.0, 10.0, 340.0, 30.0), []) == ((320.0, 38.0), (0, -1))
+
+
 def test_what_hides_a_vessel_is_named_without_the_prefix_of_files():
     row = {"occluded_by": [{"id": "obstacle:south_hill", "px": 9.0}], "visible_fraction": 0.5}
     assert highlights._hidden_by(row) == "50 % hidden by south_hill"
@@ -257,8 +264,8 @@ def test_the_legend_has_the_vessels_that_the_pictures_show(run):
     frames = [frame for step in selection.step_frames() for frame in step.frames if frame is not None]
     shown = {vessel for frame in frames for vessel in frame.truth.vessels}
     assert {names[index] for index in vessels_in(selection)} == shown
-    x0, y0, x1, y1 = frames[0].truth.full_boxes_px[0].tolist()
-    seen = {names[index] for index in vessels_in(selection, ((x0, y0, x1, y1),))}
-    assert frames[0].truth.vessels[0] in seen < shown
+    box = tuple(frames[0].truth.full_boxes_px[0].tolist())
+    assert names.index(frames[0].truth.vessels[0]) in vessels_in(selection, (box,))
+    assert vessels_in(selection, ((0.0, 0.0, 1.0, 1.0),)) == ()  # the sky
     plan = FilmPlan(("scene",), (1,), 640, vessels=vessels_in(selection))
     assert {entry.text.split(": ")[1] for entry in plan.layout(run.scene).entries} == shown
