@@ -211,6 +211,7 @@ def _plan(
         crop_to_vessels,
         mistakes_in,
         parse_crop,
+        vessels_in,
     )
     from modsim3d.view.pictures.layers import Layers
 
@@ -236,6 +237,7 @@ def _plan(
         selection.run.steps,
         mistakes=mistakes_in(selection) if "detections" in kinds else NOTHING_WRONG,
         tracks=tracks,
+        vessels=vessels_in(selection, crops) if set(kinds) & {"scene", "ids", "corners"} else (),
     )
 
 

@@ -191,6 +191,7 @@ class Frame:
         image_size_px: Width and height.
         sea_half_plane: (a, b, c) with a·x + b·y + c >= 0 on the sea's side of the horizon, shape (3,).
         scene_vessels: IDs of all vessels of the scene, seen or not; their order gives the colours of pictures.
+        scene: The scene, for the picture; None in a frame that was made without one.
     """
 
     camera: str
@@ -203,6 +204,7 @@ class Frame:
     image_size_px: tuple[int, int]
     sea_half_plane: Array
     scene_vessels: tuple[str, ...]
+    scene: Scene | None = None
 
     def __repr__(self) -> str:
         """Camera, step, time and how much is in it."""
@@ -245,7 +247,7 @@ class Frame:
         return supervision_truth(self)
 
     def plot(self, axes: Axes | None = None, *, zoom: bool = False, labels: bool = True) -> Figure:
-        """Draw sea, sky, truth and detections with matplotlib; a notebook shows the figure that is returned.
+        """Draw the picture of the films, with axes in pixels; a notebook shows the matplotlib figure that is returned.
 
         Args:
             axes: Axes to draw into; a new figure if None.
@@ -287,6 +289,7 @@ def _frame(block: Block, part: CameraBlock, scene: Scene, index: int) -> Frame:
         image_size_px=camera.intrinsics.image_size_px,
         sea_half_plane=part.sea_half_planes[index],
         scene_vessels=scene.vessel_names,
+        scene=scene,
     )
 
 

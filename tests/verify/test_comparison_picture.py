@@ -7,13 +7,16 @@ import pytest
 import shapely
 
 from modsim3d.scene.reading import load_scene
-from modsim3d.verify.sources import report
+from modsim3d.verify.sources import compare, report
 from modsim3d.view import palette
 from modsim3d.view.pictures.comparison_picture import (
     BOTH,
+    FULL,
     KEY_PX,
     PIXELS,
+    VISIBLE,
     SourceBoxes,
+    boxes_that_differ,
     comparison_picture,
     differing_pixels,
 )
@@ -64,7 +67,32 @@ def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
 )
 def test_the_key_says_what_the_rendered_pixels_are_held_against(monkeypatch, name, vessel, region):
     """A mesh's silhouette is no exact visible region: what is missing of it may simply be hidden."""
-    monkeypatch.setattr(report, "comparison_picture", lambda *arguments: arguments[-1])
+    monkeypatch.setattr(report, "comparison_picture", lambda *arguments: arguments[-2])
     scene = load_scene(name)
     case = SimpleNamespace(camera=0, step=0, vessel=scene.vessel_names.index(vessel), boxes_px={})
-    assert report.draw_case(scene, case, None) == region
+    assert report.draw_case(scene, case, None, report.RULE) == region
+
+
+def test_a_picture_shows_the_boxes_that_differ_most():
+    box, wide = (0.0, 0.0, 10.0, 10.0), (0.0, 0.0, 13.0, 10.0)
+    nothing = (np.nan,) * 4
+    assert boxes_that_differ(SourceBoxes(box, box, wide, box, nothing)) is FULL
+    assert boxes_that_differ(SourceBoxes(box, box, box, wide, nothing)) is VISIBLE
+    assert boxes_that_differ(SourceBoxes(box, nothing, wide, nothing, nothing)) is FULL
+
+
+def test_the_rules_mistake_is_shown_where_the_other_sources_agree():
+    def occlusion(boxes):
+        return SimpleNamespace(
+            visible_boxes_px=np.array(boxes), visible_px=np.full(2, 5.0), silhouette_px=np.full(2, 9.0)
+        )
+
+    sources = {
+        "rendered": occlusion([[0.0, 0.0, 10.0, 10.0], [0.0, 0.0, 10.0, 10.0]]),
+        "analytic": occlusion([[0.0, 0.0, 50.0, 10.0], [0.0, 0.0, 10.4, 10.0]]),
+        "rectangles": occlusion([[0.0, 0.0, 90.0, 10.0], [0.0, 0.0, 30.0, 10.0]]),
+    }
+    chosen = []
+    vessels = SimpleNamespace(sources=sources, difference=lambda *row: chosen.append(row) or row)
+    assert compare._check_rule(vessels).off == 2
+    assert [(row, reason) for row, _, reason in chosen] == [(1, "the rectangle rule is 20 px off")]

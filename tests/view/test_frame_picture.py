@@ -4,19 +4,22 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from modsim3d.errors import ModsimError
 from modsim3d.render.plain_ids import PlainIds
+from modsim3d.runs.outcomes import NOTHING_WRONG
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
+from modsim3d.view.pictures import ids_picture as ids_module
+from modsim3d.view.pictures import legend as legend_module
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.hatching import silhouette_mask
 from modsim3d.view.pictures.ids_picture import ids_picture
 from modsim3d.view.pictures.layers import DETECTIONS, SCENE, Layers
-from modsim3d.view.pictures.legend import id_entries, letters
+from modsim3d.view.pictures.legend import Entry, detection_entries, id_entries, legend, letters
 from modsim3d.view.pictures.plain import background
 from modsim3d.view.pictures.solids import Solids
 from modsim3d.view.pictures.track_marks import FrameTracks
@@ -207,9 +210,47 @@ def test_id_map_tells_obstacles_apart_and_names_them_in_the_key(renderer):
         here = ids == vessels + 1 + i
         if here.sum() > 500:
             assert (picture[here] == palette.obstacle_colour(i)).all(axis=-1).mean() > 0.8, name
-    key = {entry.text: entry.colour for entry in id_entries(scene.vessel_names, names)}
-    assert key["a north_island"] != key["b north_hill"] != key["c south_island"]
+    key = {entry.text: entry.colour for entry in id_entries(dict(enumerate(scene.vessel_names)), names)}
+    assert key["a: north_island"] != key["b: north_hill"] != key["c: south_island"]
     assert len({palette.obstacle_colour(i) for i in range(4)}) == 4
+
+
+def test_a_boat_too_small_for_its_number_has_it_beside_it(hiding, renderer, monkeypatch):
+    written, beside = [], []
+    monkeypatch.setattr(ids_module, "draw_labels", lambda canvas, labels, boxes: beside.extend(labels))
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", lambda draw, at, text, **style: written.append(text))
+    for width in (2400, 240):
+        written.clear(), beside.clear()
+        window = whole(hiding, width)
+        ids_picture(hiding.solids, window, renderer)
+        ids = hiding.solids.ids(window, renderer)
+        assert sorted([*written, *(label.text for label in beside)]) == sorted(map(str, np.unique(ids[ids > 0])))
+        for label in beside:
+            x0, y0, x1, y1 = map(int, label.box)
+            here = ids[y0:y1, x0:x1] == int(label.text)
+            assert here.sum() == (ids == int(label.text)).sum()
+            assert label.colour == palette.vessel_colour(int(label.text) - 1)
+    assert beside
+
+
+def names(count):
+    return [Entry(f"{i}: vessel{i}", palette.vessel_colour(i), "filled") for i in range(count)]
+
+
+def test_a_crowded_legend_is_set_smaller_and_counts_those_without_room(monkeypatch):
+    marks = detection_entries(DETECTIONS, 2, NOTHING_WRONG)
+    shown = []
+    drawn = legend_module._entry
+    monkeypatch.setattr(legend_module, "_entry", lambda *a: (shown.append((a[1].text, a[-1])), drawn(*a)))
+    for count, room_px, most_px in ((3, 100, 100), (30, 110, 110), (300, 100, 200)):
+        shown.clear()
+        assert legend([*marks, *names(count)], 1280, 15, room_px).height <= most_px
+        texts, sizes = [text for text, _ in shown], {size for _, size in shown}
+        assert {entry.text for entry in marks} < set(texts)
+        assert sizes == ({15} if count == 3 else {11} if count == 300 else sizes) and max(sizes) <= 15
+        left_out = count - sum(": vessel" in text for text in texts)
+        assert (f"and {left_out} more" in texts) == (count == 300) == (left_out > 0)
+    assert legend([], 1280, 15, 100).height == 0
 
 
 def test_obstacles_have_letters_however_many_there_are():

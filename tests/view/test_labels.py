@@ -56,3 +56,33 @@ def test_places_never_lie_on_taken_ones():
     taken = np.array([[0.0, 0.0, 10.0, 10.0]])
     places = np.array([[10.0, 0.0, 20.0, 10.0], [9.0, 9.0, 12.0, 12.0]])
     np.testing.assert_array_equal(intersections(places[:, None], taken), [[0.0], [1.0]])
+
+
+def test_labels_cover_no_boat_where_there_is_room_elsewhere():
+    """Thirty boats in two rows: the labels go to the free sea and sky."""
+    boats = [[40.0 * i + 20, y, 40.0 * i + 55, y + 30] for i in range(15) for y in (300.0, 350.0)]
+    plates = []
+    assert drawn_plates(boats, 640, 640, plates) == 30
+    assert intersections(np.array(plates)[:, None], np.array(boats)).max() == 0
+
+
+def texts_drawn(labels, size, keep_clear):
+    canvas, texts = Canvas(Image.new("RGB", size)), []
+    canvas.plate = lambda x, y, text, colour: texts.append(text)
+    draw_labels(canvas, labels, keep_clear)
+    return texts
+
+
+def test_a_text_is_shortened_only_where_it_would_cover_a_boat():
+    box = (0.0, 0.0, 30.0, 10.0)
+    label = Label(box, "Vessel 0.67", (200, 100, 0), short="0.67")
+    beside = [(36.0, 0.0, 100.0, 40.0)]
+    assert texts_drawn([label], (100, 40), []) == ["Vessel 0.67"]
+    assert texts_drawn([label], (100, 40), beside) == ["0.67"]
+    assert texts_drawn([Label(box, "Vessel 0.67", (200, 100, 0))], (100, 40), beside) == ["Vessel 0.67"]
+
+
+def test_an_optional_label_is_left_out_where_it_would_cover_a_boat():
+    label = Label((0.0, 0.0, 30.0, 10.0), "hidden", (200, 100, 0), optional=True)
+    assert texts_drawn([label], (60, 40), []) == ["hidden"]
+    assert texts_drawn([label], (60, 40), [(0.0, 0.0, 60.0, 40.0)]) == []

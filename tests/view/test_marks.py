@@ -18,9 +18,9 @@ from modsim3d.runs.selection import select
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
-from modsim3d.view.films.plan import FilmPlan, mistakes_in
+from modsim3d.view.films.plan import FilmPlan, mistakes_in, vessels_in
 from modsim3d.view.outcome_words import NAMES, fate, is_a
-from modsim3d.view.pictures import contact_sheet, frame_picture
+from modsim3d.view.pictures import contact_sheet, frame_picture, highlights
 from modsim3d.view.pictures.frame_picture import CameraView
 from modsim3d.view.pictures.highlights import pick_highlights
 from modsim3d.view.pictures.labels import Label
@@ -182,9 +182,9 @@ def test_a_film_has_the_mistakes_of_its_frames_in_its_legend(run):
 
 
 def test_highlights_have_each_kind_of_mistake_that_the_run_has(run):
-    highlights = pick_highlights(run.finished_tables, run.scene)
+    picked = pick_highlights(run.finished_tables, run.scene)
     said = []
-    for highlight in highlights:
+    for highlight in picked:
         frame = run.frame(highlight.camera, highlight.step)
         said.append(contact_sheet._caption(highlight, frame))
         x0, y0, x1, y1 = highlight.focus_px
@@ -215,3 +215,57 @@ def test_the_fate_of_the_smaller_vessel_in_a_merged_box_is_said(run):
     frame = next(frame for frame in run.frames() if "merged" in frame.detections.kinds)
     annotated = [vessel for vessel, known in zip(frame.truth.vessels, frame.truth.annotated, strict=True) if known]
     assert "detected, in one box with another" in [fate(frame, vessel) for vessel in annotated]
+
+
+def test_a_vessel_that_is_hidden_in_part_has_its_share_after_a_comma(seen, labels):
+    share = np.full(len(seen.frame.truth), 0.77)
+    truth = replace(seen.frame.truth, visible_fraction=share, detected=np.ones(len(share), dtype=bool))
+    hidden = replace(seen, frame=replace(seen.frame, truth=truth))
+    drawn(hidden, Layers(fractions=True))
+    assert {label.text for label in labels} == {f"{name}, 77 % seen" for name in truth.vessels}
+
+
+def test_each_picture_of_the_sheet_points_at_what_it_is_about_and_names_only_that(run, monkeypatch):
+    written: list[Label] = []
+    monkeypatch.setattr(frame_picture, "draw_labels", lambda canvas, labels, boxes: written.extend(labels))
+    arrows: list[tuple] = []
+    monkeypatch.setattr(contact_sheet.Canvas, "arrow", lambda canvas, *arrow: arrows.append(arrow))
+    for highlight in pick_highlights(run.finished_tables, run.scene):
+        written.clear(), arrows.clear()
+        frame = run.frame(highlight.camera, highlight.step)
+        camera_view = CameraView.of(run.scene, frame)
+        contact_sheet._tile(highlight, camera_view, PlainIds())
+        assert {label.vessel for label in written} <= {highlight.vessel}
+        assert highlight.vessel is not None or len(written) == 1
+        window = Window.around(highlight.focus_px, camera_view.image_size_px, contact_sheet.PANEL_PX)
+        x0, y0, x1, y1 = window.corners(np.array(highlight.focus_px))
+        (((x, y), (right, down), length),) = arrows
+        assert x0 - 9 <= x <= x1 + 9 and y0 - 9 <= y <= y1 + 9
+        end = x - right * length, y - down * length
+        assert 0 <= end[0] <= contact_sheet.PANEL_PX[0] and 0 <= end[1] <= contact_sheet.PANEL_PX[1]
+        assert "obstacle:" not in contact_sheet._caption(highlight, frame)
+
+
+def test_an_arrow_covers_no_other_boat_and_stays_in_the_picture():
+    box, above = (300.0, 200.0, 340.0, 230.0), (250.0, 120.0, 390.0, 195.0)
+    arrows = [contact_sheet._arrow(box, others) for others in ([box], [box, above])]
+    assert arrows == [((320.0, 192.0), (0, 1)), ((320.0, 238.0), (0, -1))]
+    assert contact_sheet._arrow((300.0, 10.0, 340.0, 30.0), []) == ((320.0, 38.0), (0, -1))
+
+
+def test_what_hides_a_vessel_is_named_without_the_prefix_of_files():
+    row = {"occluded_by": [{"id": "obstacle:south_hill", "px": 9.0}], "visible_fraction": 0.5}
+    assert highlights._hidden_by(row) == "50 % hidden by south_hill"
+
+
+def test_the_legend_has_the_vessels_that_the_pictures_show(run):
+    selection = select(run, (1,), from_s=0, to_s=1)
+    names = run.scene.vessel_names
+    frames = [frame for step in selection.step_frames() for frame in step.frames if frame is not None]
+    shown = {vessel for frame in frames for vessel in frame.truth.vessels}
+    assert {names[index] for index in vessels_in(selection)} == shown
+    box = tuple(frames[0].truth.full_boxes_px[0].tolist())
+    assert names.index(frames[0].truth.vessels[0]) in vessels_in(selection, (box,))
+    assert vessels_in(selection, ((0.0, 0.0, 1.0, 1.0),)) == ()  # the sky
+    plan = FilmPlan(("scene",), (1,), 640, vessels=vessels_in(selection))
+    assert {entry.text.split(": ")[1] for entry in plan.layout(run.scene).entries} == shown

@@ -35,6 +35,8 @@ WORST = 10
 """Number of vessels, those with the largest differences, that the report shows."""
 RULE_OFF_PX = 2.0
 """The rectangle rule's box counts as wrong where a side is off by more."""
+AGREED_PX, AGREED_FIRST = 1.0, 1e6
+"""A mistake of the rule where no side of the other two boxes differs by more is shown rather than a larger one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +177,12 @@ def _check_rule(vessels: _Vessels) -> RectangleRuleCheck:
     off_px = np.where(visible & kept, off_px, 0.0)
     worst = None
     if occluded.any():
-        row = int(np.argmax(np.where(occluded, off_px, -1.0)))
-        worst = vessels.difference(row, float(off_px[row]), f"the rectangle rule is {off_px[row]:.0f} px off")
+        # Where the other sources agree, a picture shows the rule's mistake alone.
+        between = np.abs(rendered.visible_boxes_px - vessels.sources["analytic"].visible_boxes_px)
+        agreed = (between <= AGREED_PX).all(axis=1)
+        badness = np.where(occluded, off_px + AGREED_FIRST * (agreed & (off_px > RULE_OFF_PX)), -1.0)
+        row = int(np.argmax(badness))
+        worst = vessels.difference(row, float(badness[row]), f"the rectangle rule is {off_px[row]:.0f} px off")
     return RectangleRuleCheck(
         occluded=int(occluded.sum()),
         off=int((occluded & (off_px > RULE_OFF_PX)).sum()),

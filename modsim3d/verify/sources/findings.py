@@ -45,7 +45,8 @@ class RectangleRuleCheck:
         off: Number of these that both sources see, with a side more than 2 px off.
         kept_hidden: Number of these that are wholly hidden, yet kept by the rule.
         dropped_visible: Number of these that are visible, yet dropped by the rule.
-        worst: The box that is farthest off; None if no vessel is occluded.
+        worst: The box that is farthest off, of those on which the other sources agree if there is one; None if no
+            vessel is occluded.
     """
 
     occluded: int = 0

@@ -17,7 +17,7 @@ from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison
 from modsim3d.verify.sources.figures import BoxFigures, Figures
 from modsim3d.verify.sources.findings import VesselDifference
 from modsim3d.view.pages import page
-from modsim3d.view.pictures.comparison_picture import comparison_picture
+from modsim3d.view.pictures.comparison_picture import RULE, Styles, boxes_that_differ, comparison_picture
 from modsim3d.view.pictures.solids import Solids
 
 FILES = ("compare.json", "compare.html", "rectangle_rule.png")
@@ -101,7 +101,7 @@ def write_report(comparison: SourceComparison, scene: Scene, renderer: IdRendere
     contents.append(_page(comparison, scene, renderer))
     if worst := comparison.findings.rule.worst:
         picture = io.BytesIO()
-        draw_case(scene, worst, renderer).save(picture, format="PNG")
+        draw_case(scene, worst, renderer, RULE).save(picture, format="PNG")
         contents.append(picture.getvalue())
     else:
         (folder / FILES[-1]).unlink(missing_ok=True)  # that of a comparison which is replaced
@@ -124,12 +124,13 @@ def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer) -> s
         body += [page.heading("Intersecting boxes"), page.table(intersection_rows(figures))]
     if figures.shoebox_against_mesh:
         body += [page.heading("Shoebox against mesh"), page.table(shoebox_rows(figures))]
-    shown = [("The largest differences between rendered and analytic", findings.worst)]
     if worst := findings.rule.worst:
-        shown.insert(0, ("The rectangle rule's worst mistake", (worst,)))
-    for title, cases in shown:
-        body.append(page.heading(title))
-        body += [page.picture(draw_case(scene, case, renderer), describe_case(scene, case)) for case in cases]
+        body.append(page.heading("The rectangle rule's worst mistake"))
+        body.append(page.picture(draw_case(scene, worst, renderer, RULE), describe_case(scene, worst)))
+    body.append(page.heading("The largest differences between rendered and analytic"))
+    for case in findings.worst:
+        styles = boxes_that_differ(case.boxes_px)
+        body.append(page.picture(draw_case(scene, case, renderer, styles), describe_case(scene, case)))
     return page.page(f"{scene.name}: sources of truth compared", body)
 
 
@@ -151,8 +152,8 @@ def _introduction(figures: Figures) -> list[str]:
     return [page.paragraph(answer, "bad" if figures.unexplained else "lead"), page.paragraph(method, "soft")]
 
 
-def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer) -> Image.Image:
-    """A picture of a vessel with the boxes of all sources and the pixels that differ."""
+def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer, styles: Styles) -> Image.Image:
+    """A picture of a vessel with boxes of the sources and the pixels that differ."""
     solids = Solids.at(scene, scene.cameras[case.camera], case.step)
     outlines = solids.outlines
     (row,) = np.flatnonzero((outlines.occluder == case.vessel) & outlines.boxed)
@@ -162,7 +163,7 @@ def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer) -> Ima
         region = "exact region" if len(known) == len(outlines) else "region that only meshes may hide"
     else:  # the analytic source does not know what hides a mesh
         exact, region = image_silhouettes(outlines.take(np.array([row])), solids.intrinsics)[0], "whole silhouette"
-    return comparison_picture(case.boxes_px, case.vessel, solids, exact, renderer, region)
+    return comparison_picture(case.boxes_px, case.vessel, solids, exact, renderer, region, styles)
 
 
 def describe_case(scene: Scene, case: VesselDifference) -> str:

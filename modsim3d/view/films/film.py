@@ -110,7 +110,10 @@ def _pieces(selection: Selection, steps: set[int]) -> Iterator[list[StepFrames]]
     """The frames of some steps of a selection, a few steps at a time."""
     chosen = (step_frames for step_frames in selection.step_frames() if step_frames.step in steps)
     while piece := list(islice(chosen, STEPS_TOGETHER)):
-        yield piece
+        # A worker has the scene, which may be large.
+        yield [
+            replace(each, frames=tuple(frame and replace(frame, scene=None) for frame in each.frames)) for each in piece
+        ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,8 @@ from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, fo
 from modsim3d.view.pictures.legend import Entry, legend
 
 GAP_PX = 4
+KEY_SHARE = 0.12
+"""Height of the legend, as a share of what is above it, from which on it is set smaller."""
 SEVERAL = 0.7
 """However narrow a panel, its text is as large as in one of this share of the sheet."""
 
@@ -26,17 +28,19 @@ class FilmLayout:
         columns: Number of panels side by side.
         aspects: Width over height of each panel, row by row.
         entries: Entries of the legend at the bottom.
+        enlarged: Size of text and lines, as a multiple of the usual one.
     """
 
     width: int
     columns: int
     aspects: tuple[float, ...]
     entries: tuple[Entry, ...]
+    enlarged: float = 1.0
 
     @property
     def text_px(self) -> int:
         """Size of the text around the panels."""
-        return max(LEAST_TEXT_PX, round(TEXT_PX * self.width / NOMINAL_PX))
+        return max(LEAST_TEXT_PX, round(self.enlarged * TEXT_PX * self.width / NOMINAL_PX))
 
     @property
     def head_px(self) -> int:
@@ -50,8 +54,8 @@ class FilmLayout:
 
     @property
     def nominal_width(self) -> int:
-        """Width of the picture for which lines and text of a panel are meant; at least its own."""
-        return max(self.panel_width, round(SEVERAL * self.width))
+        """Width of the picture for which lines and text of a panel are meant; at least its own, if not enlarged."""
+        return round(self.enlarged * max(self.panel_width, SEVERAL * self.width))
 
     @property
     def panel_width(self) -> int:
@@ -75,8 +79,8 @@ class FilmLayout:
 
     @cached_property
     def _blank(self) -> Image.Image:
-        key = legend(self.entries, self.width, self.text_px)
         bottom = max(y + height for (_, y), (_, height) in zip(self._places, self.panel_sizes, strict=True))
+        key = legend(self.entries, self.width, self.text_px, KEY_SHARE * bottom)
         height = bottom + key.height
         sheet = Image.new("RGB", (self.width, height + height % 2), palette.PAPER)
         if key.height:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.arrays import Array
+from modsim3d.boxes import intersections
 from modsim3d.errors import ModsimError
 from modsim3d.runs.outcomes import NOTHING_WRONG, Outcome, frame_outcomes
 from modsim3d.runs.selection import Selection
@@ -49,6 +51,8 @@ class FilmPlan:
         mistakes: What is wrong with detections in the pictures, for the legend; see `mistakes_in`.
         tracks: The tracks of a tracker, for pictures with the layer `tracks`; none if None.
         note: What is said in the head line after all else.
+        vessels: Indices of the vessels in the pictures, for the legend; all if None; see `vessels_in`.
+        enlarged: Size of text and lines, for a picture that a page shows smaller than it is.
     """
 
     kinds: tuple[str, ...]
@@ -63,6 +67,8 @@ class FilmPlan:
     mistakes: Outcome = NOTHING_WRONG
     tracks: FollowedTracks | None = None
     note: str = ""
+    vessels: tuple[int, ...] | None = None
+    enlarged: float = 1.0
 
     def layers_of(self, kind: str) -> Layers:
         """The layers of a kind."""
@@ -83,14 +89,16 @@ class FilmPlan:
         if "detections" in self.kinds:
             layers, tracker = self.layers_of("detections"), self.tracks.name if self.tracks else None
             entries += detection_entries(layers, scene.annotation.mode, self.mistakes, tracker)
+        shown = range(len(scene.vessels)) if self.vessels is None else self.vessels
+        names = {index: scene.vessel_names[index] for index in shown}
         if "ids" in self.kinds:
-            entries += id_entries(scene.vessel_names, [obstacle.name for obstacle in scene.obstacles])
+            entries += id_entries(names, [obstacle.name for obstacle in scene.obstacles])
         elif set(self.kinds) & {"scene", "corners"}:
-            entries += vessel_entries(scene.vessel_names)
+            entries += vessel_entries(names)
         panels = self.panels()
         several = len(self.kinds) if len(self.kinds) > 1 else min(len(panels), MOST_COLUMNS)
         aspects = tuple(self._aspect(scene, place, kind) for place, kind in panels)
-        return FilmLayout(self.width, self.columns or several, aspects, tuple(entries))
+        return FilmLayout(self.width, self.columns or several, aspects, tuple(entries), self.enlarged)
 
     def _aspect(self, scene: Scene, place: int, kind: str) -> float:
         if kind == "map":
@@ -116,6 +124,25 @@ def mistakes_in(selection: Selection) -> Outcome:
             for outcome in frame_outcomes(frame):
                 found |= outcome
     return found
+
+
+def vessels_in(selection: Selection, crops_px: Sequence[Box | None] = ()) -> tuple[int, ...]:
+    """Indices of the vessels that any picture of a selection shows, or of parts of its cameras' images.
+
+    A vessel that carries a camera counts if it has a mesh, since its bow may be seen.
+    """
+    scene = selection.run.scene
+    carriers = {scene.cameras[index].mount.vessel for index in selection.cameras}
+    found = {index for index, vessel in enumerate(scene.vessels) if vessel.name in carriers and vessel.has_mesh}
+    numbers = {name: index for index, name in enumerate(scene.vessel_names)}
+    crops = crops_px or (None,) * len(selection.cameras)
+    for step in selection.step_frames():
+        for frame, crop in zip(step.frames, crops, strict=True):
+            if frame is not None:
+                shown = np.array(crop or (0.0, 0.0, *frame.image_size_px))
+                inside = intersections(frame.truth.full_boxes_px, shown) > 0
+                found |= {numbers[frame.truth.vessels[row]] for row in np.flatnonzero(inside)}
+    return tuple(sorted(found))
 
 
 def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:

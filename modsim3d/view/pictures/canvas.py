@@ -8,13 +8,15 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from modsim3d.arrays import Array
-from modsim3d.view.palette import INK, Colour, ink_on
+from modsim3d.view.palette import INK, WHITE, Colour, ink_on
 from modsim3d.view.pictures.window import Box
 
 NOMINAL_PX = 1280
 """Width of a picture for which the sizes below are meant."""
 TEXT_PX, LEAST_TEXT_PX = 15, 11
 LINE_PX = 2.0
+ARROW_HEAD = 0.45
+"""Length of an arrow's head, as a share of the arrow's."""
 SMOOTH = 4
 """Slanted lines are drawn larger by this factor, in a small mask, and shrunk."""
 
@@ -117,6 +119,15 @@ class Canvas:
         for line in ((lines - low) * factor).reshape(-1, 4).tolist():
             draw.line(line, fill=255, width=max(1, round(max(width, 1.0) * factor)))
         self.picture.paste(colour, tuple(low.tolist()), mask.reduce(factor))
+
+    def arrow(self, tip: tuple[float, float], direction: tuple[int, int], length: float) -> None:
+        """A white arrow along one of the axes, in pixels of the picture."""
+        (x, y), (right, down) = tip, direction
+        head, shaft = ARROW_HEAD * length, ARROW_HEAD / 4 * length
+        side = [(0.0, 0.0), (-head, 0.8 * head), (-head, shaft), (-length, shaft)]
+        outline = [*side, *((along, -across) for along, across in reversed(side[1:]))]
+        corners = [(x + right * along - down * across, y + down * along + right * across) for along, across in outline]
+        self.draw.polygon(corners, fill=WHITE, outline=INK, width=max(1, self.line_px(0.75)))
 
     def plate_size(self, text: str) -> tuple[int, int]:
         """Width and height of a text on its plate."""

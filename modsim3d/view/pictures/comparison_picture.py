@@ -20,7 +20,7 @@ from modsim3d.view.pictures.solids import Solids
 from modsim3d.view.pictures.window import Box, Window
 
 SIZE_PX = (960, 540)
-KEY_PX, LINE_PX = 60, 26
+KEY_PX, LINE_PX, TEXT_PX = 66, 30, 18
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class SourceBoxes:
 
 
 @dataclass(frozen=True)
-class _BoxStyle:
+class BoxStyle:
     """How one of the boxes is drawn, and its name in the key."""
 
     name: str
@@ -45,21 +45,26 @@ class _BoxStyle:
     dashed: bool = True
 
     def draw(self, canvas: Canvas, box: Box) -> None:
+        """Draw the box, in pixels of the picture."""
         (canvas.dashed_box if self.dashed else canvas.box)(box, self.colour, self.weight)
 
 
-STYLES = (
-    _BoxStyle("rendered full", lambda boxes: boxes.rendered_full, palette.TRUTH, 0.5, dashed=False),
-    _BoxStyle("analytic full", lambda boxes: boxes.analytic_full, palette.VESSELS[1], 1.0),
-    _BoxStyle("rendered visible", lambda boxes: boxes.rendered_visible, palette.VESSELS[3], 1.5, dashed=False),
-    _BoxStyle("analytic visible", lambda boxes: boxes.analytic_visible, palette.VESSELS[0], 1.5),
-    _BoxStyle("rectangles visible", lambda boxes: boxes.rectangles_visible, palette.ALARM, 1.5),
+Styles = tuple[BoxStyle, ...]
+FULL: Styles = (
+    BoxStyle("whole silhouette: rendered", lambda boxes: boxes.rendered_full, palette.WHITE, 1.5, dashed=False),
+    BoxStyle("analytic", lambda boxes: boxes.analytic_full, palette.VESSELS[5], 1.5),
 )
+VISIBLE: Styles = (
+    BoxStyle("visible part: rendered", lambda boxes: boxes.rendered_visible, palette.WHITE, 1.5, dashed=False),
+    BoxStyle("analytic", lambda boxes: boxes.analytic_visible, palette.VESSELS[5], 1.5),
+)
+RULE: Styles = (*VISIBLE, BoxStyle("rectangle rule", lambda boxes: boxes.rectangles_visible, palette.ALARM, 2.0))
+"""The boxes that a picture of a vessel shows."""
 BOTH: Colour = (150, 158, 164)
 PIXELS = (
-    ("pixels of both", BOTH),
-    ("of the rendered source only", palette.ALARM),
-    ("of the {region} only", palette.VESSELS[2]),
+    ("pixels seen by both", BOTH),
+    ("by the rendered source only", palette.ALARM),
+    ("in the {region} only", palette.VESSELS[2]),
 )
 
 
@@ -70,8 +75,9 @@ def comparison_picture(
     exact: shapely.Geometry,
     id_renderer: AnyIdRenderer,
     region: str = "exact region",
+    styles: Styles = VISIBLE,
 ) -> Image.Image:
-    """The boxes of a vessel and the pixels that each source sees of it, with a key.
+    """Boxes of a vessel and the pixels that each source sees of it, with a key.
 
     Args:
         boxes: The boxes of the vessel.
@@ -80,9 +86,12 @@ def comparison_picture(
         exact: What is seen of the vessel, as a region of the image.
         id_renderer: Renders the pixels of the rendered source.
         region: Name of `exact` in the key.
+        styles: The boxes to draw.
     """
-    x0, y0, x1, y1 = boxes.rendered_full
-    width = 1.6 * max(x1 - x0, (y1 - y0) * SIZE_PX[0] / SIZE_PX[1], 24.0)
+    drawn = [(style, box) for style in styles if not np.isnan(box := np.array(style.box(boxes))).any()]
+    shown_px = np.array([box for _, box in drawn] or [np.array(boxes.rendered_full)])
+    (x0, y0), (x1, y1) = shown_px[:, :2].min(axis=0).tolist(), shown_px[:, 2:].max(axis=0).tolist()
+    width = 1.8 * max(x1 - x0, (y1 - y0) * SIZE_PX[0] / SIZE_PX[1], 24.0)
     left, top = (x0 + x1 - width) / 2, (y0 + y1 - width * SIZE_PX[1] / SIZE_PX[0]) / 2
     window = Window(left, top, SIZE_PX[0] / width, SIZE_PX)
     image_size = solids.intrinsics.image_size_px
@@ -94,14 +103,19 @@ def comparison_picture(
     for ring in shapely.get_parts(shapely.boundary(exact)):
         corners = window.to_picture(shapely.get_coordinates(ring))
         canvas.segments(np.stack([corners[:-1], corners[1:]], axis=1), palette.WHITE, 0.5)
-    for style in STYLES:
-        box = np.array(style.box(boxes))
-        if not np.isnan(box).any():
-            style.draw(canvas, window.corners(box))
+    for style, box in drawn:
+        style.draw(canvas, window.corners(box))
     picture = Image.new("RGB", (SIZE_PX[0], SIZE_PX[1] + KEY_PX), palette.PAPER)
     picture.paste(shown, (0, KEY_PX))
-    _key(Canvas(picture, 1280), [int((differing == i + 1).sum()) for i in range(len(PIXELS))], region)
+    _key(Canvas(picture, 1280), styles, [int((differing == i + 1).sum()) for i in range(len(PIXELS))], region)
     return picture
+
+
+def boxes_that_differ(boxes: SourceBoxes) -> Styles:
+    """The boxes in which the rendered and the analytic source differ most, the full or the visible ones."""
+    full = np.abs(np.subtract(boxes.rendered_full, boxes.analytic_full))
+    visible = np.abs(np.subtract(boxes.rendered_visible, boxes.analytic_visible))
+    return FULL if np.nan_to_num(full).max() > np.nan_to_num(visible).max() else VISIBLE
 
 
 def differing_pixels(seen: Mask, exact: shapely.Geometry) -> NDArray[np.uint8]:
@@ -141,19 +155,21 @@ def _paint_pixels(
     picture.paste(Image.fromarray(pixels))
 
 
-def _key(canvas: Canvas, counts: Sequence[int], region: str) -> None:
+def _key(canvas: Canvas, styles: Styles, counts: Sequence[int], region: str) -> None:
+    """Explain the boxes, and in a second line the pixels that there are."""
     x = 8
-    for style in STYLES:
-        canvas.draw.rectangle((x, 6, x + 24, 24), fill=palette.SEA)
-        style.draw(canvas, (x + 3, 9, x + 22, 22))
+    for style in styles:
+        canvas.draw.rectangle((x, 6, x + 32, 28), fill=palette.SEA)
+        style.draw(canvas, (x + 4, 10, x + 29, 25))
         x = _text(canvas, x, 6, style.name)
     x = 8
     for (name, colour), count in zip(PIXELS, counts, strict=True):
-        canvas.draw.rectangle((x, 6 + LINE_PX, x + 24, 24 + LINE_PX), fill=colour)
-        x = _text(canvas, x, 6 + LINE_PX, f"{count} {name.format(region=region)}")
+        if count:
+            canvas.draw.rectangle((x, 6 + LINE_PX, x + 32, 28 + LINE_PX), fill=colour)
+            x = _text(canvas, x, 6 + LINE_PX, f"{count} {name.format(region=region)}")
 
 
 def _text(canvas: Canvas, x: int, y: int, text: str) -> int:
     """Write beside a sample of the key; return the column of the next sample."""
-    canvas.draw.text((x + 30, y + 1), text, fill=palette.INK, font=font(14))
-    return x + 46 + int(canvas.draw.textlength(text, font=font(14)))
+    canvas.draw.text((x + 40, y), text, fill=palette.INK, font=font(TEXT_PX))
+    return x + 64 + int(canvas.draw.textlength(text, font=font(TEXT_PX)))

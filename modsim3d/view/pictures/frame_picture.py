@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from PIL import Image
@@ -23,7 +24,7 @@ from modsim3d.view.pictures.marks import draw_detection, draw_tether
 from modsim3d.view.pictures.plain import background, draw_horizon, fill_solids
 from modsim3d.view.pictures.solids import Solids
 from modsim3d.view.pictures.track_marks import NO_TRACKS, FrameTracks, draw_tracks
-from modsim3d.view.pictures.window import Window
+from modsim3d.view.pictures.window import Box, Window
 
 DIM = 0.25
 """How much darker vessels are filled under boxes of their colour."""
@@ -64,6 +65,8 @@ def frame_picture(
     *,
     ground: Image.Image | None = None,
     nominal_width_px: int | None = None,
+    wanted: Callable[[Label], bool] = lambda label: True,
+    keep_clear: Sequence[Box] = (),
 ) -> Image.Image:
     """Draw layers of a frame.
 
@@ -74,6 +77,8 @@ def frame_picture(
         id_renderer: Renders ID buffers, for filled and hatched silhouettes.
         ground: A picture to draw on, in place of plain sea and sky.
         nominal_width_px: Width of the picture for which lines and text are meant; the window's if None.
+        wanted: Which labels to write.
+        keep_clear: What labels should not cover, beside vessels and detections, in pixels of the picture.
     """
     solids = camera_view.solids
     half_plane = solids.sea_half_plane
@@ -93,8 +98,10 @@ def frame_picture(
     labels = _draw_truth(canvas, window, camera_view, layers) + _draw_detections(canvas, window, camera_view, layers)
     if layers.tracks:
         labels = draw_tracks(canvas, window, camera_view.tracks) + labels
-    boxes = [window.corners(box) for box in camera_view.frame.truth.full_boxes_px] + [label.box for label in labels]
-    draw_labels(canvas, sorted(labels, key=lambda label: label.colour != palette.ALARM), boxes)
+    frame = camera_view.frame
+    seen = frame.truth.visible_boxes_px[~np.isnan(frame.truth.visible_boxes_px).any(axis=1)]
+    boxes = [window.corners(box) for box in (*seen, *frame.detections.boxes_px)] + [*keep_clear]
+    draw_labels(canvas, sorted(filter(wanted, labels), key=lambda label: label.colour != palette.ALARM), boxes)
     return picture
 
 
@@ -110,7 +117,7 @@ def _draw_shoeboxes(canvas: Canvas, window: Window, solids: Solids, layers: Laye
 
 
 def _draw_truth(canvas: Canvas, window: Window, camera_view: CameraView, layers: Layers) -> list[Label]:
-    truth, short = camera_view.frame.truth, canvas.picture.width < SHORT_BELOW_PX
+    truth, narrow = camera_view.frame.truth, canvas.picture.width < SHORT_BELOW_PX
     labels = []
     for i in range(len(truth)):
         full = window.corners(truth.full_boxes_px[i])
@@ -120,17 +127,17 @@ def _draw_truth(canvas: Canvas, window: Window, camera_view: CameraView, layers:
                 canvas.dashed_box(window.corners(boxes[i]), palette.TRUTH, 0.75)
         if layers.truth and annotated:
             canvas.box(window.corners(truth.boxes_px[i]), palette.TRUTH, 0.75, halo=True)
-        share = ""
-        if layers.fractions and truth.visible_fraction[i] < 1:
-            share = _percent(float(truth.visible_fraction[i]), short)
+        share = _percent(float(truth.visible_fraction[i])) if layers.fractions and truth.visible_fraction[i] < 1 else ""
         if layers.missed and annotated and not truth.detected[i]:
             canvas.brackets(window.corners(truth.boxes_px[i]), palette.ALARM, 1.5)
             if layers.labels:
-                text = "missed" if short else f"missed {truth.vessels[i]}"
-                labels.append(Label(full, text + (f", {share}" if share else ""), palette.ALARM, below=True))
+                text = ", ".join(filter(None, (f"missed {truth.vessels[i]}", share and f"{share} seen")))
+                labels.append(_worded(full, text, "missed", palette.ALARM, narrow, truth.vessels[i], below=True))
                 continue
         if share:
-            labels.append(Label(full, share if short else f"{truth.vessels[i]} {share}", palette.TRUTH, below=True))
+            text = f"{truth.vessels[i]}, {share} seen"
+            label = _worded(full, text, share, palette.TRUTH, narrow, truth.vessels[i], below=True)
+            labels.append(replace(label, short="", optional=True) if share == "0 %" else label)
     return labels
 
 
@@ -139,15 +146,21 @@ def _is_another(box: Array, annotated: Array | None) -> bool:
     return not np.isnan(box).any() and (annotated is None or not np.array_equal(box, annotated))
 
 
-def _percent(fraction: float, short: bool) -> str:
+def _percent(fraction: float) -> str:
     """The visible fraction of a vessel that is hidden in part; it says 0 % only if nothing is seen."""
-    percent = f"{min(max(round(100 * fraction), 1), 99) if fraction else 0} %"
-    return percent if short else f"{percent} seen"
+    return f"{min(max(round(100 * fraction), 1), 99) if fraction else 0} %"
+
+
+def _worded(
+    box: Box, text: str, short: str, colour: Colour, narrow: bool, vessel: str | None, *, below: bool = False
+) -> Label:
+    """A label that may be shortened, and is in a narrow picture."""
+    return Label(box, short if narrow else text, colour, below, "" if narrow else short, vessel=vessel)
 
 
 def _draw_detections(canvas: Canvas, window: Window, camera_view: CameraView, layers: Layers) -> list[Label]:
     frame, detections = camera_view.frame, camera_view.frame.detections
-    outcomes, rows = frame_outcomes(frame), detected_rows(frame)
+    outcomes, rows, narrow = frame_outcomes(frame), detected_rows(frame), canvas.picture.width < SHORT_BELOW_PX
     labels = []
     order: Indices = np.argsort(detections.confidence, kind="stable")  # the most confident one is drawn last, on top
     for i in order.tolist():
@@ -162,11 +175,11 @@ def _draw_detections(canvas: Canvas, window: Window, camera_view: CameraView, la
         draw_detection(canvas, box, colour, outcome)
         if layers.labels:
             mislabelled = row is not None and bool(outcome & Outcome.MISLABELLED)
-            text = f"{detections.confidence[i]:.2f}"
-            if canvas.picture.width >= SHORT_BELOW_PX:
-                text = f"{_remark(detections.kinds[i])}{detections.labels[i]} {text}"
-                text += f", {is_a(frame.truth.labels[row])}" if mislabelled else ""
-            labels.append(Label(box, text, palette.ALARM if mislabelled else colour))
+            confidence = f"{detections.confidence[i]:.2f}"
+            text = f"{_remark(detections.kinds[i])}{detections.labels[i]} {confidence}"
+            text += f", {is_a(frame.truth.labels[row])}" if row is not None and mislabelled else ""
+            vessel = None if row is None else frame.truth.vessels[row]
+            labels.append(_worded(box, text, confidence, palette.ALARM if mislabelled else colour, narrow, vessel))
     return labels[::-1]
 
 

@@ -18,6 +18,7 @@ from modsim3d.runs.files.tables import BOX_SIDES
 from modsim3d.runs.outcomes import Outcome, having
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
+from modsim3d.vessels.obstacles import PREFIX
 from modsim3d.view.pictures.window import Box
 
 Rows = TypeVar("Rows")
@@ -64,11 +65,11 @@ def _of_truth(truth: pa.Table, index: int) -> Highlight:
 
 
 def _hidden_by(row: dict[str, Any]) -> str:
-    hider = max(row["occluded_by"], key=lambda entry: entry["px"])["id"]
+    hider = max(row["occluded_by"], key=lambda entry: entry["px"])["id"].removeprefix(PREFIX)
     if row["visible_fraction"] == 0:
         return f"wholly hidden by {hider}"
     hidden = min(1 - row["visible_fraction"], 0.99)  # something is seen: "100 %" would be another thing
-    return f"{hidden:.0%} hidden by {hider}"
+    return f"{100 * hidden:.0f} % hidden by {hider}"
 
 
 def _detection_groups(tables: StoredTables, scene: Scene) -> Iterable[RunRows]:
@@ -102,7 +103,8 @@ def _of_detection(rows: RunRows, index: int) -> Highlight:
     row = rows.detections.slice(index, 1).to_pylist()[0]
     box, vessel, what = rows.detection_boxes_px()[index : index + 1], row["vessel"], ""
     if rows.outcomes[index] & Outcome.FALSE_POSITIVE:
-        what = "a false alarm" + (f", {row['kind']} of {vessel}" if vessel else "")
+        double = f", {row['kind']} of {vessel}" if vessel else ""
+        what = f"a false alarm{double}: {row['label']} {row['confidence']:.2f}"
         vessel = None
     else:
         box = unions(box, rows.annotated_boxes_px[rows.detected_row[index : index + 1]])

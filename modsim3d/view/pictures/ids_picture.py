@@ -10,10 +10,11 @@ from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.view.palette import Colour, obstacle_colour, vessel_colour
 from modsim3d.view.pictures.canvas import Canvas, font, text_size
 from modsim3d.view.pictures.hatching import hatch_hidden
+from modsim3d.view.pictures.labels import Label, draw_labels
 from modsim3d.view.pictures.legend import letters
 from modsim3d.view.pictures.plain import background
 from modsim3d.view.pictures.solids import Solids
-from modsim3d.view.pictures.window import Window
+from modsim3d.view.pictures.window import Box, Window
 
 SEA: Colour = (24, 28, 32)
 SKY: Colour = (48, 54, 60)
@@ -39,7 +40,7 @@ def ids_picture(
     table = np.zeros((int(shown.max()) + 1, 3), dtype=np.uint8)
     for occluder in np.unique(solids.occluders).tolist():
         if occluder + 1 < len(table):
-            table[occluder + 1] = vessel_colour(occluder) if occluder < vessels else obstacle_colour(occluder - vessels)
+            table[occluder + 1] = _colour(occluder, vessels)
     patch = np.array(picture.crop((left, top, right, bottom)))
     patch[shown > 0] = table[shown[shown > 0]]
     picture.paste(Image.fromarray(patch), (left, top))
@@ -50,18 +51,29 @@ def ids_picture(
 
 
 def _mark(canvas: Canvas, ids: Ids, left: int, top: int, vessels: int) -> None:
-    """Write each vessel's number and each obstacle's letter on what is seen of it, where it fits."""
+    """Write each vessel's number and each obstacle's letter on what is seen of it, or beside it."""
     size = max(9, round(canvas.text_px * 0.9))
+    boxes: list[Box] = []
+    beside: list[Label] = []
     for value in np.unique(ids[ids > 0]).tolist():
-        text = str(value) if value <= vessels else letters(value - vessels - 1)
+        index = value - 1
+        text = str(value) if index < vessels else letters(index - vessels)
         here = ids == value
-        row = int(np.argmax(here.sum(axis=1)))
-        columns = np.flatnonzero(here[row])
+        by_row, by_column = here.sum(axis=1), here.sum(axis=0)
+        rows, every_column = np.flatnonzero(by_row), np.flatnonzero(by_column)
+        boxes.append((left + every_column[0], top + rows[0], left + every_column[-1] + 1.0, top + rows[-1] + 1.0))
+        columns = np.flatnonzero(here[int(np.argmax(by_row))])
         x0, y0, x1, y1 = text_size(text, size)
-        if len(columns) < x1 - x0 + 4 or here.sum(axis=0).max() < y1 - y0 + 4:
+        if len(columns) < x1 - x0 + 4 or by_column.max() < y1 - y0 + 4:
+            beside.append(Label(boxes[-1], text, _colour(index, vessels)))
             continue
         x = left + int(columns[len(columns) // 2])
         middle = np.flatnonzero(here[:, x - left])
         y = top + int(middle[len(middle) // 2])
         at = (x - (x0 + x1) / 2, y - (y0 + y1) / 2)
         canvas.draw.text(at, text, fill=(255, 255, 255), font=font(size), stroke_width=2, stroke_fill=(0, 0, 0))
+    draw_labels(canvas, beside, boxes)
+
+
+def _colour(occluder: int, vessels: int) -> Colour:
+    return vessel_colour(occluder) if occluder < vessels else obstacle_colour(occluder - vessels)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Self
 
 from modsim3d.errors import ModsimError
 
@@ -58,6 +59,10 @@ class Layers:
         if unknown := [name for name in asked if name not in known]:
             raise ModsimError(f"unknown layer '{', '.join(unknown)}'; known layers: {', '.join(known)}")
         return cls(**dict.fromkeys(asked, True))
+
+    def without(self, *names: str) -> Self:
+        """The others of these layers."""
+        return replace(self, **dict.fromkeys(names, False))
 
 
 CORNERS = Layers.of(["horizon", "wires", "points"])

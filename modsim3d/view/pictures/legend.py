@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,12 +15,13 @@ from modsim3d.view import palette
 from modsim3d.view.followed_tracks import TRAIL_S
 from modsim3d.view.outcome_words import NAMES
 from modsim3d.view.palette import Colour
-from modsim3d.view.pictures.canvas import Canvas, font, text_size
+from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, Canvas, font, text_size
 from modsim3d.view.pictures.layers import Layers
 from modsim3d.view.pictures.marks import draw_detection, draw_tether
 from modsim3d.view.pictures.window import Box
 
-MOST_VESSELS = 40
+LEAST_SHARE, MOST_ROOM = 0.7, 2.0
+"""How small the text of a crowded legend may become, as a share of its size, and how far it may exceed its room."""
 MARKS = (Outcome.MISLABELLED, Outcome.BELOW_HALF_IOU, Outcome.OFF_VESSEL)
 """Of a vessel's detections, in the order of the legend."""
 
@@ -60,15 +62,15 @@ def _track_entries(tracker: str | None) -> list[Entry]:
     ]
 
 
-def vessel_entries(names: Sequence[str]) -> list[Entry]:
-    """The legend of vessels, with their numbers."""
-    return _first_ones([Entry(f"{i + 1} {name}", palette.vessel_colour(i), "filled") for i, name in enumerate(names)])
+def vessel_entries(names: Mapping[int, str]) -> list[Entry]:
+    """The legend of vessels, by their indices in the scene."""
+    return [Entry(f"{i + 1}: {name}", palette.vessel_colour(i), "filled") for i, name in names.items()]
 
 
-def id_entries(vessels: Sequence[str], obstacles: Sequence[str]) -> list[Entry]:
-    """The legend of an ID map with vessels and obstacles of these names."""
-    land = [Entry(f"{letters(i)} {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)]
-    return [*vessel_entries(vessels), *_first_ones(land), Entry("hidden", palette.VESSELS[0], "hatched")]
+def id_entries(vessels: Mapping[int, str], obstacles: Sequence[str]) -> list[Entry]:
+    """The legend of an ID map with these vessels, by their indices in the scene, and obstacles."""
+    land = [Entry(f"{letters(i)}: {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)]
+    return [*vessel_entries(vessels), *land, Entry("hidden", palette.VESSELS[0], "hatched")]
 
 
 def letters(index: int) -> str:
@@ -77,14 +79,33 @@ def letters(index: int) -> str:
     return (letters(rest - 1) if rest else "") + chr(ord("a") + last)
 
 
-def _first_ones(entries: list[Entry]) -> list[Entry]:
-    if len(entries) <= MOST_VESSELS:
-        return entries
-    return [*entries[:MOST_VESSELS], Entry(f"and {len(entries) - MOST_VESSELS} more", palette.PAPER, "filled")]
+def legend(entries: Sequence[Entry], width: int, text_px: int, room_px: float = math.inf) -> Image.Image:
+    """A strip of the given width, as high as its entries need: 0 without any.
+
+    A legend that needs more than `room_px` is set in smaller type. If it then needs more than `MOST_ROOM` times as
+    much, the last names are left out and counted; what lines and marks mean is always there.
+    """
+    least_px = min(text_px, max(LEAST_TEXT_PX, round(LEAST_SHARE * text_px)))
+    for size in range(text_px, least_px - 1, -1):
+        rows = _rows(entries, width, size)
+        if len(rows) * _line_px(size) <= room_px:
+            break
+    names = sum(entry.style == "filled" for entry in entries)
+    shown = names
+    while shown > 1 and len(rows) * _line_px(size) > MOST_ROOM * room_px:
+        shown -= 1
+        rows = _rows(_without_last_names(entries, names - shown), width, size)
+    line = _line_px(size)
+    strip = Image.new("RGB", (width, line * len(rows)), palette.PAPER)
+    canvas = Canvas(strip, 85 * size)
+    for row, placed in enumerate(rows):
+        for left, entry in placed:
+            _entry(canvas, entry, left, row * line, size)
+    return strip
 
 
-def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:
-    """A strip of the given width, as high as its entries need: 0 without any."""
+def _rows(entries: Sequence[Entry], width: int, text_px: int) -> list[list[tuple[int, Entry]]]:
+    """The entries of each row of a legend, with their left edges."""
     rows: list[list[tuple[int, Entry]]] = [[]] if entries else []
     x = text_px // 2
     for entry in entries:
@@ -94,13 +115,18 @@ def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:
             x = text_px // 2
         rows[-1].append((x, entry))
         x += needed + text_px
-    line = round(1.8 * text_px)
-    strip = Image.new("RGB", (width, line * len(rows)), palette.PAPER)
-    canvas = Canvas(strip, 85 * text_px)
-    for row, placed in enumerate(rows):
-        for left, entry in placed:
-            _entry(canvas, entry, left, row * line, text_px)
-    return strip
+    return rows
+
+
+def _without_last_names(entries: Sequence[Entry], count: int) -> list[Entry]:
+    """The entries with the number of the last names in place of them."""
+    last = [i for i, entry in enumerate(entries) if entry.style == "filled"][-count:]
+    more = Entry(f"and {count} more", palette.PAPER, "filled")
+    return [more if i == last[0] else entry for i, entry in enumerate(entries) if i not in last[1:]]
+
+
+def _line_px(text_px: int) -> int:
+    return round(1.8 * text_px)
 
 
 def _entry(canvas: Canvas, entry: Entry, x: int, y: int, text_px: int) -> None:

@@ -8,6 +8,8 @@ from modsim3d.arrays import Array
 
 Box = tuple[float, float, float, float]
 """x_min, y_min, x_max, y_max in pixels."""
+SURROUNDINGS = 4.0
+"""How many times as wide and high as a box a window around it is."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,9 @@ class Window:
     def around(cls, focus_px: Box, image_size_px: tuple[int, int], size: tuple[int, int]) -> Window:
         """A window with the picture's aspect that shows a box with its surroundings, inside the image if it fits."""
         aspect = size[0] / size[1]
-        width = max(5.0 * (focus_px[2] - focus_px[0]), 5.0 * (focus_px[3] - focus_px[1]) * aspect, 240.0)
+        width = max(
+            SURROUNDINGS * (focus_px[2] - focus_px[0]), SURROUNDINGS * (focus_px[3] - focus_px[1]) * aspect, 240.0
+        )
         width = min(width, image_size_px[0], image_size_px[1] * aspect)
         height = width / aspect
         x = min(max((focus_px[0] + focus_px[2] - width) / 2, 0.0), max(image_size_px[0] - width, 0.0))
