@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from modsim3d.errors import ModsimError, RunDirectoryError
+from modsim3d.runs import stored_run
 from modsim3d.runs.files.reading import truth_of
 from modsim3d.runs.pipeline import open_renderer, simulate_frames, truth_block
 from modsim3d.runs.run import run_scene
@@ -69,7 +70,7 @@ def test_some_steps_read_back_are_those_steps(finished):
     assert_same_frames(run.frames(240, 260), [frame for frame in everything if 240 <= frame.step < 260])
 
 
-def test_a_step_in_two_row_groups_is_read_whole(finished, tmp_path):
+def test_a_step_in_two_row_groups_is_read_whole(finished, tmp_path, monkeypatch):
     folder = shutil.copytree(finished, tmp_path / "run")
     expected = {name: open_run(finished).table(name) for name in ("frames", "truth", "detections")}
     for name, table in expected.items():
@@ -82,6 +83,7 @@ def test_a_step_in_two_row_groups_is_read_whole(finished, tmp_path):
         groups = list(run.finished_tables.by_name[name].groups())
         assert len(groups) > 3
         assert pa.concat_tables(groups).equals(table), name
+    monkeypatch.setattr(stored_run, "ROW_GROUP_ROWS", 1000)  # about a hundred steps, no multiple of 70
     found: dict[str, list[pa.Table]] = {name: [] for name in expected}
     for first, tables in run.tables_of_steps(70):
         assert all(set(table["step"].to_pylist()) <= set(range(first, first + 70)) for table in tables.values())

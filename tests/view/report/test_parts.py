@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from modsim3d.motion.poses.base import generated_timestamps
 from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.view.report import overview, parts
@@ -131,6 +132,8 @@ def test_bins_hold_the_sums_of_their_steps(monkeypatch):
         outcome=rng.choice([0, 1, 2, 4, 12], 40),
     )
     whole = columns()
+    assert whole["vessels.fraction"].sum() == shown.fraction.sum()
+    assert whole["false"].sum() == (shown.outcome == 1).sum()
     monkeypatch.setattr(overview, "MOST_BINS", 10)
     monkeypatch.setattr(overview, "LEAST_BINS", 10)
     binned = columns()
@@ -184,6 +187,12 @@ def test_times_come_back_as_they_were_written(first, by, decimals, count):
     assert float(texts[0]) == pytest.approx(first / 10**decimals)
     units = facts["first"] + np.cumsum(columns["clock"].values)
     assert [said(int(unit), facts["decimals"]) for unit in units] == texts
+
+
+def test_times_of_a_scene_are_whole_numbers():
+    facts, columns = clock(generated_timestamps(6, 0.25))  # 0.0, 0.25, 0.5
+    assert facts == {"decimals": 2, "first": 0}
+    assert columns["clock"].values.tolist() == [0, 25, 25, 25, 25, 25]
 
 
 @pytest.mark.parametrize("texts", [["1", "2"], ["0.0", "1e3"], ["0.10", "0.2"], ["0.0", "99999999999.0"]])
