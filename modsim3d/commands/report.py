@@ -18,9 +18,11 @@ from modsim3d.commands.tracks_option import (
     opened_tracks,
     read_of_tracks,
 )
+from modsim3d.commands.typed import typed_command
 
 
 def report_command(
+    context: typer.Context,
     run: RunArgument,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="RUN/report.html")
@@ -57,7 +59,7 @@ def report_command(
         def advance(steps: int) -> None:
             bar.update(task, advance=steps, refresh=True)
 
-        write_report(opened, path, every, advance, followed)
+        write_report(opened, path, every, advance, followed, typed_command(context))
     if followed is not None:
         say(followed.sentence())
     if not opened.finished:

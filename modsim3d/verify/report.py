@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +16,28 @@ from modsim3d.boxes import sizes
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel
 from modsim3d.detector.records import TRUE
+from modsim3d.display import counted
 from modsim3d.outputs.placing import write_files
 from modsim3d.paths import StrPath, as_path
 from modsim3d.verify.class_checks import miss_probabilities
 from modsim3d.verify.error_parameters import parameter_names
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.measures import Exact
-from modsim3d.verify.parameters import FALLS_SHORT, OVERALL_ALPHA, UNCHECKED, UNTESTED, Verdict, Verification
+from modsim3d.verify.parameters import (
+    DIFFERS,
+    FALLS_SHORT,
+    OBEYS,
+    OVERALL_ALPHA,
+    UNCHECKED,
+    UNTESTED,
+    Verdict,
+    Verification,
+)
 from modsim3d.verify.run_lengths import expected_run_lengths, missed_again, run_lengths
 from modsim3d.verify.verification import VerifiedRun
 from modsim3d.view.pages import charts, page
+from modsim3d.view.pages.provenance import Provenance, file_input
+from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions
 
 FORMAT = 1
 FILES = ("verify.json", "verify.html")
@@ -58,17 +71,23 @@ def row_of(verdict: Verdict) -> tuple[str, ...]:
 
 def notes_of(verification: Verification) -> list[str]:
     """What else a reader should know."""
+    return [f"{name}: {note}" for name, note in named_notes(verification)]
+
+
+def named_notes(verification: Verification) -> list[tuple[str, str]]:
+    """The names of parameters, and what a reader should know of each."""
     notes = []
     for verdict in verification.verdicts:
         parameter = verdict.parameter
         if verdict.verdict == FALLS_SHORT and parameter.promised is not None:
-            notes.append(
-                f"{parameter.name}: asked for is {_number(parameter.promised)}; the rule of eq. 7.35 gives "
-                f"{_number(verdict.asked)} on this run, {_number(parameter.promised - verdict.asked)} short of it; "
-                f"measured {_number(verdict.measured or 0.0)}"
+            short = (
+                f"asked for is {_number(parameter.promised)}; the rule of eq. 7.35 gives {_number(verdict.asked)} on "
+                f"this run, {_number(parameter.promised - verdict.asked)} short of it; measured "
+                f"{_number(verdict.measured or 0.0)}"
             )
+            notes.append((parameter.name, short))
         elif parameter.note and verdict.verdict != FALLS_SHORT:
-            notes.append(f"{parameter.name}: {parameter.note}")
+            notes.append((parameter.name, parameter.note))
     return notes
 
 
@@ -149,14 +168,14 @@ def _finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else value
 
 
-def write_report(verified: VerifiedRun, folder: StrPath) -> None:
-    """Write `verify.json` and `verify.html` into a folder."""
+def write_report(verified: VerifiedRun, folder: StrPath, command: str | None = None) -> None:
+    """Write `verify.json` and `verify.html` into a folder; the page names the command, or the call if it is None."""
     target = as_path(folder, "folder")
     data = orjson.dumps(report_data(verified), option=orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY) + b"\n"
-    write_files(dict(zip((target / name for name in FILES), (data, _page(verified)), strict=True)))
+    write_files(dict(zip((target / name for name in FILES), (data, _page(verified, command)), strict=True)))
 
 
-def _page(verified: VerifiedRun) -> str:
+def _page(verified: VerifiedRun, command: str | None) -> str:
     verification, model, evidence = verified.verification, verified.model, verified.evidence
     found, false = evidence.true_detections, evidence.false_detections
     body = [
@@ -169,6 +188,7 @@ def _page(verified: VerifiedRun) -> str:
             "with 90 % power.",
             "soft",
         ),
+        page.tiles(_results(verification)),
         *([page.heading("What fails"), _table(verification.failed)] if verification.failed else []),
         page.heading("Performance states"),
         *_timelines(model, evidence),
@@ -181,12 +201,63 @@ def _page(verified: VerifiedRun) -> str:
             "detections of each confidence, with 95 % intervals; one that is a probability follows the dashes.",
         ),
     ]
-    notes = notes_of(verification)
-    for group, verdicts in groups_of(verification).items():
-        body += [page.heading(group.capitalize()), _table(verdicts)]
-    if notes:
-        body += [page.heading("Notes"), *(page.paragraph(note) for note in notes)]
-    return page.page(f"{verified.run.scene.name}: does the run obey its detector file?", body)
+    body += [page.heading("Every test"), *(_group(name, found) for name, found in groups_of(verification).items())]
+    if notes_of(verification):
+        body += [page.heading("Notes"), *_notes(verification)]
+    title = f"{verified.run.scene.name}: does the run obey its detector file?"
+    return page.page(title, body, _provenance(verified, command))
+
+
+def _notes(verification: Verification) -> Iterator[str]:
+    """The notes, each once with the names that it is about."""
+    names: dict[str, list[str]] = {}
+    for name, note in named_notes(verification):
+        names.setdefault(note, []).append(name)
+    yield page.listed(f"{found[0]}: {note}" for note, found in names.items() if len(found) == 1)
+    for note, found in names.items():
+        if len(found) > 1:
+            yield page.folded(f"{note[0].upper()}{note[1:]}: {len(found)} entries", page.listed(found))
+
+
+def _provenance(verified: VerifiedRun, command: str | None) -> Provenance:
+    run, given = verified.run, verified.detector
+    call = f"modsim3d.verify_run({str(run.folder)!r}{'' if given is None else f', {str(given)!r}'}).write(…)"
+    named = () if given is None else (file_input("detector file that it is held against", given),)
+    return Provenance(
+        page="verification: does a run obey its detector file?",
+        made_by=command or f"{call} from Python",
+        inputs=(*named, *run_inputs(run)),
+        seeds=run_seeds(run),
+        options=(("Level", f"{OVERALL_ALPHA:.0%} for all tests together, {verified.verification.alpha:.2g} for each"),),
+        made_before=run_versions(run),
+    )
+
+
+def _results(verification: Verification) -> list[tuple[str, str, str]]:
+    """The tiles: how many tests passed, failed, and could not be made."""
+    count = Counter(verdict.verdict for verdict in verification.verdicts)
+    unmade = count[UNTESTED] + count[UNCHECKED]
+    tested = len(verification.verdicts) - unmade
+    found = [
+        ("Passed", f"{tested - count[DIFFERS]:,}", f"of {tested:,} tests"),
+        ("Failed", f"{count[DIFFERS]:,}", "the run speaks against these numbers of the file"),
+        ("Not tested", f"{unmade:,}", "the run shows too little of them, or there is no check"),
+    ]
+    if count[FALLS_SHORT]:
+        found.append(("Fall short", f"{count[FALLS_SHORT]:,}", "obey the thesis's rule, not the rate asked for"))
+    return found
+
+
+def _group(name: str, verdicts: Sequence[Verdict]) -> str:
+    """The tests of a part of the detector, folded; those that fail stand at the top of the page too."""
+    count = Counter(verdict.verdict for verdict in verdicts)
+    said = [f"{counted(count[OBEYS], 'test')} passed"] if count[OBEYS] else []
+    said += [f"{count[DIFFERS]:,} failed"] if count[DIFFERS] else []
+    said += [f"{count[FALLS_SHORT]:,} fall short of the asked rate"] if count[FALLS_SHORT] else []
+    said += [f"{count[UNTESTED]:,} not tested: too little seen"] if count[UNTESTED] else []
+    said += [f"{count[UNCHECKED]:,} without a check"] if count[UNCHECKED] else []
+    passed = " (all within the interval of their test)" if count[OBEYS] == len(verdicts) else ""
+    return page.folded(f"{name.capitalize()}: {', '.join(said)}{passed}", _table(verdicts))
 
 
 def _table(verdicts: Sequence[Verdict]) -> str:

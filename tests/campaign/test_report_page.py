@@ -16,7 +16,8 @@ from modsim3d.campaign.report.runs_shown import crash_sections
 from modsim3d.campaign.report.search_page import search_page
 from modsim3d.campaign.report.tables import facts_table
 from modsim3d.campaign.report.words import constant
-from modsim3d.campaign.report.writing import files_read, write_page
+from modsim3d.campaign.report.rests_on import files_read
+from modsim3d.campaign.report.writing import write_page
 from modsim3d.campaign.results.done_rows import with_plan
 from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.running import run_plan

@@ -19,7 +19,10 @@ from modsim3d.outputs.placing import write_files
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
-from modsim3d.view.pages.page import heading, table
+from modsim3d.view.pages.page import folded, heading, table
+from modsim3d.view.pages.print_style import PRINT_STYLE, sheet_style
+from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance
+from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions
 from modsim3d.view.report.count_tables import (
     CAMERA_HEADER,
     STATE_HEADER,
@@ -46,6 +49,7 @@ def write_report(
     every: int = 1,
     progress: Callable[[int], None] = lambda steps: None,
     followed: FollowedTracks | None = None,
+    command: str | None = None,
 ) -> Path:
     """Write the page of a run and return its file; the same run gives the same bytes.
 
@@ -55,6 +59,7 @@ def write_report(
         every: Show every K-th step; the tables count all of them.
         progress: Called with the number of shown steps done since its last call.
         followed: The tracks of a tracker, for lanes below the timeline; none if None.
+        command: What the page says it was made by; the call from Python if None.
 
     Raises:
         RunDirectoryError: An interrupted run has kept nothing yet.
@@ -66,13 +71,18 @@ def write_report(
             "go on with modsim3d run --resume"
         )
     out = run.folder / REPORT_FILE if out is None else out
-    page = _page(run, every, out, progress, followed)
+    page = _page(run, every, out, progress, followed, _provenance(run, every, command))
     write_files({out: page})
     return out
 
 
 def _page(
-    run: StoredRun, every: int, out: Path, progress: Callable[[int], None], followed: FollowedTracks | None
+    run: StoredRun,
+    every: int,
+    out: Path,
+    progress: Callable[[int], None],
+    followed: FollowedTracks | None,
+    rests_on: Provenance,
 ) -> str:
     rows = RunRows.of(run)
     counts = CountTables(rows)
@@ -85,20 +95,24 @@ def _page(
         "name": html.escape(run.scene.name),
         # No script but this one runs and nothing is fetched, whatever a vessel is called.
         "policy": f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:",
-        "style": _part("style.css") + (_part("lanes.css") if followed else ""),
+        "style": _part("style.css") + (_part("lanes.css") if followed else "") + PROVENANCE_STYLE + _print_style(run),
         "lead": html.escape(_lead(frames.facts)),
         "sentence": f"\n  <p>{html.escape(followed.sentence())}</p>" if followed else "",
         "lanes": "\n" + _part("lanes.html").rstrip("\n") if followed else "",
         "track_key": " <kbd>K</kbd> tracks," if followed else "",
         "notes": _notes(run, every, out),
         "result": _result(counts.total),
-        "tables": _tables(counts, run.settings),
+        "tables": _tables(counts, run.settings, rests_on),
         "facts": _json_in_html({**frames.facts, "columns": index}),
         "columns": columns,
         "script": script,
     }
     # In one pass: what is put in is not looked at again.
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _part("page.html"))
+
+
+def _print_style(run: StoredRun) -> str:
+    return PRINT_STYLE + sheet_style(f"{run.scene.name}: report of a run", run.settings["scene_sha256"][:12])
 
 
 def _part(name: str) -> str:
@@ -162,15 +176,27 @@ def _result(counts: DetectorCounts) -> str:
     )
 
 
-def _tables(counts: CountTables, settings: dict[str, Any]) -> str:
+def _provenance(run: StoredRun, every: int, command: str | None) -> Provenance:
+    return Provenance(
+        page="report of a run",
+        made_by=command or f"modsim3d.view.report.report.write_report of {run.folder} from Python",
+        inputs=run_inputs(run),
+        seeds=run_seeds(run),
+        options=(("Steps", f"{run.steps:,}" + (f", every {every}th shown" if every > 1 else "")),),
+        made_before=run_versions(run),
+    )
+
+
+def _tables(counts: CountTables, settings: dict[str, Any], rests_on: Provenance) -> str:
     parts = [
         ("What happened", counts.overall(), ()),
         *([("By camera", cameras, CAMERA_HEADER)] if len(cameras := counts.by_camera()) > 1 else []),
         ("By performance state of the detector", counts.by_state(), STATE_HEADER),
         ("By vessel", counts.by_vessel(), VESSEL_HEADER),
-        ("Settings and versions", named_values(settings), ()),
     ]
-    return "\n".join(
+    every_setting = folded("All settings of the run", f"<div class=scroll>{table(named_values(settings))}</div>")
+    tables = "\n".join(
         f"<section>{heading(title)}<div class=scroll>{table(rows, header)}</div></section>"
         for title, rows, header in parts
     )
+    return f"{tables}\n<section>{every_setting}</section>\n{provenance(rests_on)}"
