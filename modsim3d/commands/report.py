@@ -59,7 +59,7 @@ def report_command(
         def advance(steps: int) -> None:
             bar.update(task, advance=steps, refresh=True)
 
-        write_report(opened, path, every, advance, followed, typed_command(context))
+        write_report(opened, path, every, advance, followed, typed_command(context), tracks)
     if followed is not None:
         say(followed.sentence())
     if not opened.finished:

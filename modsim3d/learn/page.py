@@ -77,6 +77,7 @@ _STYLE = (
     "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
     ".plots figure { width: 25rem; margin: 0; } "
     ".wide { overflow-x: auto; font-size: 0.9rem; } "
+    "@media screen and (max-width: 40rem) { table.shares { font-size: 0.8rem; } } "
     "table.shares td, table.shares th { padding: 0.25rem 0.6rem; } "
     ".shares .soft { color: inherit; opacity: 0.8; } table.shares th + th { text-align: right; } "
     ".wide td, .wide th { padding: 0.2rem 0.9rem 0.2rem 0; }"

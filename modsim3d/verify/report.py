@@ -216,7 +216,7 @@ def _notes(verification: Verification) -> Iterator[str]:
     yield page.listed(f"{found[0]}: {note}" for note, found in names.items() if len(found) == 1)
     for note, found in names.items():
         if len(found) > 1:
-            yield page.folded(f"{note[0].upper()}{note[1:]}: {len(found)} entries", page.listed(found))
+            yield page.folded(f"{note[0].upper()}{note[1:]}: {len(found)} entries", page.paragraph(", ".join(found)))
 
 
 def _provenance(verified: VerifiedRun, command: str | None) -> Provenance:

@@ -15,7 +15,6 @@ from modsim3d.campaign.report.parameter_charts import parameter_sections
 from modsim3d.campaign.report.requirements import requirement_sections, verdict_sentence
 from modsim3d.campaign.report.rests_on import rests_on
 from modsim3d.campaign.report.runs_shown import crash_sections, worst_sections
-from modsim3d.campaign.report.tables import facts_table
 from modsim3d.campaign.report.words import constant
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.results.gather import results_table
@@ -76,7 +75,7 @@ def campaign_page(
     body = [
         page.paragraph(lead(folder, table, verdicts), "lead"),
         *(page.paragraph(text, kind) for text, kind in cautions(folder, table)),
-        facts_table(facts(folder, table)),
+        page.facts(facts(folder, table)),
     ]
     if plan.keys.require:
         body += [page.heading("Requirements"), *requirement_sections(plan, verdicts), *_levels(plan)]

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from modsim3d.campaign.file.keys import Range, SearchKeys
 from modsim3d.campaign.report.rests_on import rests_on
-from modsim3d.campaign.report.tables import facts_table, grid
+from modsim3d.campaign.report.tables import grid
 from modsim3d.campaign.report.words import Score, number
 from modsim3d.campaign.results.done_rows import text_of
 from modsim3d.campaign.results.folder import CampaignFolder
@@ -83,7 +83,7 @@ def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table, com
     body += [page.heading("How it went"), _progress(search, score, table)] if len(table) else []
     body += [page.heading("The worst trials"), *_worst(folder, search, score, table)]
     body += [page.heading("Others"), *_others(table)] if _others(table) else []
-    body += [page.heading("Where it looked"), facts_table([*_ranges(search), *_facts(folder)])]
+    body += [page.heading("Where it looked"), page.facts([*_ranges(search), *_facts(folder)])]
     title = f"Campaign {folder.path.resolve().name}: what a search found"
     return page.page(title, body, rests_on(folder, "findings of a search", command))
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import html
-import re
 from collections.abc import Container, Mapping, Sequence
 from types import MappingProxyType
 
 from modsim3d.view.pages import page
 
 _NO_NOTES: Mapping[int, str] = MappingProxyType({})
-_LONG = re.compile(r"[\w./]{16,}")
 
 
 def grid(
@@ -40,17 +37,6 @@ def without_empty(
     said = [name not in empty or any(row[place] not in ("", "0") for row in rows) for place, name in enumerate(header)]
     kept = [place for place, each in enumerate(said) if each]
     return [[row[place] for place in kept] for row in rows], [header[place] for place in kept]
-
-
-def facts_table(rows: Sequence[tuple[str, str]]) -> str:
-    """Names with what is said of them."""
-    lines = [f"<tr><td>{html.escape(name)}</td><td>{_breaking(html.escape(text))}</td></tr>" for name, text in rows]
-    return '<table class="facts">\n' + "\n".join(lines) + "\n</table>"
-
-
-def _breaking(text: str) -> str:
-    """Text whose long words, such as keys, may be broken."""
-    return _LONG.sub(lambda word: re.sub(r"[./]|\w{16}(?=\w)", r"\g<0><wbr>", word[0]), text)
 
 
 def scrolling(content: str) -> str:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 
 import numpy as np
 import orjson
@@ -38,8 +37,8 @@ from modsim3d.tracking.score_run import RunScores, TrackScores
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.view.pages import charts, page
-from modsim3d.view.pages.provenance import Input, Provenance, file_input, folder_input
-from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions
+from modsim3d.view.pages.provenance import Provenance
+from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions, track_inputs
 
 FILES = ("score.json", "score.html")
 CLOSE = "padding-right: 0.4rem"
@@ -102,7 +101,7 @@ def _provenance(scores: RunScores, command: str | None) -> Provenance:
     given = [(each.name, each.path) for each in scores.trackers]
     given += [(each.name, each.path) for each in scores.world]
     call = f"modsim3d.score_run({str(run.folder)!r}, …).write(…) from Python"
-    tracks = [found for name, path in given for found in _track_inputs(name, path)]
+    tracks = [found for name, path in given for found in track_inputs(name, path)]
     return Provenance(
         page="scores of tracks",
         made_by=command or call,
@@ -111,17 +110,6 @@ def _provenance(scores: RunScores, command: str | None) -> Provenance:
         options=tuple((f"Rule: {name}", text) for name, text in rules_in_words(scores.rules)),
         made_before=run_versions(run),
     )
-
-
-def _track_inputs(name: str, path: Path | None) -> Iterator[Input]:
-    """The files with the tracks of a tracker."""
-    if path is None:
-        yield Input(f"tracks of {name}", "given in memory", None)
-    elif path.is_dir():
-        files = [each for each in path.rglob("*") if each.is_file() and not each.name.startswith(".")]
-        yield folder_input(f"tracks of {name}", path, files)
-    else:
-        yield file_input(f"tracks of {name}", path)
 
 
 def _alpha_chart(scores: RunScores) -> str:

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import html
 import io
 from collections.abc import Iterable, Sequence
 
 from PIL import Image
 
-from modsim3d.view.pages.print_style import PRINT_STYLE, sheet_style
+from modsim3d.view.pages.print_style import PRINT_STYLE, mark_of, sheet_style
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
-from modsim3d.view.pages.tables import UNKNOWN, table
+from modsim3d.view.pages.tables import TABLE_STYLE, UNKNOWN, facts, table
 
-__all__ = ["STYLE", "UNKNOWN", "folded", "heading", "listed", "page", "paragraph", "picture", "table", "tiles"]
+__all__ = ["STYLE", "UNKNOWN", "facts", "folded", "heading", "listed", "page", "paragraph", "picture", "table", "tiles"]
 
-STYLE = (
-    """
+STYLE = """
 :root { color-scheme: light dark; --ink: #1c2329; --paper: #fbfbf9; --soft: #5c6670; --line: #d5d9dc; --bad: #c22; }
 @media (prefers-color-scheme: dark) {
   :root { --ink: #e6e8ea; --paper: #15191d; --soft: #9aa4ad; --line: #363d44; --bad: #ff7a70; }
@@ -29,9 +27,6 @@ p.lead { font-size: 1.1rem; } .soft { color: var(--soft); } .bad { color: var(--
 p, li, figcaption { max-width: 60rem; } li { margin: 0.2rem 0; }
 table { border-collapse: collapse; margin: 0.8rem 0; }
 th, td { text-align: left; padding: 0.25rem 1.2rem 0.25rem 0; border-bottom: 1px solid var(--line); }
-td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
-td.number { white-space: nowrap; } td.broken { white-space: normal; }
-.whole { white-space: nowrap; }
 summary { cursor: pointer; padding: 0.25rem 0; }
 figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
 figcaption { color: var(--soft); font-size: 0.95rem; }
@@ -44,25 +39,14 @@ figcaption { color: var(--soft); font-size: 0.95rem; }
   body { margin: 1rem auto; }
   figure { overflow-x: auto; } svg.long { width: 40rem; max-width: none !important; }
   ul { padding-left: 1.2rem; }
-  td, th { overflow-wrap: anywhere; padding-right: 0.7rem; }
-  table.stack, .stack tbody, .stack tr { display: block; } .stack thead { display: none; }
-  .stack tr { border-bottom: 1px solid var(--line); padding: 0.4rem 0; }
-  .stack td, .stack td.number { display: block; border: 0; padding: 0 0 0 44%; text-align: left; position: relative; }
-  .stack td::before { content: attr(data-label); position: absolute; left: 0; width: 42%; color: var(--soft); }
-  .stack td:first-child { padding-left: 0; font-weight: 600; } .stack td:first-child::before { content: none; }
-  .stack td[colspan] { padding-left: 0; font-weight: inherit; }
-  .stack td:empty { display: none; }
 }
 """
-    + PROVENANCE_STYLE
-)
 
 
 def page(title: str, body: Iterable[str], rests_on: Provenance) -> str:
     """A whole page from the HTML of its parts, with what it rests on in a line at the top and in full at the end."""
     content = "\n".join([f"<h1>{html.escape(title)}</h1>", top_line(rests_on), *body, provenance(rests_on)])
-    mark = hashlib.sha256(content.encode("utf-8", "surrogatepass")).hexdigest()[:12]
-    style = STYLE + PRINT_STYLE + sheet_style(title, mark)
+    style = STYLE + TABLE_STYLE + PROVENANCE_STYLE + PRINT_STYLE + sheet_style(title, mark_of(content))
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

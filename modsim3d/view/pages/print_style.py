@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 
 LIGHT = (
@@ -20,9 +21,9 @@ PRINT_STYLE = """
   h1, h2, h3, summary { break-after: avoid; }
   p { orphans: 3; widows: 3; }
   table { font-size: 8pt; } thead { display: table-header-group; }
-  td, th { padding-right: 0.6rem; } td:not(.number) { overflow-wrap: anywhere; }
-  tr, figure, svg, img, dl > div, .signature { break-inside: avoid; }
-  figure svg:not(:only-child) { width: 48%; }
+  td, th { padding-right: 0.6rem; }
+  tr, figure, svg, img, dl > div, .rests-on { break-inside: avoid; }
+  figure svg:has(+ svg), figure svg + svg, .plots figure { width: 48%; }
   figure img, figure svg, svg { max-width: 100%; max-height: 24cm; }
   details::details-content { content-visibility: visible; display: block; block-size: auto; overflow: visible; }
   summary { list-style: none; font-weight: 600; } summary::-webkit-details-marker { display: none; }
@@ -32,6 +33,11 @@ PRINT_STYLE = """
 }
 """.replace("LIGHT", LIGHT)
 """Style of printed pages; it stands behind the style of the screen."""
+
+
+def mark_of(content: str) -> str:
+    """What all sheets of a page have in common: the first digits of the checksum of its content."""
+    return hashlib.sha256(content.encode("utf-8", "surrogatepass")).hexdigest()[:12]
 
 
 def sheet_style(title: str, mark: str) -> str:

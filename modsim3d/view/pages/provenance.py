@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from modsim3d.runs.run import VERSIONED
-from modsim3d.view.pages.tables import UNKNOWN
+from modsim3d.view.pages.tables import UNKNOWN, breaking
 
 ANCHOR = "rests-on"
 _SHORT = 12
@@ -136,7 +136,7 @@ def _inputs(inputs: Sequence[Input]) -> str:
         kind = "bad" if each.bad else "soft"
         note = f'<br><span class="{kind}">{html.escape(each.note)}</span>' if each.note else ""
         lines.append(
-            f'<tr><td>{html.escape(each.what)}</td><td data-label="path">{html.escape(each.path)}{note}</td>'
+            f'<tr><td>{html.escape(each.what)}</td><td data-label="path">{breaking(each.path)}{note}</td>'
             f'<td data-label="SHA-256" class="digest">{each.sha256 or UNKNOWN}</td></tr>'
         )
     head = "<thead><tr><th>input</th><th>path</th><th>SHA-256</th></tr></thead>"
@@ -151,7 +151,7 @@ def _signature() -> str:
 
 PROVENANCE_STYLE = """
 .top-line { margin-top: -0.6rem; font-size: 0.9rem; }
-.rests-on th { font-weight: 600; white-space: nowrap; vertical-align: top; }
+.rests-on th { font-weight: 600; vertical-align: top; text-align: left; } .rests-on .facts th { min-width: 9rem; }
 .rests-on td { vertical-align: top; overflow-wrap: anywhere; }
 .rests-on code { font-size: 0.92em; }
 .digest { font: 0.82em ui-monospace, monospace; overflow-wrap: anywhere; }

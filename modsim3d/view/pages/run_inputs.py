@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from modsim3d.runs.files.block_files import SETTINGS_FILE
 from modsim3d.runs.files.replacing import RUN_FILE, SCENE_FOLDER, UNFINISHED
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.view.pages.provenance import Input, file_input, sha256_of, versions_in_words
+from modsim3d.view.pages.provenance import Input, file_input, folder_input, sha256_of, versions_in_words
 
 _TABLES = {"truth.parquet": "truth of the run", "detections.parquet": "detections of the run"}
 CHANGED = "not the file that the run wrote: run.json has another checksum"
@@ -40,6 +41,17 @@ def _run_file(run: StoredRun, path: Path, what: str) -> Input:
     found = sha256_of(path)
     listed = (run.settings.get("files") or {}).get(path.relative_to(run.folder).as_posix(), {}).get("sha256", found)
     return Input(what, str(path), found, "" if listed == found else CHANGED, listed != found)
+
+
+def track_inputs(name: str, path: Path | None) -> Iterator[Input]:
+    """The files with the tracks of a tracker."""
+    if path is None:
+        yield Input(f"tracks of {name}", "given in memory", None)
+    elif path.is_dir():
+        files = [each for each in path.rglob("*") if each.is_file() and not each.name.startswith(".")]
+        yield folder_input(f"tracks of {name}", path, files)
+    else:
+        yield file_input(f"tracks of {name}", path)
 
 
 def run_seeds(run: StoredRun) -> tuple[tuple[str, str], ...]:

@@ -11,11 +11,34 @@ UNKNOWN = "–"
 """What stands for a number that is not known."""
 LEAST_STACKED = 4
 """A table of so many columns is shown as a list of rows on a phone."""
+TABLE_STYLE = """
+td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
+.facts th { font-weight: 400; text-align: left; vertical-align: top; }
+td.number { white-space: nowrap; } td.broken { white-space: normal; }
+.whole { white-space: nowrap; }
+@media screen and (max-width: 40rem) {
+  td, th { padding-right: 0.7rem; } td.number { white-space: normal; } .pad { display: none; }
+  table.stack, .stack tbody, .stack tr { display: block; } .stack thead { display: none; }
+  .stack tr { border-bottom: 1px solid var(--line); padding: 0.4rem 0; }
+  .stack td, .stack td.number { display: flow-root; border: 0; padding: 0 0 0 44%; text-align: left; }
+  .stack td::before { content: attr(data-label); float: left; width: 75%; margin-left: -78.57%; color: var(--soft); }
+  .stack td:first-child { padding-left: 0; font-weight: 600; } .stack td:first-child::before { content: none; }
+  .stack td[colspan] { padding-left: 0; font-weight: inherit; }
+  .stack td:empty { display: none; }
+}
+"""
+"""Style of numbers, and of tables on a phone; it stands behind that of the page."""
 _DIGIT, _POINT = "\u2007", "\u2008"
 """Spaces as wide as a digit and as a point."""
-_NUMBER = re.compile(r"(?<![\w.])(?P<sign>[-−+±]?)(?P<whole>\d[\d,]*)(?P<rest>\.\d+)?(?P<power>e[-−+]?\d+)?")
-_START = re.compile(r"[±+−-]?(\d|∞)")
+_NUMBER = re.compile(
+    r"(?<![\w.])(?P<sign>[-−+±]?)(?P<whole>\d[\d,]*)(?P<rest>\.\d+)?(?P<power>e[-−+]?\d+)?(?![.\d]*\d)"
+)
+_START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d)(\d|∞)")
+"""How a number begins; a version with two points is none."""
 _INTERVAL = re.compile(r"\[[^\[\]]+, [^\[\]]+\]")
+_PADS = re.compile(f"[{_DIGIT}{_POINT}]+")
+_LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")
+"""Words such as keys and checksums, which may be broken."""
 _MOST_WORDS = 3
 _LONGEST = 28
 """Letters of a cell that is never broken."""
@@ -42,9 +65,14 @@ def table(
         notes: What is said below a row, by its number.
     """
     columns = [list(column) for column in zip(*rows, strict=False)]
-    right = [place not in markup and is_numeric(column) for place, column in enumerate(columns)]
+    named = [*map(bool, header), *[not header] * len(columns)]  # a column without a name has the names of the rows
+    right = [place not in markup and named[place] and is_numeric(column) for place, column in enumerate(columns)]
     shown = [
-        column if place in markup else [_marked(cell) for cell in (aligned(column) if right[place] else column)]
+        column
+        if place in markup
+        else [_in_number(cell) for cell in aligned(column)]
+        if right[place]
+        else [breaking(cell) for cell in column]
         for place, column in enumerate(columns)
     ]
     right += [False] * (len(header) - len(right))
@@ -56,7 +84,8 @@ def table(
     lines.append("<tbody>")
     for number, cells in enumerate(zip(*shown, strict=True)):
         content = "".join(
-            f"<td{_class(right[place], cell)}{_label(labels[place])}>{cell}</td>" for place, cell in enumerate(cells)
+            f"<td{_class(right[place], rows[number][place])}{_label(labels[place])}>{cell}</td>"
+            for place, cell in enumerate(cells)
         )
         lines.append(('<tr class="bad">' if number in bad else "<tr>") + content + "</tr>")
         if note := notes.get(number):
@@ -115,16 +144,28 @@ def _padded(cell: str, numbers: Sequence[re.Match[str]], widths: Sequence[tuple[
     return text + cell[end:]
 
 
-def _marked(cell: str) -> str:
-    """A cell as HTML; an interval stays on one line."""
-    return _INTERVAL.sub(lambda found: f'<span class="whole">{found[0]}</span>', html.escape(cell))
+def facts(rows: Sequence[tuple[str, str]]) -> str:
+    """A table of names with what is said of each."""
+    lines = (f"<tr><th>{breaking(name)}</th><td>{breaking(text)}</td></tr>" for name, text in rows)
+    return "\n".join(['<table class="facts">', *lines, "</table>"])
+
+
+def breaking(text: str) -> str:
+    """Text as HTML in which long words, such as keys and checksums, may be broken."""
+    return _LONG.sub(lambda word: re.sub(r"[./]|\](?=\[)|\w{16}(?=\w)", r"\g<0><wbr>", word[0]), html.escape(text))
+
+
+def _in_number(cell: str) -> str:
+    """A cell of numbers as HTML: an interval stays on one line, and a phone needs no spaces of alignment."""
+    padded = _PADS.sub(lambda found: f'<i class="pad">{found[0]}</i>', html.escape(cell))
+    return _INTERVAL.sub(lambda found: f'<span class="whole">{found[0]}</span>', padded)
 
 
 def _class(numeric: bool, cell: str = "") -> str:
     """The class of a cell: a number is not broken, one with an interval only before it."""
     if not numeric:
         return ""
-    return ' class="number broken"' if len(cell) > _LONGEST else ' class="number"'
+    return ' class="number broken"' if len(cell) > _LONGEST or _INTERVAL.search(cell) else ' class="number"'
 
 
 def _label(name: str) -> str:

@@ -19,10 +19,11 @@ from modsim3d.outputs.placing import write_files
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
-from modsim3d.view.pages.page import folded, heading, table
-from modsim3d.view.pages.print_style import PRINT_STYLE, sheet_style
+from modsim3d.view.pages.page import facts, folded, heading, table
+from modsim3d.view.pages.print_style import PRINT_STYLE, mark_of, sheet_style
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance
-from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions
+from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions, track_inputs
+from modsim3d.view.pages.tables import TABLE_STYLE
 from modsim3d.view.report.count_tables import (
     CAMERA_HEADER,
     STATE_HEADER,
@@ -50,6 +51,7 @@ def write_report(
     progress: Callable[[int], None] = lambda steps: None,
     followed: FollowedTracks | None = None,
     command: str | None = None,
+    tracks: Path | None = None,
 ) -> Path:
     """Write the page of a run and return its file; the same run gives the same bytes.
 
@@ -60,6 +62,7 @@ def write_report(
         progress: Called with the number of shown steps done since its last call.
         followed: The tracks of a tracker, for lanes below the timeline; none if None.
         command: What the page says it was made by; the call from Python if None.
+        tracks: Where the tracks were read.
 
     Raises:
         RunDirectoryError: An interrupted run has kept nothing yet.
@@ -71,7 +74,7 @@ def write_report(
             "go on with modsim3d run --resume"
         )
     out = run.folder / REPORT_FILE if out is None else out
-    page = _page(run, every, out, progress, followed, _provenance(run, every, command))
+    page = _page(run, every, out, progress, followed, _provenance(run, every, command, tracks))
     write_files({out: page})
     return out
 
@@ -90,19 +93,20 @@ def _page(
     index, columns = frames.packed()
     script = "\n".join(_part(name) for name in (TRACK_SCRIPTS if followed else SCRIPTS))
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    tables = _tables(counts, run.settings, rests_on)
     parts = {
         "title": html.escape(f"{run.scene.name}: report of a run"),
         "name": html.escape(run.scene.name),
         # No script but this one runs and nothing is fetched, whatever a vessel is called.
         "policy": f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:",
-        "style": _part("style.css") + (_part("lanes.css") if followed else "") + PROVENANCE_STYLE + _print_style(run),
+        "style": _part("style.css") + (_part("lanes.css") if followed else "") + _more_style(run, tables),
         "lead": html.escape(_lead(frames.facts)),
         "sentence": f"\n  <p>{html.escape(followed.sentence())}</p>" if followed else "",
         "lanes": "\n" + _part("lanes.html").rstrip("\n") if followed else "",
         "track_key": " <kbd>K</kbd> tracks," if followed else "",
         "notes": _notes(run, every, out),
         "result": _result(counts.total),
-        "tables": _tables(counts, run.settings, rests_on),
+        "tables": tables,
         "facts": _json_in_html({**frames.facts, "columns": index}),
         "columns": columns,
         "script": script,
@@ -111,8 +115,10 @@ def _page(
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _part("page.html"))
 
 
-def _print_style(run: StoredRun) -> str:
-    return PRINT_STYLE + sheet_style(f"{run.scene.name}: report of a run", run.settings["scene_sha256"][:12])
+def _more_style(run: StoredRun, tables: str) -> str:
+    """What this page has in common with the others: tables on a phone, what it rests on, and print."""
+    sheets = sheet_style(f"{run.scene.name}: report of a run", mark_of(tables))
+    return TABLE_STYLE + PROVENANCE_STYLE + PRINT_STYLE + sheets
 
 
 def _part(name: str) -> str:
@@ -176,11 +182,11 @@ def _result(counts: DetectorCounts) -> str:
     )
 
 
-def _provenance(run: StoredRun, every: int, command: str | None) -> Provenance:
+def _provenance(run: StoredRun, every: int, command: str | None, tracks: Path | None) -> Provenance:
     return Provenance(
         page="report of a run",
         made_by=command or f"modsim3d.view.report.report.write_report of {run.folder} from Python",
-        inputs=run_inputs(run),
+        inputs=(*run_inputs(run), *(() if tracks is None else track_inputs(tracks.name, tracks))),
         seeds=run_seeds(run),
         options=(("Steps", f"{run.steps:,}" + (f", every {every}th shown" if every > 1 else "")),),
         made_before=run_versions(run),
@@ -194,7 +200,7 @@ def _tables(counts: CountTables, settings: dict[str, Any], rests_on: Provenance)
         ("By performance state of the detector", counts.by_state(), STATE_HEADER),
         ("By vessel", counts.by_vessel(), VESSEL_HEADER),
     ]
-    every_setting = folded("All settings of the run", f"<div class=scroll>{table(named_values(settings))}</div>")
+    every_setting = folded("All settings of the run", facts([(name, text) for name, text in named_values(settings)]))
     tables = "\n".join(
         f"<section>{heading(title)}<div class=scroll>{table(rows, header)}</div></section>"
         for title, rows, header in parts
