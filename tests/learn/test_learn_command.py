@@ -125,9 +125,10 @@ def test_the_command_writes_a_file_and_a_page(exported, tmp_path):
 def test_the_same_data_give_the_same_bytes(exported, tmp_path):
     files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--replicates", 20]
     for name in ("first", "second"):
-        command(*files, "--out", tmp_path / f"{name}.yaml")
-    assert (tmp_path / "first.yaml").read_bytes() == (tmp_path / "second.yaml").read_bytes()
-    assert (tmp_path / "first.html").read_bytes() == (tmp_path / "second.html").read_bytes()
+        (tmp_path / name).mkdir()
+        command(*files, "--out", tmp_path / name / "d.yaml")
+    for file in ("d.yaml", "d.html"):
+        assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
 
 
 def false_of_states(run):

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from modsim3d.campaign.results.folder import FILE, CampaignFolder
 from modsim3d.campaign.work.task import PLAN, ROWS_PATTERN
-from modsim3d.display import counted
 from modsim3d.view.pages.provenance import Input, Provenance, file_input, folder_input, versions_in_words
 
 _ROWS = ".rows", ".parquet"
@@ -28,17 +27,19 @@ def rests_on(folder: CampaignFolder, page: str, command: str | None) -> Provenan
     """
     keys, facts = folder.keys, folder.facts
     search = keys.search
-    traffic = f"{search.seeds:,} to choose from" if search else counted(keys.seeds.traffic, "seed")
+    traffic = f"{search.seeds:,} to choose from" if search else f"{keys.seeds.traffic:,}"
     own = [
         Input("file that the campaign names", name, digest, "when it was planned")
         for name, digest in facts["files"].items()
     ]
-    plan = Input("plan", f"{PLAN}: sha256", facts["sha256"], "of everything that decides a row; what a worker compares")
+    plan = Input(
+        "plan", f"sha256 in {PLAN}", facts["sha256"], "of everything that decides a row; what a worker compares"
+    )
     return Provenance(
         page=page,
         made_by=command or f"modsim3d.campaign.report.writing.write_page of {folder.path} from Python",
         inputs=(*_files(folder), plan, *own),
-        seeds=(("traffic", traffic), ("detector, for each", f"{keys.seeds.detector:,}")),
+        seeds=(("traffic", traffic), ("detector", f"{keys.seeds.detector:,} for each")),
         made_before=(("Its rows were made with", versions_in_words(facts["versions"])),),
     )
 

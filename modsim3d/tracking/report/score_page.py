@@ -161,7 +161,7 @@ def _bin_table(bins: Mapping[str, Mapping[str, Bin]], of_occlusions: bool) -> st
     counts = ("occlusions", "vessel-frames") if of_occlusions else ("vessel-frames",)
     head = "".join(f'<th class="number">{name}</th>' for name in counts)
     head += "".join(f'<th class="number" style="{CLOSE}">{name}</th>' for name in per * len(bins))
-    lines = [f"<tr><th></th>{'<th></th>' * len(counts)}{spans}</tr>", f"<tr><th></th>{head}</tr>"]
+    lines = [f"<thead><tr><th></th>{'<th></th>' * len(counts)}{spans}</tr>", f"<tr><th></th>{head}</tr></thead>"]
     for name, row in first.items():
         cells = [f'<td class="number">{row.occlusions}</td>'] if of_occlusions else []
         cells.append(f'<td class="number">{row.vessel_frames:,}</td>')

@@ -23,7 +23,8 @@ PRINT_STYLE = """
   table { font-size: 8pt; } thead { display: table-header-group; }
   td, th { padding-right: 0.6rem; }
   tr, figure, svg, img, dl > div, .rests-on { break-inside: avoid; }
-  figure svg:has(+ svg), figure svg + svg, .plots figure { width: 48%; }
+  figure svg:has(+ svg), figure svg + svg, body .plots figure { width: 48%; }
+  h3 + p.soft { break-after: avoid; } table.dense { font-size: 7pt; } .dense .whole { white-space: normal; }
   figure img, figure svg, svg { max-width: 100%; max-height: 24cm; }
   details::details-content { content-visibility: visible; display: block; block-size: auto; overflow: visible; }
   summary { list-style: none; font-weight: 600; } summary::-webkit-details-marker { display: none; }

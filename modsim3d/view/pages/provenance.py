@@ -127,7 +127,7 @@ def provenance(found: Provenance) -> str:
 def top_line(found: Provenance) -> str:
     """The line under a page's title, which leads to the block."""
     link = f'<a href="#{ANCHOR}">what this page rests on</a>'
-    return f'<p class="soft top-line">{html.escape(found.in_short())} · {link}</p>'
+    return f'<div class="soft top-line">{html.escape(found.in_short())} · {link}</div>'
 
 
 def _inputs(inputs: Sequence[Input]) -> str:
@@ -150,8 +150,9 @@ def _signature() -> str:
 
 
 PROVENANCE_STYLE = """
-.top-line { margin-top: -0.6rem; font-size: 0.9rem; }
-.rests-on th { font-weight: 600; vertical-align: top; text-align: left; } .rests-on .facts th { min-width: 9rem; }
+.top-line { margin: -0.6rem 0 1rem; font-size: 0.9rem; }
+.rests-on th { font-weight: 600; vertical-align: top; text-align: left; }
+.rests-on .facts th { min-width: min(9rem, 28vw); }
 .rests-on td { vertical-align: top; overflow-wrap: anywhere; }
 .rests-on code { font-size: 0.92em; }
 .digest { font: 0.82em ui-monospace, monospace; overflow-wrap: anywhere; }

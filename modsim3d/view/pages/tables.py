@@ -9,8 +9,8 @@ from types import MappingProxyType
 
 UNKNOWN = "–"
 """What stands for a number that is not known."""
-LEAST_STACKED = 4
-"""A table of so many columns is shown as a list of rows on a phone."""
+LEAST_STACKED, LEAST_DENSE = 4, 9
+"""A table of so many columns is shown as a list of rows on a phone, or is printed small."""
 TABLE_STYLE = """
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 .facts th { font-weight: 400; text-align: left; vertical-align: top; }
@@ -33,8 +33,8 @@ _DIGIT, _POINT = "\u2007", "\u2008"
 _NUMBER = re.compile(
     r"(?<![\w.])(?P<sign>[-−+±]?)(?P<whole>\d[\d,]*)(?P<rest>\.\d+)?(?P<power>e[-−+]?\d+)?(?![.\d]*\d)"
 )
-_START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d)(\d|∞)")
-"""How a number begins; a version with two points is none."""
+_START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d|\d+\. )(\d|∞)")
+"""How a number begins; a version with two points is none, and neither is an ordinal."""
 _INTERVAL = re.compile(r"\[[^\[\]]+, [^\[\]]+\]")
 _PADS = re.compile(f"[{_DIGIT}{_POINT}]+")
 _LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")
@@ -77,7 +77,7 @@ def table(
     ]
     right += [False] * (len(header) - len(right))
     labels = header if len(header) >= LEAST_STACKED else [""] * len(columns)
-    lines = ['<table class="stack">' if len(header) >= LEAST_STACKED else "<table>"]
+    lines = [f"<table{_shape(len(header))}>"]
     if header:
         names = (f"<th{_class(each)}>{html.escape(name)}</th>" for name, each in zip(header, right, strict=False))
         lines.append(f"<thead><tr>{''.join(names)}</tr></thead>")
@@ -159,6 +159,12 @@ def _in_number(cell: str) -> str:
     """A cell of numbers as HTML: an interval stays on one line, and a phone needs no spaces of alignment."""
     padded = _PADS.sub(lambda found: f'<i class="pad">{found[0]}</i>', html.escape(cell))
     return _INTERVAL.sub(lambda found: f'<span class="whole">{found[0]}</span>', padded)
+
+
+def _shape(columns: int) -> str:
+    if columns < LEAST_STACKED:
+        return ""
+    return ' class="stack dense"' if columns >= LEAST_DENSE else ' class="stack"'
 
 
 def _class(numeric: bool, cell: str = "") -> str:
