@@ -91,9 +91,7 @@ def inputs(folder: Path, name: str) -> list[list[str]]:
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_names_its_command_without_where_files_go(pages: Path, name: str) -> None:
     (said,) = re.findall(r"<th>Made by</th><td><code>(.*?)</code>", block(pages, name))
-    words = COMMANDS[name].partition(" --out")[0]
-    order = {"learn": "learn --run run --replicates 20"}  # what stands behind --out belongs to the command too
-    assert html.unescape(said) == f"modsim3d {order.get(name, words)}"
+    assert html.unescape(said) == f"modsim3d {COMMANDS[name].partition(' --out')[0]}"
 
 
 @pytest.mark.parametrize("name", PAGES)
