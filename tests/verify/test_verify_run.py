@@ -89,6 +89,7 @@ def test_cameras_with_states_of_their_own_have_a_timeline_each(tmp_path):
     write_report(verify_run(open_run(run)), tmp_path)
     page = (tmp_path / "verify.html").read_text()
     assert [f"was in: {camera}" in page for camera in ("C1", "C2")] == [True, True]
+    assert "modsim3d.verify_run(" in page and "from Python" in page  # no command made it
 
 
 def test_in_memory_and_from_files_the_verdicts_are_the_same(finished, many):
