@@ -103,7 +103,7 @@ def test_the_axis_of_a_share_ends_at_1():
 
 def test_a_worst_run_names_the_requirement_that_it_breaks(html):
     assert re.search(r"<h3>Run \d+: reference, HOTA \S+ \(requirement 1\)</h3>", html)
-    assert "1. hota at least 0.5" in html.partition("What it rests on")[2]
+    assert "1. hota at least 0.5" in html.partition("What each verdict rests on")[2]
     assert "[0]" not in html
 
 

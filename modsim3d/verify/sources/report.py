@@ -17,7 +17,7 @@ from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison
 from modsim3d.verify.sources.figures import BoxFigures, Figures
 from modsim3d.verify.sources.findings import VesselDifference
 from modsim3d.view.pages import page
-from modsim3d.view.pages.provenance import Input, Provenance, sha256_of
+from modsim3d.view.pages.provenance import Input, Provenance, sha256_of, shown_path
 from modsim3d.view.pictures.comparison_picture import comparison_picture
 from modsim3d.view.pictures.solids import Solids
 
@@ -132,7 +132,7 @@ def _provenance(
     figures = comparison.figures
     whole = Input(
         "scene as compared",
-        given or str(scene.path),
+        given or shown_path(Path(scene.path)),
         scene.sha256,
         "of the scene with the settings of the command, and every file that it names; a run of it has it in run.json",
     )

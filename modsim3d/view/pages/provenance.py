@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+from modsim3d.inputs.shipped import data_folder
 from modsim3d.runs.run import VERSIONED
 from modsim3d.view.pages.tables import UNKNOWN, breaking
 
@@ -84,8 +85,14 @@ def sha256_of(path: Path) -> str:
 
 
 def file_input(what: str, path: Path, note: str = "") -> Input:
-    """A file, by its path as it was given."""
-    return Input(what, str(path), sha256_of(path), note)
+    """A file, by its path as it was given; one that ships with modsim3d by its place there."""
+    return Input(what, shown_path(path), sha256_of(path), note)
+
+
+def shown_path(path: Path) -> str:
+    """A path as it was given; that of a file that ships with modsim3d, which is another on each machine, from there."""
+    shipped = data_folder("scenes")
+    return f"shipped {path.relative_to(shipped.parent)}" if path.is_relative_to(shipped) else str(path)
 
 
 def folder_input(what: str, folder: Path, files: Iterable[Path]) -> Input:
