@@ -31,7 +31,7 @@ td.number { white-space: nowrap; } td.broken { white-space: normal; }
 _DIGIT, _POINT = "\u2007", "\u2008"
 """Spaces as wide as a digit and as a point."""
 _NUMBER = re.compile(
-    r"(?<![\w.])(?P<sign>[-−+±]?)(?P<whole>\d[\d,]*)(?P<rest>\.\d+)?(?P<power>e[-−+]?\d+)?(?![.\d]*\d)"
+    r"(?<![\w.])(?P<sign>[-−+±]?)(?P<whole>\d[\d,]*|∞)(?P<rest>\.\d+)?(?P<power>e[-−+]?\d+)?(?![.\d]*\d)"
 )
 _START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d|\d+\. )(\d|∞)")
 """How a number begins; a version with two points is none, and neither is an ordinal."""
