@@ -240,8 +240,8 @@ def _results(verification: Verification) -> list[tuple[str, str, str]]:
     tested = len(verification.verdicts) - unmade
     found = [
         ("Passed", f"{tested - count[DIFFERS]:,}", f"of {tested:,} tests"),
-        ("Failed", f"{count[DIFFERS]:,}", "the run speaks against these numbers of the file"),
-        ("Not tested", f"{unmade:,}", "the run shows too little of them, or there is no check"),
+        ("Failed", f"{count[DIFFERS]:,}", "tests in which the run speaks against its file"),
+        ("Not tested", f"{unmade:,}", "too little seen, or a model without a check"),
     ]
     if count[FALLS_SHORT]:
         found.append(("Fall short", f"{count[FALLS_SHORT]:,}", "obey the thesis's rule, not the rate asked for"))

@@ -63,7 +63,10 @@ def run_seeds(run: StoredRun) -> tuple[tuple[str, str], ...]:
 def run_versions(run: StoredRun) -> tuple[tuple[str, str], ...]:
     """The versions that made a run, and its renderer."""
     settings = run.settings
-    found = [("The run was made with", versions_in_words(settings["versions"])), ("Renderer", settings["backend"])]
+    found = [
+        ("The run was made with", versions_in_words(settings["versions"])),
+        ("The run's renderer", settings["backend"]),
+    ]
     if truth := settings.get("truth_versions"):
         found.insert(1, ("Its truth was made with", versions_in_words(truth)))
     if settings.get("plugins"):
