@@ -101,12 +101,13 @@ def _provenance(scores: RunScores, command: str | None) -> Provenance:
     given = [(each.name, each.path) for each in scores.trackers]
     given += [(each.name, each.path) for each in scores.world]
     call = f"modsim3d.score_run({str(run.folder)!r}, …).write(…) from Python"
+    again = () if scores.seeds is None else (("detector, run again", ", ".join(map(str, scores.seeds.seeds))),)
     tracks = [found for name, path in given for found in track_inputs(name, path)]
     return Provenance(
         page="scores of tracks",
         made_by=command or call,
         inputs=(*run_inputs(run), *tracks),
-        seeds=run_seeds(run),
+        seeds=(*run_seeds(run), *again),
         options=tuple((f"Rule: {name}", text) for name, text in rules_in_words(scores.rules)),
         made_before=run_versions(run),
     )
