@@ -10,6 +10,7 @@ import typer
 
 from modsim3d.commands.shared import OverwriteOption, QuietOption, VerboseOption, print_line, print_path, print_rows
 from modsim3d.commands.terminal import open_console, tell_files, timed
+from modsim3d.commands.typed import typed_command
 
 if TYPE_CHECKING:
     from modsim3d.ais.traffic import Traffic
@@ -24,6 +25,7 @@ class Labels(str, Enum):  # noqa: UP042 (typer shows the plain values)
 
 # More than fifty lines, because each option stands in the signature, where the command line finds it.
 def ais_command(
+    context: typer.Context,
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="AIS logs, CSV or NMEA, gzipped or not.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Scene folder to write.")],
     origin: Annotated[
@@ -103,7 +105,7 @@ def ais_command(
         tell_files(read)
         detector = data_folder("scenes") / "detectors" / "thesis.yaml"
         with timed("writing"):
-            write_scene(traffic, out, detector, overwrite, ais_page(traffic))
+            write_scene(traffic, out, detector, overwrite, ais_page(traffic, typed_command(context)))
     _print_summary(traffic, out)
 
 

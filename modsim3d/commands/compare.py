@@ -22,6 +22,7 @@ from modsim3d.commands.shared import (
     print_written,
 )
 from modsim3d.commands.terminal import open_console, say_json, tell, tell_files, timed
+from modsim3d.commands.typed import typed_command
 from modsim3d.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 
 def compare_command(
+    context: typer.Context,
     scene: SceneArgument,
     steps: StepsOption = None,
     settings: SetOption = None,
@@ -76,7 +78,7 @@ def compare_command(
         with timed("comparison"), progress(loaded.name, None if loaded.live else -(-loaded.steps // every)) as advance:
             comparison = compare_sources(loaded, renderer, every=every, progress=advance)
         if out is not None:
-            compare_report.write_report(comparison, loaded, renderer, out)
+            compare_report.write_report(comparison, loaded, renderer, out, typed_command(context), scene)
     figures = comparison.figures
     console = open_console()
     _print_figures(console, figures)

@@ -23,6 +23,7 @@ from modsim3d.commands.shared import (
 )
 from modsim3d.commands.tables import print_prose, print_table
 from modsim3d.commands.terminal import open_console, say_json, tell_files, timed, warn
+from modsim3d.commands.typed import typed_command
 from modsim3d.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from modsim3d.formats.matching import Rule
     from modsim3d.formats.reading.builder import ReadOptions
     from modsim3d.learn.report import Report
+    from modsim3d.runs.stored_run import StoredRun
 
 
 class Match(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -54,6 +56,7 @@ class Clutter(str, Enum):  # noqa: UP042
 
 
 def learn_command(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Detector file to write.")],
     truth: Annotated[
         list[Path] | None,
@@ -155,6 +158,7 @@ def learn_command(
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector
     from modsim3d.learn.learned import Settings
     from modsim3d.learn.learning import learned_files
+    from modsim3d.learn.sources import Sources
     from modsim3d.learn.uncertainty import uncertainty_file
     from modsim3d.outputs.claims import claimed
     from modsim3d.outputs.placing import write_files
@@ -171,11 +175,13 @@ def learn_command(
             "centre for both, or learn from each alone"
         )
     with timed("reading"), inputs_noted() as read:  # also of files that no option names, such as data.yaml
-        labelled, run_interval = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
+        labelled, runs = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
         order = read_text(sequence, "sequence") if sequence else None
-    interval = run_interval if interval is None else interval
+    if interval is None and runs:
+        interval = runs[-1].scene.detector.transition_interval_s
     settings = Settings(_rule(labelled, match, iou, distance), confidence, replicates, seed, clutter.value)
     wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
+    noted = list(read)
     read += [path for folder in run or () for path in read_of_run(folder)]
     tell_files(read)
     written = [out, page, uncertainty_file(out)]
@@ -183,7 +189,9 @@ def learn_command(
         with timed("learning"):
             report = learn_detector(labelled, settings, wanted)
         with timed("files"):
-            write_files(learned_files(report, out, page, correct))
+            given = tuple(truth or ()), tuple(detections or ())
+            sources = Sources(*given, runs, tuple(noted), settings, typed_command(context))
+            write_files(learned_files(report, out, page, sources, correct))
     _show(report, written)
     say_json(learn_json(report, written))
 
@@ -207,8 +215,8 @@ def _labelled_set(
     conditions: Sequence[str],
     runs: Sequence[Path],
     options: ReadOptions,
-) -> tuple[LabelledSet, float | None]:
-    """All files and runs as one set, and the time between transitions where runs name one."""
+) -> tuple[LabelledSet, tuple[StoredRun, ...]]:
+    """All files and runs as one set, and the runs, opened."""
     from modsim3d.formats.labelled import joined
     from modsim3d.formats.reading.pair import read_pair
 
@@ -225,14 +233,14 @@ def _labelled_set(
         raise ModsimError("nothing to learn from: give --truth and --detections, or --run")
     names = conditions or (["usual"] if len(truth) == 1 else [f"condition_{k + 1}" for k in range(len(truth))])
     parts = [read_pair(*pair, options) for pair in zip(names, truth, detections, strict=True)]
-    interval_s = None
+    opened_runs = []
     for folder in runs:
         from modsim3d.formats.labelled_run import labelled_run
 
         labelled, opened = labelled_run(folder)
         parts.append(labelled)
-        interval_s = opened.scene.detector.transition_interval_s
-    return joined(parts), interval_s
+        opened_runs.append(opened)
+    return joined(parts), tuple(opened_runs)
 
 
 def _show(report: Report, written: Sequence[Path]) -> None:

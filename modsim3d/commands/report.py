@@ -18,9 +18,11 @@ from modsim3d.commands.tracks_option import (
     opened_tracks,
     read_of_tracks,
 )
+from modsim3d.commands.typed import typed_command
 
 
 def report_command(
+    context: typer.Context,
     run: RunArgument,
     other: Annotated[
         Path | None,
@@ -83,9 +85,9 @@ def report_command(
             bar.update(task, advance=steps, refresh=True)
 
         if second is None:
-            write_report(opened, path, every, advance, followed, in_files=parts)
+            write_report(opened, path, every, advance, followed, typed_command(context), tracks, in_files=parts)
         else:
-            write_side_by_side(opened, second, path, every, advance, in_files=parts)
+            write_side_by_side(opened, second, path, every, advance, typed_command(context), in_files=parts)
     if followed is not None:
         say(followed.sentence())
     if not opened.finished:

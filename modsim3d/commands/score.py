@@ -19,12 +19,14 @@ from modsim3d.commands.shared import (
 )
 from modsim3d.commands.tables import print_prose, print_table
 from modsim3d.commands.terminal import open_console, say_json, tell_files, timed
+from modsim3d.commands.typed import typed_command
 
 if TYPE_CHECKING:
     from modsim3d.tracking.score_run import RunScores
 
 
 def score_command(
+    context: typer.Context,
     run: FinishedRunArgument,
     tracks: Annotated[
         list[Path],
@@ -103,7 +105,7 @@ def score_command(
             )
         if out is not None:
             with timed("files"):
-                write_scores(scores, out)
+                write_scores(scores, out, typed_command(context))
     _print_scores(scores)
     print_written(open_console(), paths)
     say_json({"command": "score", **score_data(scores), "written": paths})

@@ -18,12 +18,14 @@ from modsim3d.commands.shared import (
 )
 from modsim3d.commands.tables import print_prose, print_table
 from modsim3d.commands.terminal import open_console, say_json, tell_files, timed
+from modsim3d.commands.typed import typed_command
 
 if TYPE_CHECKING:
     from modsim3d.verify.parameters import Verification
 
 
 def verify_command(
+    context: typer.Context,
     run: FinishedRunArgument,
     detector: Annotated[
         Path | None,
@@ -59,7 +61,7 @@ def verify_command(
         with timed("checks"):
             verified = verify_run(opened, detector)
         with timed("files"):
-            verify_report.write_report(verified, folder)
+            verify_report.write_report(verified, folder, typed_command(context))
     verification = verified.verification
     _print_verification(verification)
     console = open_console()

@@ -18,7 +18,7 @@ from modsim3d.learn.gate_bias import bias_of
 from modsim3d.learn.gate_losses import gate_warning
 from modsim3d.learn.learned import Settings, check_size, learn
 from modsim3d.learn.observed import Observed
-from modsim3d.learn.report import Report
+from modsim3d.learn.report import NearGate, Report
 from modsim3d.learn.states import StateMap, cluster, each_its_own, parse_sequence, parse_states, transitions_of
 from modsim3d.learn.transitions import Transitions, count_transitions
 
@@ -77,7 +77,8 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
         matched_by=str(settings.rule),
         curves_matched_by=str(curve_rule),
         warning=gate_warning(labelled, matched, settings.rule),
-        remarks=(*labelled.notes, *_remarks(observed, settings.rule)),
+        remarks_on_data=(*labelled.notes, *_remarks(observed)),
+        near_gate=_near_gate(observed, settings.rule),
     )
 
 
@@ -130,21 +131,13 @@ _NEAR_THE_GATE, _MANY_NEAR = 0.1, 0.05
 _ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
 
 
-def _remarks(observed: Observed, rule: Rule) -> Iterator[str]:
+def _remarks(observed: Observed) -> Iterator[str]:
     """What speaks against the matches."""
     labelled, (found, annotation) = observed.labelled, observed.matched.pairs
     if not len(found):
         yield "nothing matches: do annotations and detections belong to the same images, with boxes in the same pixels?"
         return
     yield from _remarks_on_labels(labelled.results.label[found] - labelled.annotations.label[annotation])
-    if rule.method in ("confidence", "optimal"):
-        gate = rule.least_iou + _NEAR_THE_GATE
-        near = iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation]) < gate
-        state = observed.image_state[labelled.annotations.image[annotation]]
-        other = "--match provenance cuts off none"
-        if labelled.results.origin is None:
-            other = "--match centre, at a distance that is large against the errors, cuts off less"
-        yield from _remarks_on_gate(observed, near, state, gate, other)
 
 
 def _remarks_on_labels(shift: Indices) -> Iterator[str]:
@@ -157,16 +150,21 @@ def _remarks_on_labels(shift: Indices) -> Iterator[str]:
             )
 
 
-def _remarks_on_gate(observed: Observed, near: Mask, state: Indices, gate: float, other: str) -> Iterator[str]:
-    """A remark for each state of which many matches are near the least IoU, given state and nearness of each (m,).
+def _near_gate(observed: Observed, rule: Rule) -> NearGate:
+    """The states of which many matches are near the least IoU."""
+    labelled, (found, annotation) = observed.labelled, observed.matched.pairs
+    if rule.method not in ("confidence", "optimal") or not len(found):
+        return NearGate()
+    gate = rule.least_iou + _NEAR_THE_GATE
+    near = iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation]) < gate
+    state = observed.image_state[labelled.annotations.image[annotation]]
+    other = "--match provenance cuts off none"
+    if labelled.results.origin is None:
+        other = "--match centre, at a distance that is large against the errors, cuts off less"
+    shares = ((name, _share(near[state == k])) for k, name in enumerate(observed.states))
+    many = tuple((name, share) for name, share in shares if share > _MANY_NEAR)
+    return NearGate(many, gate, other, several=len(observed.states) > 1)
 
-    `other` says which rule cuts off less.
-    """
-    for k, name in enumerate(observed.states):
-        share = float(near[state == k].mean()) if np.any(state == k) else 0.0
-        if share > _MANY_NEAR:
-            yield (
-                f"{share:.0%} of the matches{f' in {name}' if len(observed.states) > 1 else ''} have an IoU of less "
-                f"than {gate:.2g}: larger errors were cut off, and count as a miss and a false detection each (--bias "
-                f"says how much that does; {other})"
-            )
+
+def _share(chosen: Mask) -> float:
+    return float(chosen.mean()) if len(chosen) else 0.0

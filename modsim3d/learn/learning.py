@@ -29,6 +29,7 @@ from modsim3d.learn.learn_detector import LearnOptions
 from modsim3d.learn.learned import Settings
 from modsim3d.learn.page import page_text
 from modsim3d.learn.report import Report, lead, tables
+from modsim3d.learn.sources import Sources
 from modsim3d.learn.uncertainty import uncertainty_file, uncertainty_text
 from modsim3d.outputs.claims import claimed
 from modsim3d.outputs.placing import write_files
@@ -50,10 +51,12 @@ class LearnResult:
     Attributes:
         report: Every number with its interval, and the figures of an evaluation.
         inputs: The files that it was learned from; none of them is written over.
+        sources: The same with what the page says of them.
     """
 
     report: Report
     inputs: tuple[Path, ...]
+    sources: Sources
 
     def __repr__(self) -> str:
         """From how much it was learned, and that most matches are lost where they are."""
@@ -99,22 +102,26 @@ class LearnResult:
         if page == out:
             raise InputError("path", [f"the page would be written over the detector file: name it .yaml (got {out})"])
         with claimed([out, page, unsure], overwrite=overwrite, inputs=self.inputs):
-            write_files(learned_files(self.report, out, page))
+            write_files(learned_files(self.report, out, page, self.sources))
         return out, page
 
 
-def learned_files(report: Report, out: Path, page: Path, corrected: bool = False) -> dict[Path, bytes | str]:
+def learned_files(
+    report: Report, out: Path, page: Path, sources: Sources, corrected: bool = False
+) -> dict[Path, bytes | str]:
     """The content of the files that are written: the detector, the page, and how well the numbers are known.
 
     Args:
         report: What was learned.
         out: The detector file.
         page: The page.
+        sources: What it was learned from.
         corrected: Whether to take the bias of matching off the numbers.
     """
     learned = report.bias.corrected() if corrected and report.bias else report.learned
     detector = detector_text(learned.detector(), comments(report, corrected))
-    return {out: detector, page: page_text(report), uncertainty_file(out): uncertainty_text(learned, detector)}
+    text = page_text(report, out, detector, sources)
+    return {out: detector, page: text, uncertainty_file(out): uncertainty_text(learned, detector)}
 
 
 def _paragraphs(texts: Iterable[str]) -> str:
@@ -206,11 +213,13 @@ def learn_detector(
         frame_rate_hz=frame_rate_hz,
     )
     wanted, interval_s = _states(states), None
+    runs: tuple[StoredRun, ...] = ()
+    pairs: list[tuple[str, Path, Path]] = []
     if run is not None:
         if truth is not None or detections is not None:
             raise ModsimError("give truth and detections, or run: not both")
         opened = opened_run(run)
-        labelled, inputs = labelled_run(opened)[0], read_of_run(opened.folder)
+        labelled, inputs, runs = labelled_run(opened)[0], read_of_run(opened.folder), (opened,)
         interval_s = opened.scene.detector.transition_interval_s
     else:
         pairs = _pairs(truth, detections, given.conditions)
@@ -219,7 +228,10 @@ def learn_detector(
     rule = Rule(given.match or usual_method(labelled), given.least_iou, given.most_distance_px)
     settings = Settings(rule, given.confidence, given.replicates, given.seed)
     options = LearnOptions(*wanted, interval_s=interval_s)
-    return LearnResult(labelled_sets.learn_detector(labelled, settings, options), tuple(inputs))
+    truths, results = tuple(pair[1] for pair in pairs), tuple(pair[2] for pair in pairs)
+    call = f"modsim3d.learn_detector({'run=…' if runs else 'truth=…, detections=…'}).write(…) from Python"
+    sources = Sources(truths, results, runs, tuple(inputs), settings, call)
+    return LearnResult(labelled_sets.learn_detector(labelled, settings, options), tuple(inputs), sources)
 
 
 def _choices(**given: Any) -> _Choices:

@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
+from pathlib import Path
+
 import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.display import counted
 from modsim3d.learn.average_precision import Curve, Ranking
+from modsim3d.learn.in_short import how_well, learned_from, results
 from modsim3d.learn.report import NEVER_LEARNED, Report, lead, tables
+from modsim3d.learn.sources import Sources
 from modsim3d.view.pages import charts, page
+from modsim3d.view.pages.provenance import Input, Provenance
 
 
-def page_text(report: Report) -> str:
-    """The page, in one file."""
-    body = [page.paragraph(lead(report), "lead"), f"<style>{_STYLE}</style>"]
+def page_text(report: Report, out: Path, detector: str, sources: Sources) -> str:
+    """The page, in one file.
+
+    Args:
+        report: What was learned.
+        out: The detector file.
+        detector: Its content.
+        sources: What it was learned from.
+    """
+    body = [f"<style>{_STYLE}</style>", page.paragraph(learned_from(report, out.name, sources.names), "lead")]
+    body += [page.paragraph(how_well(report), "lead")]
     body += [page.paragraph(f"Warning: {report.warning}.", "bad")] if report.warning else []
-    body += [page.paragraph(f"{remark}.") for remark in report.remarks]
-    states = "; ".join(f"{name} = {', '.join(names)}" for name, names in report.state_map.states.items())
-    body.append(page.paragraph(f"Performance states: {states}."))
+    body += [page.tiles(results(report)), *_to_know(report), page.paragraph(lead(report), "soft")]
     body += [page.heading(f"Precision against recall, matched by {report.curves_matched_by}"), *_curve_pictures(report)]
     body += [page.heading("Box errors"), *_scatter(report)]
     body += [page.heading("Confusion matrices"), *_matrices(report)]
@@ -25,20 +38,49 @@ def page_text(report: Report) -> str:
     body += [page.heading("What average precision is lost to"), charts.named_bars(gains, "points", _SHARES)]
     for table in tables(report, every=True):
         body += [page.heading(table.title), '<div class="wide">', page.table(table.rows, table.header), "</div>"]
-    notes = report.learned.notes
     body.append(page.heading("Left simple"))
-    body += [page.paragraph(note) for note in notes] or [page.paragraph("Nothing: there was enough of everything.")]
+    notes = report.learned.notes
+    body.append(page.listed(notes) if notes else page.paragraph("Nothing: there was enough of everything."))
     body += [page.paragraph(NEVER_LEARNED), page.paragraph(_POINTS, "soft")]
-    return page.page("A detector, learned", body)
+    title = f"{out.name}: a detector learned from {counted(len(report.labelled.images), 'image')}"
+    return page.page(title, body, _provenance(report, out, detector, sources))
+
+
+def _to_know(report: Report) -> list[str]:
+    """What the numbers have to be read with, in one list."""
+    remarks = [*report.remarks_on_data, *([report.near_gate.remark] if report.near_gate.shares else [])]
+    if not remarks:
+        return []
+    return [page.heading("Read the numbers with this"), page.listed(f"{remark}." for remark in remarks)]
+
+
+def _provenance(report: Report, out: Path, detector: str, sources: Sources) -> Provenance:
+    settings = sources.settings
+    states = "; ".join(f"{name} = {', '.join(names)}" for name, names in report.state_map.states.items())
+    written = Input("detector file that was learned", out.name, sha256(detector.encode()).hexdigest(), "as written")
+    return Provenance(
+        page="a detector learned from its results on labelled images",
+        made_by=sources.made_by,
+        inputs=(written, *sources.inputs),
+        seeds=sources.seeds,
+        options=(
+            ("Matched by", report.matched_by),
+            ("Least confidence", f"{settings.threshold:g}"),
+            ("Intervals", f"{report.level:.0%}, {settings.replicates:,} replicates of the bootstrap"),
+            ("States", states),
+        ),
+        made_before=sources.made_before,
+    )
 
 
 _STYLE = (
     "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
     ".plots figure { width: 25rem; margin: 0; } "
     ".wide { font-size: 0.9rem; } "
+    "@media screen and (max-width: 40rem) { table.shares { font-size: 0.8rem; } } "
     "table.shares td, table.shares th { padding: 0.25rem 0.6rem; } "
     ".shares .soft { color: inherit; } table.shares th + th { text-align: right; } "
-    ".wide td, .wide th { white-space: nowrap; padding: 0.2rem 0.9rem 0.2rem 0; }"
+    ".wide td, .wide th { padding: 0.2rem 0.9rem 0.2rem 0; }"
 )
 _SHARES = (
     "Points of mean average precision that correcting one kind of error would gain (Bolya et al., 2020): "
@@ -89,6 +131,6 @@ def _matrices(report: Report) -> list[str]:
         shares[:k, k] = figures.false_labels.estimate
         parts += [
             page.paragraph(figures.name),
-            charts.confusion_table(report.labelled.labels, figures.counts, shares),
+            f'<div class="wide">{charts.confusion_table(report.labelled.labels, figures.counts, shares)}</div>',
         ]
     return parts

@@ -22,6 +22,47 @@ from modsim3d.learn.states import StateMap
 Row = tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class NearGate:
+    """States of which many matches lie near the least IoU, so that larger errors were cut off.
+
+    Attributes:
+        shares: Share of the matches that lie near it, by state; only of states with many.
+        gate: The IoU below which a match lies near it.
+        other: Which rule cuts off less.
+        several: Whether there are several states.
+    """
+
+    shares: tuple[tuple[str, float], ...] = ()
+    gate: float = 0.0
+    other: str = ""
+    several: bool = False
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A remark for each state."""
+        return tuple(
+            f"{share:.0%} of the matches{f' in {name}' if self.several else ''} have an IoU of less than "
+            f"{self.gate:.2g}: {self._meaning}"
+            for name, share in self.shares
+        )
+
+    @property
+    def remark(self) -> str:
+        """One remark for all states; empty without any."""
+        if len(self.shares) < 2:
+            return "".join(self.remarks)
+        shares = ", ".join(f"{share:.0%} in {name}" for name, share in self.shares)
+        return f"Many matches have an IoU of less than {self.gate:.2g} ({shares}): {self._meaning}"
+
+    @property
+    def _meaning(self) -> str:
+        return (
+            "larger errors were cut off, and count as a miss and a false detection each (--bias says how much that "
+            f"does; {self.other})"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Report:
     """Everything that is reported.
@@ -35,7 +76,8 @@ class Report:
         beta: How many times more recall weighs than precision in F-beta.
         matched_by: The matching rule in words.
         curves_matched_by: The rule of average precision in words.
-        remarks: What the numbers have to be read with: entries left out, what matching hides.
+        remarks_on_data: What the numbers have to be read with: entries left out, labels that are off.
+        near_gate: What matching by IoU cuts off.
         warning: That most matches are lost to the rule, so that the numbers mean little; None where they are not.
     """
 
@@ -51,8 +93,14 @@ class Report:
     beta: float
     matched_by: str
     curves_matched_by: str
-    remarks: tuple[str, ...] = ()
+    remarks_on_data: tuple[str, ...] = ()
+    near_gate: NearGate = NearGate()
     warning: str | None = None
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Everything that the numbers have to be read with, one for each state where it is of states."""
+        return *self.remarks_on_data, *self.near_gate.remarks
 
     @property
     def states_differ(self) -> bool:

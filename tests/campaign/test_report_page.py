@@ -12,17 +12,18 @@ from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.report.campaign_page import campaign_page
 from modsim3d.campaign.report.compared import mean_sections
 from modsim3d.campaign.report.requirements import requirement_sections, verdict_sentence
+from modsim3d.campaign.report.rests_on import files_read
 from modsim3d.campaign.report.runs_shown import crash_sections
 from modsim3d.campaign.report.search_page import search_page
-from modsim3d.campaign.report.tables import facts_table
 from modsim3d.campaign.report.words import constant
-from modsim3d.campaign.report.writing import files_read, write_page
+from modsim3d.campaign.report.writing import write_page
 from modsim3d.campaign.results.done_rows import with_plan
 from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import crashed_row, table_of
+from modsim3d.view.pages import page
 from tests.campaign.test_report_numbers import plan_of, table_for
 
 TEXT = """\
@@ -102,12 +103,12 @@ def test_the_axis_of_a_share_ends_at_1():
 
 def test_a_worst_run_names_the_requirement_that_it_breaks(html):
     assert re.search(r"<h3>Run \d+: reference, HOTA \S+ \(requirement 1\)</h3>", html)
-    assert "1. hota at least 0.5" in html.partition("What it rests on")[2]
+    assert "1. hota at least 0.5" in html.partition("What each verdict rests on")[2]
     assert "[0]" not in html
 
 
 def test_a_checksum_may_be_broken_for_a_narrow_screen():
-    assert facts_table([("plan", "0" * 64)]).count("<wbr>") == 3
+    assert page.facts([("plan", "0" * 64)]).count("<wbr>") == 3
 
 
 def test_keys_that_are_set_for_all_runs_are_named():
@@ -179,4 +180,4 @@ def test_a_search_is_no_rate_and_names_the_worst_first(campaign):
     assert "no share or mean of them is a rate" in html
     assert "Not finished: 3 of 4 trials are done." in html
     assert "waves break" in html
-    assert re.findall(r"<tr><td class=number>(\d)</td><td class=number>0\.", html) == ["1", "0"]
+    assert re.findall(r'data-label="trial">(\d)</td><td class="number" data-label="HOTA">0\.', html) == ["1", "0"]

@@ -22,6 +22,7 @@ from modsim3d.learn.gate_bias import bias_of, simulated
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.observed import Observed
+from modsim3d.learn.report import NearGate
 from modsim3d.learn.states import each_its_own, transitions_of
 from modsim3d.learn.transitions import Transitions
 from modsim3d.runs.stored_run import open_run
@@ -119,15 +120,19 @@ def test_the_command_writes_a_file_and_a_page(exported, tmp_path):
         assert title in result.output
     page = out.with_suffix(".html").read_text()
     assert page.count("<svg") == 3 + 2 + 1 and "http" not in page
+    said = page.partition('<p class="lead">')[2]
+    assert said.startswith("detector.yaml: ") and "in 700 images of " in said.partition("</p>")[0]
+    assert "its share of misses is known to within ±" in said and "numbers come back within" in said  # by --correct
     assert "e_x in widths" in page and "e_h in heights" in page  # as the file has them
 
 
 def test_the_same_data_give_the_same_bytes(exported, tmp_path):
     files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--replicates", 20]
     for name in ("first", "second"):
-        command(*files, "--out", tmp_path / f"{name}.yaml")
-    assert (tmp_path / "first.yaml").read_bytes() == (tmp_path / "second.yaml").read_bytes()
-    assert (tmp_path / "first.html").read_bytes() == (tmp_path / "second.html").read_bytes()
+        (tmp_path / name).mkdir()
+        command(*files, "--out", tmp_path / name / "d.yaml")
+    for file in ("d.yaml", "d.html"):
+        assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
 
 
 def false_of_states(run):
@@ -408,6 +413,13 @@ def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_al
     (remark,) = learn_detector(labelled, settings, LearnOptions()).remarks
     assert "of the matches in haze have an IoU of less than 0.6" in remark
     assert learn_detector(labelled, settings, LearnOptions(states=("all=clear,haze",))).remarks == ()
+
+
+def test_states_whose_errors_are_cut_off_share_a_remark_on_the_page():
+    states = NearGate((("clear", 0.12), ("haze", 0.34)), 0.6, "another rule cuts off less", several=True)
+    assert ["in clear have" in states.remarks[0], "in haze have" in states.remarks[1]] == [True, True]
+    assert "(12% in clear, 34% in haze)" in states.remark and states.remark.count("larger errors were cut off") == 1
+    assert replace(states, shares=states.shares[:1]).remark == states.remarks[0] and NearGate().remark == ""
 
 
 def test_what_was_left_out_is_remarked_in_every_place(tmp_path):

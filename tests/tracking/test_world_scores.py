@@ -300,7 +300,7 @@ def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run:
     (tmp_path / "one.csv").write_text("\n".join(["time_s,track,w1_m,w2_m", *rows]) + "\n")
     page = score_page(score_run(run, tmp_path / "one.csv"))
     assert "one: 2 vessels came nearer to own ship, and 1 passed her in this run. Red: a camera saw" in page
-    assert page.count('<tr class="bad"><td>anchored</td>') == page.count('<tr class="bad">') == 1
+    assert page.count('<tr class="bad"><td data-label="vessel">anchored</td>') == page.count('<tr class="bad">') == 1
 
 
 def _crosser_m(times_s: Any) -> Any:

@@ -75,7 +75,7 @@ def test_a_change_made_after_the_run_is_caught_and_named(finished, tmp_path, mon
     report = json.loads((out / "verify.json").read_text())
     assert report["cause"] == "states.good.confidence.std"
     assert "does NOT obey" in capsys.readouterr().out
-    page = (out / "verify.html").read_text()
+    page = (out / "verify.html").read_text().replace("<wbr>", "")
     failing = [line for line in page.splitlines() if "DIFFERS" in line]
     assert all(line.startswith('<tr class="bad">') for line in failing)
     assert "states.good.confidence.std" in page.split("What fails")[1].split("</table>")[0]
@@ -89,6 +89,7 @@ def test_cameras_with_states_of_their_own_have_a_timeline_each(tmp_path):
     write_report(verify_run(open_run(run)), tmp_path)
     page = (tmp_path / "verify.html").read_text()
     assert [f"was in: {camera}" in page for camera in ("C1", "C2")] == [True, True]
+    assert "modsim3d.verify_run(" in page and "from Python" in page  # no command made it
 
 
 def test_in_memory_and_from_files_the_verdicts_are_the_same(finished, many):

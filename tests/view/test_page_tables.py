@@ -1,9 +1,45 @@
-"""Tables of pages: what stands on the right."""
+"""Tables of pages: what stands on the right, points below each other, and long words that may be broken."""
+
+import re
 
 from modsim3d.view.pages import page
+from modsim3d.view.pages.tables import aligned
 
 
 def test_an_unknown_number_stands_where_the_numbers_of_its_column_do() -> None:
     table = page.table([("a", "–", "–"), ("b", "2", "yes")], ("name", "count", "word"))
     assert '<th class="number">count</th>' in table and '<td class="number">–</td><td>–</td>' in table
     assert "<th>word</th>" in table and '<td class="number">2</td><td>yes</td>' in table
+
+
+def test_points_and_signs_are_below_each_other() -> None:
+    cells = aligned(["-0.5", "12.25", "3", "–"])
+    assert cells == ["−0.5\u2007", "12.25", "3\u2008\u2007\u2007", "–"]
+    assert len({len(cell) - cell.index(".") for cell in cells[:2]}) == 1
+
+
+def test_both_ends_of_intervals_are_below_each_other() -> None:
+    cells = aligned(["0.5 [-1.0, 2.0]", "0.5 [1.0, 12.0]"])
+    assert cells == ["0.5 [−1.0, \u20072.0]", "0.5 \u2007[1.0, 12.0]"]
+
+
+def test_versions_dates_and_ordinals_are_no_numbers() -> None:
+    assert aligned(["2.4.6", "26.0"]) == ["2.4.6", "26.0"]
+    assert 'class="number"' not in page.table([("1. hota at least 0.5",), ("2. hota at least 0.6",)], ("requirement",))
+    assert 'class="number"' not in page.table([("0.1.0",), ("2.4.6",)], ("version",))
+
+
+def test_numbers_are_the_same_without_their_spaces() -> None:
+    rows = [("a", "−1.5 [−2, 3]"), ("b", "100.25 [1, 20.5]")]
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", page.table(rows, ("name", "value [interval]")))
+    assert [re.sub(r"<i.*?</i>|<.*?>", "", cell) for cell in cells] == [text for row in rows for text in row]
+
+
+def test_a_column_without_a_name_has_the_names_of_the_rows() -> None:
+    assert "<td>0 to 5 m</td>" in page.table([("0 to 5 m", "3")], ("", "runs"))
+
+
+def test_a_key_may_be_broken_and_is_the_same_text() -> None:
+    name = "states.clear.confusion[background][boat]"
+    table = page.table([(name, "1")], ("parameter", "asked"))
+    assert name not in table and name in table.replace("<wbr>", "")

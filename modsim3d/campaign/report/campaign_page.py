@@ -13,8 +13,8 @@ from modsim3d.campaign.report.compared import mean_sections, paired_sections
 from modsim3d.campaign.report.coverage import coverage_sections, trace_sections
 from modsim3d.campaign.report.parameter_charts import parameter_sections
 from modsim3d.campaign.report.requirements import requirement_sections, verdict_sentence
+from modsim3d.campaign.report.rests_on import rests_on
 from modsim3d.campaign.report.runs_shown import crash_sections, worst_sections
-from modsim3d.campaign.report.tables import facts_table
 from modsim3d.campaign.report.words import constant
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.results.gather import results_table
@@ -29,13 +29,19 @@ from modsim3d.view.pages import page
 REPORT_FILE = "report.html"
 
 
-def write_campaign_page(folder: CampaignFolder, path: Path, advance: Callable[[int], None] = lambda done: None) -> str:
+def write_campaign_page(
+    folder: CampaignFolder,
+    path: Path,
+    advance: Callable[[int], None] = lambda done: None,
+    command: str | None = None,
+) -> str:
     """Write the page of a campaign.
 
     Args:
         folder: The campaign, finished or not.
         path: The file.
         advance: Called with 1 after each picture.
+        command: What the page says it was made by; the call from Python if None.
 
     Returns:
         The verdict in a sentence.
@@ -45,7 +51,7 @@ def write_campaign_page(folder: CampaignFolder, path: Path, advance: Callable[[i
     """
     table = results_table(folder)
     verdicts = judged(folder.plan, table)
-    write_files({path: campaign_page(folder, table, verdicts, advance)})
+    write_files({path: campaign_page(folder, table, verdicts, advance, command)})
     return lead(folder, table, verdicts)
 
 
@@ -54,6 +60,7 @@ def campaign_page(
     table: pa.Table,
     verdicts: Sequence[Verdict],
     advance: Callable[[int], None] = lambda done: None,
+    command: str | None = None,
 ) -> str:
     """The page as HTML.
 
@@ -62,12 +69,13 @@ def campaign_page(
         table: Its rows, see `results_table`.
         verdicts: The verdicts on its requirements.
         advance: Called with 1 after each picture.
+        command: What the page says it was made by; the call from Python if None.
     """
     plan = folder.plan
     body = [
         page.paragraph(lead(folder, table, verdicts), "lead"),
         *(page.paragraph(text, kind) for text, kind in cautions(folder, table)),
-        facts_table(facts(folder, table)),
+        page.facts(facts(folder, table)),
     ]
     if plan.keys.require:
         body += [page.heading("Requirements"), *requirement_sections(plan, verdicts), *_levels(plan)]
@@ -78,7 +86,8 @@ def campaign_page(
         body += crash_sections(folder, table)
         body += [*coverage_sections(folder, table), *trace_sections(folder, table, verdicts)]
     asked = "are its requirements met?" if plan.keys.require else "what does it compare?"
-    return page.page(f"Campaign {folder.path.resolve().name}: {asked}", body)
+    title = f"Campaign {folder.path.resolve().name}: {asked}"
+    return page.page(title, body, rests_on(folder, "results of a campaign", command))
 
 
 def lead(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.report.tables import closed, grid, without_empty
+from modsim3d.campaign.report.tables import grid, without_empty
 from modsim3d.campaign.report.words import MOST_KEYS, condition_cells, number, shown, varying, with_interval
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.display import counted
@@ -59,10 +59,12 @@ def confidences(plan: Plan) -> str:
 
 
 def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> list[str]:
-    """Each requirement with its verdicts, and their intervals against the threshold."""
+    """Each requirement with its verdicts, and their intervals against the threshold: first what is not met."""
     said = "Each end of an interval holds by itself, with the confidence of the requirement; dashed is the threshold."
     parts = [page.paragraph(said, "soft")]
-    for place, found in enumerate(_by_requirement(plan, verdicts)):
+    by_requirement = _by_requirement(plan, verdicts)
+    for place in sorted(range(len(by_requirement)), key=lambda each: ORDER.index(outcome_of(by_requirement[each]))):
+        found = by_requirement[place]
         requirement = plan.keys.require[place]
         text = ", ".join([found[0].text if found else requirement.score, *_where(plan, requirement)])
         count = Counter(each.outcome for each in found)
@@ -96,7 +98,9 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
     if len(rows) > MOST_OPEN:
         first = sum(each.outcome != "met" for each in shown)
         opened = 0 < first <= MOST_OPEN
-        table = closed(f"All {counted(len(rows), 'verdict')}, failed ones first", table, opened=opened)
+        table = page.folded(f"All {counted(len(rows), 'verdict')}, failed ones first", table, opened=opened)
+    elif all(each.outcome == "met" for each in found):
+        table = page.folded(f"{counted(len(rows), 'verdict')}, all met", table)
     parts = [table]
     if len(ordered) > MOST_ROWS:
         parts.append(page.paragraph(f"{len(ordered) - MOST_ROWS:,} more verdicts are in verdicts.json.", "soft"))

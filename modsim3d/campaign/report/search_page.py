@@ -11,7 +11,8 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.campaign.file.keys import Range, SearchKeys
-from modsim3d.campaign.report.tables import facts_table, grid
+from modsim3d.campaign.report.rests_on import rests_on
+from modsim3d.campaign.report.tables import grid
 from modsim3d.campaign.report.words import Score, number
 from modsim3d.campaign.results.done_rows import text_of
 from modsim3d.campaign.results.folder import CampaignFolder
@@ -27,7 +28,7 @@ SHOWN = 20
 REFUSED = "refused"
 
 
-def write_search_page(folder: CampaignFolder, path: Path) -> str:
+def write_search_page(folder: CampaignFolder, path: Path, command: str | None = None) -> str:
     """Write the page of a search, and return its first sentence.
 
     Raises:
@@ -35,7 +36,7 @@ def write_search_page(folder: CampaignFolder, path: Path) -> str:
     """
     search, table = folder.keys.search, _table(folder)
     assert search is not None
-    write_files({path: search_page(folder, search, table)})
+    write_files({path: search_page(folder, search, table, command)})
     return lead(search, table)
 
 
@@ -59,13 +60,14 @@ def lead(search: SearchKeys, table: pa.Table) -> str:
     )
 
 
-def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table) -> str:
+def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table, command: str | None = None) -> str:
     """The page as HTML.
 
     Args:
         folder: The campaign.
         search: Its search.
         table: Its trials, in their order.
+        command: What the page says it was made by; the call from Python if None.
     """
     score = Score(search.minimise or search.maximise or "")
     body = [
@@ -81,8 +83,9 @@ def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table) -> 
     body += [page.heading("How it went"), _progress(search, score, table)] if len(table) else []
     body += [page.heading("The worst trials"), *_worst(folder, search, score, table)]
     body += [page.heading("Others"), *_others(table)] if _others(table) else []
-    body += [page.heading("Where it looked"), facts_table([*_ranges(search), *_facts(folder)])]
-    return page.page(f"Campaign {folder.path.resolve().name}: what a search found", body)
+    body += [page.heading("Where it looked"), page.facts([*_ranges(search), *_facts(folder)])]
+    title = f"Campaign {folder.path.resolve().name}: what a search found"
+    return page.page(title, body, rests_on(folder, "findings of a search", command))
 
 
 def _done(search: SearchKeys, table: pa.Table) -> list[dict[str, Any]]:

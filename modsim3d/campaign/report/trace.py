@@ -33,7 +33,7 @@ def trace_sections(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[V
         verdicts: The verdicts on its requirements.
     """
     return [
-        page.heading("What it rests on"),
+        page.heading("What each verdict rests on"),
         *_verdicts(table, verdicts),
         *_conditions(folder),
         *_repeating(folder, table),

@@ -7,27 +7,26 @@ from pathlib import Path
 
 from modsim3d.campaign.report.campaign_page import write_campaign_page
 from modsim3d.campaign.report.search_page import write_search_page
-from modsim3d.campaign.results.folder import FILE, CampaignFolder
-from modsim3d.campaign.work.task import PLAN, ROWS_PATTERN
+from modsim3d.campaign.results.folder import CampaignFolder
 
 
-def write_page(folder: CampaignFolder, path: Path, advance: Callable[[int], None] = lambda done: None) -> str:
+def write_page(
+    folder: CampaignFolder,
+    path: Path,
+    advance: Callable[[int], None] = lambda done: None,
+    command: str | None = None,
+) -> str:
     """Write the page of a campaign, and return its first sentence.
 
     Args:
         folder: The campaign, finished or not.
         path: The file.
         advance: Called with 1 after each picture.
+        command: What the page says it was made by; the call from Python if None.
 
     Raises:
         ModsimError: The results are damaged, or the page cannot be written.
     """
     if folder.keys.search is not None:
-        return write_search_page(folder, path)
-    return write_campaign_page(folder, path, advance)
-
-
-def files_read(folder: CampaignFolder) -> list[Path]:
-    """The files that the page is made from."""
-    rows = [*folder.results.glob("scene=*/part-*.parquet"), *folder.done.glob(ROWS_PATTERN)]
-    return [folder.path / PLAN, folder.path / FILE, *sorted(rows), *sorted(folder.path.glob("search/*.parquet"))]
+        return write_search_page(folder, path, command)
+    return write_campaign_page(folder, path, advance, command)

@@ -37,6 +37,8 @@ from modsim3d.tracking.score_run import RunScores, TrackScores
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.view.pages import charts, page
+from modsim3d.view.pages.provenance import Provenance
+from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions, track_inputs
 
 FILES = ("score.json", "score.html")
 CLOSE = "padding-right: 0.4rem"
@@ -44,16 +46,16 @@ CLOSE = "padding-right: 0.4rem"
 GROUP_TITLES = {"phase": "Before, during and after an occlusion", "occlusion": "By length of the occlusion, s"}
 
 
-def write_scores(scores: RunScores, folder: StrPath) -> None:
-    """Write `score.json` and `score.html` into a folder."""
+def write_scores(scores: RunScores, folder: StrPath, command: str | None = None) -> None:
+    """Write `score.json` and `score.html` into a folder; the page names the command, or the call if it is None."""
     target = as_path(folder, "folder")
     options = orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY
     data = orjson.dumps(score_data(scores), default=str, option=options) + b"\n"
-    write_files(dict(zip((target / name for name in FILES), (data, score_page(scores)), strict=True)))
+    write_files(dict(zip((target / name for name in FILES), (data, score_page(scores, command)), strict=True)))
 
 
-def score_page(scores: RunScores) -> str:
-    """The whole page."""
+def score_page(scores: RunScores, command: str | None = None) -> str:
+    """The whole page; it names the command, or the call if it is None."""
     run = scores.run
     of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
     body = [page.paragraph(scores.conclusion, "lead")]
@@ -67,7 +69,7 @@ def score_page(scores: RunScores) -> str:
                 "soft",
             ),
             page.paragraph(f"{of_run} {remarks_of(scores)}", "soft"),
-            _closed("What the scores mean", page.table(list(MEANINGS.items()))),
+            page.folded("What the scores mean", page.table(list(MEANINGS.items()))),
             _alpha_chart(scores),
             page.heading("Rules"),
             page.table(rules_in_words(scores.rules)),
@@ -86,11 +88,29 @@ def score_page(scores: RunScores) -> str:
             page.heading("Occlusions"),
             *(part for each in scores.trackers for part in _occlusions(each)),
             page.heading("All scores"),
-            _closed(
+            page.folded(
                 "By their keys", page.table(key_rows(scores), ("score", *(name for name, _ in named_scores(scores))))
             ),
         ]
-    return page.page(f"{run.scene.name}: how well is it tracked?", [*body, *world_sections(scores)])
+    title = f"{run.scene.name}: how well is it tracked?"
+    return page.page(title, [*body, *world_sections(scores)], _provenance(scores, command))
+
+
+def _provenance(scores: RunScores, command: str | None) -> Provenance:
+    run = scores.run
+    given = [(each.name, each.path) for each in scores.trackers]
+    given += [(each.name, each.path) for each in scores.world]
+    call = f"modsim3d.score_run({str(run.folder)!r}, …).write(…) from Python"
+    again = () if scores.seeds is None else (("detector, run again", ", ".join(map(str, scores.seeds.seeds))),)
+    tracks = [found for name, path in given for found in track_inputs(name, path)]
+    return Provenance(
+        page="scores of tracks",
+        made_by=command or call,
+        inputs=(*run_inputs(run), *tracks),
+        seeds=(*run_seeds(run), *again),
+        options=tuple((f"Rule: {name}", text) for name, text in rules_in_words(scores.rules)),
+        made_before=run_versions(run),
+    )
 
 
 def _alpha_chart(scores: RunScores) -> str:
@@ -142,7 +162,7 @@ def _bin_table(bins: Mapping[str, Mapping[str, Bin]], of_occlusions: bool) -> st
     counts = ("occlusions", "vessel-frames") if of_occlusions else ("vessel-frames",)
     head = "".join(f'<th class="number">{name}</th>' for name in counts)
     head += "".join(f'<th class="number" style="{CLOSE}">{name}</th>' for name in per * len(bins))
-    lines = [f"<tr><th></th>{'<th></th>' * len(counts)}{spans}</tr>", f"<tr><th></th>{head}</tr>"]
+    lines = [f"<thead><tr><th></th>{'<th></th>' * len(counts)}{spans}</tr>", f"<tr><th></th>{head}</tr></thead>"]
     for name, row in first.items():
         cells = [f'<td class="number">{row.occlusions}</td>'] if of_occlusions else []
         cells.append(f'<td class="number">{row.vessel_frames:,}</td>')
@@ -181,9 +201,4 @@ def _occlusions(tracker: TrackScores) -> list[str]:
     said = f"{tracker.name}: {survived} of {judged} survived; {counted(len(found.occlusions), 'occlusion')} in all"
     failed = {index for index, each in enumerate(found.occlusions) if each.survived is False}
     table = page.table(occlusion_rows(found.occlusions), OCCLUSION_HEADER, failed)
-    return [_closed(said, table, opened=len(found.occlusions) <= 15)]
-
-
-def _closed(title: str, content: str, opened: bool = False) -> str:
-    """Content that is shown when its title is clicked."""
-    return f"<details{' open' if opened else ''}><summary>{html.escape(title)}</summary>{content}</details>"
+    return [page.folded(said, table, opened=len(found.occlusions) <= 15)]

@@ -17,6 +17,7 @@ from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison
 from modsim3d.verify.sources.figures import BoxFigures, Figures
 from modsim3d.verify.sources.findings import VesselDifference
 from modsim3d.view.pages import page
+from modsim3d.view.pages.provenance import Input, Provenance, sha256_of, shown_path
 from modsim3d.view.pictures.comparison_picture import RULE, Styles, boxes_that_differ, comparison_picture
 from modsim3d.view.pictures.solids import Solids
 
@@ -95,10 +96,27 @@ def _share(part: int, whole: int) -> str:
     return f"{part} ({part / whole:.1%})" if whole else str(part)
 
 
-def write_report(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, folder: Path) -> None:
-    """Write `compare.json`, `compare.html` with pictures of the worst cases, and `rectangle_rule.png` into a folder."""
+def write_report(
+    comparison: SourceComparison,
+    scene: Scene,
+    renderer: IdRenderer,
+    folder: Path,
+    command: str | None = None,
+    given: str | None = None,
+) -> None:
+    """Write `compare.json`, `compare.html` with pictures of the worst cases, and `rectangle_rule.png` into a folder.
+
+    Args:
+        comparison: What was found.
+        scene: The scene that was compared.
+        renderer: Draws the pictures.
+        folder: Where to.
+        command: What the page says it was made by; the function if None.
+        given: The scene as the user named it; its file if None.
+    """
     contents: list[bytes | str] = [orjson.dumps(comparison.figures, option=orjson.OPT_INDENT_2) + b"\n"]
-    contents.append(_page(comparison, scene, renderer))
+    made_by = command or f"modsim3d.verify.sources.report.write_report of {scene.name} from Python"
+    contents.append(_page(comparison, scene, renderer, _provenance(comparison, scene, renderer, made_by, given)))
     if worst := comparison.findings.rule.worst:
         picture = io.BytesIO()
         draw_case(scene, worst, renderer, RULE).save(picture, format="PNG")
@@ -108,17 +126,58 @@ def write_report(comparison: SourceComparison, scene: Scene, renderer: IdRendere
     write_files(dict(zip((folder / name for name in FILES), contents, strict=False)))
 
 
-def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer) -> str:
+def _provenance(
+    comparison: SourceComparison, scene: Scene, renderer: IdRenderer, made_by: str, given: str | None
+) -> Provenance:
+    figures = comparison.figures
+    whole = Input(
+        "scene as compared",
+        given or shown_path(Path(scene.path)),
+        scene.sha256,
+        "of the scene with the settings of the command, and every file that it names; a run of it has it in run.json",
+    )
+    files = dict.fromkeys(each for each in scene.copy.read if each.is_file())
+    return Provenance(
+        page="comparison of the sources of truth",
+        made_by=made_by,
+        inputs=(whole, *(_scene_file(scene, file) for file in files)),
+        seeds=(("scene", str(scene.seed)),),
+        options=(
+            ("Steps", f"{figures.steps}, {figures.frames} frames compared"),
+            ("Supersampling", str(figures.supersample)),
+        ),
+        made_before=(("Renderer", renderer.context.description),),
+    )
+
+
+def _scene_file(scene: Scene, file: Path) -> Input:
+    """A file of a scene, by its path from the scene's folder."""
+    folder = Path(scene.path).resolve().parent
+    named = file.resolve()
+    shown = named.relative_to(folder) if named.is_relative_to(folder) else Path(file.name)
+    return Input("file of the scene", shown.as_posix(), sha256_of(file))
+
+
+def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, rests_on: Provenance) -> str:
+    """The page. It has no times: those are on the terminal and in `compare.json`."""
     figures, findings = comparison.figures, comparison.findings
+    rule = figures.rectangles_against_rendered
+    agreed = page.table(verdict_rows(figures), ("Agreement", "Full box", "Visible part"))
+    said = f"{figures.vessel_frames:,} vessel-frames compared: {figures.unexplained:,} unexplained differences"
     body = [
         *_introduction(figures),
+        page.tiles(
+            [
+                ("Unexplained", f"{figures.unexplained:,}", f"of {figures.vessel_frames:,} vessel-frames"),
+                ("Full box", f"{figures.full_box.side_max_px:.2f} px", "largest difference of a side"),
+                ("Visible box", f"{figures.visible_box.side_max_px:.2f} px", "largest difference of a side"),
+                ("Rectangle rule wrong", f"{rule.wrong_share:.1%}", f"of {rule.occluded:,} occluded vessel-frames"),
+            ]
+        ),
         page.heading("Rendered against analytic"),
-        page.table(figure_rows(figures)),
-        page.table(verdict_rows(figures), ("Agreement", "Full box", "Visible part")),
+        page.folded(said, page.table(figure_rows(figures)) + agreed, opened=figures.unexplained > 0),
         page.heading("The thesis's rectangle rule against rendered"),
         page.table(rule_rows(figures)),
-        page.heading("Time per frame"),
-        page.table(time_rows(figures)),
     ]
     if figures.intersecting:
         body += [page.heading("Intersecting boxes"), page.table(intersection_rows(figures))]
@@ -131,7 +190,7 @@ def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer) -> s
     for case in findings.worst:
         styles = boxes_that_differ(case.boxes_px)
         body.append(page.picture(draw_case(scene, case, renderer, styles), describe_case(scene, case)))
-    return page.page(f"{scene.name}: sources of truth compared", body)
+    return page.page(f"{scene.name}: sources of truth compared", body, rests_on)
 
 
 def _introduction(figures: Figures) -> list[str]:

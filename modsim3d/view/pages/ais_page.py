@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -16,6 +14,7 @@ from modsim3d.ais.traffic import Traffic
 from modsim3d.ais.vessel_track import VesselTrack
 from modsim3d.view.pages import page
 from modsim3d.view.pages.ais_drawings import MOST_LANES, presence_chart, traffic_map
+from modsim3d.view.pages.provenance import Provenance, file_input
 
 MOST_ROWS = 200
 NOT_SHIPS = "not_a_ship"
@@ -28,8 +27,13 @@ GUESSED = {
 }
 
 
-def ais_page(traffic: Traffic) -> str:
-    """The page as HTML; the same traffic from the same files gives the same page."""
+def ais_page(traffic: Traffic, command: str | None = None) -> str:
+    """The page as HTML; the same traffic from the same files gives the same page.
+
+    Args:
+        traffic: What became of the reports.
+        command: What the page says it was made by; the call from Python if None.
+    """
     body = [
         *_result(traffic),
         traffic_map(traffic),
@@ -41,7 +45,16 @@ def ais_page(traffic: Traffic) -> str:
         *_values(traffic),
         *_how(traffic),
     ]
-    return page.page("Traffic from AIS", body)
+    rests_on = Provenance(
+        page="traffic from AIS",
+        made_by=command or "modsim3d.view.pages.ais_page.ais_page from Python",
+        inputs=tuple(
+            file_input("AIS log", tally.path, f"{tally.format}, {_counted(tally.messages, 'message')}")
+            for tally in traffic.files
+        ),
+        options=tuple((option, why) for option, why in _options(traffic)),
+    )
+    return page.page("Traffic from AIS", body, rests_on)
 
 
 def _result(traffic: Traffic) -> list[str]:
@@ -228,19 +241,11 @@ def _values(traffic: Traffic) -> list[str]:
 
 
 def _how(traffic: Traffic) -> list[str]:
-    files = [
-        (_shown(tally.path.name), tally.format, f"{tally.messages:,}", f"sha256:{_sha256(tally.path)}")
-        for tally in traffic.files
-    ]
     return [
-        page.heading("How it was made"),
-        page.paragraph("By modsim3d ais, from these files:"),
-        page.table(files, ("file", "format", "messages", "checksum")),
-        page.table(_options(traffic), ("option", "why")),
+        page.heading("From latitude and longitude to metres"),
         page.paragraph(
             "The sea is flat: latitude and longitude became metres east (w1) and north (w2) of the origin on the plane "
             f"that touches the Earth there. The farthest position is {_farthest(traffic).partition(',')[0]}.",
-            "soft",
         ),
     ]
 
@@ -272,14 +277,6 @@ def _options(traffic: Traffic) -> list[tuple[str, str]]:
 def _farthest(traffic: Traffic) -> str:
     rows = {name: (number, meaning) for _, table in summary_rows(traffic) for name, number, meaning in table}
     return " ".join(rows["farthest"])
-
-
-def _sha256(path: Path) -> str:
-    """Checksum of a file; a dash for one that cannot be read a second time."""
-    if not path.is_file():
-        return page.UNKNOWN
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _limited(rows: Sequence[Sequence[str]], header: Sequence[str]) -> list[str]:

@@ -22,6 +22,8 @@ MOST_DOTS, MOST_POINTS = 1500, 800
 CHI_SQUARE_95 = 5.991
 """The 95 % point of chi-square with two degrees of freedom."""
 _MARGIN = (44.0, 12.0, 14.0, 34.0)  # left, right, top, bottom
+_HALO = 'stroke="var(--paper)" stroke-width="3" paint-order="stroke"'
+"""Around text that lies on lines."""
 _LINE_PX = 14
 """Height of a line of the key."""
 
@@ -71,27 +73,32 @@ class Axes:
             f'<text x="{left}" y="10" font-weight="600">{html.escape(title)}</text>'
             f'<text x="{self.width - right}" y="{self.height - 4}" text-anchor="end" fill="var(--soft)">'
             f"{html.escape(x_label)}</text>"
-            f'<text x="{left + 4}" y="{top + 12}" fill="var(--soft)">{html.escape(y_label)}</text>'
+            f'<text x="{left + 4}" y="{top + 12}" fill="var(--soft)" {_HALO}>{html.escape(y_label)}</text>'
         )
         return svg(self.width, self.height, title, content)
 
     def _ticks(self) -> str:
         lines = []
-        for value, text in self.x_ticks or [(value, f"{value:g}") for value in nice_ticks(*self.x)]:
+        for value, text in self.x_ticks or [(value, _tick(value)) for value in nice_ticks(*self.x)]:
             px, _ = self.place(value, self.y[0])
             place = f'x="{px:.1f}" y="{self.height - 20:.1f}"'
             lines.append(f'<text {place} text-anchor="middle" fill="var(--soft)">{html.escape(text)}</text>')
         for value in nice_ticks(*self.y):
             _, py = self.place(self.x[0], value)
             place = f'x="{_MARGIN[0] - 4}" y="{py + 4:.1f}"'
-            lines.append(f'<text {place} text-anchor="end" fill="var(--soft)">{value:g}</text>')
+            lines.append(f'<text {place} text-anchor="end" fill="var(--soft)">{_tick(value)}</text>')
         return "".join(lines)
 
 
-def svg(width: float, height: float, label: str, content: str) -> str:
-    """A drawing of a width and height in pixels, with a label for those who cannot see it."""
+def _tick(value: float) -> str:
+    return f"{value:g}".replace("-", "−")
+
+
+def svg(width: float, height: float, label: str, content: str, kind: str = "") -> str:
+    """A drawing of a width and height in pixels, with a label for those who cannot see it, and a class."""
+    mark = f'class="{kind}" ' if kind else ""
     return (
-        f'<svg viewBox="0 0 {width:g} {height:g}" width="{width:g}" style="max-width:100%;margin-right:0.6rem" '
+        f'<svg {mark}viewBox="0 0 {width:g} {height:g}" width="{width:g}" style="max-width:100%;margin-right:0.6rem" '
         f'font-size="11" fill="var(--ink)" role="img" aria-label="{html.escape(label, quote=True)}">\n{content}</svg>\n'
     )
 
@@ -180,7 +187,7 @@ def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence
             f'<text x="{left + (value - origin) * scale:.1f}" y="{height - 6}" text-anchor="middle" '
             f'fill="var(--soft)">{value:g} {unit}</text>'
         )
-    return svg(width, height, "performance states over time", "".join(parts))
+    return svg(width, height, "performance states over time", "".join(parts), "long")
 
 
 def key(names: Sequence[str], bottom: float) -> str:

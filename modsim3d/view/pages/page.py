@@ -5,9 +5,15 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 from PIL import Image
+
+from modsim3d.view.pages.print_style import PRINT_STYLE, mark_of, sheet_style
+from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
+from modsim3d.view.pages.tables import TABLE_STYLE, UNKNOWN, facts, table
+
+__all__ = ["STYLE", "UNKNOWN", "facts", "folded", "heading", "listed", "page", "paragraph", "picture", "table", "tiles"]
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2329; --paper: #fbfbf9; --soft: #5c6670; --line: #d5d9dc; --bad: #c22; }
@@ -18,25 +24,35 @@ body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(
        max-width: 72rem; margin: 2rem auto; padding: 0 1rem; overflow-wrap: break-word; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
 p.lead { font-size: 1.1rem; } .soft { color: var(--soft); } .bad { color: var(--bad); font-weight: 600; }
-table { border-collapse: collapse; }
+p, li, figcaption { max-width: 60rem; } li { margin: 0.2rem 0; }
+table { border-collapse: collapse; margin: 0.8rem 0; }
 th, td { text-align: left; padding: 0.25rem 1.2rem 0.25rem 0; border-bottom: 1px solid var(--line); }
-td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
-.scroll { overflow-x: auto; margin: 0.8rem 0; } .scroll:focus-visible { outline-offset: -2px; }
+summary { cursor: pointer; padding: 0.25rem 0; }
+.scroll { overflow-x: auto; } .scroll:focus-visible { outline-offset: -2px; }
 figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
 figcaption { color: var(--soft); font-size: 0.95rem; }
+.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(9.5rem, 1fr)); gap: 0.6rem; margin: 1rem 0; }
+.tiles div { border: 1px solid var(--line); border-radius: 8px; padding: 0.4rem 0.7rem; }
+.tiles dt { color: var(--soft); font-size: 0.88rem; }
+.tiles dd { margin: 0; font-size: 0.82rem; line-height: 1.35; color: var(--soft); }
+.tiles dt + dd { color: var(--ink); font-size: 1.4rem; font-weight: 600; font-variant-numeric: tabular-nums; }
+@media screen and (max-width: 40rem) {
+  body { margin: 1rem auto; }
+  figure { overflow-x: auto; } svg.long { width: 40rem; max-width: none !important; }
+  ul { padding-left: 1.2rem; }
+}
 """
 
-UNKNOWN = "–"
-"""What stands for a number that is not known."""
 
-
-def page(title: str, body: Iterable[str]) -> str:
-    """A whole page from the HTML of its parts."""
+def page(title: str, body: Iterable[str], rests_on: Provenance) -> str:
+    """A whole page from the HTML of its parts, with what it rests on in a line at the top and in full at the end."""
+    content = "\n".join([f"<h1>{html.escape(title)}</h1>", top_line(rests_on), *body, provenance(rests_on)])
+    style = STYLE + TABLE_STYLE + PROVENANCE_STYLE + PRINT_STYLE + sheet_style(title, mark_of(content))
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{html.escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-        f"<main>\n<h1>{html.escape(title)}</h1>\n" + "\n".join(body) + "\n</main>\n</body>\n</html>\n"
+        f"<title>{html.escape(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n"
+        f"<main>\n{content}\n</main>\n</body>\n</html>\n"
     )
 
 
@@ -51,30 +67,29 @@ def heading(text: str) -> str:
     return f"<h2>{html.escape(text)}</h2>"
 
 
-def table(rows: Sequence[Sequence[str]], header: Sequence[str] = (), bad: Container[int] = ()) -> str:
-    """A table of rows under a header; numbers and what stands above them are set to the right, bad rows stand out.
-
-    A dash for an unknown number stands where the numbers of its column do.
-    """
-    shown = [next((cell for cell in column if cell != UNKNOWN), UNKNOWN) for column in zip(*rows, strict=False)]
-    below = shown if rows else [""] * len(header)
-    head = "".join(_cell(name, under, "th") for name, under in zip(header, below, strict=False))
-    lines = [f"<tr>{head}</tr>"] if header else []
-    for index, row in enumerate(rows):
-        cells = (_cell(text, first if text == UNKNOWN else text) for text, first in zip(row, shown, strict=False))
-        lines.append(('<tr class="bad">' if index in bad else "<tr>") + "".join(cells) + "</tr>")
-    return scrolling("<table>\n" + "\n".join(lines) + "\n</table>")
-
-
 def scrolling(content: str) -> str:
     """A table that scrolls sideways where it is too wide, by keyboard too."""
     return f'<div class="scroll" tabindex="0" role="group" aria-label="Table">{content}</div>'
 
 
-def _cell(text: str, number: str, tag: str = "td") -> str:
-    """A cell, set to the right if `number` looks like a number."""
-    kind = ' class="number"' if number.lstrip("-−")[:1].isdigit() else ""
-    return f"<{tag}{kind}>{html.escape(text)}</{tag}>"
+def listed(texts: Iterable[str], kind: str = "") -> str:
+    """A list of plain texts."""
+    mark = f' class="{kind}"' if kind else ""
+    return f"<ul{mark}>\n" + "\n".join(f"<li>{html.escape(text)}</li>" for text in texts) + "\n</ul>"
+
+
+def folded(title: str, content: str, opened: bool = False) -> str:
+    """Content that is shown when its title is pressed, and in print."""
+    return f"<details{' open' if opened else ''}><summary>{html.escape(title)}</summary>\n{content}\n</details>"
+
+
+def tiles(results: Sequence[tuple[str, str, str]]) -> str:
+    """The main results side by side: a name, a number and what it means of each."""
+    each = (
+        f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(number)}</dd><dd>{html.escape(meaning)}</dd></div>"
+        for name, number, meaning in results
+    )
+    return '<dl class="tiles">\n' + "\n".join(each) + "\n</dl>"
 
 
 def picture(image: Image.Image, caption: str) -> str:

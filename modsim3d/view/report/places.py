@@ -52,7 +52,7 @@ class Places:
         }
 
     def facts(self) -> dict[str, Any]:
-        """Dimensions of vessels, outlines of obstacles, least and greatest w1 and w2 of vessels and cameras, in metres."""
+        """Dimensions of vessels, outlines of obstacles, least and greatest w1 and w2 of what moves, in metres."""
         return {
             "dimensions": [[round(v.length_m, 2), round(v.beam_m, 2)] for v in self._scene.vessels],
             "obstacles": [_rings(shape) for shape in self._land],

@@ -12,6 +12,9 @@ from importlib.resources import files
 from pathlib import Path
 
 from modsim3d.outputs.placing import put_folder_in_place, write_files
+from modsim3d.view.pages.print_style import PRINT_STYLE, mark_of, sheet_style
+from modsim3d.view.pages.provenance import PROVENANCE_STYLE
+from modsim3d.view.pages.tables import TABLE_STYLE
 from modsim3d.view.report.player_recording import Recording
 from modsim3d.view.report.recording_html import part_files, recording_html
 
@@ -138,7 +141,11 @@ def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, 
         # No script but this one and the parts' files runs and nothing is fetched, whatever a vessel is called.
         "policy": f"default-src 'none'; script-src 'sha256-{digest}'{FILES if folder else ''}; "
         "style-src 'unsafe-inline'; img-src data:",
-        "style": "".join(map(_part, STYLES)),
+        "style": "".join(map(_part, STYLES))
+        + TABLE_STYLE
+        + PROVENANCE_STYLE
+        + PRINT_STYLE
+        + sheet_style(text.title, mark_of(text.tables)),
         "lead": text.lead,
         "notes": text.notes,
         "result": text.result,

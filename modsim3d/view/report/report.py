@@ -11,7 +11,9 @@ from typing import Any
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
-from modsim3d.view.pages.page import heading, table
+from modsim3d.view.pages.page import facts, folded, heading, table
+from modsim3d.view.pages.provenance import Provenance, provenance
+from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions, track_inputs
 from modsim3d.view.report.count_tables import (
     CAMERA_HEADER,
     STATE_HEADER,
@@ -37,6 +39,8 @@ def write_report(
     every: int = 1,
     progress: Callable[[int], None] = lambda steps: None,
     followed: FollowedTracks | None = None,
+    command: str | None = None,
+    tracks: Path | None = None,
     *,
     in_files: bool = False,
 ) -> Path:
@@ -48,6 +52,8 @@ def write_report(
         every: Show every K-th step; the tables count all of them.
         progress: Called with the number of shown steps done since its last call.
         followed: The tracks of a tracker, for lanes below the timeline; none if None.
+        command: What the page says it was made by; the call from Python if None.
+        tracks: Where the tracks were read.
         in_files: Write the parts of the recording into files in `parts_folder(out)`, which the page reads when it needs
             them, and not into the page.
 
@@ -59,14 +65,17 @@ def write_report(
     out = run.folder / REPORT_FILE if out is None else out
     counts = CountTables(run.scene)
     frames = recording(run, every, progress, followed, count=counts.add)
-    lead = html.escape(_lead(run, every))
+    lead, tables = (
+        html.escape(_lead(run, every)),
+        _tables(counts, run.settings, _provenance(run, every, command, tracks)),
+    )
     text = PageText(
         title=f"{run.scene.name}: report of a run",
         name=run.scene.name,
         lead=lead if followed is None else f"{lead}</p>\n  <p>{html.escape(followed.sentence())}",
         notes=_notes(run, every, out),
         result=_result(counts.total),
-        tables=_tables(counts, run.settings),
+        tables=tables,
         lanes=followed is not None,
     )
     write_page(text, [frames], out, in_files=in_files)
@@ -138,15 +147,26 @@ def _result(counts: DetectorCounts) -> str:
     )
 
 
-def _tables(counts: CountTables, settings: dict[str, Any]) -> str:
+def _provenance(run: StoredRun, every: int, command: str | None, tracks: Path | None) -> Provenance:
+    return Provenance(
+        page="report of a run",
+        made_by=command or f"modsim3d.view.report.report.write_report of {run.folder} from Python",
+        inputs=(*run_inputs(run), *(() if tracks is None else track_inputs(tracks.name, tracks))),
+        seeds=run_seeds(run),
+        options=(("Steps", f"{run.steps:,}" + (f", every {every}th shown" if every > 1 else "")),),
+        made_before=run_versions(run),
+    )
+
+
+def _tables(counts: CountTables, settings: dict[str, Any], rests_on: Provenance) -> str:
     parts = [
         ("What happened", counts.overall(), ()),
         *([("By camera", cameras, CAMERA_HEADER)] if len(cameras := counts.by_camera()) > 1 else []),
         ("By performance state of the detector", counts.by_state(), STATE_HEADER),
         ("By vessel", counts.by_vessel(), VESSEL_HEADER),
-        ("Settings and versions", named_values(settings), ()),
     ]
-    return sections(parts)
+    every_setting = folded("All settings of the run", facts([(name, text) for name, text in named_values(settings)]))
+    return f"{sections(parts)}\n<section>{every_setting}</section>\n{provenance(rests_on)}"
 
 
 def sections(parts: Sequence[tuple[str, Rows, Sequence[str]]]) -> str:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.view.pages.page import UNKNOWN
+from modsim3d.view.pages.provenance import Provenance, provenance
+from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions
+from modsim3d.view.pages.tables import UNKNOWN
 from modsim3d.view.report.compared_counts import PAIRED_HEADER, compared_counts, paired_detections
 from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, Rows, named_values
 from modsim3d.view.report.packing import packed
@@ -27,6 +30,7 @@ def write_side_by_side(
     out: Path | None = None,
     every: int = 1,
     progress: Callable[[int], None] = lambda steps: None,
+    command: str | None = None,
     *,
     in_files: bool = False,
 ) -> Path:
@@ -38,6 +42,7 @@ def write_side_by_side(
         out: The file; `side_by_side.html` in the first run's directory if None.
         every: Show every K-th step; the tables count all of them.
         progress: Called with the number of shown steps done since its last call, of both runs together.
+        command: What the page says it was made by; the call from Python if None.
         in_files: As of `write_report`.
 
     Raises:
@@ -76,10 +81,23 @@ def write_side_by_side(
         ),
         notes=note,
         result=_result(compared, names),
-        tables=sections(parts),
+        tables=f"{sections(parts)}\n{provenance(_provenance(runs, every, command))}",
     )
     write_page(text, recordings, out, in_files=in_files, differences=_differences_html(found, names))
     return out
+
+
+def _provenance(runs: tuple[StoredRun, StoredRun], every: int, command: str | None) -> Provenance:
+    folders = " and ".join(str(run.folder) for run in runs)
+    lettered = list(zip("AB", runs, strict=True))
+    return Provenance(
+        page="two runs side by side",
+        made_by=command or f"modsim3d.view.report.side_by_side.write_side_by_side of {folders} from Python",
+        inputs=tuple(replace(each, what=f"{name}: {each.what}") for name, run in lettered for each in run_inputs(run)),
+        seeds=tuple((f"{name} {seed}", value) for name, run in lettered for seed, value in run_seeds(run)),
+        options=(("Steps", f"{runs[0].steps:,}" + (f", every {every}th shown" if every > 1 else "")),),
+        made_before=tuple((f"{name}: {what}", text) for name, run in lettered for what, text in run_versions(run)),
+    )
 
 
 def run_names(first: StoredRun, second: StoredRun) -> tuple[str, str]:

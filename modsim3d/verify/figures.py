@@ -1,0 +1,134 @@
+"""What a run shows of its detector, as figures of the page that `modsim3d verify` writes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modsim3d.arrays import Array
+from modsim3d.boxes import sizes
+from modsim3d.detector.box_error import BoxErrorSource
+from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel
+from modsim3d.detector.records import TRUE
+from modsim3d.verify.class_checks import miss_probabilities
+from modsim3d.verify.error_parameters import parameter_names
+from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.parameters import Verdict, Verification
+from modsim3d.verify.run_lengths import expected_run_lengths, missed_again, run_lengths
+from modsim3d.view.pages import charts
+
+_MOST_DOTS = 1200
+_BINS = 10
+
+
+def timelines(model: DetectorModel, evidence: Evidence) -> list[str]:
+    """One timeline for all cameras, or one for each where they have states of their own."""
+    cameras = evidence.cameras if model.performance.per_camera else evidence.cameras[:1]
+    figures = []
+    for camera, seen in enumerate(cameras):
+        caption = "Which state the detector was in" + (f": {seen.frames.camera}" if len(cameras) > 1 else "")
+        figures.append(charts.figure([_timeline(model, evidence, camera)], caption))
+    return figures
+
+
+def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
+    images = evidence.frames
+    ours = images.camera == camera
+    times, states = images.time_s[ours], images.state[ours]
+    changes = np.flatnonzero(np.diff(states, prepend=states[0] - 1))
+    stops = np.append(times[changes[1:]], times[-1])
+    return charts.timeline(times[changes], stops, states[changes].tolist(), [state.name for state in model.states])
+
+
+def error_scatters(verification: Verification, model: DetectorModel, evidence: Evidence) -> list[str]:
+    """A figure of the box errors of each state, with the laws asked for and measured."""
+    found = {verdict.parameter.name: verdict for verdict in verification.verdicts}
+    state_of_hits = evidence.instances.state[evidence.true_detections.instance]
+    scale, figures = BoxErrorSource.from_model(model), []
+    for index, state in enumerate(model.states):
+        rows = np.flatnonzero((state_of_hits == index) & (evidence.true_detections.kind == TRUE))
+        if not len(rows):
+            continue
+        boxes = evidence.instances.boxes_px[evidence.true_detections.instance[rows]]
+        errors = scale.in_file_units(np.full(len(rows), index), sizes(boxes), evidence.true_detections.errors_px[rows])
+        path = f"states.{state.name}.box_error"
+        laws = [_law(found, path, measured) for measured in (False, True)]
+        unit = "sides" if state.box_error.relative else "px"
+        drawings = [_scatter(errors, pair, laws, state.name, unit) for pair in ((0, 1), (2, 3))]
+        caption = (
+            f"{state.name}: errors as put out, two standard deviations of the law asked for (dashed) and of the law "
+            "fitted (solid), both before truncation: boxes cut the errors down, which the fit takes out."
+        )
+        figures.append(charts.figure(drawings, caption))
+    return figures
+
+
+Law = tuple[Array, Array] | None
+
+
+def _law(found: dict[str, Verdict], path: str, measured: bool) -> Law:
+    """Mean and covariance of a state's box errors, asked or measured; None where they were not tested."""
+    names = [f"{path}.{name}" for name in parameter_names()]
+    values = [(found[name].measured if measured else found[name].asked) if name in found else None for name in names]
+    numbers = np.array([np.nan if value is None else value for value in values])
+    if np.isnan(numbers).any():
+        return None
+    correlation = np.eye(4)
+    for value, (i, j) in zip(numbers[8:], ERROR_PAIRS, strict=True):
+        correlation[i, j] = correlation[j, i] = value
+    return numbers[:4], correlation * np.outer(numbers[4:8], numbers[4:8])
+
+
+def _scatter(errors: Array, pair: tuple[int, int], laws: list[Law], name: str, unit: str) -> str:
+    i, j = pair
+    shown = errors[:: max(1, len(errors) // _MOST_DOTS)]
+    outlines = [None if law is None else charts.ellipse(law[0][[i, j]], law[1][np.ix_(pair, pair)]) for law in laws]
+    x = np.concatenate([shown[:, i], *(outline[0] for outline in outlines if outline)])
+    y = np.concatenate([shown[:, j], *(outline[1] for outline in outlines if outline)])
+    axes = charts.Axes(_range(x), _range(y))
+    content = charts.dots(axes, shown[:, i], shown[:, j], charts.colour_of(5))
+    for outline, colour, dashed in zip(outlines, (charts.ASKED, charts.FOUND), (True, False), strict=True):
+        if outline is not None:
+            content += charts.line(axes, *outline, colour, dashed)
+    first, second = ERROR_COMPONENTS[i], ERROR_COMPONENTS[j]
+    return axes.drawing(content, f"{name}: {first} and {second}", f"{first}, {unit}", f"{second}, {unit}")
+
+
+def _range(values: Array) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    room = 0.04 * (high - low) or 1.0
+    return low - room, high + room
+
+
+def miss_lengths(model: DetectorModel, evidence: Evidence) -> str:
+    """How many frames in a row vessels are missed, and what is expected."""
+    found = run_lengths(evidence)
+    most = max(len(found) - 1, 4)
+    missed = miss_probabilities(model, evidence)
+    again = missed_again(model, evidence, missed)
+    expected = expected_run_lengths(missed, again, evidence.instances.before, most)
+    counts = np.zeros(most)
+    counts[: len(found) - 1] = found[1:]
+    lengths = np.arange(1.0, most + 1)
+    axes = charts.Axes((0.4, most + 0.6), (0, 1.1 * float(max(counts.max(), expected.max(), 1))))
+    content = charts.bars(axes, lengths, counts, 0.7, charts.FOUND)
+    content += charts.line(axes, lengths, expected, charts.ASKED, dashed=True)
+    return axes.drawing(content, "misses in a row", "frames", "number of runs")
+
+
+def reliability(evidence: Evidence) -> str:
+    """The share of true detections at each confidence."""
+    true, false = evidence.true_detections.confidence, evidence.false_detections.confidence
+    edges = np.linspace(0, 1, _BINS + 1)
+    n_true, _ = np.histogram(true, edges)
+    n_all = n_true + np.histogram(false, edges)[0]
+    some = n_all > 0
+    share, total = n_true[some] / n_all[some], n_all[some]
+    middle = (edges[:-1] + edges[1:])[some] / 2
+    z = 1.96  # Wilson (1927)
+    centre = (share + z**2 / (2 * total)) / (1 + z**2 / total)
+    half = z * np.sqrt(share * (1 - share) / total + z**2 / (4 * total**2)) / (1 + z**2 / total)
+    axes = charts.Axes((0, 1), (0, 1.05))
+    content = charts.line(axes, np.array([0.0, 1.0]), np.array([0.0, 1.0]), "var(--soft)", dashed=True, width=1)
+    content += charts.whiskers(axes, middle, centre - half, centre + half, charts.FOUND)
+    content += charts.line(axes, middle, share, charts.FOUND)
+    return axes.drawing(content, "reliability of confidence", "confidence", "share of true detections")

@@ -1,0 +1,169 @@
+"""What a page rests on, so that it can be signed: command, versions, seeds, and every input with its checksum."""
+
+from __future__ import annotations
+
+import hashlib
+import html
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from modsim3d.inputs.shipped import data_folder
+from modsim3d.runs.run import VERSIONED
+from modsim3d.view.pages.tables import UNKNOWN, breaking
+
+ANCHOR = "rests-on"
+_SHORT = 12
+"""Digits of a checksum in the line at the top; the block at the end has all."""
+_NAMES = {"numpy": "NumPy", "scipy": "SciPy", "shapely": "Shapely", "pyarrow": "PyArrow"}
+SIGNED = ("Name", "Date", "Signature")
+
+
+@dataclass(frozen=True)
+class Input:
+    """Something that a page was made from.
+
+    Attributes:
+        what: What it is, such as `detector file`.
+        path: Where it is, as the user gave it; a name if it was no file.
+        sha256: Its checksum in hexadecimal digits; None if it has none, as what was given in memory.
+        note: What else must be known of it.
+        bad: Whether the note says that something is wrong.
+    """
+
+    what: str
+    path: str
+    sha256: str | None
+    note: str = ""
+    bad: bool = False
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a page rests on. It has no times and no names of machines, so the same input gives the same bytes.
+
+    Attributes:
+        page: What kind of page it is.
+        made_by: The command in its normal form, or the call from Python.
+        inputs: What it was made from, the most important first.
+        seeds: Each seed with its name.
+        options: What else decides the content, each with its name.
+        versions: Of the packages that made the page, by their names.
+        made_before: How the inputs were made: a name, such as `The run`, and by which versions.
+    """
+
+    page: str
+    made_by: str
+    inputs: tuple[Input, ...]
+    seeds: tuple[tuple[str, str], ...] = ()
+    options: tuple[tuple[str, str], ...] = ()
+    versions: Mapping[str, str] | None = None
+    made_before: tuple[tuple[str, str], ...] = ()
+
+    def in_short(self) -> str:
+        """The first inputs, the seeds and the version, in a line."""
+        first = [f"{Path(each.path).name} ({each.sha256[:_SHORT]})" for each in self.inputs[:2] if each.sha256]
+        seeds = [f"seeds: {', '.join(f'{name} {value}' for name, value in self.seeds)}"] if self.seeds else []
+        return " · ".join([*first, *seeds, f"modsim3d {(self.versions or installed())['modsim3d']}"])
+
+
+def installed() -> dict[str, str]:
+    """The versions of the packages that decide results."""
+    return {name: version(name) for name in VERSIONED}
+
+
+def versions_in_words(versions: Mapping[str, str]) -> str:
+    """Packages with their versions, in a line."""
+    return ", ".join(f"{_NAMES.get(name, name)} {number}" for name, number in versions.items())
+
+
+def sha256_of(path: Path) -> str:
+    """The checksum of a file, as `sha256sum` prints it."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def file_input(what: str, path: Path, note: str = "") -> Input:
+    """A file, by its path as it was given; one that ships with modsim3d by its place there."""
+    return Input(what, shown_path(path), sha256_of(path), note)
+
+
+def shown_path(path: Path) -> str:
+    """A path as it was given; that of a file that ships with modsim3d, which is another on each machine, from there."""
+    shipped = data_folder("scenes")
+    return f"shipped {path.relative_to(shipped.parent)}" if path.is_relative_to(shipped) else str(path)
+
+
+def folder_input(what: str, folder: Path, files: Iterable[Path]) -> Input:
+    """Several files of a folder as one input.
+
+    Their checksum is that of the lines that `sha256sum` prints for them in that folder, sorted by path.
+
+    Args:
+        what: What they are.
+        folder: The folder as it was given.
+        files: Files inside it.
+    """
+    names = sorted({path.relative_to(folder).as_posix(): path for path in files}.items())
+    lines = "".join(f"{sha256_of(path)}  {name}\n" for name, path in names)
+    digest = hashlib.sha256(lines.encode("utf-8", "surrogateescape")).hexdigest()
+    return Input(what, str(folder), digest, f"of the sha256sum lines of {len(names):,} files, sorted by path")
+
+
+def provenance(found: Provenance) -> str:
+    """The block of a page that says what it rests on, with lines for a signature in print."""
+    facts = [
+        ("Page", html.escape(found.page)),
+        ("Made by", f"<code>{html.escape(found.made_by)}</code>"),
+        ("Made with", html.escape(versions_in_words(found.versions or installed()))),
+        *((name, html.escape(text)) for name, text in found.made_before),
+        *((f"Seed: {name}", html.escape(value)) for name, value in found.seeds),
+        *((name, html.escape(value)) for name, value in found.options),
+    ]
+    lines = "\n".join(f"<tr><th>{html.escape(name)}</th><td>{text}</td></tr>" for name, text in facts)
+    return (
+        f'<section class="rests-on" id="{ANCHOR}">\n<h2>What this page rests on</h2>\n'
+        f'<table class="facts">\n{lines}\n</table>\n{_inputs(found.inputs)}\n'
+        '<p class="soft">The same inputs, command and versions give the same bytes. The command is shown without the '
+        "options that only say where files go or what is printed.</p>\n"
+        f"{_signature()}</section>"
+    )
+
+
+def top_line(found: Provenance) -> str:
+    """The line under a page's title, which leads to the block."""
+    link = f'<a href="#{ANCHOR}">what this page rests on</a>'
+    return f'<div class="soft top-line">{html.escape(found.in_short())} · {link}</div>'
+
+
+def _inputs(inputs: Sequence[Input]) -> str:
+    lines = []
+    for each in inputs:
+        kind = "bad" if each.bad else "soft"
+        note = f'<br><span class="{kind}">{html.escape(each.note)}</span>' if each.note else ""
+        lines.append(
+            f'<tr><td>{html.escape(each.what)}</td><td data-label="path">{breaking(each.path)}{note}</td>'
+            f'<td data-label="SHA-256" class="digest">{each.sha256 or UNKNOWN}</td></tr>'
+        )
+    head = "<thead><tr><th>input</th><th>path</th><th>SHA-256</th></tr></thead>"
+    return "\n".join(['<table class="stack inputs">', head, "<tbody>", *lines, "</tbody>", "</table>"])
+
+
+def _signature() -> str:
+    lines = "".join(f"<div><span>{name}</span></div>" for name in SIGNED)
+    said = "The mark at the foot of each sheet is from the checksum of the page: sheets of one page share it."
+    return f'<div class="signature in-print"><p class="soft">{said}</p><div class="lines">{lines}</div></div>\n'
+
+
+PROVENANCE_STYLE = """
+.top-line { margin: -0.6rem 0 1rem; font-size: 0.9rem; }
+.rests-on th { font-weight: 600; vertical-align: top; text-align: left; }
+.rests-on .facts th { min-width: min(9rem, 28vw); }
+.rests-on td { vertical-align: top; overflow-wrap: anywhere; }
+.rests-on code { font-size: 0.92em; }
+.digest { font: 0.82em ui-monospace, monospace; overflow-wrap: anywhere; }
+@media screen and (min-width: 64rem) { .digest { white-space: nowrap; } }
+.lines { display: flex; gap: 1.5rem; margin-top: 2.2cm; }
+.lines div { flex: 1; border-top: 1px solid var(--ink); padding-top: 0.2rem; font-size: 0.85rem; }
+"""

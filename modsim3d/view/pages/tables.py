@@ -1,0 +1,178 @@
+"""Tables of pages: points below each other, headers that repeat in print, rows as lists on a phone."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Container, Mapping, Sequence
+from types import MappingProxyType
+
+UNKNOWN = "–"
+"""What stands for a number that is not known."""
+LEAST_STACKED, LEAST_DENSE = 4, 9
+"""A table of so many columns is shown as a list of rows on a phone, or is printed small."""
+TABLE_STYLE = """
+td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
+.facts th { font-weight: 400; text-align: left; vertical-align: top; }
+td.number { white-space: nowrap; } td.broken { white-space: normal; }
+.whole { white-space: nowrap; }
+@media screen and (max-width: 40rem) {
+  td, th { padding-right: 0.7rem; } td.number { white-space: normal; } .pad { display: none; }
+  table.stack, .stack tbody, .stack tr { display: block; } .stack thead { display: none; }
+  .stack tr { border-bottom: 1px solid var(--line); padding: 0.4rem 0; }
+  .stack td, .stack td.number { display: flow-root; border: 0; padding: 0 0 0 44%; text-align: left; }
+  .stack td::before { content: attr(data-label); float: left; width: 75%; margin-left: -78.57%; color: var(--soft); }
+  .stack td:first-child { padding-left: 0; font-weight: 600; } .stack td:first-child::before { content: none; }
+  .stack td[colspan] { padding-left: 0; font-weight: inherit; }
+  .stack td:empty { display: none; }
+}
+"""
+"""Style of numbers, and of tables on a phone; it stands behind that of the page."""
+_DIGIT, _POINT = "\u2007", "\u2008"
+"""Spaces as wide as a digit and as a point."""
+_NUMBER = re.compile(
+    r"(?<![\w.])(?P<sign>[-−+±]?)(?P<whole>\d[\d,]*|∞)(?P<rest>\.\d+)?(?P<power>e[-−+]?\d+)?(?![.\d]*\d)"
+)
+_START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d|\d+\. )(\d|∞)")
+"""How a number begins; a version with two points is none, and neither is an ordinal."""
+_INTERVAL = re.compile(r"\[[^\[\]]+, [^\[\]]+\]")
+_PADS = re.compile(f"[{_DIGIT}{_POINT}]+")
+_LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")
+"""Words such as keys and checksums, which may be broken."""
+_MOST_WORDS = 3
+_LONGEST = 28
+"""Letters of a cell that is never broken."""
+_NO_NOTES: Mapping[int, str] = MappingProxyType({})
+
+
+def table(
+    rows: Sequence[Sequence[str]],
+    header: Sequence[str] = (),
+    bad: Container[int] = (),
+    *,
+    markup: Container[int] = (),
+    notes: Mapping[int, str] = _NO_NOTES,
+) -> str:
+    """A table of rows under a header; columns of numbers are set to the right, with their points below each other.
+
+    A dash for an unknown number stands where the numbers of its column do.
+
+    Args:
+        rows: The cells as text.
+        header: Names of the columns; without them there is no row above.
+        bad: Rows that stand out.
+        markup: Columns whose cells are HTML already.
+        notes: What is said below a row, by its number.
+    """
+    columns = [list(column) for column in zip(*rows, strict=False)]
+    named = [*map(bool, header), *[not header] * len(columns)]  # a column without a name has the names of the rows
+    right = [place not in markup and named[place] and is_numeric(column) for place, column in enumerate(columns)]
+    shown = [
+        column
+        if place in markup
+        else [_in_number(cell) for cell in aligned(column)]
+        if right[place]
+        else [breaking(cell) for cell in column]
+        for place, column in enumerate(columns)
+    ]
+    right += [False] * (len(header) - len(right))
+    labels = header if len(header) >= LEAST_STACKED else [""] * len(columns)
+    lines = [f"<table{_shape(len(header))}>"]
+    if header:
+        names = (f"<th{_class(each)}>{html.escape(name)}</th>" for name, each in zip(header, right, strict=False))
+        lines.append(f"<thead><tr>{''.join(names)}</tr></thead>")
+    lines.append("<tbody>")
+    for number, cells in enumerate(zip(*shown, strict=True)):
+        content = "".join(
+            f"<td{_class(right[place], rows[number][place])}{_label(labels[place])}>{cell}</td>"
+            for place, cell in enumerate(cells)
+        )
+        lines.append(('<tr class="bad">' if number in bad else "<tr>") + content + "</tr>")
+        if note := notes.get(number):
+            lines.append(f'<tr><td colspan="{len(shown)}" class="soft">{html.escape(note)}</td></tr>')
+    return "\n".join([*lines, "</tbody>", "</table>"])
+
+
+def is_numeric(column: Sequence[str]) -> bool:
+    """Whether at least half of the known cells are a number, with a unit, an interval or a few words."""
+    known = [cell for cell in column if cell not in (UNKNOWN, "")]
+    return bool(known) and 2 * sum(map(_is_number, known)) >= len(known)
+
+
+def _is_number(cell: str) -> bool:
+    return _START.match(cell) is not None and len(re.findall(r"[^\W\d_]{2,}", cell)) <= _MOST_WORDS
+
+
+def aligned(column: Sequence[str]) -> list[str]:
+    """The cells of a column with spaces of the width of digits, so that right-aligned points are below each other.
+
+    Cells are aligned with those that have the same words between their numbers. A minus sign takes the place of the
+    hyphen before a number.
+    """
+    cells = [
+        _NUMBER.sub(lambda found: found[0].replace("-", "−"), cell) if _is_number(cell) else cell for cell in column
+    ]
+    groups: dict[str, list[int]] = {}
+    for place, cell in enumerate(cells):
+        if _is_number(cell) and not any(found["power"] for found in _NUMBER.finditer(cell)):
+            groups.setdefault(_NUMBER.sub("0", cell), []).append(place)
+    for places in groups.values():
+        numbers = [list(_NUMBER.finditer(cells[place])) for place in places]
+        widths = [
+            (max(_length(each, "sign", "whole") for each in same), max(len(each["rest"] or "") for each in same))
+            for same in zip(*numbers, strict=True)
+        ]
+        for place, found in zip(places, numbers, strict=True):
+            cells[place] = _padded(cells[place], found, widths)
+    return cells
+
+
+def _length(number: re.Match[str], *parts: str) -> int:
+    return sum(len(number[part]) for part in parts)
+
+
+def _padded(cell: str, numbers: Sequence[re.Match[str]], widths: Sequence[tuple[int, int]]) -> str:
+    """A cell whose numbers have as many places before and behind their points as are asked for."""
+    text, end = "", 0
+    for place, (number, (before, behind)) in enumerate(zip(numbers, widths, strict=True)):
+        left = _DIGIT * (before - _length(number, "sign", "whole")) if place else ""  # the first one ends on the right
+        rest, words = number["rest"] or "", cell[end : number.start()]
+        right = (_POINT + _DIGIT * (behind - 1)) if behind and not rest else _DIGIT * (behind - len(rest))
+        bracket = words[-1:] if words.endswith(("[", "(")) else ""  # stays at its number
+        text += words.removesuffix(bracket) + left + bracket + number[0] + right
+        end = number.end()
+    return text + cell[end:]
+
+
+def facts(rows: Sequence[tuple[str, str]]) -> str:
+    """A table of names with what is said of each."""
+    lines = (f"<tr><th>{breaking(name)}</th><td>{breaking(text)}</td></tr>" for name, text in rows)
+    return "\n".join(['<table class="facts">', *lines, "</table>"])
+
+
+def breaking(text: str) -> str:
+    """Text as HTML in which long words, such as keys and checksums, may be broken."""
+    return _LONG.sub(lambda word: re.sub(r"[./]|\](?=\[)|\w{16}(?=\w)", r"\g<0><wbr>", word[0]), html.escape(text))
+
+
+def _in_number(cell: str) -> str:
+    """A cell of numbers as HTML: an interval stays on one line, and a phone needs no spaces of alignment."""
+    padded = _PADS.sub(lambda found: f'<i class="pad">{found[0]}</i>', html.escape(cell))
+    return _INTERVAL.sub(lambda found: f'<span class="whole">{found[0]}</span>', padded)
+
+
+def _shape(columns: int) -> str:
+    if columns < LEAST_STACKED:
+        return ""
+    return ' class="stack dense"' if columns >= LEAST_DENSE else ' class="stack"'
+
+
+def _class(numeric: bool, cell: str = "") -> str:
+    """The class of a cell: a number is not broken, one with an interval only before it."""
+    if not numeric:
+        return ""
+    return ' class="number broken"' if len(cell) > _LONGEST or _INTERVAL.search(cell) else ' class="number"'
+
+
+def _label(name: str) -> str:
+    return f' data-label="{html.escape(name, quote=True)}"' if name else ""

@@ -1,0 +1,178 @@
+"""Every page that commands write: what it rests on, a narrow screen, and paper."""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import json
+import os
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from modsim3d import cli
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import open_run
+from modsim3d.view.pages.run_inputs import CHANGED, run_inputs
+from tests.view.made_tracks import perfect, write_csv
+from tests.view.report.browser import Browser
+
+CAMPAIGN = """\
+scene: fairway
+steps: 4
+seeds: {traffic: 2}
+set: {annotation.source: analytic}
+trackers: [reference]
+require: [{score: hota, at_least: 0.0}, {score: hota, at_least: 0.9}]
+"""
+COMMANDS = {
+    "verify": "verify run --out verify",
+    "compare": "compare harbour --steps 2 --out compare",
+    "learn": "learn --run run --replicates 20 --out learn/detector.yaml",
+    "score": "score run tracks.csv --threshold 0.4 --out score",
+    "report": "report run --out run.html",
+    "campaign": "campaign-report campaign --out campaign.html",
+}
+PAGES = {
+    "verify": "verify/verify.html",
+    "compare": "compare/compare.html",
+    "learn": "learn/detector.html",
+    "score": "score/score.html",
+    "report": "run.html",
+    "campaign": "campaign.html",
+}
+
+
+def command(words: str) -> int:
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
+        patch.setattr(sys, "argv", ["modsim3d", *words.split(), "--quiet"])
+        cli.main()
+    return stopped.value.code
+
+
+@pytest.fixture(scope="module")
+def pages(run_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with every page, which is the working directory, so that paths are given as users do."""
+    folder, before = tmp_path_factory.mktemp("pages"), Path.cwd()
+    (folder / "run").symlink_to(run_folder)
+    (folder / "learn").mkdir()
+    (folder / "c.yaml").write_text(CAMPAIGN)
+    rows = RunRows.of(open_run(run_folder))
+    write_csv(perfect(rows), rows, folder / "tracks.csv")
+    os.chdir(folder)
+    try:
+        command("campaign c.yaml --out campaign")
+        for words in COMMANDS.values():
+            assert command(words) in (0, 1), words
+        yield folder
+    finally:
+        os.chdir(before)
+
+
+def block(folder: Path, name: str) -> str:
+    """What a page says that it rests on, as its HTML."""
+    found = re.search(
+        r'<section class="rests-on".*?</section>', (folder / PAGES[name]).read_text(encoding="utf-8"), re.S
+    )
+    assert found is not None
+    return found[0].replace("<wbr>", "")
+
+
+def inputs(folder: Path, name: str) -> list[list[str]]:
+    """What, path and checksum of each input of a page."""
+    rows = re.findall(r"<tr><td>(.*?)</td><td[^>]*>(.*?)</td><td[^>]*>(.*?)</td></tr>", block(folder, name))
+    return [[html.unescape(cell.partition("<br>")[0]) for cell in row] for row in rows]
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_names_its_command_without_where_files_go(pages: Path, name: str) -> None:
+    (said,) = re.findall(r"<th>Made by</th><td><code>(.*?)</code>", block(pages, name))
+    assert html.unescape(said) == f"modsim3d {COMMANDS[name].partition(' --out')[0]}"
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_each_checksum_of_a_file_is_that_of_sha256sum(pages: Path, name: str) -> None:
+    found = inputs(pages, name)
+    files = [(path, digest) for what, path, digest in found if Path(path).is_file() and what != "scene of the run"]
+    assert all(hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest for path, digest in files)
+    assert len(files) >= (0 if name == "compare" else 2)
+    assert all(re.fullmatch("[0-9a-f]{64}", digest) for _, _, digest in found) and len(found) > 2
+
+
+def test_pages_of_a_run_have_its_scene_seeds_and_versions(pages: Path) -> None:
+    run = json.loads((pages / "run" / "run.json").read_text())
+    for name in ("verify", "score", "report"):
+        text = block(pages, name)
+        assert run["scene_sha256"] in text and run["backend"] in text
+        assert f"<th>Seed: scene</th><td>{run['seed']}</td>" in text and "NumPy" in text
+
+
+def test_a_learned_page_has_the_checksum_of_its_detector_file(pages: Path) -> None:
+    what, path, digest = inputs(pages, "learn")[0]
+    assert (what, path) == ("detector file that was learned", "detector.yaml")
+    assert digest == hashlib.sha256((pages / "learn" / path).read_bytes()).hexdigest()
+
+
+def test_a_page_says_nothing_of_the_machine(pages: Path) -> None:
+    for name in PAGES:
+        assert str(pages) not in block(pages, name) and not re.search(r"\d\d:\d\d", block(pages, name))
+
+
+def test_the_same_command_gives_the_same_bytes(pages: Path) -> None:
+    for name in ("verify", "compare"):
+        again = COMMANDS[name].replace(f"--out {name}", "--out again")
+        command(again)
+        assert (pages / "again" / f"{name}.html").read_bytes() == (pages / PAGES[name]).read_bytes()
+
+
+def test_a_file_that_was_changed_after_the_run_stands_out(run_folder: Path) -> None:
+    run = open_run(run_folder)
+    assert not any(each.bad for each in run_inputs(run))
+    files = {**run.settings["files"], "truth.parquet": {"bytes": 1, "sha256": "0" * 64}}
+    (changed,) = (each for each in run_inputs(replace(run, settings={**run.settings, "files": files})) if each.bad)
+    assert changed.what == "truth of the run" and changed.note == CHANGED
+
+
+def test_tests_that_pass_are_folded_behind_their_number(pages: Path) -> None:
+    verified = json.loads((pages / "verify" / "verify.json").read_text())
+    passed = [each for each in verified["parameters"] if each["verdict"] == "obeys"]
+    summaries = re.findall(r"<details><summary>[^<]*?: (\d+) tests? passed", (pages / PAGES["verify"]).read_text())
+    assert sum(map(int, summaries)) == len(passed) > 20
+
+
+WIDEST = """(() => { document.querySelectorAll('details').forEach(each => each.open = true);
+    return document.documentElement.scrollWidth; })()"""
+
+
+def test_no_page_is_wider_than_a_phone(pages: Path, browser: Browser) -> None:
+    for path in PAGES.values():
+        browser.visit(pages / path, (390, 800))
+        assert browser.run(WIDEST) <= 390, path
+
+
+PRINTED = """(() => { const rules = [...document.styleSheets].flatMap(sheet => [...sheet.cssRules]);
+    const sheet = rules.find(rule => rule instanceof CSSPageRule).cssText;
+    const shown = element => element.checkVisibility({contentVisibilityAuto: true, visibilityProperty: true});
+    return {sheet, scheme: getComputedStyle(document.documentElement).colorScheme,
+        tables: [...document.querySelectorAll('table')].filter(table => !table.closest('.player')).every(shown),
+        folded: document.querySelectorAll('details:not([open]) table').length,
+        signature: shown(document.querySelector('.signature'))}; })()"""
+
+
+def test_a_printed_page_has_page_numbers_all_tables_and_a_line_to_sign(pages: Path, browser: Browser) -> None:
+    folded = 0
+    for path in PAGES.values():
+        browser.visit(pages / path, (680, 800))
+        assert not browser.run("document.querySelector('.signature').checkVisibility()")
+        dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+        browser.call("Emulation.setEmulatedMedia", media="print", features=dark)
+        found = browser.run(PRINTED)
+        browser.call("Emulation.setEmulatedMedia", media="", features=[])
+        assert "counter(page)" in found["sheet"] and "counter(pages)" in found["sheet"], path
+        assert found["scheme"] == "light" and found["tables"] and found["signature"], path
+        folded += found["folded"]
+    assert folded > 5
