@@ -6,6 +6,7 @@ writes an executable `modsim3d` into the folder and serves it until its standard
 """
 
 import contextlib
+import gc
 import json
 import os
 import select
@@ -14,7 +15,17 @@ import socket
 import sys
 from pathlib import Path
 
+import modsim3d
 from benchmarks.faults.commands import prepare
+from modsim3d.render.context import choose_backend, prepare_environment
+
+LIBRARIES = (
+    *("OpenGL.GL", "OpenGL.osmesa", "PIL.ImageDraw", "PIL.ImageFont", "PIL.PngImagePlugin", "PIL.JpegImagePlugin"),
+    *("trimesh", "pyrender", "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg"),
+    *("mpl_toolkits.mplot3d", "imageio_ffmpeg", "rosbags.rosbag2", "trackers", "trackeval", "optuna"),
+    *("pyarrow.dataset", "rich.live", "rich.progress", "rich.table"),
+)
+"""What commands import when they need it. Rerun is left out: it starts threads, and a fork needs a single one."""
 
 CLIENT = """\
 #!{python} -IS
@@ -31,6 +42,10 @@ with socket.socket(socket.AF_UNIX) as server:
 def serve(folder: Path) -> None:
     """Answer each client with the exit status of its command, which has the client's arguments, folder and files."""
     prepare()
+    prepare_environment(choose_backend())
+    for name in (*LIBRARIES, *modules()):
+        __import__(name)
+    gc.freeze()  # what is imported stays, and no command looks through it
     with socket.socket(socket.AF_UNIX) as listening:
         address = str(folder / "socket")
         listening.bind(address)
@@ -50,6 +65,13 @@ def serve(folder: Path) -> None:
                     pass
 
 
+def modules() -> list[str]:
+    """The modules of the package, without those that only keep old names alive."""
+    package = Path(modsim3d.__file__).parent
+    names = [path.relative_to(package.parent).with_suffix("").parts for path in package.rglob("*.py")]
+    return sorted(".".join(name) for name in names if name[1] != "old_paths" and not name[-1].startswith("__"))
+
+
 def answer(connection: socket.socket) -> None:
     """Run the command of a client in a process of its own; a client that goes away takes it along."""
     length, files, _, _ = socket.recv_fds(connection, 8, 3)
@@ -61,7 +83,6 @@ def answer(connection: socket.socket) -> None:
         sys.stdin, sys.stdout, sys.stderr = (open(place, mode, closefd=False) for place, mode in enumerate("rww"))  # noqa: SIM115
         connection.close()
         os.chdir(folder)
-        os.environ.clear()
         os.environ.update(environment)
         sys.argv = ["modsim3d", *arguments]
         from modsim3d.cli import main
