@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import resource
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -152,7 +151,9 @@ FULL = [
 
 
 @pytest.mark.parametrize(("name", "words"), FULL, ids=[name for name, _ in FULL])
-def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_named(run, tmp_path, name, words):
+def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_named(
+    run, prepared, tmp_path, name, words
+):
     out = tmp_path / name
     if name == "film":
         out.mkdir()
@@ -160,7 +161,7 @@ def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_n
     before = content(tmp_path)
     command, *options = words
     done = subprocess.run(
-        [sys.executable, "-m", "modsim3d.cli", command, str(run), *options, "--out", str(out), "--overwrite"],
+        [prepared, command, str(run), *options, "--out", str(out), "--overwrite"],
         capture_output=True,
         text=True,
         timeout=120,

@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -239,11 +238,11 @@ def test_of_a_run_without_a_list_the_files_beside_the_copy_of_its_scene_stay(inp
 
 
 @pytest.mark.parametrize("name", ["run.json", "unfinished/settings.json"])
-def test_a_pipe_in_place_of_a_file_is_not_waited_for(inputs, tmp_path, name):
+def test_a_pipe_in_place_of_a_file_is_not_waited_for(inputs, prepared, tmp_path, name):
     out, scene = tmp_path / "run", inputs.write()
     (out / name).parent.mkdir(parents=True)
     os.mkfifo(out / name)
-    command = (sys.executable, "-m", "modsim3d.cli", "run", scene, "--out", out, "--overwrite")
+    command = (prepared, "run", scene, "--out", out, "--overwrite")
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
     assert "is not a run directory" in done.stderr

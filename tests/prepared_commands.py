@@ -1,14 +1,16 @@
-"""`modsim3d` for the pages' commands: forks of one process that has imported everything, each started in milliseconds.
+"""A `modsim3d` that starts in milliseconds: its commands are forks of one process that has imported everything.
 
-    python -m tests.packaging.prepared_commands FOLDER
+    python -m tests.prepared_commands FOLDER
 
-writes an executable `modsim3d` into the folder and serves it until its standard input ends.
+writes an executable `modsim3d` into the folder and serves it until its standard input ends. A command has the
+arguments, folder, environment, files and file size limit of its client, and gets the signals that the client gets.
 """
 
 import contextlib
 import gc
 import json
 import os
+import resource
 import select
 import signal
 import socket
@@ -29,12 +31,15 @@ LIBRARIES = (
 
 CLIENT = """\
 #!{python} -IS
-import json, os, socket, sys
+import json, os, resource, signal, socket, sys
 with socket.socket(socket.AF_UNIX) as server:
     server.connect({address!r})
-    asked = json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    asked = json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ), limits]).encode()
     socket.send_fds(server, [len(asked).to_bytes(8, "big")], [0, 1, 2])
     server.sendall(asked)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: server.sendall(bytes([number])))
     sys.exit(int(server.recv(8) or b"1"))
 """
 
@@ -75,7 +80,9 @@ def modules() -> list[str]:
 def answer(connection: socket.socket) -> None:
     """Run the command of a client in a process of its own; a client that goes away takes it along."""
     length, files, _, _ = socket.recv_fds(connection, 8, 3)
-    arguments, folder, environment = json.loads(connection.recv(int.from_bytes(length, "big"), socket.MSG_WAITALL))
+    arguments, folder, environment, limits = json.loads(
+        connection.recv(int.from_bytes(length, "big"), socket.MSG_WAITALL)
+    )
     command = os.fork()
     if command == 0:
         for place, file in enumerate(files):
@@ -84,6 +91,7 @@ def answer(connection: socket.socket) -> None:
         connection.close()
         os.chdir(folder)
         os.environ.update(environment)
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         sys.argv = ["modsim3d", *arguments]
         from modsim3d.cli import main
 
@@ -91,8 +99,11 @@ def answer(connection: socket.socket) -> None:
     for file in (0, 1, 2, *files):  # a reader of the command's output waits until nobody can write to it
         os.close(file)
     ended = os.pidfd_open(command)
-    if connection in select.select([connection, ended], [], [])[0]:
-        os.kill(command, signal.SIGTERM)
+    while ended not in select.select([connection, ended], [], [])[0]:
+        number = connection.recv(1)
+        os.kill(command, number[0] if number else signal.SIGTERM)
+        if not number:
+            break
     status = os.waitstatus_to_exitcode(os.waitpid(command, 0)[1])
     with contextlib.suppress(BrokenPipeError):
         connection.sendall(str(status if status >= 0 else 128 - status).encode())
