@@ -3,7 +3,8 @@
     python -m tests.prepared_commands FOLDER
 
 writes an executable `modsim3d` into the folder and serves it until its standard input ends. A command has the
-arguments, folder, environment, files and file size limit of its client, and gets the signals that the client gets.
+arguments, folder, environment, files and file size limit of its client, and gets the signals that end the client. If
+the variable `FIRST` names a file of Python, that is run first, in the process of the command.
 """
 
 import contextlib
@@ -38,7 +39,7 @@ with socket.socket(socket.AF_UNIX) as server:
     asked = json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ), limits]).encode()
     socket.send_fds(server, [len(asked).to_bytes(8, "big")], [0, 1, 2])
     server.sendall(asked)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda number, _: server.sendall(bytes([number])))
     sys.exit(int(server.recv(8) or b"1"))
 """
@@ -93,6 +94,8 @@ def answer(connection: socket.socket) -> None:
         os.environ.update(environment)
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         sys.argv = ["modsim3d", *arguments]
+        if first := environment.get("FIRST"):
+            exec(Path(first).read_text(encoding="utf-8"), {})
         from modsim3d.cli import main
 
         sys.exit(main())
