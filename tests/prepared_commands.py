@@ -88,7 +88,11 @@ def answer(connection: socket.socket) -> None:
     if command == 0:
         for place, file in enumerate(files):
             os.dup2(file, place)
-        sys.stdin, sys.stdout, sys.stderr = (open(place, mode, closefd=False) for place, mode in enumerate("rww"))  # noqa: SIM115
+        encoding = environment.get("PYTHONIOENCODING")
+        sys.stdin, sys.stdout, sys.stderr = (
+            open(place, mode, encoding=encoding, closefd=False)  # noqa: SIM115
+            for place, mode in enumerate("rww")
+        )
         connection.close()
         os.chdir(folder)
         os.environ.update(environment)
