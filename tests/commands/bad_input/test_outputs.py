@@ -144,8 +144,8 @@ FULL = [
     ("page.html", ("report",)),
     ("picture.png", ("view", "--frame", "3")),
     ("map.png", ("view", "--map")),
-    ("film.gif", ("view", "--film", "ids")),
-    ("film.mp4", ("view", "--film", "ids")),
+    ("film.gif", ("view", "--film", "ids", "--width", "320")),
+    ("film.mp4", ("view", "--film", "ids", "--width", "320")),
     ("film", ("view", "--film", "detections", "--format", "png", "--width", "1600")),
 ]
 

@@ -17,6 +17,7 @@ from modsim3d.scene.reading import data_folder, load_scene
 from tests.commands.bad_input.builders import Call, Inputs
 from tests.commands.bad_input.writers import scene_file
 
+SMALL = ("--camera", "C0", "--width", "160")
 NOTES = {"notes.txt": "mine", "scene/notes.txt": "mine too", "mine/frame_000001.png": "no film"}
 
 
@@ -62,10 +63,10 @@ def test_nothing_of_the_old_run_stays_beside_the_new_one(inputs, call, tmp_path)
     assert call("run", scene, "--out", out)[0] == 0
     for command in (
         *(("verify", out), ("report", out), ("view", out, "--sheet", "--overwrite"), ("view", out, "--map")),
-        *(("view", out, "--film", kind, "--camera", "C0") for kind in ("detections", "ids", "map", "all")),
-        *(("view", out, "--film", kind, "--camera", "C0", "--format", "png") for kind in ("corners", "map")),
+        *(("view", out, "--film", kind, *SMALL) for kind in ("detections", "ids", "map", "all")),
+        *(("view", out, "--film", kind, *SMALL, "--format", "png") for kind in ("corners", "map")),
         *(("view", out, "--film", kind, "--frame", "1", "--camera", "C0") for kind in ("detections", "scene")),
-        ("view", out, "--film", "corners", "--format", "gif", "--camera", "C0"),
+        ("view", out, "--film", "corners", "--format", "gif", *SMALL),
         ("compare", scene, "--out", out),
     ):
         status, said = call(*command)
