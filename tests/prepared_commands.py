@@ -23,7 +23,7 @@ from benchmarks.faults.commands import prepare
 from modsim3d.render.context import choose_backend, prepare_environment
 
 LIBRARIES = (
-    *("OpenGL.GL", "OpenGL.osmesa", "PIL.ImageDraw", "PIL.ImageFont", "PIL.PngImagePlugin", "PIL.JpegImagePlugin"),
+    *("OpenGL.GL", "PIL.ImageDraw", "PIL.ImageFont", "PIL.PngImagePlugin", "PIL.JpegImagePlugin"),
     *("trimesh", "pyrender", "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg"),
     *("mpl_toolkits.mplot3d", "imageio_ffmpeg", "rosbags.rosbag2", "trackers", "trackeval", "optuna"),
     *("pyarrow.dataset", "rich.live", "rich.progress", "rich.table"),
@@ -48,9 +48,11 @@ with socket.socket(socket.AF_UNIX) as server:
 def serve(folder: Path) -> None:
     """Answer each client with the exit status of its command, which has the client's arguments, folder and files."""
     prepare()
-    prepare_environment(choose_backend())
-    for name in (*LIBRARIES, *modules()):
+    backend = choose_backend()
+    prepare_environment(backend)
+    for name in (*LIBRARIES, "OpenGL.EGL" if backend == "egl" else "OpenGL.osmesa", *modules()):
         __import__(name)
+    prepare()  # once more, because it makes sure that no library has started a thread
     gc.freeze()  # what is imported stays, and no command looks through it
     with socket.socket(socket.AF_UNIX) as listening:
         address = str(folder / "socket")
