@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -17,6 +20,7 @@ settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
 
 
+ROOT = Path(__file__).resolve().parents[1]
 TERMINAL = (
     *("COLUMNS", "LINES", "TERM", "TERMINAL_WIDTH", "TTY_COMPATIBLE", "TTY_INTERACTIVE"),
     *("FORCE_COLOR", "NO_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "PY_COLORS", "PYTHON_COLORS", "GITHUB_ACTIONS"),
@@ -42,3 +46,16 @@ forget_who_started_the_tests()  # now, because some libraries look at the termin
 def renderer() -> Iterator[IdRenderer]:
     with open_context() as context:
         yield IdRenderer(context)
+
+
+@pytest.fixture(scope="session")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A `modsim3d` that starts at once, for tests that need a process and nothing of how Python starts."""
+    folder = tmp_path_factory.mktemp("prepared")
+    line = [sys.executable, "-m", "tests.prepared_commands", str(folder)]
+    with subprocess.Popen(line, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdin is not None
+        assert server.stdout is not None
+        assert server.stdout.readline() == "ready\n"
+        yield folder / "modsim3d"
+        server.stdin.close()

@@ -10,6 +10,7 @@ from modsim3d.arrays import Indices
 from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera
 from modsim3d.inputs.validation import nearest
+from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.scene.scene import Scene
 from modsim3d.vessels.obstacles import PREFIX
 
@@ -90,18 +91,19 @@ def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()
     Returns:
         Name of the camera → its problems; only cameras that have one and are not left out.
     """
-    found = {}
+    found, vessel_poses = {}, None
     for camera in scene.cameras:
         if camera.name not in leave_out:
             try:
-                _check_place(scene, camera, steps)
+                vessel_poses = vessel_poses or scene.motion.at(steps)  # waves take time: once for all cameras
+                _check_place(scene, camera, steps, vessel_poses)
             except InputError as error:
                 found[camera.name] = error.problems
     return found
 
 
-def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
-    sight = scene.sight(camera, steps)
+def _check_place(scene: Scene, camera: Camera, steps: Indices, vessel_poses: PosesInWaves) -> None:
+    sight = scene.sight(camera, steps, vessel_poses)
     inside = None if scene.annotation.allow_camera_inside else sight.body_around()
     if inside is None:
         return

@@ -223,13 +223,18 @@ class Scene:
             moved = tuple(range(len(self.vessels)))
         return VesselMotion(self.poses, self.vessel_names, self.waves, moved, self.steps)
 
-    def sight(self, camera: Camera, steps: Indices) -> Sight:
+    def sight(self, camera: Camera, steps: Indices, vessel_poses: PosesInWaves | None = None) -> Sight:
         """What a camera has in front of it at some ascending steps of shape (S,), and from where it looks.
+
+        Args:
+            camera: A camera of the scene.
+            steps: The steps.
+            vessel_poses: The vessels at these steps, if they are known already.
 
         Raises:
             InputError: The vessel that carries the camera has no pose at a step.
         """
-        vessel_poses = self.motion.at(steps)
+        vessel_poses = vessel_poses or self.motion.at(steps)
         camera_poses = self.camera_poses(camera, vessel_poses, steps)
         curved = self.sea == "curved"
         return line_of_sight(camera, camera_poses, steps, self.vessels, vessel_poses, self.obstacles, curved)

@@ -207,10 +207,10 @@ def test_infinite_numbers_are_unreadable_and_nan_is_as_good_as_empty(tmp_path):
     ],
     ids=["no line", "endless row", "bomb"],
 )
-def test_what_unpacks_to_endless_lines_is_one_error(tmp_path, content, level, says):
+def test_what_unpacks_to_endless_lines_is_one_error(prepared, tmp_path, content, level, says):
     (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(content, level))
     done = subprocess.run(
-        [sys.executable, "-m", "modsim3d.cli", "ais", "bomb.csv.gz", "--out", "scene"],
+        [prepared, "ais", "bomb.csv.gz", "--out", "scene"],
         cwd=tmp_path,
         capture_output=True,
         text=True,

@@ -30,12 +30,12 @@ Start = Callable[..., subprocess.Popen[bytes]]
 
 
 @pytest.fixture
-def start() -> Iterator[Start]:
+def start(prepared: Path) -> Iterator[Start]:
     """A function that starts the command; what still runs at the end of a test is killed."""
     started: list[subprocess.Popen[bytes]] = []
 
     def begin(*arguments: object) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "modsim3d", "stream", *map(str, arguments)]
+        command = [prepared, "stream", *map(str, arguments)]
         pipe = subprocess.PIPE
         started.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True))
         return started[-1]

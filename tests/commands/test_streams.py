@@ -12,9 +12,9 @@ import pytest
 PROGRAM = f"{sys.executable} -m modsim3d"
 
 
-def bash(line: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+def bash(line: str, *arguments: object, program: object = PROGRAM) -> subprocess.CompletedProcess[str]:
     """Run a line of bash, in which MODSIM3D is the program and $1, $2 … are the arguments."""
-    command = ["bash", "-c", line.replace("MODSIM3D", PROGRAM), "bash", *map(str, arguments)]
+    command = ["bash", "-c", line.replace("MODSIM3D", str(program)), "bash", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
 
 
@@ -31,11 +31,11 @@ def other_detector(run: Path, folder: Path) -> Path:
 @pytest.mark.parametrize("obeys", [True, False])
 @pytest.mark.parametrize("reader", ["head -1", "true"])
 def test_the_status_of_verify_is_its_verdict_whoever_reads(
-    run: Path, tmp_path: Path, reader: str, obeys: bool, options: str
+    run: Path, prepared: Path, tmp_path: Path, reader: str, obeys: bool, options: str
 ) -> None:
     detector = next((run / "scene").glob("detector.*")) if obeys else other_detector(run, tmp_path)
     line = f'MODSIM3D verify "$1" --detector "$2" --out "$3" {options} | {reader} >/dev/null; echo ${{PIPESTATUS[0]}}'
-    done = bash(line, run, detector, tmp_path / "out")
+    done = bash(line, run, detector, tmp_path / "out", program=prepared)
     assert done.stdout == f"{0 if obeys else 1}\n"
     assert done.stderr == ""
     assert json.loads((tmp_path / "out" / "verify.json").read_text())["obeys"] is obeys
@@ -50,9 +50,9 @@ def test_no_command_minds_a_reader_that_goes_away(arguments: str, unbuffered: st
     assert (done.stdout, done.stderr) == ("0\n", "")
 
 
-def test_a_run_whose_bar_and_summary_nobody_reads_is_finished(scene: Path, tmp_path: Path) -> None:
+def test_a_run_whose_bar_and_summary_nobody_reads_is_finished(scene: Path, prepared: Path, tmp_path: Path) -> None:
     line = 'MODSIM3D run "$1" --source analytic --no-sheet --out "$2" 2>&1 | true; echo ${PIPESTATUS[0]}'
-    assert bash(line, scene, tmp_path / "run").stdout == "0\n"
+    assert bash(line, scene, tmp_path / "run", program=prepared).stdout == "0\n"
     assert (tmp_path / "run" / "run.json").exists()
 
 
@@ -61,8 +61,8 @@ def test_an_error_keeps_its_status_when_nobody_reads() -> None:
     assert done.stdout == "2\n"
 
 
-def test_the_first_line_of_json_is_the_whole_object(run: Path, tmp_path: Path) -> None:
-    done = bash('MODSIM3D verify "$1" --out "$2" --json | head -1', run, tmp_path)
+def test_the_first_line_of_json_is_the_whole_object(run: Path, prepared: Path, tmp_path: Path) -> None:
+    done = bash('MODSIM3D verify "$1" --out "$2" --json | head -1', run, tmp_path, program=prepared)
     assert json.loads(done.stdout)["command"] == "verify"
 
 

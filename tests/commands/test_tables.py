@@ -7,7 +7,6 @@ import os
 import pty
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -112,8 +111,8 @@ def test_verify_has_every_number_at_any_width(
 
 
 @pytest.mark.parametrize("width", [40, 70])
-def test_an_error_on_a_terminal_is_broken_between_words(width: int) -> None:
-    command = [sys.executable, "-m", "modsim3d", "check", "nowhere/at_all/in_this_folder.yaml"]
+def test_an_error_on_a_terminal_is_broken_between_words(prepared: Path, width: int) -> None:
+    command = [prepared, "check", "nowhere/at_all/in_this_folder.yaml"]
     ours, theirs = pty.openpty()
     done = subprocess.run(
         command, stderr=theirs, timeout=120, check=False, env={**os.environ, "COLUMNS": str(width), "TERM": "xterm"}

@@ -4,7 +4,6 @@ import gzip
 import json
 import runpy
 import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -164,18 +163,8 @@ def test_shipped_files_are_the_source_s_json(scene):
     assert (BASIN / "poses.json.gz").stat().st_size < 1_000_000
 
 
-def test_simulation_3_runs_with_a_file_for_each_camera(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "modsim3d.cli",
-        "run",
-        "simulation_3",
-        "--steps",
-        "60",
-        "--out",
-        str(tmp_path / "o"),
-    ]
+def test_simulation_3_runs_with_a_file_for_each_camera(prepared, tmp_path):
+    command = [prepared, "run", "simulation_3", "--steps", "60", "--out", str(tmp_path / "o")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     names = {path.name for path in (tmp_path / "o").iterdir()}

@@ -24,19 +24,8 @@ def blocks(page):
         yield found["language"], found["text"], Path(saved[1]) if saved else None
 
 
-@pytest.fixture(scope="module")
-def commands(tmp_path_factory):
-    """The folder of a `modsim3d` that starts at once."""
-    folder = tmp_path_factory.mktemp("commands")
-    line = [sys.executable, "-m", "tests.packaging.prepared_commands", str(folder)]
-    with subprocess.Popen(line, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout.readline() == "ready\n"
-        yield folder
-        server.stdin.close()
-
-
-def run_shell(text, folder, commands):
-    path = os.pathsep.join([str(commands), str(Path(sys.executable).parent), os.environ["PATH"]])
+def run_shell(text, folder, prepared):
+    path = os.pathsep.join([str(prepared.parent), str(Path(sys.executable).parent), os.environ["PATH"]])
     finished = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", text],
         cwd=folder,
@@ -50,7 +39,7 @@ def run_shell(text, folder, commands):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_a_page_runs_as_printed(page, tmp_path, monkeypatch, commands):
+def test_a_page_runs_as_printed(page, tmp_path, monkeypatch, prepared):
     monkeypatch.chdir(tmp_path)
     names, said = {"__name__": "__main__"}, ""
     for language, text, file in blocks(page):
@@ -58,7 +47,7 @@ def test_a_page_runs_as_printed(page, tmp_path, monkeypatch, commands):
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8")
         elif language == "bash":
-            said += run_shell(text, tmp_path, commands)
+            said += run_shell(text, tmp_path, prepared)
         elif language == "text" and text.startswith(SUMMARY):
             assert {" ".join(line.split()) for line in text.splitlines()} <= {
                 " ".join(line.split()) for line in said.splitlines()

@@ -66,6 +66,22 @@ def test_campaign_lists_the_campaigns_and_refuses_any_other() -> None:
     assert (finished.returncode, finished.stderr) == (2, listed)
 
 
+def test_campaign_sets_up_and_runs_the_one_that_is_named(tmp_path: Path) -> None:
+    (tmp_path / "script").mkdir()
+    script = Path(shutil.copy(REPOSITORY / "script" / "campaign", tmp_path / "script"))
+    for command in (tmp_path / "script" / "setup", tmp_path / ".venv" / "bin" / "python"):
+        command.parent.mkdir(parents=True, exist_ok=True)
+        command.write_text('#!/bin/sh\necho "${0##*/} $@ in ${PYTHONPATH%%:*}"\n')
+        command.chmod(0o755)
+    campaign = tmp_path / "benchmarks" / "campaigns" / "short.py"
+    campaign.parent.mkdir(parents=True)
+    campaign.touch()
+    environment = {**os.environ, "PYTHONPATH": "elsewhere"}
+    line = [script, "short", "--scenes", "3"]
+    finished = subprocess.run(line, capture_output=True, text=True, check=True, env=environment)
+    assert finished.stdout == f"setup test in elsewhere\npython {campaign} --scenes 3 in {tmp_path}\n"
+
+
 def test_setup_refuses_an_unknown_purpose(tmp_path: Path) -> None:
     finished = subprocess.run([copy_of_setup(tmp_path), "everything"], capture_output=True, text=True)
     assert finished.returncode == 2

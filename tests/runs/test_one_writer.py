@@ -23,8 +23,8 @@ def command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "modsim3d.cli", *map(str, arguments)]
 
 
-def done(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=LONG_S, check=False)
+def done(program: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([program, *map(str, arguments)], capture_output=True, text=True, timeout=LONG_S, check=False)
 
 
 def stopped_after_a_block(out: Path, *options: object, by: signal.Signals = signal.SIGSTOP) -> subprocess.Popen[bytes]:
@@ -53,10 +53,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("option", ["--resume", "--overwrite"])
-def test_a_second_process_is_refused_by_name_and_the_first_run_is_whole(tmp_path, whole, option):
+def test_a_second_process_is_refused_by_name_and_the_first_run_is_whole(prepared, tmp_path, whole, option):
     first = stopped_after_a_block(tmp_path / "run")
     try:
-        second = done(*RUN, "--out", tmp_path / "run", option)
+        second = done(prepared, *RUN, "--out", tmp_path / "run", option)
     finally:
         first.send_signal(signal.SIGCONT)
     assert second.returncode == 2
@@ -66,19 +66,19 @@ def test_a_second_process_is_refused_by_name_and_the_first_run_is_whole(tmp_path
     assert contents(tmp_path / "run") == whole
 
 
-def test_a_folder_is_free_at_once_when_its_writer_and_workers_were_killed(tmp_path, whole):
+def test_a_folder_is_free_at_once_when_its_writer_and_workers_were_killed(prepared, tmp_path, whole):
     first = stopped_after_a_block(tmp_path / "run", "--workers", 2, by=signal.SIGKILL)
     first.wait(LONG_S)
-    second = done(*RUN, "--out", tmp_path / "run", "--resume", "--workers", 2)
+    second = done(prepared, *RUN, "--out", tmp_path / "run", "--resume", "--workers", 2)
     assert second.returncode == 0, second.stderr
     assert contents(tmp_path / "run") == whole
     assert not (tmp_path / "run" / LOCK_FILE).exists()
 
 
-def test_detect_is_refused_while_another_process_writes(tmp_path):
+def test_detect_is_refused_while_another_process_writes(prepared, tmp_path):
     run_scene(load_scene("simulation_1", source="analytic", steps=5), tmp_path / "first")
     with locked_folder(tmp_path / "second"):
-        refused = done("detect", tmp_path / "first", "--out", tmp_path / "second")
+        refused = done(prepared, "detect", tmp_path / "first", "--out", tmp_path / "second")
     assert refused.returncode == 2
     assert f"process {os.getpid()} on " in refused.stderr
     assert not (tmp_path / "second").exists()

@@ -81,8 +81,8 @@ def test_blocks_of_another_length_change_no_byte(
     assert contents(folder / "short_blocks") == contents(run)
 
 
-def test_two_workers_write_the_bytes_of_one(folder: Path, run: Path) -> None:
-    command = [sys.executable, "-m", "modsim3d.cli", "run", str(folder / "scene.yaml"), "--no-sheet"]
+def test_two_workers_write_the_bytes_of_one(prepared: Path, folder: Path, run: Path) -> None:
+    command = [prepared, "run", str(folder / "scene.yaml"), "--no-sheet"]
     done = subprocess.run(
         [*command, "--workers", "2", "--out", str(folder / "two")],
         capture_output=True,
@@ -152,8 +152,8 @@ def test_the_bias_of_truncation_is_in_the_run_file(tmp_path: Path) -> None:
     assert excellent["detections"] == len(errors)
 
 
-def test_a_contact_sheet_shows_the_detections_of_the_run(folder: Path) -> None:
-    command = [sys.executable, "-m", "modsim3d.cli", "run", str(folder / "scene.yaml"), "--steps", "100"]
+def test_a_contact_sheet_shows_the_detections_of_the_run(prepared: Path, folder: Path) -> None:
+    command = [prepared, "run", str(folder / "scene.yaml"), "--steps", "100"]
     done = subprocess.run(
         [*command, "--out", str(folder / "drawn")], capture_output=True, text=True, timeout=120, check=False
     )

@@ -185,11 +185,9 @@ def test_what_has_come_can_be_simulated_again(tmp_path, stdin):
     np.testing.assert_equal(boxes[0], boxes[1])
 
 
-def process(path, out, *options):
-    command = [sys.executable, "-m", "modsim3d.cli", "run", str(path), "--out", str(out), "--no-sheet", *options]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+def process(program, path, out):
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen(command, env=environment, **pipes)
+    return subprocess.Popen([program, "run", path, "--out", out, "--no-sheet"], **pipes)
 
 
 def wait_for_lines(path, count):
@@ -203,9 +201,9 @@ def wait_for_lines(path, count):
     raise AssertionError(f"{path} never had {count} lines")
 
 
-def test_a_real_process_answers_each_line_with_a_line(tmp_path):
+def test_a_real_process_answers_each_line_with_a_line(prepared, tmp_path):
     out = tmp_path / "out"
-    with process(scene_of(tmp_path, {"stream": "-"}, "rendered"), out) as running:
+    with process(prepared, scene_of(tmp_path, {"stream": "-"}, "rendered"), out) as running:
         for step in range(4):
             running.stdin.write(line(step, "own", "a").encode())
             running.stdin.flush()
@@ -221,10 +219,10 @@ def test_a_real_process_answers_each_line_with_a_line(tmp_path):
     assert not (out / "unfinished").exists()
 
 
-def test_a_file_is_followed_while_it_is_written(tmp_path):
+def test_a_file_is_followed_while_it_is_written(prepared, tmp_path):
     path, out = tmp_path / "live.jsonl", tmp_path / "out"
     path.write_text(line(0, "own"))
-    with process(scene_of(tmp_path, {"stream": {"file": "live.jsonl", "timeout_s": 60.0}}), out) as running:
+    with process(prepared, scene_of(tmp_path, {"stream": {"file": "live.jsonl", "timeout_s": 60.0}}), out) as running:
         detections = out / "unfinished" / "detections_C0.jsonl"
         wait_for_lines(detections, 1)
         half = line(1, "own", "a")

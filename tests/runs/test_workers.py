@@ -12,17 +12,17 @@ import pytest
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 
-COMMAND = [sys.executable, "-m", "modsim3d.cli", "run", "harbour", "--no-sheet"]
+COMMAND = ["run", "harbour", "--no-sheet"]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != "run.log"}
 
 
-def test_two_workers_write_the_bytes_of_one(tmp_path):
+def test_two_workers_write_the_bytes_of_one(prepared, tmp_path):
     for workers in ("1", "2"):
         out = ["--steps", "330", "--workers", workers, "--out", str(tmp_path / workers)]
-        done = subprocess.run([*COMMAND, *out], capture_output=True, text=True, timeout=120, check=False)
+        done = subprocess.run([prepared, *COMMAND, *out], capture_output=True, text=True, timeout=120, check=False)
         assert done.returncode == 0, done.stderr
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
 
@@ -33,7 +33,8 @@ def children(pid: int) -> list[int]:
 
 def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_block(tmp_path):
     # A short block and a long one, drawn slowly, so that a worker is still busy when the first block is kept.
-    command = [*COMMAND[:-2], "simulation_2", "--no-sheet", "--steps", "300", "--render", "full"]
+    command = [sys.executable, "-m", "modsim3d.cli", "run", "simulation_2", "--no-sheet", "--steps", "300"]
+    command += ["--render", "full"]
     out = ["--workers", "2", "--out", str(tmp_path / "run")]
     running = subprocess.Popen([*command, *out], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     parts = tmp_path / "run" / "unfinished"
@@ -55,12 +56,12 @@ def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_blo
     assert contents(tmp_path / "run") == contents(tmp_path / "whole")
 
 
-def test_workers_without_a_renderer_say_what_one_process_says(tmp_path):
+def test_workers_without_a_renderer_say_what_one_process_says(prepared, tmp_path):
     said = []
     for workers in ("1", "2"):
         out = ["--steps", "5", "--workers", workers, "--out", str(tmp_path / workers)]
         done = subprocess.run(
-            [*COMMAND, *out],
+            [prepared, *COMMAND, *out],
             capture_output=True,
             text=True,
             timeout=60,
@@ -73,9 +74,9 @@ def test_workers_without_a_renderer_say_what_one_process_says(tmp_path):
     assert len(said[0]) == 1
 
 
-def test_interrupted_command_says_how_to_go_on(tmp_path):
+def test_interrupted_command_says_how_to_go_on(prepared, tmp_path):
     # A scene of many blocks, so that it cannot be done before this process has seen the first of them.
-    command = [*COMMAND[:-2], "simulation_2", "--no-sheet", "--render", "full", "--out", str(tmp_path / "run")]
+    command = [prepared, "run", "simulation_2", "--no-sheet", "--render", "full", "--out", str(tmp_path / "run")]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     parts = tmp_path / "run" / "unfinished"
     deadline = time.monotonic() + 60
@@ -109,6 +110,6 @@ def test_script_without_a_main_guard_is_told_what_to_do(tmp_path):
 
 
 @pytest.mark.parametrize("workers", ["0", "-1", "two"])
-def test_number_of_workers_must_be_positive(workers, tmp_path):
+def test_number_of_workers_must_be_positive(prepared, workers, tmp_path):
     out = ["--workers", workers, "--out", str(tmp_path / "run")]
-    assert subprocess.run([*COMMAND, *out], capture_output=True, check=False, timeout=60).returncode == 2
+    assert subprocess.run([prepared, *COMMAND, *out], capture_output=True, check=False, timeout=60).returncode == 2

@@ -13,10 +13,7 @@ from modsim3d.scene.reading import load_scene
 from tests.scenes import crossing
 
 STALLING = """
-import os, sys, time
-# As `cli.main` does it, before numpy starts threads: workers must be copies of this process, with the film that stalls.
-os.environ.update(OPENBLAS_NUM_THREADS="1", JE_ARROW_MALLOC_CONF="background_thread:false")
-from modsim3d import cli
+import time
 from modsim3d.view.films.renderer import FilmRenderer
 
 draw, asked = FilmRenderer.draw, []
@@ -28,9 +25,15 @@ def stalling(self, step_frames):
         {then}
     return draw(self, step_frames)
 
-FilmRenderer.draw = stalling  # also in workers, which import this file or are copies of the process
+FilmRenderer.draw = stalling  # also in workers, which import the file below or are copies of the process
+"""
+ALONE = """
+import os, sys
+# As `cli.main` does it, before numpy starts threads.
+os.environ.update(OPENBLAS_NUM_THREADS="1", JE_ARROW_MALLOC_CONF="background_thread:false")
+from modsim3d import cli
+exec(open({stalling!r}).read())
 if __name__ == "__main__":
-    sys.argv[1:1] = ["view"]
     cli.main()
 """
 MIDDLE = 11
@@ -45,18 +48,31 @@ def run(tmp_path_factory):
     return folder / "run"
 
 
-def stalled(run, out, *options, frame=MIDDLE, then=WAIT):
-    """A command that has drawn some frames of a film, in a session of its own."""
-    script = run.parent / "stalling.py"
-    script.write_text(STALLING.format(frame=frame, then=then))
-    arguments = (script, run, "--film", "detections", "--width", "320", "--out", out, *options)
-    command = [sys.executable, *map(str, arguments)]
-    pipe = subprocess.PIPE
-    drawing = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
-    assert drawing.stdout is not None
-    if drawing.stdout.readline() != "in the middle\n":
-        raise AssertionError(drawing.communicate()[1])
-    return drawing
+@pytest.fixture
+def stalled(run, prepared):
+    """A function that starts a command, which then has drawn some frames of a film."""
+
+    def begin(out, *options, frame=MIDDLE, then=WAIT, alone=False):
+        """`alone`: an interpreter with its own script and session, for workers and what cannot be passed on."""
+        stalling, script = run.parent / "stalling.py", run.parent / "alone.py"
+        stalling.write_text(STALLING.format(frame=frame, then=then))
+        script.write_text(ALONE.format(stalling=str(stalling)))
+        program = [sys.executable, script] if alone else [prepared]
+        arguments = ("view", run, "--film", "detections", "--width", "320", "--out", out, *options)
+        drawing = subprocess.Popen(
+            [*map(str, program), *map(str, arguments)],
+            env=dict(os.environ) if alone else {**os.environ, "FIRST": str(stalling)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        assert drawing.stdout is not None
+        if drawing.stdout.readline() != "in the middle\n":
+            raise AssertionError(drawing.communicate()[1])
+        return drawing
+
+    return begin
 
 
 def entries(folder):
@@ -80,9 +96,9 @@ def encoders_of(folder):
     ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)], ids=lambda it: str(it)
 )
 @pytest.mark.parametrize("name", ["film.mp4", "film.gif", "film"])
-def test_a_stopped_film_leaves_nothing(run, tmp_path, name, number, status):
+def test_a_stopped_film_leaves_nothing(stalled, tmp_path, name, number, status):
     options = () if "." in name else ("--format", "png")
-    drawing = stalled(run, tmp_path / name, *options)
+    drawing = stalled(tmp_path / name, *options)
     assert any(".partial" in entry for entry in entries(tmp_path))
     drawing.send_signal(number)
     _, said = drawing.communicate(timeout=60)
@@ -93,17 +109,17 @@ def test_a_stopped_film_leaves_nothing(run, tmp_path, name, number, status):
     assert not encoders_of(tmp_path)
 
 
-def test_a_stopped_film_replaces_nothing(run, tmp_path):
+def test_a_stopped_film_replaces_nothing(stalled, tmp_path):
     (tmp_path / "film.mp4").write_bytes(b"the film before")
-    drawing = stalled(run, tmp_path / "film.mp4", "--overwrite")
+    drawing = stalled(tmp_path / "film.mp4", "--overwrite")
     drawing.send_signal(signal.SIGTERM)
     drawing.communicate(timeout=60)
     assert entries(tmp_path) == ["film.mp4"]
     assert (tmp_path / "film.mp4").read_bytes() == b"the film before"
 
 
-def test_a_film_that_fails_in_the_middle_leaves_nothing(run, tmp_path):
-    drawing = stalled(run, tmp_path / "film.mp4", then="raise ZeroDivisionError")
+def test_a_film_that_fails_in_the_middle_leaves_nothing(stalled, tmp_path):
+    drawing = stalled(tmp_path / "film.mp4", then="raise ZeroDivisionError")
     drawing.communicate(timeout=60)
     assert drawing.returncode != 0
     assert entries(tmp_path) == []
@@ -111,9 +127,9 @@ def test_a_film_that_fails_in_the_middle_leaves_nothing(run, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_film_of_several_workers_can_be_stopped(run, tmp_path, number):
+def test_a_film_of_several_workers_can_be_stopped(stalled, tmp_path, number):
     """Frame 3, as each worker counts its own, and not for long, as a worker ends what it has begun."""
-    drawing = stalled(run, tmp_path / "film.mp4", "--workers", "2", frame=3, then="time.sleep(2)")
+    drawing = stalled(tmp_path / "film.mp4", "--workers", "2", frame=3, then="time.sleep(2)", alone=True)
     drawing.send_signal(number)
     _, said = drawing.communicate(timeout=60)
     assert drawing.returncode == 128 + number
@@ -122,29 +138,29 @@ def test_a_film_of_several_workers_can_be_stopped(run, tmp_path, number):
     assert entries(tmp_path) == []
 
 
-def test_a_killed_film_leaves_what_the_next_one_removes(run, tmp_path):
-    drawing = stalled(run, tmp_path / "film.mp4")
+def test_a_killed_film_leaves_what_the_next_one_removes(stalled, run, prepared, tmp_path):
+    drawing = stalled(tmp_path / "film.mp4", alone=True)
     drawing.kill()
     drawing.communicate(timeout=60)
     left = entries(tmp_path)
     assert left
     assert all(entry.startswith(".film.") and entry.endswith((".partial.mp4", ".lock")) for entry in left), left
-    command = [sys.executable, "-m", "modsim3d.cli", "view", str(run), "--film", "detections", "--width", "320"]
-    subprocess.run([*command, "--out", str(tmp_path / "film.mp4")], check=True, capture_output=True, timeout=60)
+    command = [prepared, "view", run, "--film", "detections", "--width", "320", "--out", tmp_path / "film.mp4"]
+    subprocess.run(command, check=True, capture_output=True, timeout=60)
     assert entries(tmp_path) == ["film.mp4"]
 
 
-def test_what_is_coming_is_said_before_it_is_drawn(run, tmp_path):
-    drawing = stalled(run, tmp_path / "film.mp4", frame=1)
+def test_what_is_coming_is_said_before_it_is_drawn(stalled, tmp_path):
+    drawing = stalled(tmp_path / "film.mp4", frame=1)
     assert drawing.stderr is not None
     assert drawing.stderr.readline() == "film.mp4: 12 frames, 12.0 s at 5 pictures/s\n"
     drawing.send_signal(signal.SIGINT)
     drawing.communicate(timeout=60)
 
 
-def test_a_worker_is_stopped_without_a_word(run, tmp_path):
+def test_a_worker_is_stopped_without_a_word(stalled, tmp_path):
     """A signal to the whole group, as a terminal that is closed sends it."""
-    drawing = stalled(run, tmp_path / "film.mp4", "--workers", "2", frame=3, then="time.sleep(2)")
+    drawing = stalled(tmp_path / "film.mp4", "--workers", "2", frame=3, then="time.sleep(2)", alone=True)
     os.killpg(drawing.pid, signal.SIGHUP)
     _, said = drawing.communicate(timeout=60)
     assert drawing.returncode == 129

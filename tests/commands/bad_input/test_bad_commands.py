@@ -168,8 +168,8 @@ def test_without_an_opengl_library_the_package_to_install_is_named(
 # ---- as its own process -----------------------------------------------------------------------------------------
 
 
-def process(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "modsim3d.cli", *map(str, arguments)]
+def process(*arguments: object, program: Path | None = None, **options: Any) -> subprocess.CompletedProcess[str]:
+    command = [*([program] if program else [sys.executable, "-m", "modsim3d.cli"]), *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, **options)
 
 
@@ -181,10 +181,10 @@ def test_unknown_backend_is_told_by_a_real_process(inputs: Inputs, tmp_path: Pat
     assert not (tmp_path / "out").exists()
 
 
-def test_a_real_process_says_it_on_standard_error_only(inputs: Inputs) -> None:
+def test_a_real_process_says_it_on_standard_error_only(inputs: Inputs, prepared: Path) -> None:
     inputs.set("vessels", "\ud800", GOOD["vessels"]["vehicle2"])
     inputs.set("scene", "sed", 1)
-    done = process("check", inputs.write())
+    done = process("check", inputs.write(), program=prepared)
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.startswith("modsim3d: scene ")
@@ -193,7 +193,7 @@ def test_a_real_process_says_it_on_standard_error_only(inputs: Inputs) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_a_full_disk_is_told_and_the_run_can_go_on(inputs: Inputs, tmp_path: Path) -> None:
+def test_a_full_disk_is_told_and_the_run_can_go_on(inputs: Inputs, prepared: Path, tmp_path: Path) -> None:
     # Poses that need no file, so that the disk is full only after the scene has been copied.
     inputs.data["scene"] |= {"poses": CIRCULAR, "steps": 120, "time_step_s": 0.5}
     scene, out = inputs.write(), tmp_path / "out"
@@ -201,7 +201,7 @@ def test_a_full_disk_is_told_and_the_run_can_go_on(inputs: Inputs, tmp_path: Pat
     def small_files() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
-    done = process("run", scene, "--out", out, "--no-sheet", preexec_fn=small_files)
+    done = process("run", scene, "--out", out, "--no-sheet", program=prepared, preexec_fn=small_files)
     assert done.returncode == 2, done.stderr
     assert f"{out} cannot be written to" in done.stderr
     assert "what was finished is kept: go on with --resume" in done.stderr

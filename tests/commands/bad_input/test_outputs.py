@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import resource
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -145,14 +144,16 @@ FULL = [
     ("page.html", ("report",)),
     ("picture.png", ("view", "--frame", "3")),
     ("map.png", ("view", "--map")),
-    ("film.gif", ("view", "--film", "ids")),
-    ("film.mp4", ("view", "--film", "ids")),
+    ("film.gif", ("view", "--film", "ids", "--width", "320")),
+    ("film.mp4", ("view", "--film", "ids", "--width", "320")),
     ("film", ("view", "--film", "detections", "--format", "png", "--width", "1600")),
 ]
 
 
 @pytest.mark.parametrize(("name", "words"), FULL, ids=[name for name, _ in FULL])
-def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_named(run, tmp_path, name, words):
+def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_named(
+    run, prepared, tmp_path, name, words
+):
     out = tmp_path / name
     if name == "film":
         out.mkdir()
@@ -160,7 +161,7 @@ def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_n
     before = content(tmp_path)
     command, *options = words
     done = subprocess.run(
-        [sys.executable, "-m", "modsim3d.cli", command, str(run), *options, "--out", str(out), "--overwrite"],
+        [prepared, command, str(run), *options, "--out", str(out), "--overwrite"],
         capture_output=True,
         text=True,
         timeout=120,

@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -18,6 +17,7 @@ from modsim3d.scene.reading import data_folder, load_scene
 from tests.commands.bad_input.builders import Call, Inputs
 from tests.commands.bad_input.writers import scene_file
 
+SMALL = ("--camera", "C0", "--width", "160")
 NOTES = {"notes.txt": "mine", "scene/notes.txt": "mine too", "mine/frame_000001.png": "no film"}
 
 
@@ -63,10 +63,10 @@ def test_nothing_of_the_old_run_stays_beside_the_new_one(inputs, call, tmp_path)
     assert call("run", scene, "--out", out)[0] == 0
     for command in (
         *(("verify", out), ("report", out), ("view", out, "--sheet", "--overwrite"), ("view", out, "--map")),
-        *(("view", out, "--film", kind, "--camera", "C0") for kind in ("detections", "ids", "map", "all")),
-        *(("view", out, "--film", kind, "--camera", "C0", "--format", "png") for kind in ("corners", "map")),
+        *(("view", out, "--film", kind, *SMALL) for kind in ("detections", "ids", "map", "all")),
+        *(("view", out, "--film", kind, *SMALL, "--format", "png") for kind in ("corners", "map")),
         *(("view", out, "--film", kind, "--frame", "1", "--camera", "C0") for kind in ("detections", "scene")),
-        ("view", out, "--film", "corners", "--format", "gif", "--camera", "C0"),
+        ("view", out, "--film", "corners", "--format", "gif", *SMALL),
         ("compare", scene, "--out", out),
     ):
         status, said = call(*command)
@@ -239,11 +239,11 @@ def test_of_a_run_without_a_list_the_files_beside_the_copy_of_its_scene_stay(inp
 
 
 @pytest.mark.parametrize("name", ["run.json", "unfinished/settings.json"])
-def test_a_pipe_in_place_of_a_file_is_not_waited_for(inputs, tmp_path, name):
+def test_a_pipe_in_place_of_a_file_is_not_waited_for(inputs, prepared, tmp_path, name):
     out, scene = tmp_path / "run", inputs.write()
     (out / name).parent.mkdir(parents=True)
     os.mkfifo(out / name)
-    command = (sys.executable, "-m", "modsim3d.cli", "run", scene, "--out", out, "--overwrite")
+    command = (prepared, "run", scene, "--out", out, "--overwrite")
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
     assert "is not a run directory" in done.stderr

@@ -21,7 +21,13 @@ def test_a_wrong_number_of_workers_is_one_line(call: Call, tmp_path: Path, comma
     assert not list(tmp_path.iterdir())
 
 
-def test_auto_is_taken(inputs: Inputs, call: Call, tmp_path: Path) -> None:
+def test_auto_is_taken(inputs: Inputs, call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one worker; what several write for `auto` is looked at in test_worker_count.py."""
+    asked: list[int] = []
+    monkeypatch.setattr("modsim3d.processes._usable_cpus", lambda: asked.append(1) or 1)
     status, said = call("run", inputs.write(), "--workers", "auto", "--no-sheet", "--out", tmp_path / "run")
     assert status == 0, said
+    assert asked
+    asked.clear()
     assert call("repeat", tmp_path / "run", "--workers", "auto")[0] == 0
+    assert asked

@@ -1,0 +1,123 @@
+"""A `modsim3d` that starts in milliseconds: its commands are forks of one process that has imported everything.
+
+    python -m tests.prepared_commands FOLDER
+
+writes an executable `modsim3d` into the folder and serves it until its standard input ends. A command has the
+arguments, folder, environment, files and file size limit of its client, and gets the signals that end the client. If
+the variable `FIRST` names a file of Python, that is run first, in the process of the command.
+"""
+
+import contextlib
+import gc
+import json
+import os
+import resource
+import select
+import signal
+import socket
+import sys
+from pathlib import Path
+
+import modsim3d
+from benchmarks.faults.commands import prepare
+from modsim3d.render.context import choose_backend, prepare_environment
+
+LIBRARIES = (
+    *("OpenGL.GL", "PIL.ImageDraw", "PIL.ImageFont", "PIL.PngImagePlugin", "PIL.JpegImagePlugin"),
+    *("trimesh", "pyrender", "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg"),
+    *("mpl_toolkits.mplot3d", "imageio_ffmpeg", "rosbags.rosbag2", "trackers", "trackeval", "optuna"),
+    *("pyarrow.dataset", "rich.live", "rich.progress", "rich.table"),
+)
+"""What commands import when they need it. Rerun is left out: it starts threads, and a fork needs a single one."""
+
+CLIENT = """\
+#!{python} -IS
+import json, os, resource, signal, socket, sys
+with socket.socket(socket.AF_UNIX) as server:
+    server.connect({address!r})
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    asked = json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ), limits]).encode()
+    socket.send_fds(server, [len(asked).to_bytes(8, "big")], [0, 1, 2])
+    server.sendall(asked)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _: server.sendall(bytes([number])))
+    sys.exit(int(server.recv(8) or b"1"))
+"""
+
+
+def serve(folder: Path) -> None:
+    """Answer each client with the exit status of its command, which has the client's arguments, folder and files."""
+    prepare()
+    backend = choose_backend()
+    prepare_environment(backend)
+    for name in (*LIBRARIES, "OpenGL.EGL" if backend == "egl" else "OpenGL.osmesa", *modules()):
+        __import__(name)
+    prepare()  # once more, because it makes sure that no library has started a thread
+    gc.freeze()  # what is imported stays, and no command looks through it
+    with socket.socket(socket.AF_UNIX) as listening:
+        address = str(folder / "socket")
+        listening.bind(address)
+        listening.listen()
+        client = folder / "modsim3d"
+        client.write_text(CLIENT.format(python=sys.executable, address=address), encoding="utf-8")
+        client.chmod(0o755)
+        print("ready", flush=True)
+        while sys.stdin not in select.select([sys.stdin, listening], [], [])[0]:
+            connection = listening.accept()[0]
+            if os.fork() == 0:
+                listening.close()
+                answer(connection)
+            connection.close()
+            with contextlib.suppress(ChildProcessError):
+                while os.waitpid(-1, os.WNOHANG)[0]:
+                    pass
+
+
+def modules() -> list[str]:
+    """The modules of the package, without those that only keep old names alive."""
+    package = Path(modsim3d.__file__).parent
+    names = [path.relative_to(package.parent).with_suffix("").parts for path in package.rglob("*.py")]
+    return sorted(".".join(name) for name in names if name[1] != "old_paths" and not name[-1].startswith("__"))
+
+
+def answer(connection: socket.socket) -> None:
+    """Run the command of a client in a process of its own; a client that goes away takes it along."""
+    length, files, _, _ = socket.recv_fds(connection, 8, 3)
+    arguments, folder, environment, limits = json.loads(
+        connection.recv(int.from_bytes(length, "big"), socket.MSG_WAITALL)
+    )
+    command = os.fork()
+    if command == 0:
+        for place, file in enumerate(files):
+            os.dup2(file, place)
+        encoding = environment.get("PYTHONIOENCODING")
+        sys.stdin, sys.stdout, sys.stderr = (
+            open(place, mode, encoding=encoding, closefd=False)  # noqa: SIM115
+            for place, mode in enumerate("rww")
+        )
+        connection.close()
+        os.chdir(folder)
+        os.environ.update(environment)
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        sys.argv = ["modsim3d", *arguments]
+        if first := environment.get("FIRST"):
+            exec(Path(first).read_text(encoding="utf-8"), {})
+        from modsim3d.cli import main
+
+        sys.exit(main())
+    for file in (0, 1, 2, *files):  # a reader of the command's output waits until nobody can write to it
+        os.close(file)
+    ended = os.pidfd_open(command)
+    while ended not in select.select([connection, ended], [], [])[0]:
+        number = connection.recv(1)
+        os.kill(command, number[0] if number else signal.SIGTERM)
+        if not number:
+            break
+    status = os.waitstatus_to_exitcode(os.waitpid(command, 0)[1])
+    with contextlib.suppress(BrokenPipeError):
+        connection.sendall(str(status if status >= 0 else 128 - status).encode())
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    serve(Path(sys.argv[1]))
