@@ -49,12 +49,13 @@ def said(traffic):
 def test_the_page_begins_with_the_result(said):
     lines = [line for line in said.splitlines() if line]
     assert lines[0] == "Traffic from AIS"
-    assert lines[1] == (
+    assert lines[1].endswith("what this page rests on")
+    assert lines[2] == (
         "3 of 5 vessels in the scene, from 2024-01-04 10:00:00 UTC to 2024-01-04 10:09:40 UTC: "
         "581 steps, one every 1 s."
     )
     assert (
-        "74 of 83 messages used as positions; 2 positions removed as jumps; length or beam guessed for 1 " in lines[2]
+        "74 of 83 messages used as positions; 2 positions removed as jumps; length or beam guessed for 1 " in lines[3]
     )
 
 
@@ -92,8 +93,8 @@ def test_jumps_are_listed_where_they_were_and_how_far_off(said, traffic):
 def test_the_log_is_named_with_its_checksum(tmp_path):
     log = mixed_log(tmp_path)
     said = text_of(ais_page(traffic_of(log)))
-    checksum = hashlib.sha256(log.read_bytes()).hexdigest()
-    assert f"mixed & more.csv|MarineCadastre|83|sha256:{checksum}|" in said.splitlines()
+    assert hashlib.sha256(log.read_bytes()).hexdigest() in said
+    assert "MarineCadastre, 83 messages" in said
 
 
 def test_what_a_ship_calls_itself_is_no_markup(tmp_path):
@@ -156,4 +157,4 @@ def test_the_command_writes_the_page_and_names_it(monkeypatch, tmp_path, capsys)
     assert f"{out / 'ais.html'}" in capsys.readouterr().out.replace("\n", "")
     written = (out / "ais.html").read_text(encoding="utf-8")
     assert "--duration" in text_of(written)
-    assert not re.search(r"(src|href)=|url\((?!#)|<script", written)  # nothing is fetched
+    assert not re.search(r"(src|href)="(?!#)|url\((?!#)|<script", written)  # nothing is fetched

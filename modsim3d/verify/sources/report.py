@@ -182,7 +182,7 @@ def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, rest
     if figures.intersecting:
         body += [page.heading("Intersecting boxes"), page.table(intersection_rows(figures))]
     if figures.shoebox_against_mesh:
-        body += [page.heading("Shoebox against mesh"), page.table(shoebox_rows(figures))]
+        body += [page.heading("Shoebox against mesh"), _shoebox_table(figures)]
     if worst := findings.rule.worst:
         body.append(page.heading("The rectangle rule's worst mistake"))
         body.append(page.picture(draw_case(scene, worst, renderer, RULE), describe_case(scene, worst)))
@@ -191,6 +191,21 @@ def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, rest
         styles = boxes_that_differ(case.boxes_px)
         body.append(page.picture(draw_case(scene, case, renderer, styles), describe_case(scene, case)))
     return page.page(f"{scene.name}: sources of truth compared", body, rests_on)
+
+
+def _shoebox_table(figures: Figures) -> str:
+    rows = [
+        (
+            vessel,
+            f"{fit.mean_area_ratio:.2f}",
+            f"{fit.max_area_ratio:.2f}",
+            f"{fit.max_side_px:.1f}",
+            _share(fit.within_a_pixel, fit.frames),
+        )
+        for vessel, fit in figures.shoebox_against_mesh.items()
+    ]
+    header = ("vessel", "area over the mesh's", "at most", "farthest side, px", "frames within a pixel")
+    return page.table(rows, header)
 
 
 def _introduction(figures: Figures) -> list[str]:
