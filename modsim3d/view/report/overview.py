@@ -9,6 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Indices, Mask
 from modsim3d.runs.outcomes import Outcome, having
+from modsim3d.view.report.occlusions import Occlusions
 from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column
 from modsim3d.view.report.stretches import Stretches, StretchesBuilder
 
@@ -107,6 +108,7 @@ class Overview:
         self._states = np.zeros((bins, states), dtype=np.int64)
         self._counts = {name: np.zeros(bins, dtype=np.int64) for name in COUNTS}
         self._of_vessels = {name: np.zeros(vessels * bins, dtype=np.int64) for name in VESSEL_COUNTS}
+        self._occlusions = Occlusions(vessels)
         self._rows = [NONE, 0]
         self._found = {name: StretchesBuilder() for name in ("state", HALF, *MOMENT_KINDS)}
 
@@ -115,7 +117,8 @@ class Overview:
         self._found["state"].add(shown.state, shown.index)
         known = shown.state < self._states.shape[1]
         np.add.at(self._states, (shown.index[known] // self.width, shown.state[known]), 1)
-        every, hidden = np.ones(len(shown.vessel), bool), (shown.fraction > 0) & (shown.fraction < WHOLE)
+        every = np.ones(len(shown.vessel), dtype=bool)
+        hidden = self._occlusions.of(shown.truth_index, shown.vessel, shown.fraction)
         self._count("seen", shown.truth_index, shown.vessel, every)
         self._count("annotated", shown.truth_index, shown.vessel, shown.annotated)
         self._count(MISSED, shown.truth_index, shown.vessel, shown.missed)

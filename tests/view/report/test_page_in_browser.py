@@ -17,6 +17,8 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
+from modsim3d.view.report.occlusions import BEGINS, ENDS
+from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.report import write_report
 from tests.scenes import crossing
 from tests.view.report.browser import Browser
@@ -168,12 +170,18 @@ def choose(browser: Browser, select: str, value: str) -> None:
 def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, mistaken_folder):
     run = open_run(mistaken_folder)
     names = run.scene.vessel_names
+    occluded: dict[str, bool] = {}
     wrong: dict[str, set[tuple[int, str | None]]] = {}
     for frame in run.frames():
         if frame.camera != "bow":
             continue
         truth = frame.truth
-        hidden = (truth.visible_fraction > 0) & (truth.visible_fraction < 1)
+        # An occlusion begins where 10% are hidden and ends where 98% are seen: flicker neither begins nor ends one.
+        occluded = {
+            name: int(seen) <= (ENDS if occluded.get(name) else BEGINS)
+            for name, seen in zip(truth.vessels, in_250ths(truth.visible_fraction), strict=True)
+        }
+        hidden = np.array(list(occluded.values()))
         for kind, which in (("missed", truth.annotated & ~truth.detected), ("hidden", hidden)):
             wrong.setdefault(kind, set()).update((frame.step, truth.vessels[i]) for i in np.flatnonzero(which))
         for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):

@@ -2,7 +2,7 @@
 
 const KINDS = [
   ['missed', 'missed'], ['false', 'false alarm'], ['mislabelled', 'wrong class'], ['off', 'off its vessel'], ['bad', 'IoU below 0.5'],
-  ['hidden', 'hidden in part'],
+  ['hidden', 'occluded'],
 ];
 
 class Moments {
