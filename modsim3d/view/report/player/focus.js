@@ -45,7 +45,6 @@ function rove(list) {
     const all = buttons();
     all[clamped(all.indexOf(document.activeElement) + by, 0, all.length - 1)]?.focus();
   };
-  stop(list.querySelector('button'));
   list.addEventListener('focusin', ({ target }) => stop(target));
   onKeys(list, { ArrowUp: next(-1), ArrowDown: next(1) });
 }

@@ -1,6 +1,6 @@
 // How mouse and fingers move an image. One finger and a bare wheel are left to the page, which they scroll.
 
-const TAP_MS = 350, TAP_PX = 30, SHOWN_MS = 1200, SEEK_PX = 8;
+const SHOWN_MS = 1200, SEEK_PX = 8;
 
 function listenToPane(pane, player) {
   const { canvas } = pane, held = new Map(); // where each button or finger that is down is, by its number
@@ -34,7 +34,6 @@ function listenToPane(pane, player) {
   });
   for (const kind of ['pointerup', 'pointercancel']) canvas.addEventListener(kind, (event) => held.delete(event.pointerId));
   canvas.addEventListener('dblclick', () => player.home());
-  listenToTaps(canvas, () => player.home());
 }
 
 // One of two fingers has moved: what was between them stays between them.
@@ -42,17 +41,6 @@ function pinch(pane, before, now, other) {
   const { left, top } = pane.canvas.getBoundingClientRect(), apart = (a, b) => Math.max(Math.hypot(a[0] - b[0], a[1] - b[1]), 1);
   pane.move((now[0] - before[0]) / 2, (now[1] - before[1]) / 2);
   pane.zoom(apart(now, other) / apart(before, other), (now[0] + other[0]) / 2 - left, (now[1] + other[1]) / 2 - top);
-}
-
-// Two taps of a finger at one place: not all browsers call that a double click.
-function listenToTaps(canvas, act) {
-  let last = null;
-  canvas.addEventListener('click', ({ pointerType, clientX, clientY, timeStamp }) => {
-    if (pointerType !== 'touch') return;
-    const again = last && timeStamp - last.at < TAP_MS && Math.hypot(clientX - last.x, clientY - last.y) < TAP_PX;
-    last = again ? null : { at: timeStamp, x: clientX, y: clientY };
-    if (again) act();
-  });
 }
 
 // Shows a text for a moment.
