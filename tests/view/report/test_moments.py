@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
-
-from modsim3d.view.report.overview import Overview, ShownRows
-from modsim3d.view.report.part_columns import in_250ths
 
 KEYS = {"missed": "m", "false": "f", "mislabelled": "l", "bad": "i", "off": "w", "hidden": "o", "state": "s"}
 
@@ -46,43 +41,6 @@ def test_a_kind_that_the_camera_has_none_of_is_said_to_be_missing(browser, page)
     browser.press("l")
     assert browser.run("player.index") == index
     assert browser.run("document.querySelector('#note').textContent") == "C1 has no wrong class (label)"
-
-
-@pytest.mark.parametrize(
-    ("seen", "expected"),
-    [
-        ([1, 0.99, 1, 0.99, 0.95, 1], []),
-        ([1, 0.95, 0.89, 0.95, 0.88, 0.97, 0.99, 0.5], [(2, 5), (7, 7)]),
-        ([0.3, 0, 0.3, None, 0.3], [(0, 2), (4, 4)]),  # out of the image in between
-    ],
-)
-def test_flicker_is_no_onset_of_an_occlusion(seen, expected):
-    found = Overview(len(seen), 2, 1)
-    for part in (slice(0, 3), slice(3, None)):  # moments go on from part to part
-        shown = {index: each for index, each in list(enumerate(seen))[part] if each is not None}
-        found.add(shown_rows(list(shown), in_250ths(np.array(list(shown.values()), dtype=float))))
-    onsets = found.stretches("hidden")
-    assert list(zip(onsets.first.tolist(), onsets.until.tolist(), strict=True)) == expected
-    assert set(onsets.key.tolist()) <= {1}
-
-
-def shown_rows(index: list[int], fraction: NDArray[np.uint8]) -> ShownRows:
-    """One camera that sees vessel 1 at some steps and detects nothing."""
-    count, none = len(index), np.empty(0, dtype=np.int64)
-    at = np.array(index, dtype=np.int64)
-    return ShownRows(
-        index=at,
-        state=np.zeros(count, dtype=np.int64),
-        truth_index=at,
-        vessel=np.ones(count, dtype=np.int64),
-        annotated=np.ones(count, dtype=bool),
-        missed=np.zeros(count, dtype=bool),
-        fraction=fraction.astype(np.int64),
-        rows=np.zeros((count, 2), dtype=np.int64),
-        drawn_index=none,
-        drawn_vessel=none,
-        outcome=none.astype(np.uint8),
-    )
 
 
 def test_the_chosen_moment_plays_again_and_again_with_two_seconds_on_both_sides(browser, mistaken_page):

@@ -7,11 +7,12 @@ from itertools import pairwise
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from modsim3d.view.report.occlusions import BEGINS, ENDS, Occlusions
+from modsim3d.view.report.overview import BEGINS, ENDS, Overview, ShownRows
 
 STEPS, VESSELS = 12, 3
-FRACTIONS = st.sampled_from([None, 0, BEGINS - 1, BEGINS, BEGINS + 1, ENDS - 1, ENDS, ENDS + 1, 250])
+FRACTIONS = st.sampled_from([None, 0, 250, *(int(limit) + k for limit in (BEGINS, ENDS) for k in (-1, 0, 1))])
 
 
 def slowly(fractions: list[int | None]) -> list[bool]:
@@ -29,11 +30,31 @@ def slowly(fractions: list[int | None]) -> list[bool]:
     st.sets(st.integers(1, STEPS - 1)),
 )
 def test_occlusions_are_those_of_a_loop_over_steps_whatever_the_parts(fractions, cuts):
-    occlusions = Occlusions(VESSELS)
+    overview = Overview(STEPS, VESSELS, 1)
+    for start, stop in pairwise([0, *sorted(cuts), STEPS]):
+        rows = [(i, v, fractions[v][i]) for i in range(start, stop) for v in range(VESSELS)]
+        overview.add(shown(np.arange(start, stop), [row for row in rows if row[2] is not None]))
+    onsets = overview.stretches("hidden")
     found = np.zeros((VESSELS, STEPS), dtype=bool)
-    edges = [0, *sorted(cuts), STEPS]
-    for start, stop in pairwise(edges):
-        rows = [(i, v) for i in range(start, stop) for v in range(VESSELS) if fractions[v][i] is not None]
-        index, vessel = np.array(rows, dtype=int).reshape(-1, 2).T
-        found[vessel, index] = occlusions.of(index, vessel, np.array([fractions[v][i] for i, v in rows], dtype=int))
+    for vessel, first, until in zip(onsets.key, onsets.first, onsets.until, strict=True):
+        found[vessel, first : until + 1] = True
     np.testing.assert_array_equal(found, [slowly(each) for each in fractions])
+
+
+def shown(index: NDArray[np.int64], rows: list[tuple[int, int, int]]) -> ShownRows:
+    """One camera at some steps: the step, the vessel and the visible fraction in 250ths of each row of the truth."""
+    at, vessel, fraction = np.array(rows, dtype=np.int64).reshape(-1, 3).T
+    none = np.empty(0, dtype=np.int64)
+    return ShownRows(
+        index=index,
+        state=np.zeros(len(index), dtype=np.int64),
+        truth_index=at,
+        vessel=vessel,
+        annotated=np.ones(len(at), dtype=bool),
+        missed=np.zeros(len(at), dtype=bool),
+        fraction=fraction,
+        rows=np.zeros((len(at), 2), dtype=np.int64),
+        drawn_index=none,
+        drawn_vessel=none,
+        outcome=none.astype(np.uint8),
+    )
