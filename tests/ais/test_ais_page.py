@@ -157,4 +157,4 @@ def test_the_command_writes_the_page_and_names_it(monkeypatch, tmp_path, capsys)
     assert f"{out / 'ais.html'}" in capsys.readouterr().out.replace("\n", "")
     written = (out / "ais.html").read_text(encoding="utf-8")
     assert "--duration" in text_of(written)
-    assert not re.search(r"(src|href)="(?!#)|url\((?!#)|<script", written)  # nothing is fetched
+    assert not re.search(r'(src|href)="(?!#)|url\((?!#)|<script', written)  # nothing is fetched
