@@ -15,8 +15,8 @@ from modsim3d.view.report.parts import PartRows
 
 NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)
 """What stands for the state and the horizon of a camera that has not taken a frame yet."""
-PER_METRE = 10
-"""Depths are in decimetres."""
+PER_METRE = 100
+"""Depths are in centimetres."""
 
 
 class PartFrames:
