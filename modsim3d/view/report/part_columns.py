@@ -16,8 +16,8 @@ from modsim3d.view.report.truth_numbers import number_columns
 
 NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)
 """What stands for the state and the horizon of a camera that has not taken a frame yet."""
-PER_METRE = 10
-"""Depths are in decimetres."""
+PER_METRE = 100
+"""Depths are in centimetres."""
 
 
 class PartFrames:
