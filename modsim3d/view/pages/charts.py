@@ -187,7 +187,7 @@ def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence
             f'<text x="{left + (value - origin) * scale:.1f}" y="{height - 6}" text-anchor="middle" '
             f'fill="var(--soft)">{value:g} {unit}</text>'
         )
-    return svg(width, height, "performance states over time", "".join(parts), "long")
+    return scrolling(svg(width, height, "performance states over time", "".join(parts), "long"))
 
 
 def key(names: Sequence[str], bottom: float) -> str:

@@ -38,7 +38,7 @@ figcaption { color: var(--soft); font-size: 0.95rem; }
 .tiles dt + dd { color: var(--ink); font-size: 1.4rem; font-weight: 600; font-variant-numeric: tabular-nums; }
 @media screen and (max-width: 40rem) {
   body { margin: 1rem auto; }
-  figure { overflow-x: auto; } svg.long { width: 40rem; max-width: none !important; }
+  svg.long { width: 40rem; max-width: none !important; }
   ul { padding-left: 1.2rem; }
 }
 """
