@@ -47,6 +47,7 @@ MENU = {
         "benchmarks/RESULTS",
         "benchmarks/DRAWING",
         "benchmarks/FILMS",
+        "benchmarks/REPORT_PAGE",
         "benchmarks/LATENCY",
         "benchmarks/TRACKING",
         "benchmarks/CAMPAIGNS",
