@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from PIL import Image
 from rerun.chunk import RrdReader
 
 from modsim3d import cli
@@ -15,7 +18,9 @@ from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.rerun_recording import write_recording
+from modsim3d.view import palette
+from modsim3d.view.rerun.pictures import fill
+from modsim3d.view.rerun.recording import write_recording
 from tests.scenes import crossing, mistaken_strait
 
 STEPS, EVERY = 14, 2
@@ -52,12 +57,47 @@ def read(path: Path) -> dict[str, dict[int | None, dict[str, object]]]:
     return found
 
 
+def views(path: Path) -> dict[str, tuple[str, list[str]]]:
+    """What the viewer shows when it opens a recording: title → kind of view and what is in it."""
+    reader = RrdReader(path)
+    (blueprint,) = reader.blueprints()
+    values: dict[str, dict[str, list[object]]] = {}
+    for chunk in reader.stream(store=blueprint).to_chunks():
+        batch = chunk.to_record_batch()
+        for name in (name for name in batch.schema.names if pa.types.is_list(batch.schema.field(name).type)):
+            values.setdefault(chunk.entity_path, {})[name.rpartition(":")[2]] = batch[name].to_pylist()[-1]
+    return {
+        view["display_name"][0]: (view["class_identifier"][0], values[f"{entity}/ViewContents"]["query"])
+        for entity, view in values.items()
+        if "class_identifier" in view
+    }
+
+
 @pytest.fixture(scope="module")
-def recording(run, tmp_path_factory):
+def written(run, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "new" / "run.rrd"
     with pytest.MonkeyPatch.context() as monkeypatch:
         assert call(monkeypatch, "rerun", run, "--out", out, "--every", EVERY) == 0
-    return read(out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def recording(written):
+    return read(written)
+
+
+def latest(entity: dict[int | None, dict[str, object]], step: int) -> dict[str, object]:
+    """What an entity shows at a step: what was logged last."""
+    return entity[max(at for at in entity if at is not None and at <= step)]
+
+
+def test_the_viewer_opens_with_the_camera_the_world_misses_and_states(written):
+    assert views(written) == {
+        "camera C0": ("2D", ["$origin/**"]),
+        "world": ("3D", views(written)["world"][1]),
+        "missed and false": ("TimeSeries", ["/counts/C0/missed", "/counts/C0/false"]),
+        "performance state of the detector": ("StateTimeline", ["/detector/C0"]),
+    }
 
 
 def test_boxes_and_labels_of_every_shown_frame_are_in_it(run, recording):
@@ -74,6 +114,74 @@ def test_boxes_and_labels_of_every_shown_frame_are_in_it(run, recording):
             np.testing.assert_allclose(np.hstack([centres - halves, centres + halves]), boxes, rtol=1e-5, atol=1e-3)
         names = [text.removesuffix(" missed") for text in truth[step]["labels"]]
         assert names == list(frame.truth.vessels)
+
+
+def test_the_camera_sees_sky_sea_and_silhouettes(run, recording):
+    scene, frames = open_run(run).scene, {frame.step: frame for frame in open_run(run).frames()}
+    (camera,), image = scene.cameras, "/world/cameras/C0/image"
+    (scale,) = recording[f"{image}/scene"][None]["scale"]
+    for step in range(0, STEPS, EVERY):
+        half_plane = scene.sea_half_planes(camera, np.array([step]))[0]
+        (ends,) = latest(recording[f"{image}/horizon"], step)["strips"]
+        np.testing.assert_allclose(np.array(ends) @ half_plane[:2] + half_plane[2], 0, atol=1e-3)
+        (blob,) = latest(recording[f"{image}/scene"], step)["blob"]
+        with Image.open(BytesIO(bytes(blob))) as picture:
+            np.testing.assert_allclose(picture.size * np.array(scale[:2]), camera.intrinsics.image_size_px)
+            pixels = np.asarray(picture.convert("RGB"))
+        sky, sea = np.mean(ends, axis=0) + np.array([[0, -40], [0, 40]])
+        for place, colour in ((sky, palette.SKY), (sea, palette.SEA)):
+            column, row = (place / scale[:2]).astype(int)
+            near = pixels[row, max(column - 400, 0) : column + 400]
+            assert np.median((near == colour).all(axis=1)) == 1, (step, colour)
+        lines = latest(recording[f"{image}/silhouettes"], step)
+        ours = zip(lines["labels"], map(np.array, lines["strips"]), strict=True)
+        truth, found = frames[step].truth, dict(ours)
+        for name, box, share in zip(truth.vessels, truth.full_boxes_px, truth.visible_fraction, strict=True):
+            line = found[name]
+            tolerance = scale[0] + 1
+            np.testing.assert_allclose([*line.min(axis=0), *line.max(axis=0)], box, atol=tolerance)
+            if share == 1 and (box[2:] - box[:2]).min() > 4 * scale[0]:
+                column, row = ((box[:2] + box[2:]) / 2 / scale[:2]).astype(int)
+                colour = palette.darker(palette.vessel_colour(scene.vessel_names.index(name)))
+                assert tuple(pixels[row, column]) == colour, (step, name)
+
+
+def test_a_hole_in_a_silhouette_is_not_filled():
+    picture = Image.new("P", (40, 40), 0)
+    square = np.array([(0.0, 0), (1, 0), (1, 1), (0, 1)])
+    fill(picture, [10 + 5 * square[::-1], 2 + 30 * square], 7)
+    pixels = np.asarray(picture)
+    assert pixels[5, 5] == pixels[20, 20] == 7
+    assert pixels[12, 12] == pixels[38, 38] == 0
+
+
+def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(run, recording):
+    names = 0
+    for frame in open_run(run).frames():
+        if frame.step % EVERY:
+            continue
+        image = "/world/cameras/C0/image"
+        missed, false = (recording[f"{image}/{name}"][frame.step] for name in ("missed", "false"))
+        outcomes = frame_outcomes(frame)
+        assert len(missed["labels"] or []) == (frame.truth.annotated & ~frame.truth.detected).sum()
+        assert len(false["labels"] or []) == sum(1 for outcome in outcomes if outcome & Outcome.FALSE_POSITIVE)
+        shown = [text for text in [*(missed["labels"] or []), *(false["labels"] or [])] if text]
+        assert all(text.endswith(" missed") or text.startswith("false: ") for text in shown)
+        names += len(shown)
+        for name in ("truth", "detections"):
+            assert recording[f"{image}/{name}"][frame.step]["show_labels"] == [False]
+    assert names
+
+
+def test_states_have_the_colours_of_the_pages(run, recording):
+    scene, detector = open_run(run).scene, recording["/detector/C0"]
+    states = [state.name for state in scene.detector.states]
+    assert detector[None]["values"] == states
+    colours = [palette.state_colour(index, len(states)) for index in range(len(states))]
+    assert detector[None]["colors"] == [int.from_bytes(bytes([*colour, 255])) for colour in colours]
+    for frame in open_run(run).frames():
+        if frame.step % EVERY == 0:
+            assert latest({k: v for k, v in detector.items() if k is not None}, frame.step)["state"] == [frame.state]
 
 
 def test_detections_say_what_is_wrong_with_them(tmp_path):
