@@ -33,7 +33,7 @@ TRACKS: tuple[Colour, ...] = (
 OBSTACLE: Colour = (122, 122, 122)
 OBSTACLES: tuple[Colour, ...] = (OBSTACLE, (160, 160, 160), (92, 92, 92), (190, 190, 190))
 """Greys in turn, where obstacles are to be told apart."""
-STATES: tuple[Colour, Colour] = ((196, 186, 226), (78, 36, 132))
+STATES: tuple[Colour, Colour] = ((180, 168, 216), (72, 30, 126))
 """The first and the last of a detector's performance states, pale and strong; no vessel has their hue."""
 PAPER: Colour = (250, 250, 248)
 INK: Colour = (30, 30, 30)
@@ -62,10 +62,10 @@ def obstacle_colour(index: int) -> Colour:
     return OBSTACLES[index % len(OBSTACLES)]
 
 
-def state_colour(index: int, states: int) -> Colour:
-    """The colour of a performance state by its place in the detector file: a ramp from pale to strong."""
+def state_colours(states: int) -> list[Colour]:
+    """The colours of a detector's performance states in the order of its file: a ramp from pale to strong."""
     first, last = STATES
-    return mixed(first, last, index / (states - 1)) if states > 1 else first
+    return [mixed(first, last, index / max(states - 1, 1)) for index in range(states)]
 
 
 def css(colour: Colour) -> str:

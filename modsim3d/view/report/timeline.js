@@ -78,7 +78,7 @@ class Timeline {
       const name = facts.states[state[from]];
       if (context.measureText(name).width + 8 >= wide) continue;
       const dark = facts.states.length > 1 && state[from] > (facts.states.length - 1) / 2;
-      this.text(context, name, x + 4, STATE_PX / 2 + 1, wide, dark ? '--paper' : '--ink');
+      this.text(context, name, x + 4, STATE_PX / 2 + 1, wide, dark ? '--on-strong' : '--on-pale');
     }
   }
 

@@ -61,8 +61,8 @@ class Boxes:
         """Log how counts and states are drawn."""
         sdk, model = self.log.sdk, self.log.scene.detector
         names = [state.name for state in model.states]
-        colours = [palette.state_colour(index, len(names)) for index in range(len(names))]
-        look = sdk.StateConfiguration(values=names, colors=np.array(colours, dtype=np.uint8))
+        colours = np.array(palette.state_colours(len(names)), dtype=np.uint8)
+        look = sdk.StateConfiguration(values=names, colors=colours)
         many = len(self.log.scene.cameras) > 1
         for index, camera in enumerate(self.log.scene.cameras):
             self.log.put(["detector", camera.name], look, static=True)
