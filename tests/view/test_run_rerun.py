@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from io import BytesIO
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,14 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
+from modsim3d.view.rerun.boxes import TEXT
 from modsim3d.view.rerun.pictures import fill
 from modsim3d.view.rerun.recording import write_recording
 from tests.scenes import crossing, mistaken_strait
 
 STEPS, EVERY = 14, 2
+SOME = 20
+"""Every so many steps of a longer run are recorded."""
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +88,16 @@ def written(run, tmp_path_factory):
 @pytest.fixture(scope="module")
 def recording(written):
     return read(written)
+
+
+@pytest.fixture(scope="module")
+def mistaken(tmp_path_factory):
+    """A run with every kind of mistake, and its recording."""
+    folder = tmp_path_factory.mktemp("mistaken")
+    run_scene(load_scene(mistaken_strait(folder)), folder / "run")
+    run = open_run(folder / "run")
+    write_recording(run, folder / "run.rrd", SOME)
+    return run, read(folder / "run.rrd")
 
 
 def latest(entity: dict[int | None, dict[str, object]], step: int) -> dict[str, object]:
@@ -159,22 +173,31 @@ def test_a_hole_in_a_silhouette_is_not_filled():
     assert pixels[12, 12] == pixels[38, 38] == 0
 
 
-def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(run, recording):
-    names = 0
-    for frame in open_run(run).frames():
-        if frame.step % EVERY:
+def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(mistaken):
+    run, found = mistaken
+    shown = hidden = 0
+    sizes = {camera.name: camera.intrinsics.image_size_px for camera in run.scene.cameras}
+    for frame in run.frames():
+        if frame.step % SOME:
             continue
-        image = "/world/cameras/C0/image"
-        missed, false = (recording[f"{image}/{name}"][frame.step] for name in ("missed", "false"))
-        outcomes = frame_outcomes(frame)
+        image, places = f"/world/cameras/{frame.camera}/image", []
+        missed, false = (found[f"{image}/{name}"][frame.step] for name in ("missed", "false"))
         assert len(missed["labels"] or []) == (frame.truth.annotated & ~frame.truth.detected).sum()
-        assert len(false["labels"] or []) == sum(1 for outcome in outcomes if outcome & Outcome.FALSE_POSITIVE)
-        shown = [text for text in [*(missed["labels"] or []), *(false["labels"] or [])] if text]
-        assert all(text.endswith(" missed") or text.startswith("false: ") for text in shown)
-        names += len(shown)
+        assert len(false["labels"] or []) == sum(bool(each & Outcome.FALSE_POSITIVE) for each in frame_outcomes(frame))
+        for boxes in (missed, false):
+            for text, centre, half in zip(
+                *(boxes[key] or [] for key in ("labels", "centers", "half_sizes")), strict=True
+            ):
+                assert not text or text.endswith(" missed") or text.startswith("false: ")
+                hidden += not text
+                if text:
+                    places.append(np.array([centre[0], centre[1] + half[1]]) / sizes[frame.camera])
+        apart = [np.abs(one - other) for one, other in combinations(places, 2)]
+        assert all((distance >= np.array(TEXT) - 1e-5).any() for distance in apart)
+        shown += len(places)
         for name in ("truth", "detections"):
-            assert recording[f"{image}/{name}"][frame.step]["show_labels"] == [False]
-    assert names
+            assert found[f"{image}/{name}"][frame.step]["show_labels"] == [False]
+    assert shown and hidden
 
 
 def test_states_have_the_colours_of_the_pages(run, recording):
@@ -188,14 +211,11 @@ def test_states_have_the_colours_of_the_pages(run, recording):
             assert latest({k: v for k, v in detector.items() if k is not None}, frame.step)["state"] == [frame.state]
 
 
-def test_detections_say_what_is_wrong_with_them(tmp_path):
-    run_scene(load_scene(mistaken_strait(tmp_path)), tmp_path / "run")
-    run = open_run(tmp_path / "run")
-    write_recording(run, tmp_path / "run.rrd", 10)
-    found = read(tmp_path / "run.rrd")
+def test_detections_say_what_is_wrong_with_them(mistaken):
+    run, found = mistaken
     said: set[str] = set()
     for frame in run.frames():
-        if frame.step % 10:
+        if frame.step % SOME:
             continue
         image, outcomes, rows = f"/world/cameras/{frame.camera}/image", frame_outcomes(frame), detected_rows(frame)
         off = [i for i, outcome in enumerate(outcomes) if outcome & Outcome.OFF_VESSEL]
