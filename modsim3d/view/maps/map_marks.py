@@ -253,7 +253,7 @@ class RangeRings:
         names, height = self._sheet.names, RADIUS_PT * self._sheet.axes.figure.dpi / 72
         for i, (_, text) in enumerate(self._rings):
             if text.get_text():
-                half = np.array([0.32 * len(text.get_text()) * height, 0.0])
+                half = np.array([0.36 * len(text.get_text()) * height, 0.0])
                 at = self._sheet.axes.transData.transform(self._places[i])
                 boxes = np.concatenate([at - half, at + half + [0, 1.2 * height]], axis=1)
                 free = np.flatnonzero(~overlapping(boxes, names.taken_px))
