@@ -215,6 +215,7 @@ class CameraMark:
         self._dot.set_data(*at[None].T)
         if self._name is not None:
             edge_m = CAMERA_NAME_SHARE * min(x1 - x0, y1 - y0)
+            self._name.end_m = np.clip(at, (x0, y0), (x1, y1))
             before = at + edge_m * view[len(view) // 2]
             self._name.place_m = np.clip(before, (x0 + edge_m, y0 + edge_m), (x1 - edge_m, y1 - edge_m))
 

@@ -24,7 +24,7 @@ PAST_TIES_PX = 0.001
 PLACES = np.array(
     [
         *((0.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, -1.0), (-1.0, -1.0)),
-        *((1.0, 1.0), (-1.0, 1.0), (0.0, -2.2), (0.0, 2.2)),
+        *((1.0, 1.0), (-1.0, 1.0)),
     ]
 )
 """Where a name is tried, in sides of what it names: on it, below, above, beside, ..."""
@@ -47,6 +47,7 @@ class MapName:
         vessel: Index of the vessel that has it, None for other things.
         place_m: The middle of the thing, shape (2,); None if the thing is not on the map.
         half_m: Half the size of the thing, shape (2,).
+        end_m: Where the line of a name that stands farther off ends, shape (2,); at the thing if None.
         middle_px: Where the middle of the name was put, in whole pixels, shape (2,); None if there is no room for it.
     """
 
@@ -54,6 +55,7 @@ class MapName:
     vessel: int | None
     place_m: Array | None = None
     half_m: Array = field(default_factory=lambda: np.zeros(2))
+    end_m: Array | None = None
     middle_px: Array | None = None
     _around_px: Array | None = None
 
@@ -136,7 +138,7 @@ class MapNames:
             middles = _middles(page.to_px(name.place_m), name.extent_px(), name.half_m * page.metre_px, page.gap_px)
             if not page.put(name, middles, avoid_lines=True):
                 later.append(name)
-        lines = [line for name in later if name.half_m.any() for line in page.put_away(name)]
+        lines = [line for name in later for line in page.put_away(name)]
         self.leaders.set_segments([line * 72 / self.axes.figure.dpi for line in lines])
         self.taken_px = page.taken
 
@@ -205,7 +207,8 @@ class _Page:
         free = self._free(name, middles)
         boxes = shapely.box(*(middles[free][:, [0, 1, 0, 1]] + name.extent_px()).T)
         body = self.bodies[self.owners == name.vessel]
-        lines = shapely.shortest_line(boxes, body[0] if len(body) else shapely.Point(here))
+        end = shapely.Point(here if name.end_m is None else self.to_px(name.end_m))
+        lines = shapely.shortest_line(boxes, body[0] if len(body) else end)
         names, others = _met(lines, shapely.box(*self.taken.T)), self.bodies[self.owners != name.vessel]
         crossed = _met(lines, np.array([*self.leaders, *others])) | _met(boxes, np.array(self.leaders))
         for allowed in (~names & ~crossed, ~names):
