@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -300,6 +302,11 @@ def test_what_is_wrong_is_said(monkeypatch, capsys, run, tmp_path, arguments, wo
     assert "Traceback" not in said
     assert all(word in said for word in words), said
     assert not list(tmp_path.iterdir())
+
+
+def test_maps_are_imported_without_matplotlib():
+    script = "import sys\nsys.modules['matplotlib'] = None\nimport modsim3d.view.maps.map_picture"
+    subprocess.run([sys.executable, "-c", script], check=True)
 
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch, capsys, run, tmp_path):

@@ -14,7 +14,6 @@ from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.motion.poses import Poses
 from modsim3d.view import palette
 from modsim3d.view.maps.birds_eye import BirdsEye, hull_m, ring_step, view_of
-from modsim3d.view.maps.map_key import ArrowSymbol, HullSymbol
 from modsim3d.view.maps.map_names import MapNames, overlapping
 
 if TYPE_CHECKING:
@@ -114,6 +113,8 @@ class VesselMark:
 
     def __init__(self, sheet: MapSheet, index: int) -> None:
         """Draw the whole track, and put the rest where `show` finds it."""
+        from modsim3d.view.maps.map_key import ArrowSymbol, HullSymbol  # it needs matplotlib
+
         birds_eye, scene = sheet.birds_eye, sheet.birds_eye.scene
         self._sheet, self._index, self._vessel = sheet, index, scene.vessels[index]
         own, colour = index in scene.own_ships, palette.unit_rgb(palette.vessel_colour(index))
