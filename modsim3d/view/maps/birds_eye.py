@@ -108,14 +108,14 @@ def _bounds(points: Sequence[Array]) -> tuple[Array, Array]:
 def view_of(scene: Scene, camera: Camera, step: int) -> tuple[Array, Array]:
     """w1 and w2 of a camera in metres, shape (2,), and where its image looks: horizontal unit vectors, shape (n, 2).
 
-    They are of the row of the principal point, about where the horizon is, from left to right.
+    They are of the row of the principal point, about where the horizon is, from left to right; zero straight down.
     """
     poses = scene.sight(camera, np.array([step])).camera_poses
     width, height = camera.intrinsics.image_size_px
     row = float(np.clip(camera.intrinsics.principal_point_px[1], 0, height))
     pixels = np.column_stack([np.linspace(0, width, VIEW_POINTS), np.full(VIEW_POINTS, row)])
     rays = camera.intrinsics.unproject(pixels, np.ones(VIEW_POINTS)) @ poses.camera_R_world[0]
-    flat: Array = rays[:, :2] / np.linalg.norm(rays[:, :2], axis=1, keepdims=True)
+    flat: Array = rays[:, :2] / np.maximum(np.linalg.norm(rays[:, :2], axis=1, keepdims=True), 1e-12)
     return poses.positions_m[0, :2], flat
 
 

@@ -42,7 +42,8 @@ def first_eye(log: Log) -> Eye:
     near = there[distance <= np.quantile(distance, NEAREST)] if len(there) else there
     points = np.vstack([at, near])
     middle, span = (points.min(axis=0) + points.max(axis=0)) / 2, max(float(np.ptp(points, axis=0).max()), 50.0)
-    behind = middle - 0.85 * span * looks[len(looks) // 2]
+    ahead = looks[len(looks) // 2] if looks[len(looks) // 2].any() else np.array([1.0, 0.0])
+    behind = middle - 0.85 * span * ahead
     return Eye(np.append(behind, 0.55 * span), np.append(middle, 0.0), span)
 
 
