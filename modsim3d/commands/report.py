@@ -119,7 +119,7 @@ def rerun_command(
     from modsim3d.outputs.claims import claimed
     from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.stored_run import open_run
-    from modsim3d.view.rerun_recording import write_recording
+    from modsim3d.view.rerun.recording import write_recording
 
     with timed("opening the run"):
         opened = open_run(run)

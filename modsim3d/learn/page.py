@@ -93,32 +93,34 @@ _POINTS = (
 
 
 def _curve_pictures(report: Report) -> list[str]:
-    curves = []
+    curves, states = [], report.learned.observed.states
     for label, name in enumerate(report.labelled.labels):
         of_state: dict[str, tuple[Array, Array]] = {}
-        for index, state in enumerate(report.learned.observed.states):
+        colours = []
+        for index, (state, colour) in enumerate(zip(states, charts.state_colours(len(states)), strict=True)):
             images = report.learned.observed.image_state == index
             curve: Curve | None = Ranking.of(report.labelled, report.by_label, label, images).curve()
             if curve is not None and len(curve.recall):
                 of_state[f"{state}: AP {curve.all_points():.3f}"] = curve.recall, curve.interpolated
-        curves.append(charts.precision_recall(of_state, f"{name}: largest precision at each recall or beyond."))
+                colours.append(colour)
+        curves.append(
+            charts.precision_recall(of_state, colours, f"{name}: largest precision at each recall or beyond.")
+        )
     return ['<div class="plots">', *curves, "</div>"]
 
 
 def _scatter(report: Report) -> list[str]:
     pairs, relative = report.learned.observed.pairs, report.learned.form.box_errors.relative
     error = pairs.errors(np.ones(len(pairs), dtype=bool), relative)  # in the unit in which they are learned
-    plots = []
+    states, plots = report.learned.observed.states, []
+    there = [index for index in range(len(states)) if np.any(pairs.state == index)]
+    colours = [charts.state_colours(len(states))[index] for index in there]
     for (i, j), what in (((0, 1), "centres"), ((2, 3), "sizes")):
-        groups = {
-            state: error[pairs.state == index][:, [i, j]]
-            for index, state in enumerate(report.learned.observed.states)
-            if np.any(pairs.state == index)
-        }
+        groups = {states[index]: error[pairs.state == index][:, [i, j]] for index in there}
         units = ("widths", "heights") if relative else ("px", "px")
         x, y = (f"{ERROR_COMPONENTS[k]} in {unit}" for k, unit in zip((i, j), units, strict=True))
         caption = f"Errors of {what}; ellipses hold 95 % of normal errors with the same mean and covariance."
-        plots.append(charts.error_scatter(groups, x, y, caption))
+        plots.append(charts.error_scatter(groups, colours, x, y, caption))
     return ['<div class="plots">', *plots, "</div>"]
 
 

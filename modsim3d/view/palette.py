@@ -33,6 +33,8 @@ TRACKS: tuple[Colour, ...] = (
 OBSTACLE: Colour = (122, 122, 122)
 OBSTACLES: tuple[Colour, ...] = (OBSTACLE, (160, 160, 160), (92, 92, 92), (190, 190, 190))
 """Greys in turn, where obstacles are to be told apart."""
+STATES: tuple[Colour, Colour] = ((180, 168, 216), (72, 30, 126))
+"""The first and the last of a detector's performance states, pale and strong; no vessel has their hue."""
 PAPER: Colour = (250, 250, 248)
 INK: Colour = (30, 30, 30)
 SOFT_INK: Colour = (110, 110, 110)
@@ -58,6 +60,17 @@ def track_colour(number: int) -> Colour:
 def obstacle_colour(index: int) -> Colour:
     """The grey of an obstacle, by its index in the scene, where obstacles are to be told apart."""
     return OBSTACLES[index % len(OBSTACLES)]
+
+
+def state_colours(states: int) -> list[Colour]:
+    """The colours of a detector's performance states in the order of its file: a ramp from pale to strong."""
+    first, last = STATES
+    return [mixed(first, last, index / max(states - 1, 1)) for index in range(states)]
+
+
+def css(colour: Colour) -> str:
+    """A colour for a page."""
+    return "#" + "".join(f"{channel:02x}" for channel in colour)
 
 
 def mixed(colour: Colour, other: Colour, share: float) -> Colour:

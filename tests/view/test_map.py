@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -19,8 +21,8 @@ from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.maps.birds_eye import BirdsEye, footprint, hull_m, ring_step, view_of
-from modsim3d.view.maps.map_marks import RINGS
-from modsim3d.view.maps.map_picture import map_figure, map_height_px, map_picture
+from modsim3d.view.maps.map_marks import RINGS, RangeRings
+from modsim3d.view.maps.map_picture import Map, map_figure, map_height_px, map_picture
 from tests.scenes import INTRINSICS, crossing
 from tests.view.test_film import view
 
@@ -174,6 +176,84 @@ def test_a_name_lies_on_no_other_vessel_and_inside_the_map(step):
     assert named == len(hulls)
 
 
+@pytest.fixture(scope="module")
+def crowd():
+    """A map of fifty vessels, of which many lie side by side."""
+    scene = load_scene("benchmarks/dense.yaml", steps=60)
+    drawn = Map(BirdsEye(scene, scene.steps, (0,)), 1280)
+    drawn.show(59)
+    return drawn
+
+
+def test_each_vessel_of_a_crowd_is_named_beside_it_or_with_a_line_to_it(crowd):
+    sheet, dpi = crowd.sheet, crowd.figure.dpi
+    names = [name for name in sheet.names.names if name.vessel is not None and name.middle_px is not None]
+    assert len(names) >= 0.98 * len(sheet.birds_eye.scene.vessels)
+    bodies = {i: shapely.Polygon(sheet.axes.transData.transform(ring)) for i, ring in sheet.names.bodies_m.items()}
+    boxes = {name.vessel: shapely.box(*name.note.get_window_extent().extents) for name in names}
+    lines = [shapely.LineString(line * dpi / 72) for line in sheet.names.leaders.get_segments()]
+    assert lines
+    ended = set()
+    for line in lines:
+        (vessel,) = (i for i, box in boxes.items() if box.distance(shapely.Point(line.coords[0])) < 0.1)
+        assert bodies[vessel].distance(shapely.Point(line.coords[-1])) < 0.1
+        assert not any(box.intersects(line) for i, box in boxes.items() if i != vessel)
+        ended.add(vessel)
+    for vessel, box in boxes.items():
+        assert vessel in ended or box.distance(bodies[vessel]) < box.length / 4
+        assert not any(box.intersects(body) for i, body in bodies.items() if i != vessel)
+        assert not any(box.intersection(other).area for i, other in boxes.items() if i != vessel)
+
+
+def test_radii_keep_off_names(crowd):
+    rings, names, taken = RangeRings(crowd.sheet, moves=False), crowd.sheet.names, crowd.sheet.names.taken_px
+    texts = crowd.sheet.axes.texts[-RINGS:]
+    rings.show(np.array([1000.0, 0.0]), 1000.0)
+    names.taken_px = np.empty((0, 4))
+    rings.put_radii()
+    shown = [text for text in texts if text.get_text()]
+    assert shown
+    crowd.figure.draw_without_rendering()
+    names.taken_px = np.array([text.get_window_extent().extents for text in shown])
+    rings.put_radii()
+    crowd.figure.draw_without_rendering()
+    for text in shown:
+        x0, y0, x1, y1 = text.get_window_extent().extents
+        under = names.taken_px
+        assert not ((x0 < under[:, 2]) & (under[:, 0] < x1) & (y0 < under[:, 3]) & (under[:, 1] < y1)).any()
+    names.taken_px = taken
+
+
+def test_the_key_explains_headings(crowd):
+    said = [text.get_text() for text in crowd.figure.legends[0].get_texts()]
+    assert "vessel at its size, with a tick ahead" in said
+    assert "small vessel, with its heading" in said
+
+
+def test_far_cameras_and_land_do_not_make_the_map_larger(scene):
+    usual = BirdsEye(scene, scene.steps, (0,)).extent_m
+    (camera,), (island, _) = scene.cameras, scene.obstacles
+    far = replace(camera, mount=Mount((-9000.0, 0.0, 50.0)))
+    coast = replace(island, solids=tuple((solid, 200 * vertices) for solid, vertices in island.solids))
+    birds_eye = BirdsEye(replace(scene, cameras=(far,), obstacles=(coast,)), scene.steps, (0,))
+    x0, x1, y0, y1 = birds_eye.extent_m
+    assert x1 - x0 < 1.2 * (usual[1] - usual[0])
+    tracks = birds_eye.tracks_m[np.isfinite(birds_eye.tracks_m).all(axis=-1)]
+    assert ((tracks > (x0, y0)) & (tracks < (x1, y1))).all()
+    drawn = Map(birds_eye, 800)
+    drawn.show(3)
+    (name,) = (name for name in drawn.sheet.names.names if name.note.get_text().startswith(far.name))
+    assert name.note.get_text() == f"{far.name}, {x0 + 9000:.0f} m away"
+    assert name.middle_px is not None
+
+
+def test_a_camera_on_land_near_the_traffic_is_on_the_map(scene):
+    (camera,) = scene.cameras
+    near = replace(camera, mount=Mount((-1500.0, 0.0, 50.0)))
+    x0, *_ = BirdsEye(replace(scene, cameras=(near,)), scene.steps, (0,)).extent_m
+    assert x0 < -1500
+
+
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
 def test_a_map_is_written_as_its_ending_says_the_same_bytes_each_time(monkeypatch, run, tmp_path, ending):
     for name in ("a", "b"):
@@ -222,6 +302,11 @@ def test_what_is_wrong_is_said(monkeypatch, capsys, run, tmp_path, arguments, wo
     assert "Traceback" not in said
     assert all(word in said for word in words), said
     assert not list(tmp_path.iterdir())
+
+
+def test_maps_are_imported_without_matplotlib():
+    script = "import sys\nsys.modules['matplotlib'] = None\nimport modsim3d.view.maps.map_picture"
+    subprocess.run([sys.executable, "-c", script], check=True)
 
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch, capsys, run, tmp_path):

@@ -62,3 +62,23 @@ def test_text_is_readable_on_every_plate():
     plates = [palette.vessel_colour(i) for i in range(18)] + [palette.ALARM, palette.TRUTH]
     for plate in plates:
         assert abs(lab(plate, np.eye(3))[0] - lab(palette.ink_on(plate), np.eye(3))[0]) > 35, plate
+
+
+@pytest.mark.parametrize("seen", SEEN_BY)
+@pytest.mark.parametrize("states", [2, 3, 5])
+def test_states_go_from_pale_to_strong_in_steps_that_everybody_sees(states, seen):
+    ramp = palette.state_colours(states)
+    assert len(ramp) == states
+    assert least_distance(ramp, seen) > 4 * JUST_NOTICEABLE
+    lightness = [lab(colour, SEEN_BY[seen])[0] for colour in ramp]
+    assert lightness == sorted(lightness, reverse=True)
+
+
+def test_states_have_no_colour_that_means_something_else():
+    others = [palette.ALARM, palette.TRUTH, palette.SEA, palette.SKY, *palette.VESSELS, *palette.TRACKS]
+    for state in palette.state_colours(5):
+        assert all(np.linalg.norm(lab(state, np.eye(3)) - lab(other, np.eye(3))) > 10 for other in others), state
+
+
+def test_a_detector_with_one_state_has_a_colour():
+    assert palette.state_colours(1) == palette.state_colours(2)[:1]

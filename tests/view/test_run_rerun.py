@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from io import BytesIO
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from PIL import Image
 from rerun.chunk import RrdReader
 
 from modsim3d import cli
@@ -15,10 +19,15 @@ from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.rerun_recording import write_recording
+from modsim3d.view import palette
+from modsim3d.view.rerun.boxes import TEXT
+from modsim3d.view.rerun.pictures import fill
+from modsim3d.view.rerun.recording import write_recording
 from tests.scenes import crossing, mistaken_strait
 
 STEPS, EVERY = 14, 2
+SOME = 20
+"""Every so many steps of a longer run are recorded."""
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +61,57 @@ def read(path: Path) -> dict[str, dict[int | None, dict[str, object]]]:
     return found
 
 
+def views(path: Path) -> dict[str, tuple[str, list[str]]]:
+    """What the viewer shows when it opens a recording: title → kind of view and what is in it."""
+    reader = RrdReader(path)
+    (blueprint,) = reader.blueprints()
+    values: dict[str, dict[str, list[object]]] = {}
+    for chunk in reader.stream(store=blueprint).to_chunks():
+        batch = chunk.to_record_batch()
+        for name in (name for name in batch.schema.names if pa.types.is_list(batch.schema.field(name).type)):
+            values.setdefault(chunk.entity_path, {})[name.rpartition(":")[2]] = batch[name].to_pylist()[-1]
+    return {
+        view["display_name"][0]: (view["class_identifier"][0], values[f"{entity}/ViewContents"]["query"])
+        for entity, view in values.items()
+        if "class_identifier" in view
+    }
+
+
 @pytest.fixture(scope="module")
-def recording(run, tmp_path_factory):
+def written(run, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "new" / "run.rrd"
     with pytest.MonkeyPatch.context() as monkeypatch:
         assert call(monkeypatch, "rerun", run, "--out", out, "--every", EVERY) == 0
-    return read(out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def recording(written):
+    return read(written)
+
+
+@pytest.fixture(scope="module")
+def mistaken(tmp_path_factory):
+    """A run with every kind of mistake, and its recording."""
+    folder = tmp_path_factory.mktemp("mistaken")
+    run_scene(load_scene(mistaken_strait(folder)), folder / "run")
+    run = open_run(folder / "run")
+    write_recording(run, folder / "run.rrd", SOME)
+    return run, read(folder / "run.rrd")
+
+
+def latest(entity: dict[int | None, dict[str, object]], step: int) -> dict[str, object]:
+    """What an entity shows at a step: what was logged last."""
+    return entity[max(at for at in entity if at is not None and at <= step)]
+
+
+def test_the_viewer_opens_with_the_camera_the_world_misses_and_states(written):
+    assert views(written) == {
+        "camera C0": ("2D", ["$origin/**"]),
+        "world": ("3D", views(written)["world"][1]),
+        "missed and false": ("TimeSeries", ["/counts/C0/missed", "/counts/C0/false"]),
+        "performance state of the detector": ("StateTimeline", ["/detector/C0"]),
+    }
 
 
 def test_boxes_and_labels_of_every_shown_frame_are_in_it(run, recording):
@@ -76,14 +130,92 @@ def test_boxes_and_labels_of_every_shown_frame_are_in_it(run, recording):
         assert names == list(frame.truth.vessels)
 
 
-def test_detections_say_what_is_wrong_with_them(tmp_path):
-    run_scene(load_scene(mistaken_strait(tmp_path)), tmp_path / "run")
-    run = open_run(tmp_path / "run")
-    write_recording(run, tmp_path / "run.rrd", 10)
-    found = read(tmp_path / "run.rrd")
+def test_the_camera_sees_sky_sea_and_silhouettes(run, recording):
+    scene, frames = open_run(run).scene, {frame.step: frame for frame in open_run(run).frames()}
+    (camera,), image = scene.cameras, "/world/cameras/C0/image"
+    (scale,) = recording[f"{image}/scene"][None]["scale"]
+    for step in range(0, STEPS, EVERY):
+        half_plane = scene.sea_half_planes(camera, np.array([step]))[0]
+        (ends,) = latest(recording[f"{image}/horizon"], step)["strips"]
+        np.testing.assert_allclose(np.array(ends) @ half_plane[:2] + half_plane[2], 0, atol=1e-3)
+        (blob,) = latest(recording[f"{image}/scene"], step)["blob"]
+        with Image.open(BytesIO(bytes(blob))) as picture:
+            np.testing.assert_allclose(picture.size * np.array(scale[:2]), camera.intrinsics.image_size_px)
+            pixels = np.asarray(picture.convert("RGB"))
+        (left, right), (_, height) = np.array(ends) / scale[:2], picture.size
+        empty = 0
+        for column in range(0, picture.width, 16):
+            row = left[1] + (column + 0.5 - left[0]) / (right[0] - left[0]) * (right[1] - left[1])
+            above = (pixels[:, column] == palette.SKY).all(axis=1).sum()
+            if above + (pixels[:, column] == palette.SEA).all(axis=1).sum() == height:
+                assert abs(above - row) <= 1, (step, column)
+                empty += 1
+        assert empty > 3
+        lines = latest(recording[f"{image}/silhouettes"], step)
+        ours = zip(lines["labels"], map(np.array, lines["strips"]), strict=True)
+        truth, found = frames[step].truth, dict(ours)
+        for name, box, share in zip(truth.vessels, truth.full_boxes_px, truth.visible_fraction, strict=True):
+            line = found[name]
+            tolerance = scale[0] + 1
+            np.testing.assert_allclose([*line.min(axis=0), *line.max(axis=0)], box, atol=tolerance)
+            if share == 1 and (box[2:] - box[:2]).min() > 4 * scale[0]:
+                column, row = ((box[:2] + box[2:]) / 2 / scale[:2]).astype(int)
+                colour = palette.darker(palette.vessel_colour(scene.vessel_names.index(name)))
+                assert tuple(pixels[row, column]) == colour, (step, name)
+
+
+def test_a_hole_in_a_silhouette_is_not_filled():
+    picture = Image.new("P", (40, 40), 0)
+    square = np.array([(0.0, 0), (1, 0), (1, 1), (0, 1)])
+    fill(picture, [10 + 5 * square[::-1], 2 + 30 * square], 7)
+    pixels = np.asarray(picture)
+    assert pixels[5, 5] == pixels[20, 20] == 7
+    assert pixels[12, 12] == pixels[38, 38] == 0
+
+
+def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(mistaken):
+    run, found = mistaken
+    shown = hidden = 0
+    sizes = {camera.name: camera.intrinsics.image_size_px for camera in run.scene.cameras}
+    for frame in run.frames():
+        if frame.step % SOME:
+            continue
+        image, places = f"/world/cameras/{frame.camera}/image", []
+        missed, false = (found[f"{image}/{name}"][frame.step] for name in ("missed", "false"))
+        assert len(missed["labels"] or []) == (frame.truth.annotated & ~frame.truth.detected).sum()
+        assert len(false["labels"] or []) == sum(bool(each & Outcome.FALSE_POSITIVE) for each in frame_outcomes(frame))
+        for boxes in (missed, false):
+            for text, centre, half in zip(
+                *(boxes[key] or [] for key in ("labels", "centers", "half_sizes")), strict=True
+            ):
+                assert not text or text.endswith(" missed") or text.startswith("false: ")
+                hidden += not text
+                if text:
+                    places.append(np.array([centre[0], centre[1] + half[1]]) / sizes[frame.camera])
+        apart = [np.abs(one - other) for one, other in combinations(places, 2)]
+        assert all((distance >= np.array(TEXT) - 1e-5).any() for distance in apart)
+        shown += len(places)
+        for name in ("truth", "detections"):
+            assert found[f"{image}/{name}"][frame.step]["show_labels"] == [False]
+    assert shown and hidden
+
+
+def test_states_have_the_colours_of_the_pages(run, recording):
+    scene, detector = open_run(run).scene, recording["/detector/C0"]
+    states = [state.name for state in scene.detector.states]
+    assert detector[None]["values"] == states
+    colours = palette.state_colours(len(states))
+    assert detector[None]["colors"] == [int.from_bytes(bytes([*colour, 255])) for colour in colours]
+    for frame in open_run(run).frames():
+        if frame.step % EVERY == 0:
+            assert latest({k: v for k, v in detector.items() if k is not None}, frame.step)["state"] == [frame.state]
+
+
+def test_detections_say_what_is_wrong_with_them(mistaken):
+    run, found = mistaken
     said: set[str] = set()
     for frame in run.frames():
-        if frame.step % 10:
+        if frame.step % SOME:
             continue
         image, outcomes, rows = f"/world/cameras/{frame.camera}/image", frame_outcomes(frame), detected_rows(frame)
         off = [i for i, outcome in enumerate(outcomes) if outcome & Outcome.OFF_VESSEL]

@@ -21,7 +21,7 @@ from modsim3d.view.films.layout import FilmLayout
 from modsim3d.view.followed_tracks import FollowedTracks
 from tests.scenes import crossing
 from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, with_false, write_csv
-from tests.view.test_run_rerun import read
+from tests.view.test_run_rerun import read, views
 
 STEPS, WIDTH, STEP = 12, 1600, 9
 FRAME = ("--width", WIDTH, "--layers", "tracks")
@@ -137,6 +137,8 @@ def test_rerun_has_the_boxes_of_the_tracks_with_number_and_vessel(monkeypatch, r
         np.testing.assert_allclose(entity["centers"], centre, rtol=1e-5)
         assert found["/counts/C0/tracks"][step]["scalars"] == [len(numbers)]
         assert found["/counts/C0/false_tracks"][step]["scalars"] == [1]
+    plot = views(tmp_path / "a.rrd")["tracks, and those on nothing"]
+    assert plot == ("TimeSeries", ["/counts/C0/tracks", "/counts/C0/false_tracks"])
 
 
 def test_each_command_says_what_there_is_of_tracks(monkeypatch, capsys, run, followed, tracks, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,7 +20,11 @@ from modsim3d.vessels.vessel import Vessel
 MOST_TRACK_POINTS = 1500
 MARGIN = 0.06
 """Margin around everything that is shown, as a share of the map."""
-LEAST_ASPECT, MOST_ASPECT = 0.9, 1.9
+LEAST_ASPECT, MOST_ASPECT = 0.65, 2.4
+REACH, REACH_M = 1.5, 2000.0
+"""A camera ashore is on the map unless it is farther from the traffic than this many of its extents, and metres."""
+NEAR, NEAR_M = 0.06, 50.0
+"""So far beyond the traffic obstacles are shown, as a share of its extent or, if that is more, in metres."""
 VIEW_POINTS = 33
 
 
@@ -65,33 +70,52 @@ class BirdsEye:
         return tuple(footprint(obstacle) for obstacle in self.scene.obstacles)
 
     @cached_property
-    def extent_m(self) -> tuple[float, float, float, float]:
-        """Least and greatest w1, least and greatest w2: all tracks, cameras ashore and obstacles, with a margin."""
+    def ashore_m(self) -> tuple[Array, ...]:
+        """w1 and w2 of each camera ashore, shape (2,) each."""
         mounts = [self.scene.cameras[index].mount for index in self.cameras]
-        ashore = [mount.position_m[:2] for mount in mounts if mount.vessel is None]
+        return tuple(np.array(mount.position_m[:2]) for mount in mounts if mount.vessel is None)
+
+    @cached_property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """Least and greatest w1, least and greatest w2: all tracks, and the cameras ashore and obstacles near them."""
         half = np.array([vessel.length_m for vessel in self.scene.vessels])[:, None] / 2
         points = [(self.tracks_m + half).reshape(-1, 2), (self.tracks_m - half).reshape(-1, 2), *self.circles_m]
-        points += [np.array(ashore).reshape(-1, 2), *(np.array(shape.bounds).reshape(2, 2) for shape in self.land)]
-        every = np.concatenate(points)
-        every = every[np.isfinite(every).all(axis=1)]
-        low, high = every.min(axis=0), every.max(axis=0)
+        points = points if any(np.isfinite(some).any() for some in points) else [*self.ashore_m, *_corners(self.land)]
+        low, high = _bounds(points)
+        span = float((high - low).max())
+        reach, near = max(REACH * span, REACH_M), max(NEAR * span, NEAR_M)
+        cameras = [at for at in self.ashore_m if np.all((low - reach <= at) & (at <= high + reach))]
+        shown = shapely.box(*(low - near), *(high + near))
+        low, high = _bounds([np.array([low, high]), *cameras, *_corners(each & shown for each in self.land)])
         middle, size = (low + high) / 2, (high - low) * (1 + 2 * MARGIN)
         size = np.maximum(size, [size[1] * LEAST_ASPECT, size[0] / MOST_ASPECT])
         (x0, y0), (x1, y1) = (middle - size / 2).tolist(), (middle + size / 2).tolist()
         return x0, x1, y0, y1
 
 
+def _corners(shapes: Iterable[Any]) -> list[Array]:
+    """Two corners of the box around each shape that is not empty, shape (2, 2) each."""
+    return [np.array(shape.bounds).reshape(2, 2) for shape in shapes if not shape.is_empty]
+
+
+def _bounds(points: Sequence[Array]) -> tuple[Array, Array]:
+    """Least and greatest w1 and w2 of points, shape (..., 2) each, without those that are NaN; shape (2,) each."""
+    every = np.concatenate([some.reshape(-1, 2) for some in points])
+    every = every[np.isfinite(every).all(axis=1)]
+    return every.min(axis=0), every.max(axis=0)
+
+
 def view_of(scene: Scene, camera: Camera, step: int) -> tuple[Array, Array]:
     """w1 and w2 of a camera in metres, shape (2,), and where its image looks: horizontal unit vectors, shape (n, 2).
 
-    They are of the row of the principal point, about where the horizon is, from left to right.
+    They are of the row of the principal point, about where the horizon is, from left to right; zero straight down.
     """
     poses = scene.sight(camera, np.array([step])).camera_poses
     width, height = camera.intrinsics.image_size_px
     row = float(np.clip(camera.intrinsics.principal_point_px[1], 0, height))
     pixels = np.column_stack([np.linspace(0, width, VIEW_POINTS), np.full(VIEW_POINTS, row)])
     rays = camera.intrinsics.unproject(pixels, np.ones(VIEW_POINTS)) @ poses.camera_R_world[0]
-    flat: Array = rays[:, :2] / np.linalg.norm(rays[:, :2], axis=1, keepdims=True)
+    flat: Array = rays[:, :2] / np.maximum(np.linalg.norm(rays[:, :2], axis=1, keepdims=True), 1e-12)
     return poses.positions_m[0, :2], flat
 
 

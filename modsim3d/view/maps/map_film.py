@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Pixels = NDArray[np.uint8]
 Part = tuple[slice, slice]
-BESIDE_PX = 2
+BESIDE_PX = 4
 """A name may colour pixels so far outside its box."""
 
 

@@ -14,7 +14,7 @@ from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.motion.poses import Poses
 from modsim3d.view import palette
 from modsim3d.view.maps.birds_eye import BirdsEye, hull_m, ring_step, view_of
-from modsim3d.view.maps.map_names import MapNames
+from modsim3d.view.maps.map_names import MapNames, overlapping
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -24,8 +24,12 @@ if TYPE_CHECKING:
 
 TRAIL_S = 60.0
 """The last part of a track, of this duration, is drawn bold."""
+TRAIL_POINTS = 12
+"""Names keep off a trail through so many of its points."""
 RINGS = 5
 """The most range rings from a camera to the farthest corner of the map."""
+RADIUS_PT = 6.5
+"""Size of the radii of range rings."""
 MARKER_SHARE = 0.018
 """A hull shorter than this share of the map's width has an arrowhead of that length around it."""
 CAMERA_NAME_SHARE = 0.06
@@ -45,12 +49,14 @@ class MapSheet:
         birds_eye: What it shows.
         names: The names on it.
         moving: The artists that differ from step to step, but for the names.
+        symbols: How some artists are drawn in the key.
     """
 
     axes: Axes
     birds_eye: BirdsEye
     names: MapNames
     moving: list[Artist] = field(default_factory=list)
+    symbols: dict[Artist, Any] = field(default_factory=dict)
     _explained: set[str] = field(default_factory=set)
 
     def once(self, text: str) -> str:
@@ -107,6 +113,8 @@ class VesselMark:
 
     def __init__(self, sheet: MapSheet, index: int) -> None:
         """Draw the whole track, and put the rest where `show` finds it."""
+        from modsim3d.view.maps.map_key import ArrowSymbol, HullSymbol  # it needs matplotlib
+
         birds_eye, scene = sheet.birds_eye, sheet.birds_eye.scene
         self._sheet, self._index, self._vessel = sheet, index, scene.vessels[index]
         own, colour = index in scene.own_ships, palette.unit_rgb(palette.vessel_colour(index))
@@ -118,15 +126,17 @@ class VesselMark:
         self._least_m = MARKER_SHARE * (birds_eye.extent_m[1] - birds_eye.extent_m[0])
         self._arrow: Polygon | None = None
         self._bow: Line2D | None = None
-        label = sheet.once("own ship" if own else "vessel, at its size")
         filled: dict[str, Any] = {"facecolor": colour, "edgecolor": "black"}
         if self._vessel.length_m < self._least_m:
-            self._arrow = sheet.area(_NOWHERE, moves=True, **filled, lw=0.7 * weight, zorder=6)
+            label = sheet.once("own ship" if own else "small vessel, with its heading")
+            self._arrow = sheet.area(_NOWHERE, moves=True, **filled, lw=0.7 * weight, zorder=6, label=label)
             self._hull = sheet.area(_NOWHERE, moves=True, facecolor="none", edgecolor="black", lw=0.5, zorder=7)
-            sheet.area(_NOWHERE, **filled, lw=weight, label=label)  # for the legend
+            sheet.symbols[self._arrow] = ArrowSymbol(_ARROW)
         else:
+            label = sheet.once("own ship, with a tick ahead" if own else "vessel at its size, with a tick ahead")
             self._bow = sheet.line(_NOWHERE, moves=True, color="black", lw=max(1.0, 0.6 * weight), zorder=6)
             self._hull = sheet.area(_NOWHERE, moves=True, **filled, lw=weight, zorder=7, label=label)
+            sheet.symbols[self._hull] = HullSymbol()
         self._name = sheet.names.add(self._vessel.name, index, fontsize=7.5, weight="bold" if own else "normal")
 
     def show(self, moment: Moment) -> None:
@@ -142,30 +152,35 @@ class VesselMark:
     def _move(self, moment: Moment) -> None:
         here = moment.poses.positions_m[0, self._index, :2]
         heading_rad = float(moment.poses.headings_rad[0, self._index])
-        self._trail.set_data(*np.concatenate([self._track[moment.recent], here[None]]).T)
+        trail = np.concatenate([self._track[moment.recent], here[None]])
+        self._trail.set_data(*trail.T)
         body = hull_m(self._vessel, moment.rotations[self._index]) + here
         half_m = np.ptp(body, axis=0) / 2
         self._hull.set_xy(body)
         if self._bow is not None:
             ahead = np.array([np.cos(heading_rad), np.sin(heading_rad)])
             bow = here + self._vessel.length_m / 2 * ahead
-            self._bow.set_data(*np.array([bow, bow + 0.8 * self._least_m * ahead]).T)
+            tick = np.array([bow, bow + 0.8 * self._least_m * ahead])
+            self._bow.set_data(*tick.T)
+            self._sheet.names.ticks_m[self._index] = tick
         elif self._arrow is not None:
             body = self._least_m * _ARROW @ world_R_vehicle(heading_rad)[:2, :2].T + here
             half_m = np.full(2, 0.5 * self._least_m)
             self._arrow.set_xy(body)
         self._sheet.names.bodies_m[self._index] = body
+        trail = trail[np.isfinite(trail).all(axis=1)]
+        self._sheet.names.trails_m[self._index] = trail[np.linspace(0, len(trail) - 1, TRAIL_POINTS).astype(int)]
         self._name.place_m, self._name.half_m = here, half_m
 
 
 class CameraMark:
-    """A camera with its field of view."""
+    """A camera with its field of view; the first one has range rings."""
 
     def __init__(self, sheet: MapSheet, index: int, *, moves: bool) -> None:
         """Put the artists where `show` finds them; those of a map without cameras on board never move again."""
         self._birds_eye, self._camera = sheet.birds_eye, sheet.birds_eye.scene.cameras[index]
         first = index == self._birds_eye.cameras[0]
-        self._rings = RangeRings(sheet, moves=moves) if first else None
+        self.rings = RangeRings(sheet, moves=moves) if first else None
         label = sheet.once("field of view")
         self._seen = sheet.area(_NOWHERE, moves=moves, facecolor=CAMERA, alpha=0.09, lw=0, zorder=1, label=label)
         edge = {"color": CAMERA, "lw": 0.7, "alpha": 0.8, "zorder": 4}
@@ -174,8 +189,17 @@ class CameraMark:
         label = sheet.once("camera")
         self._dot = sheet.line(_NOWHERE[:1], moves=moves, color=CAMERA, mew=0.6, zorder=8, label=label, **dot)
         self._name = None
-        if len(self._birds_eye.cameras) > 1:
-            self._name = sheet.names.add(self._camera.name, fontsize=8, color=CAMERA)
+        beyond_m = self._beyond_m()
+        if beyond_m or len(self._birds_eye.cameras) > 1:
+            text = f"{self._camera.name}, {beyond_m:.0f} m away" if beyond_m else self._camera.name
+            self._name = sheet.names.add(text, fontsize=8, color=CAMERA)
+
+    def _beyond_m(self) -> float:
+        """How far off the map a camera ashore is."""
+        if self._camera.mount.vessel is not None:
+            return 0.0
+        x0, x1, y0, y1 = self._birds_eye.extent_m
+        return float(shapely.distance(shapely.box(x0, y0, x1, y1), shapely.Point(self._camera.mount.position_m[:2])))
 
     def show(self, moment: Moment) -> None:
         """Move the camera to where it is."""
@@ -183,15 +207,18 @@ class CameraMark:
         at, view = view_of(self._birds_eye.scene, self._camera, moment.step)
         corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
         farthest = float(np.linalg.norm(corners - at, axis=1).max())
-        if self._rings is not None:
-            self._rings.show(at, farthest)
+        if self.rings is not None:
+            self.rings.show(at, farthest)
         edge = at + 2 * farthest * view
         self._seen.set_xy(np.concatenate([at[None], edge]))
         for line, end in zip(self._edges, (edge[0], edge[-1]), strict=True):
             line.set_data(*np.array([at, end]).T)
         self._dot.set_data(*at[None].T)
         if self._name is not None:
-            self._name.place_m = at + CAMERA_NAME_SHARE * min(x1 - x0, y1 - y0) * view[len(view) // 2]
+            edge_m = CAMERA_NAME_SHARE * min(x1 - x0, y1 - y0)
+            self._name.end_m = np.clip(at, (x0, y0), (x1, y1))
+            before = at + edge_m * view[len(view) // 2]
+            self._name.place_m = np.clip(before, (x0 + edge_m, y0 + edge_m), (x1 - edge_m, y1 - edge_m))
 
 
 class RangeRings:
@@ -199,14 +226,14 @@ class RangeRings:
 
     def __init__(self, sheet: MapSheet, *, moves: bool) -> None:
         """Put as many rings as there may be where `show` finds them."""
-        self._extent_m = sheet.birds_eye.extent_m
-        self._rings = []
+        self._sheet, self._extent_m = sheet, sheet.birds_eye.extent_m
+        self._rings, self._places = [], [_NOWHERE] * RINGS
         for _ in range(RINGS):
             label = sheet.once("range from camera")
             ring = {"color": RING, "lw": 0.5, "ls": (0, (4, 4)), "zorder": 1.5, "label": label}
-            text: dict[str, Any] = {"fontsize": 6.5, "color": RING, "ha": "center", "va": "bottom", "zorder": 3}
+            text: dict[str, Any] = {"fontsize": RADIUS_PT, "color": RING, "ha": "center", "va": "bottom", "zorder": 5}
             self._rings.append((sheet.line(_NOWHERE, moves=moves, **ring), sheet.axes.text(0, 0, "", **text)))
-            sheet.moving += [self._rings[-1][1]] * moves
+            sheet.moving.append(self._rings[-1][1])  # it keeps off names, which move
 
     def show(self, at: Array, farthest_m: float) -> None:
         """Draw the rings about a place, out to a distance."""
@@ -221,8 +248,18 @@ class RangeRings:
             line.set_data(*circle.T)
             free = circle[(np.abs(circle - middle) < room).all(axis=1)]
             text.set_text(f"{radii[i]:g} m" if len(free) else "")
-            if len(free):
-                text.set_position(tuple(free[np.argmin(free[:, 1])].tolist()))
+            self._places[i] = free[np.argsort(free[:, 1], kind="stable")]
+
+    def put_radii(self) -> None:
+        """Write the radius of each ring at its lowest place where none of the names lies, which are placed first."""
+        names, height = self._sheet.names, RADIUS_PT * self._sheet.axes.figure.dpi / 72
+        for i, (_, text) in enumerate(self._rings):
+            if text.get_text():
+                half = np.array([0.36 * len(text.get_text()) * height, 0.0])
+                at = self._sheet.axes.transData.transform(self._places[i])
+                boxes = np.concatenate([at - half, at + half + [0, 1.2 * height]], axis=1)
+                free = np.flatnonzero(~overlapping(boxes, names.taken_px))
+                text.set_position(tuple(self._places[i][free[0] if len(free) else 0].tolist()))
 
 
 def draw_circles(sheet: MapSheet) -> None:
@@ -253,6 +290,9 @@ def draw_obstacles(sheet: MapSheet) -> None:
             label = sheet.once("obstacle")
             ring = shapely.get_coordinates(part.exterior)
             sheet.area(ring, facecolor=LAND, edgecolor=SHORE, lw=0.6, zorder=2, label=label)
-        middle, (x0, y0, x1, y1) = shape.representative_point(), shape.bounds
+        shown = shape & shapely.box(*np.array(sheet.birds_eye.extent_m)[[0, 2, 1, 3]])
+        if shown.is_empty:
+            continue
+        middle, (x0, y0, x1, y1) = shown.representative_point(), shown.bounds
         name = sheet.names.add(obstacle.name, fontsize=7, color=SOIL)
         name.place_m, name.half_m = np.array([middle.x, middle.y]), np.array([x1 - x0, y1 - y0]) / 2

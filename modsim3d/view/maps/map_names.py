@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
-from modsim3d.arrays import Array, Mask
+from modsim3d.arrays import Array, Indices, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
     from matplotlib.text import Annotation
 
 GAP_PT = 2
@@ -21,10 +24,18 @@ PAST_TIES_PX = 0.001
 PLACES = np.array(
     [
         *((0.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, -1.0), (-1.0, -1.0)),
-        *((1.0, 1.0), (-1.0, 1.0), (0.0, -2.2), (0.0, 2.2)),
+        *((1.0, 1.0), (-1.0, 1.0)),
     ]
 )
 """Where a name is tried, in sides of what it names: on it, below, above, beside, ..."""
+
+LEADER, HALO, HALO_PT = "#4d4d4d", "#eef3f6", 1.6
+"""Colours of the line from a name to its thing and of the edge around letters, and the width of that edge."""
+Shapes = NDArray[np.object_]
+_AWAY = np.array([1.2, 2.2, 3.4, 5.0, 7.0, 9.5, 13.0, 17.0, 22.0, 28.0, 36.0, 46.0])
+"""How far off names are tried, in half the height of their text."""
+_ANGLES_RAD = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+_ROUND = np.column_stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD)])
 
 
 @dataclass(eq=False)
@@ -36,6 +47,7 @@ class MapName:
         vessel: Index of the vessel that has it, None for other things.
         place_m: The middle of the thing, shape (2,); None if the thing is not on the map.
         half_m: Half the size of the thing, shape (2,).
+        end_m: Where the line of a name that stands farther off ends, shape (2,); at the thing if None.
         middle_px: Where the middle of the name was put, in whole pixels, shape (2,); None if there is no room for it.
     """
 
@@ -43,6 +55,7 @@ class MapName:
     vessel: int | None
     place_m: Array | None = None
     half_m: Array = field(default_factory=lambda: np.zeros(2))
+    end_m: Array | None = None
     middle_px: Array | None = None
     _around_px: Array | None = None
 
@@ -71,42 +84,162 @@ class MapNames:
         axes: The map, in metres.
         names: The names, those that are placed first in front.
         bodies_m: Outline of what is drawn of each vessel by its index, shape (k, 2) each; names of others keep off it.
+        ticks_m: The heading tick of each vessel that has one, shape (2, 2) each.
+        trails_m: The last part of each vessel's track, shape (n, 2) each.
+        leaders: The lines from names to what they name.
+        taken_px: Boxes of the names that are placed, shape (k, 4).
     """
 
     axes: Axes
     names: list[MapName] = field(default_factory=list)
     bodies_m: dict[int, Array] = field(default_factory=dict)
+    ticks_m: dict[int, Array] = field(default_factory=dict)
+    trails_m: dict[int, Array] = field(default_factory=dict)
+    taken_px: Array = field(default_factory=lambda: np.empty((0, 4)))
+    leaders: LineCollection = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Put the lines on the map, where `place` finds them."""
+        from matplotlib.collections import LineCollection
+        from matplotlib.transforms import Affine2D
+
+        points = Affine2D().scale(1 / 72) + self.axes.figure.dpi_scale_trans  # which stay in PDF and SVG
+        self.leaders = LineCollection([], colors=LEADER, linewidths=0.6, zorder=8.5, transform=points)
+        self.axes.add_collection(self.leaders, autolim=False)
+
+    def clear(self) -> None:
+        """Forget what was drawn of the vessels."""
+        for drawn in (self.bodies_m, self.ticks_m, self.trails_m):
+            drawn.clear()
 
     def add(self, text: str, vessel: int | None = None, **style: Any) -> MapName:
         """Add the name of a thing, of which vessel if it is one; the style is for matplotlib's `annotate`."""
+        from matplotlib.patheffects import withStroke
+
         middle: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, "zorder": 9}
         places: dict[str, Any] = {"xycoords": "figure points", "xytext": (0, 0), "textcoords": "offset points"}
         note = self.axes.annotate(text, (0, 0), **places, **middle, **style)
+        note.set_path_effects([withStroke(linewidth=HALO_PT, foreground=HALO)])
         note.set_in_layout(False)  # a name near the edge would otherwise move the map
         self.names.append(MapName(note, vessel))
         return self.names[-1]
 
     def place(self) -> None:
-        """Put each name where it lies on no other and on no other vessel; hide a name without such a place."""
-        frame = np.array(self.axes.get_window_extent().extents)
-        to_px, gap_px = self.axes.transData.transform, GAP_PT * self.axes.figure.dpi / 72
-        metre_px = float(np.ptp(to_px([(0, 0), (1, 0)])[:, 0]))
-        owners = np.array(list(self.bodies_m))
-        bodies = np.array([shapely.Polygon(to_px(ring)) for ring in self.bodies_m.values()])
-        taken = np.empty((0, 4))
+        """Put each name beside its thing, or farther off with a line to it; hide a name without room for it.
+
+        A name lies on no other, on no other vessel and on no heading tick; where it can, on no track's last part.
+        """
+        page = _Page.of(self)
+        later = []
         for name in self.names:
             name.put(None)
-            if name.place_m is None:
+            if name.place_m is None or not _inside(page.to_px(name.place_m)[[0, 1, 0, 1]][None], page.frame).any():
                 continue
-            here = to_px(name.place_m)
-            middles = _middles(here, name.extent_px(), name.half_m * metre_px, gap_px)
-            places = middles[:, [0, 1, 0, 1]] + name.extent_px()
-            free = _inside(places, frame) & ~_overlapping(places, taken)
-            for i in np.flatnonzero(free & _inside(here[[0, 1, 0, 1]][None], frame)).tolist():
-                if not shapely.intersects(shapely.box(*places[i]), bodies[owners != name.vessel]).any():
-                    name.put(middles[i])
-                    taken = np.vstack([taken, places[i]])
-                    break
+            middles = _middles(page.to_px(name.place_m), name.extent_px(), name.half_m * page.metre_px, page.gap_px)
+            if not page.put(name, middles, avoid_lines=True):
+                later.append(name)
+        lines = [line for name in later for line in page.put_away(name)]
+        self.leaders.set_segments([line * 72 / self.axes.figure.dpi for line in lines])
+        self.taken_px = page.taken
+
+
+@dataclass(eq=False)
+class _Page:
+    """A map in pixels, on which names are placed one after another.
+
+    Attributes:
+        frame: The box of the map, shape (4,).
+        to_px: Places in metres as pixels.
+        metre_px: Pixels in a metre.
+        gap_px: Between a name and what it names.
+        owners: Index of the vessel of each body, shape (b,).
+        bodies: Outlines of the vessels, shape (b,).
+        ticks: Heading ticks of the vessels that have one.
+        trails: The last parts of tracks.
+        taken: Boxes of the names that are placed, shape (k, 4).
+        leaders: Lines from names to their things.
+    """
+
+    frame: Array
+    to_px: Any
+    metre_px: float
+    gap_px: float
+    owners: Indices
+    bodies: Shapes
+    ticks: Shapes
+    trails: Shapes
+    taken: Array = field(default_factory=lambda: np.empty((0, 4)))
+    leaders: list[Any] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, names: MapNames) -> _Page:
+        """The map with what is drawn on it."""
+        to_px = names.axes.transData.transform
+        return cls(
+            np.array(names.axes.get_window_extent().extents),
+            to_px,
+            float(np.ptp(to_px([(0, 0), (1, 0)])[:, 0])),
+            GAP_PT * names.axes.figure.dpi / 72,
+            np.array(list(names.bodies_m)),
+            _drawn(shapely.Polygon, names.bodies_m, to_px),
+            _drawn(shapely.LineString, names.ticks_m, to_px),
+            _drawn(shapely.LineString, names.trails_m, to_px),
+        )
+
+    def put(self, name: MapName, middles: Array, *, avoid_lines: bool) -> bool:
+        """Put a name at the first free one of some places, shape (n, 2), or leave it hidden."""
+        free = self._free(name, middles)
+        if not len(free):
+            return False
+        if avoid_lines:
+            boxes = shapely.box(*(middles[free][:, [0, 1, 0, 1]] + name.extent_px()).T)
+            clear = ~_met(boxes, self.trails)
+            free = free[clear] if clear.any() else free
+        self._take(name, middles[free[0]])
+        return True
+
+    def put_away(self, name: MapName) -> list[Array]:
+        """Put a name farther off its thing, and give the line between them, shape (2, 2); none if it is hidden."""
+        assert name.place_m is not None
+        here, text = self.to_px(name.place_m), np.ptp(name.extent_px().reshape(2, 2), axis=0) / 2
+        steps = _AWAY[:, None, None] * text[1] * _ROUND + np.sign(_ROUND.round(6)) * text
+        middles = np.rint(here + steps).reshape(-1, 2)
+        free = self._free(name, middles)
+        boxes = shapely.box(*(middles[free][:, [0, 1, 0, 1]] + name.extent_px()).T)
+        body = self.bodies[self.owners == name.vessel]
+        end = shapely.Point(here if name.end_m is None else self.to_px(name.end_m))
+        lines = shapely.shortest_line(boxes, body[0] if len(body) else end)
+        names, others = _met(lines, shapely.box(*self.taken.T)), self.bodies[self.owners != name.vessel]
+        crossed = _met(lines, np.array([*self.leaders, *others])) | _met(boxes, np.array(self.leaders))
+        for allowed in (~names & ~crossed, ~names):
+            if allowed.any():
+                first = int(np.argmax(allowed))
+                self._take(name, middles[free[first]])
+                self.leaders.append(lines[first])
+                return [shapely.get_coordinates(lines[first])]
+        return []
+
+    def _free(self, name: MapName, middles: Array) -> Indices:
+        """Which of some places, shape (n, 2), are free for a name, in their order."""
+        places = middles[:, [0, 1, 0, 1]] + name.extent_px()
+        free: Indices = np.flatnonzero(_inside(places, self.frame) & ~overlapping(places, self.taken))
+        things = np.concatenate([self.bodies[self.owners != name.vessel], self.ticks])
+        return free[~_met(shapely.box(*places[free].T), things)]
+
+    def _take(self, name: MapName, middle: Array) -> None:
+        name.put(middle)
+        self.taken = np.vstack([self.taken, middle[[0, 1, 0, 1]] + name.extent_px()])
+
+
+def _drawn(kind: Callable[[Array], Any], things_m: dict[int, Array], to_px: Callable[[Array], Array]) -> Shapes:
+    """Things on the map as shapes in pixels."""
+    return np.array([kind(to_px(points)) for points in things_m.values()], dtype=object)
+
+
+def _met(shapes: Shapes, others: Shapes) -> Mask:
+    """Which shapes, shape (n,), meet one of some others, shape (k,); shape (n,)."""
+    met: Mask = shapely.intersects(shapes[:, None], others).any(axis=1)
+    return met
 
 
 def _middles(thing_px: Array, name_px: Array, half_px: Array, gap_px: float) -> Array:
@@ -130,7 +263,7 @@ def _inside(places: Array, frame: Array) -> Mask:
     return inside
 
 
-def _overlapping(places: Array, taken: Array) -> Mask:
+def overlapping(places: Array, taken: Array) -> Mask:
     """Which boxes, shape (n, 4), overlap one of some others, shape (k, 4); shape (n,)."""
     low, high = places[:, None, :2], places[:, None, 2:]
     pairs: Mask = np.all((low < taken[:, 2:]) & (taken[:, :2] < high), axis=2)

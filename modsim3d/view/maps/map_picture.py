@@ -29,8 +29,10 @@ if TYPE_CHECKING:
 FORMATS = (".png", ".svg", ".pdf")
 WIDTH_IN = 10.0
 """A map is laid out at this width, so that text and lines grow with the picture."""
-FURNITURE = 0.13
-"""Height of title, axis and legend, as a share of the width."""
+FURNITURE, INNER = (0.13, 0.08), (0.92, 0.7)
+"""Height of title, axis and key, and width of the map, as shares of the picture's width.
+
+The first is of a wide map, with its key below it, the second of a high one, with its key beside it."""
 SEA = "#eaf1f5"
 
 
@@ -64,11 +66,14 @@ class Map:
         axes.tick_params(labelsize=8)
         axes.set_title(birds_eye.scene.name, fontsize=11)
         self.sheet = MapSheet(axes, birds_eye, MapNames(axes), [axes.title])
+        self.sheet.moving.append(self.sheet.names.leaders)
         draw_circles(self.sheet)
         self._marks: list[VesselMark | CameraMark] = [*vessel_marks(self.sheet), *camera_marks(self.sheet)]
         draw_obstacles(self.sheet)
         handles = axes.get_legend_handles_labels()[0]
-        self.figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
+        place = {"loc": "outside right upper"} if is_high(birds_eye) else {"loc": "outside lower center", "ncols": 5}
+        symbols = self.sheet.symbols
+        self.figure.legend(handles=handles, handler_map=symbols, fontsize=8, frameon=False, **place)
         for _ in range(2):  # the places of axes and legend are found from each other's
             self.figure.draw_without_rendering()
         self.figure.set_layout_engine("none")
@@ -78,11 +83,14 @@ class Map:
         scene = self.sheet.birds_eye.scene
         (time,) = scene.timestamps(step, step + 1)
         self.sheet.axes.set_title(f"{scene.name}    {time} s    step {step}", fontsize=11)
-        self.sheet.names.bodies_m.clear()
+        self.sheet.names.clear()
         moment = Moment(self.sheet.birds_eye, step)
         for mark in self._marks:
             mark.show(moment)
         self.sheet.names.place()
+        for mark in self._marks:
+            if isinstance(mark, CameraMark) and mark.rings is not None:
+                mark.rings.put_radii()
 
 
 def map_figure(birds_eye: BirdsEye, step: int, width_px: int, height_px: int | None = None) -> Figure:
@@ -95,7 +103,14 @@ def map_figure(birds_eye: BirdsEye, step: int, width_px: int, height_px: int | N
 def map_height_px(birds_eye: BirdsEye, width_px: int) -> int:
     """The height that a map of the given width needs; even, as films need it."""
     x0, x1, y0, y1 = birds_eye.extent_m
-    return 2 * round(width_px * (0.92 * (y1 - y0) / (x1 - x0) + FURNITURE) / 2)
+    high = is_high(birds_eye)
+    return 2 * round(width_px * (INNER[high] * (y1 - y0) / (x1 - x0) + FURNITURE[high]) / 2)
+
+
+def is_high(birds_eye: BirdsEye) -> bool:
+    """Whether a map is higher than wide."""
+    x0, x1, y0, y1 = birds_eye.extent_m
+    return y1 - y0 > x1 - x0
 
 
 def save_map(birds_eye: BirdsEye, step: int, path: Path, width_px: int) -> Path:

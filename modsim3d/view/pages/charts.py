@@ -14,6 +14,7 @@ from zlib import crc32
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.view import palette
 from modsim3d.view.pages.page import scrolling
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999933", "#882255")
@@ -30,7 +31,16 @@ _LINE_PX = 14
 
 def colour_of(index: int) -> str:
     """The CSS colour of a series by its index, mixed with the page's ink so that it stands out from the paper."""
-    return f"color-mix(in srgb, {COLOURS[index % len(COLOURS)]} 80%, var(--ink))"
+    return _inked(COLOURS[index % len(COLOURS)])
+
+
+def state_colours(states: int) -> list[str]:
+    """The CSS colours of a detector's performance states in the order of its file: the ramp of the palette, mixed."""
+    return [_inked(palette.css(colour)) for colour in palette.state_colours(states)]
+
+
+def _inked(colour: str) -> str:
+    return f"color-mix(in srgb, {colour} 80%, var(--ink))"
 
 
 FOUND, ASKED = colour_of(0), colour_of(1)
@@ -167,6 +177,7 @@ def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence
     The stretches ascend. Each has a start, a stop and the index of its state, shape (n,) each.
     """
     lane, left, width = 22.0, 90.0, 900.0
+    colours = state_colours(len(names))
     span = max(float(stops[-1]) - float(starts[0]), 1e-9) if len(starts) else 1.0
     scale = (width - left - 10) / span
     origin = float(starts[0]) if len(starts) else 0.0
@@ -180,7 +191,7 @@ def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence
     for start, stop, state in zip(starts.tolist(), stops.tolist(), states, strict=True):
         parts.append(
             f'<rect x="{left + (start - origin) * scale:.1f}" y="{lane * state + 3:.1f}" '
-            f'width="{max((stop - start) * scale, 0.6):.1f}" height="{lane - 4}" fill="{colour_of(state)}"/>'
+            f'width="{max((stop - start) * scale, 0.6):.1f}" height="{lane - 4}" fill="{colours[state]}"/>'
         )
     for value in nice_ticks(origin, origin + span, 8):
         parts.append(
@@ -190,25 +201,26 @@ def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence
     return scrolling(svg(width, height, "performance states over time", "".join(parts), "long"))
 
 
-def key(names: Sequence[str], bottom: float) -> str:
-    """Names with the colours of their series, one below the other, above a row of the drawing."""
+def key(names: Sequence[str], bottom: float, colours: Sequence[str] = ()) -> str:
+    """Names with the colours of their series, or those given, one below the other, above a row of the drawing."""
     x, parts = _MARGIN[0] + 8, []
+    colours = colours or [colour_of(index) for index in range(len(names))]
     for index, name in enumerate(names):
         y = bottom - _LINE_PX * (len(names) - 1 - index)
         parts.append(
-            f'<rect x="{x:g}" y="{y - 7:g}" width="12" height="4" fill="{colour_of(index)}"/>'
+            f'<rect x="{x:g}" y="{y - 7:g}" width="12" height="4" fill="{colours[index]}"/>'
             f'<text x="{x + 18:g}" y="{y - 1:g}">{html.escape(name)}</text>'
         )
     return "".join(parts)
 
 
-def precision_recall(curves: Mapping[str, tuple[Array, Array]], caption: str) -> str:
-    """A figure of precision against recall, shape (n,) each, for each name."""
+def precision_recall(curves: Mapping[str, tuple[Array, Array]], colours: Sequence[str], caption: str) -> str:
+    """A figure of precision against recall, shape (n,) each, for each name with its colour."""
     axes, content = Axes((0, 1), (0, 1.02)), ""
-    for index, (recall, precision) in enumerate(curves.values()):
+    for colour, (recall, precision) in zip(colours, curves.values(), strict=True):
         kept = _along(recall, precision)
-        content += line(axes, recall[kept], precision[kept], colour_of(index))
-    content += key(list(curves), axes.height - _MARGIN[3] - 4)
+        content += line(axes, recall[kept], precision[kept], colour)
+    content += key(list(curves), axes.height - _MARGIN[3] - 4, colours)
     return figure([axes.drawing(content, "precision against recall", "recall", "precision")], caption)
 
 
@@ -219,10 +231,10 @@ def _along(recall: Array, precision: Array) -> Indices:
     return np.unique(np.append(np.searchsorted(walked, np.linspace(0, walked[-1], MOST_POINTS)), len(recall) - 1))
 
 
-def error_scatter(groups: Mapping[str, Array], x_label: str, y_label: str, caption: str) -> str:
+def error_scatter(groups: Mapping[str, Array], colours: Sequence[str], x_label: str, y_label: str, caption: str) -> str:
     """A figure of pairs of errors, shape (n, 2) for each name, with ellipses that hold 95 % of normal ones like them.
 
-    The labels of the axes name the first and the second error of a pair, each with its unit.
+    Each name has a colour. The labels of the axes name the first and the second error of a pair, each with its unit.
     """
     deviations = CHI_SQUARE_95**0.5
     rims = {name: ellipse(e.mean(axis=0), np.cov(e.T), deviations) for name, e in groups.items() if len(e) > 2}
@@ -230,12 +242,12 @@ def error_scatter(groups: Mapping[str, Array], x_label: str, y_label: str, capti
     everything = np.concatenate([*groups.values(), np.zeros((1, 2))])
     reach = max(float(np.quantile(np.abs(everything), 0.995)) * 1.15, 1.05 * widest, 1e-6)
     axes, content = Axes((-reach, reach), (-reach, reach)), ""
-    for index, (name, errors) in enumerate(groups.items()):
+    for colour, (name, errors) in zip(colours, groups.items(), strict=True):
         shown = errors[:: max(1, len(errors) // MOST_DOTS)]
-        content += dots(axes, shown[:, 0], shown[:, 1], colour_of(index))
+        content += dots(axes, shown[:, 0], shown[:, 1], colour)
         if name in rims:
-            content += line(axes, *rims[name], colour_of(index))
-    content += key(list(groups), axes.height - _MARGIN[3] - 4)
+            content += line(axes, *rims[name], colour)
+    content += key(list(groups), axes.height - _MARGIN[3] - 4, colours)
     return figure([axes.drawing(content, f"{y_label} against {x_label}", x_label, y_label)], caption)
 
 

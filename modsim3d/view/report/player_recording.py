@@ -162,6 +162,7 @@ def _facts(scene: Scene, quantum: float) -> dict[str, Any]:
     """What the numbers mean: names, colours."""
     vessels = [palette.vessel_colour(index) for index in range(len(scene.vessels))]
     obstacles = [palette.obstacle_colour(index) for index in range(len(scene.obstacles))]
+    states = palette.state_colours(len(scene.detector.states))
     return {
         "name": scene.name,
         "quantum": quantum,
@@ -177,15 +178,12 @@ def _facts(scene: Scene, quantum: float) -> dict[str, Any]:
             for camera in scene.cameras
         ],
         "colours": {
-            "vessels": [_css(colour) for colour in vessels],
-            "owners": [*(_css(palette.darker(colour)) for colour in vessels), *map(_css, obstacles)],
-            **{name: _css(getattr(palette, name.upper())) for name in ("sea", "sky", "truth", "alarm", "ink")},
+            "vessels": [palette.css(colour) for colour in vessels],
+            "owners": [*(palette.css(palette.darker(colour)) for colour in vessels), *map(palette.css, obstacles)],
+            "states": [palette.css(colour) for colour in states],
+            **{name: palette.css(getattr(palette, name.upper())) for name in ("sea", "sky", "truth", "alarm", "ink")},
         },
     }
-
-
-def _css(colour: palette.Colour) -> str:
-    return "#" + "".join(f"{channel:02x}" for channel in colour)
 
 
 def quantum_px(image_sizes_px: list[tuple[int, int]]) -> float:

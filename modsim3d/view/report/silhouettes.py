@@ -54,7 +54,7 @@ class Silhouettes:
             lines, and `corners` of the lines: column and row, in quanta, shape (k, 2).
         """
         scene, occluder_count = self._scene, len(self._scene.occluder_names)
-        hides = _hides(rows, occluder_count)
+        hides = hiding(rows)
         found: list[Shapes] = [NO_SHAPES]
         still, begin = [np.empty(0, dtype=bool)], 0
         for index, every in enumerate(frames):
@@ -62,14 +62,9 @@ class Silhouettes:
             still_owner = len(scene.vessels) if camera.mount.vessel is None else occluder_count
             for first in range(0, len(every), STEPS_TOGETHER):
                 steps = every[first : first + STEPS_TOGETHER]
-                sight, place = scene.sight(camera, steps), begin + first
-                half_planes = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
-                horizons[place : place + len(steps)] = half_planes
-                before = sight.outlines()
-                numbers = steps * len(scene.cameras) + index
-                numbered = replace(before, frame=numbers[before.frame])
-                drawn = shapes(numbered, camera.intrinsics, self._quantum_px, occluder_count, hides)
-                found.append(replace(drawn, frame=place + np.searchsorted(numbers, drawn.frame)))
+                place = begin + first
+                horizons[place : place + len(steps)], drawn = seen(scene, index, steps, self._quantum_px, hides)
+                found.append(replace(drawn, frame=place + drawn.frame))
                 still.append(drawn.occluder >= still_owner)
             begin += len(every)
         every_shape, stands = concatenated(found), np.concatenate(still)
@@ -87,6 +82,29 @@ class Silhouettes:
     def still_columns(self) -> dict[str, Column | Coded]:
         """The outlines that all parts refer to, numbered from `STILL` on."""
         return _outline_columns(self._still.shapes())
+
+
+def seen(scene: Scene, index: int, steps: Indices, quantum_px: float, hides: Indices) -> tuple[Array, Shapes]:
+    """What a camera sees at some steps.
+
+    Args:
+        scene: The scene.
+        index: Index of the camera.
+        steps: Ascending steps at which it takes a frame, shape (S,).
+        quantum_px: The unit of lengths in the image.
+        hides: Keys of what hides what in the truth, from `hiding`, shape (m,).
+
+    Returns:
+        The sea half plane at each step, shape (S, 3); the silhouettes from back to front, with the place of their step
+        as their frame.
+    """
+    camera = scene.cameras[index]
+    sight, numbers = scene.sight(camera, steps), steps * len(scene.cameras) + index
+    half_planes = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
+    before = sight.outlines()
+    numbered = replace(before, frame=numbers[before.frame])
+    drawn = shapes(numbered, camera.intrinsics, quantum_px, len(scene.occluder_names), hides)
+    return half_planes, replace(drawn, frame=np.searchsorted(numbers, drawn.frame))
 
 
 def _camera_of(frame: Indices, frames: Sequence[Indices]) -> Indices:
@@ -140,9 +158,9 @@ def _outline_columns(different: Shapes) -> dict[str, Column | Coded]:
     }
 
 
-def _hides(rows: RunRows, occluder_count: int) -> Indices:
+def hiding(rows: RunRows) -> Indices:
     """Keys of what hides what in the truth, see `in_front`, shape (m,)."""
-    occluders = rows.occluders()
+    occluders, occluder_count = rows.occluders(), len(rows.scene.occluder_names)
     frame, hidden = rows.truth_frame[occluders.hidden], rows.truth_vessel[occluders.hidden]
     keys: Indices = (frame * occluder_count + hidden) * occluder_count + occluders.name
     return keys

@@ -24,12 +24,6 @@ function channels(colour) {
 
 function mixed(from, to, part) { return `rgb(${from.map((value, i) => Math.round(value + part * (to[i] - value)))})`; }
 
-// States in the order of the detector file, from pale to strong.
-function stateColour(state, states) {
-  const part = states > 1 ? state / (states - 1) : 0;
-  return mixed(channels(colourOf('--state-first')), channels(colourOf('--state-last')), part);
-}
-
 // Black or white, whichever stands out more from a colour: by 4.58 at least.
 function distinctFrom(colour) { return contrast('#000000', colour) >= contrast('#ffffff', colour) ? '#000000' : '#ffffff'; }
 

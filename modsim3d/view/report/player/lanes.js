@@ -53,7 +53,7 @@ class Lanes {
     const { context, timeline, recording } = this, { facts } = recording;
     context.globalAlpha = 0.45;
     for (const { index, until, state } of recording.states(this.camera)) {
-      context.fillStyle = facts.states.length > 1 ? stateColour(state, facts.states.length) : colourOf('--track');
+      context.fillStyle = facts.states.length > 1 ? facts.colours.states[state] : colourOf('--track');
       context.fillRect(timeline.x(index), 0, timeline.x(until + 1) - timeline.x(index), this.high);
     }
     context.globalAlpha = 1;

@@ -84,7 +84,7 @@ class Timeline {
     this.text(context, 'detector', 0, STATE_PX / 2, this.left - 6);
     for (const { index, until, state } of this.recording.states(this.camera)) {
       const x = this.x(index), wide = this.x(until + 1) - x;
-      context.fillStyle = stateColour(state, facts.states.length);
+      context.fillStyle = facts.colours.states[state];
       context.fillRect(x, 0, wide + 0.3, STATE_PX);
       const name = facts.states[state];
       if (context.measureText(name).width + 8 >= wide) continue;
