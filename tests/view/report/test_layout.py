@@ -14,6 +14,7 @@ from PIL import Image
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from modsim3d.view import palette
 from modsim3d.view.report.report import write_report
 from tests.scenes import write_scene
 from tests.view.report.browser import Browser
@@ -125,12 +126,9 @@ def test_texts_and_graphics_stand_out(browser, page, scheme):
     ):
         for sight in (None, *CVD):
             assert contrast(colours[mark], colours[behind], sight) >= 3, (mark, behind, sight)
-    for states in range(1, 7):  # the names on the strip of states
-        for state in range(states):
-            strip, ink = player_value(
-                browser, f"(strip => [strip, channels(distinctFrom(strip))])(stateColour({state}, {states}))"
-            )
-            assert contrast(ink, strip) >= 4.5
+    for colour in (each for states in range(1, 7) for each in palette.state_colours(states)):  # under their names
+        ink = player_value(browser, f"channels(distinctFrom('{palette.css(colour)}'))")
+        assert contrast(ink, colour) >= 4.5
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
