@@ -9,9 +9,10 @@ from pathlib import Path
 
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.view.pages.page import heading, table
 from modsim3d.view.pages.provenance import Provenance, provenance
 from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions
-from modsim3d.view.pages.tables import UNKNOWN
+from modsim3d.view.pages.tables import UNKNOWN, breaking
 from modsim3d.view.report.compared_counts import PAIRED_HEADER, compared_counts, paired_detections
 from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, Rows, named_values
 from modsim3d.view.report.packing import packed
@@ -69,7 +70,6 @@ def write_side_by_side(
             (f"By vessel: {name}", counts.by_vessel(), VESSEL_HEADER)
             for name, counts in zip(names, tables, strict=True)
         ),
-        ("Settings that differ", _differing_settings(first, second), ("", *names)),
     ]
     note = f"<p class=soft>Every {every}th step is shown; the tables count all of them.</p>" if every > 1 else ""
     text = PageText(
@@ -81,7 +81,9 @@ def write_side_by_side(
         ),
         notes=note,
         result=_result(compared, names),
-        tables=f"{sections(parts)}\n{provenance(_provenance(runs, every, command))}",
+        tables="\n".join(
+            [sections(parts), _settings(first, second, names), provenance(_provenance(runs, every, command))]
+        ),
     )
     write_page(text, recordings, out, in_files=in_files, differences=_differences_html(found, names))
     return out
@@ -105,12 +107,14 @@ def run_names(first: StoredRun, second: StoredRun) -> tuple[str, str]:
     return f"A {first.folder.resolve().name}", f"B {second.folder.resolve().name}"
 
 
-def _differing_settings(first: StoredRun, second: StoredRun) -> Rows:
+def _settings(first: StoredRun, second: StoredRun, names: tuple[str, str]) -> str:
+    """The settings that differ, but for checksums, which stand below, and what follows from the noise that was drawn."""
     one, other = ({row[0]: row[1] for row in named_values(run.settings)} for run in (first, second))
-    names = [
-        name for name in {**one, **other} if one.get(name) != other.get(name) and not name.startswith("truncation.")
-    ]
-    return [(name, one.get(name, UNKNOWN), other.get(name, UNKNOWN)) for name in names]
+    left_out = ("scene_sha256", "truncation.")
+    differ = [key for key in {**one, **other} if one.get(key) != other.get(key) and not key.startswith(left_out)]
+    rows = [(key, *(breaking(each.get(key, UNKNOWN)) for each in (one, other))) for key in differ]
+    shown = table(rows, ("", *names), markup=(1, 2))
+    return f"<section>{heading('Settings that differ')}{shown}</section>"
 
 
 def _differences_html(found: Differences, names: tuple[str, str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -161,6 +162,18 @@ def test_the_command_takes_two_runs(monkeypatch, capsys, mistaken_folder, other_
     )
     assert status == 2 and "--tracks is for one run" in told
     assert not (tmp_path / "no.html").exists()
+
+
+def test_the_page_of_two_runs_fits_a_phone_and_says_what_it_rests_on(browser, both, mistaken_folder, other_folder):
+    browser.open(both, (390, 844))
+    assert browser.run("document.documentElement.scrollWidth") <= 390
+    said = browser.run("document.body.textContent")
+    for folder in (mistaken_folder, other_folder):
+        assert hashlib.sha256((folder / "detections.parquet").read_bytes()).hexdigest() in said
+    assert "detector_seed" in browser.run(
+        "[...document.querySelectorAll('section')].find(each => "
+        "each.querySelector('h2')?.textContent === 'Settings that differ').textContent"
+    )
 
 
 def test_the_same_runs_give_the_same_bytes(both, mistaken_folder, other_folder, tmp_path):
