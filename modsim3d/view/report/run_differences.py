@@ -25,8 +25,8 @@ def check_same_truth(first: StoredRun, second: StoredRun) -> None:
         RunDirectoryError: Cameras, vessels, steps or a row of the truth differ.
     """
     for name, one, other in (
-        ("cameras", *([camera.name for camera in run.scene.cameras] for run in (first, second))),
-        ("vessels", *(list(run.scene.vessel_names) for run in (first, second))),
+        ("cameras", *(", ".join(camera.name for camera in run.scene.cameras) for run in (first, second))),
+        ("vessels", *(", ".join(run.scene.vessel_names) for run in (first, second))),
         ("number of steps", first.steps, second.steps),
         ("annotation mode", *(run.scene.annotation.mode for run in (first, second))),
     ):

@@ -108,7 +108,7 @@ def run_names(first: StoredRun, second: StoredRun) -> tuple[str, str]:
 
 
 def _settings(first: StoredRun, second: StoredRun, names: tuple[str, str]) -> str:
-    """The settings that differ, but for checksums, which stand below, and what follows from the noise that was drawn."""
+    """The settings that differ, but for checksums, which stand below, and what follows from the noise."""
     one, other = ({row[0]: row[1] for row in named_values(run.settings)} for run in (first, second))
     left_out = ("scene_sha256", "truncation.")
     differ = [key for key in {**one, **other} if one.get(key) != other.get(key) and not key.startswith(left_out)]
