@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.arrays import Indices
+from modsim3d.display import listed
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.report.packing import ROW_BEFORE, Coded, Column
@@ -25,8 +26,8 @@ def check_same_truth(first: StoredRun, second: StoredRun) -> None:
         RunDirectoryError: Cameras, vessels, steps or a row of the truth differ.
     """
     for name, one, other in (
-        ("cameras", *(", ".join(camera.name for camera in run.scene.cameras) for run in (first, second))),
-        ("vessels", *(", ".join(run.scene.vessel_names) for run in (first, second))),
+        ("cameras", *(listed([camera.name for camera in run.scene.cameras]) for run in (first, second))),
+        ("vessels", *(listed(list(run.scene.vessel_names)) for run in (first, second))),
         ("number of steps", first.steps, second.steps),
         ("annotation mode", *(run.scene.annotation.mode for run in (first, second))),
     ):
