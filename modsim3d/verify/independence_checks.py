@@ -27,8 +27,8 @@ from modsim3d.verify.spread_checks import spread_checks
 GROUP = "independence"
 LEAST_PAIRS = 200
 """Independent pairs of residuals below which their correlation is not tested."""
-LEAST_WORTH = 100
-"""Independent residuals below which their order in time is not tested."""
+LEAST_WORTH, LEAST_PERSISTENT_WORTH = 100, 300
+"""Independent residuals below which they are not tested; persistent ones come in clumps, so more are needed."""
 _LEAST_EVENTS = 10.0
 _FORGOTTEN = 10.0
 """Correlation times after which residuals count as independent: 5e-5 of a correlation is left."""
@@ -120,7 +120,7 @@ def _earlier_times(residuals: Residuals, evidence: Evidence, memory: Memory) -> 
     inflation = memory.inflation(2)
     lags = np.arange(len(sums.product))
     tested = np.flatnonzero((lags >= memory.first_lag) & (sums.pairs >= LEAST_PAIRS * inflation))
-    if not len(tested):
+    if not len(tested) or not _worth(ours, memory, 2):
         return None, ""
     z = sums.product[tested] / np.sqrt(sums.variance[tested] * inflation)
     likely = tested[np.argsort(-np.abs(z), kind="stable")[:_CANDIDATES]]
@@ -157,21 +157,30 @@ def _within_images(residuals: Residuals, evidence: Evidence, memory: Memory) -> 
 def _of_groups(residuals: Residuals, group: Indices, memory: Memory) -> Estimate | None:
     sums = group_sums(residuals.values, residuals.variance, residuals.third, group)
     inflation = memory.inflation(2)
-    return _estimate(sums, 0, inflation) if sums.pairs[0] >= LEAST_PAIRS * inflation else None
+    enough = _worth(residuals, memory, 2) and sums.pairs[0] >= LEAST_PAIRS * inflation
+    return _estimate(sums, 0, inflation) if enough else None
+
+
+def _worth(residuals: Residuals, memory: Memory, power: int) -> float:
+    """Independent residuals that are worth as much as these, or as their products (2); 0 if they are too few."""
+    inflation, variance = memory.inflation(power), residuals.variance
+    if float(variance.sum()) < _LEAST_EVENTS * inflation:
+        return 0.0
+    worth = float(variance.sum()) ** 2 / float((variance**2).sum()) / inflation
+    return worth if worth >= (LEAST_WORTH if memory.correlation_s <= 0 else LEAST_PERSISTENT_WORTH) else 0.0
 
 
 def _order_in_time(residuals: Residuals, evidence: Evidence, memory: Memory) -> Found:
     """How far the sum of the residuals so far strays from zero; also that of their squares where these say more."""
-    inflation, variance = memory.inflation(1), residuals.variance
-    worth = float(variance.sum()) ** 2 / float((variance**2).sum()) / inflation
-    if worth < LEAST_WORTH or float(variance.sum()) < _LEAST_EVENTS * inflation:
+    worth = _worth(residuals, memory, 1)
+    if not worth:
         return None, ""
     columns = residuals.values
     if residuals.continuous:
         columns = np.column_stack([columns, _magnitudes(residuals, evidence)])
     _, moment = np.unique(evidence.frames.time_s[residuals.image], return_inverse=True)
     sums = np.array([np.cumsum(np.bincount(moment, column)) for column in columns.T])
-    strays = float(np.abs(sums).max()) / math.sqrt(float(variance.sum()) * inflation)
+    strays = float(np.abs(sums).max()) / math.sqrt(float(residuals.variance.sum()) * memory.inflation(1))
     return Drift(strays / math.sqrt(worth), worth, len(sums)), ""
 
 

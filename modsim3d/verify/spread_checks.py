@@ -26,11 +26,10 @@ def spread_checks(model: DetectorModel, evidence: Evidence, group: str) -> list[
         "variance over mean in images": np.arange(len(found)),
         "variance over mean in stretches with one": stretches(evidence.frames.camera, expected.transient),
     }
+    measures = {name: _spread(expected, evidence.frames.state, found, window) for name, window in windows.items()}
     return [
-        Parameter(f"{Draw.FALSE_POSITIVES}: {name}", group, _spread(expected, found, window), in_file=False).unless(
-            note
-        )
-        for name, window in windows.items()
+        Parameter(f"{Draw.FALSE_POSITIVES}: {name}", group, measure, in_file=False).unless(note)
+        for name, measure in measures.items()
     ]
 
 
@@ -46,7 +45,7 @@ def stretches(camera: Indices, mean: Array) -> Indices:
     return numbers
 
 
-def _spread(expected: ExpectedClutter, found: Indices, window: Indices) -> Estimate | None:
+def _spread(expected: ExpectedClutter, state: Indices, found: Indices, window: Indices) -> Estimate | None:
     """The variance of the number of a window over its mean.
 
     With the number n of an image, its mean m and its variance v, (n − m)² − (2v/m − 1)·(n − m) − v has mean zero, does
@@ -54,9 +53,12 @@ def _spread(expected: ExpectedClutter, found: Indices, window: Indices) -> Estim
     binomial one. Pairs of images of one window add twice the product of theirs, with variance 4v₁v₂. The third
     cumulant is 8V³ + 4V² for a Poisson number with mean V.
     """
-    mean, dispersion = expected.transient, expected.dispersion
-    some = mean > 0
-    mean, dispersion, window, rest = mean[some], dispersion[some], window[some], found[some] - mean[some]
+    some = np.flatnonzero(expected.transient > 0)
+    state, window, dispersion = state[some], window[some], expected.dispersion[some]
+    # With each state's own rate: a wrong one must not look like clumps.
+    ratio = np.bincount(state, found[some]) / np.maximum(np.bincount(state, expected.transient[some]), 1e-300)
+    mean = expected.transient[some] * np.where(ratio > 0, ratio, 1)[state]
+    rest = found[some] - mean
     variance = mean * dispersion
     of_windows = np.bincount(window, variance)
     alone = rest**2 - (2 * dispersion - 1) * rest - variance

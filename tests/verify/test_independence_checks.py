@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from modsim3d.detector.draws import select
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
+from modsim3d.runs.pipeline import DetectorInput
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.box_error_checks import state_fits
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.independence_checks import GROUP, independence_checks
 from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.verification import verify
 from tests.detector_variants import Data, thesis_data
-from tests.verify.lies import LIES, Lie, told
+from tests.verify.lies import LIES, Lie, same_errors_in_both_cameras, told
 
 
 @pytest.fixture(scope="module")
 def many() -> ManyDetections:
-    return ManyDetections.of_scene(load_scene("simulation_3", mode=2, source="analytic"))
+    return ManyDetections.of_scene(load_scene("simulation_3", mode=2, steps=3000, source="analytic"))
 
 
 @pytest.fixture(scope="module")
@@ -57,3 +60,67 @@ def test_a_lie_that_leaves_single_numbers_intact_is_found(honest: Evidence, tabl
     failed = verify(one_state(), told(lie, honest), table).failed
     assert LIES[lie] in [verdict.parameter.name for verdict in failed]
     assert {verdict.parameter.group for verdict in failed} == {GROUP}
+
+
+def checked(model: DetectorModel, evidence: Evidence, table: MomentTable) -> dict[str, Parameter]:
+    fits = [fit for fit in state_fits(model, evidence, table).values() if fit is not None]
+    return {parameter.name: parameter for parameter in independence_checks(model, evidence, fits)}
+
+
+def p_values(found: dict[str, Parameter]) -> dict[str, float]:
+    return {name: parameter.measure.p_value() for name, parameter in found.items() if parameter.measure is not None}
+
+
+def test_honest_seeds_have_small_p_values_as_often_as_they_should(many: ManyDetections, table: MomentTable) -> None:
+    model = one_state()
+    every = np.array([list(p_values(checked(model, many.detect(model, seed), table)).values()) for seed in range(12)])
+    assert every.shape[1] >= 18
+    assert every.min() > 1e-4
+    # 216 p-values: more of them lie below with a probability of 0.1 %.
+    assert every.size == 216
+    assert (every < 0.1).sum() <= 36
+    assert (every < 0.01).sum() <= 8
+
+
+def test_draws_that_persist_are_no_lie_if_the_file_says_so(many: ManyDetections, table: MomentTable) -> None:
+    model = one_state(persistence={"class_s": 1.0, "box_s": 1.0})
+    evidence = many.detect(model, 1)
+    found = checked(model, evidence, table)
+    assert min(p_values(found).values()) > 1e-4
+    assert found["box errors: with earlier times"].measure is not None
+    asked = checked(one_state(), evidence, table)["box errors: with earlier times"]
+    assert asked.measure is not None
+    assert asked.measure.p_value() < 1e-9
+    assert asked.note.endswith(" lags: 1 steps")
+
+
+def test_what_never_changes_is_too_little_seen(honest: Evidence, table: MomentTable) -> None:
+    found = checked(one_state(persistence={"class_s": 1e9, "box_s": 1e9}), honest, table)
+    untested = [name for name, parameter in found.items() if parameter.measure is None]
+    assert untested == [name for name in found if name.startswith(("box errors", "misses"))]
+
+
+def every_third_frame(part: DetectorInput) -> DetectorInput:
+    frames, targets = part.frames, part.targets
+    rows = np.flatnonzero(targets.frame % 3 == 0)
+    fewer = replace(
+        frames, steps=frames.steps[::3], times_s=frames.times_s[::3], sea_half_planes=frames.sea_half_planes[::3]
+    )
+    return replace(part, frames=fewer, targets=replace(select(targets, rows), frame=targets.frame[rows] // 3))
+
+
+def test_cameras_of_other_frame_rates_are_compared_at_common_steps(many: ManyDetections) -> None:
+    first, second = many.inputs
+    slower = replace(many, inputs=(first, every_third_frame(second)))
+    evidence = slower.detect(one_state(), 2)
+    found = checked(one_state(), evidence, MomentTable())
+    assert min(p_values(found).values()) > 1e-4
+    same = checked(one_state(), told(same_errors_in_both_cameras, evidence), MomentTable())
+    assert same["box errors: between cameras"].measure is not None
+    assert same["box errors: between cameras"].measure.measured > 0.9
+    assert same["box errors: between cameras"].measure.count < found["box errors: within images"].measure.count
+
+
+def test_one_camera_is_not_compared_with_another(many: ManyDetections) -> None:
+    alone = replace(many, inputs=many.inputs[:1]).detect(one_state(), 0)
+    assert not [name for name in checked(one_state(), alone, MomentTable()) if "cameras" in name]
