@@ -3,8 +3,8 @@
 Each scene's truth is made once; the detector is run over it in memory with one seed after the other, and `verify` holds
 what comes out against the file that it was made with. The thesis's detector on all three of its simulations with 200
 seeds each; the thesis's with one further model switched on at a time (tests/detector_variants.py) with fewer, and so
-the file that has every kind of model, in the harbour, whose vessels are given its labels in turn. Models that persist or
-come in clumps are tried with two cameras as well.
+the file that has every kind of model, in the harbour, whose vessels are given its labels in turn. Models that persist
+or come in clumps are tried with two cameras as well.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def independence(found: list[dict[str, Any]]) -> list[str]:
     """A table of the checks of independence, over all rows."""
     totals: dict[str, np.ndarray] = {}
     for row in found:
-        for name, counts in row["independence"].items():
+        for name, counts in row.get("independence", {}).items():
             totals[name] = totals.get(name, np.zeros(4, dtype=np.int64)) + counts
     lines = [
         "",

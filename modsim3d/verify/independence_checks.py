@@ -104,11 +104,11 @@ Check = Callable[[Residuals, Evidence, Memory], Found]
 
 def _checks_of(residuals: Residuals, evidence: Evidence) -> Mapping[str, Check]:
     """The checks of a kind of draw, by name."""
-    checks: dict[str, Check] = {"with earlier times": _earlier_times}
+    checks: dict[str, Check] = {"correlation with earlier times": _earlier_times}
     if len(evidence.cameras) > 1:
-        checks["between cameras"] = _between_cameras
+        checks["correlation between cameras"] = _between_cameras
     if residuals.draw != Draw.FALSE_POSITIVES:
-        checks["within images"] = _within_images
+        checks["correlation within images"] = _within_images
     return {**checks, "order in time": _order_in_time}
 
 
@@ -126,7 +126,7 @@ def _earlier_times(residuals: Residuals, evidence: Evidence, memory: Memory) -> 
     likely = tested[np.argsort(-np.abs(z), kind="stable")[:_CANDIDATES]]
     found = [_estimate(sums, int(lag), inflation, len(tested)) for lag in likely]
     best = min(range(len(found)), key=lambda k: (found[k].p_value(), -abs(found[k].z)))
-    return found[best], f"the strongest of {len(tested)} lags: {int(likely[best])} steps"
+    return found[best], f"the strongest of {len(tested)} lags, {int(likely[best])} steps back"
 
 
 def _estimate(sums: PairSums, k: int, inflation: float, trials: int = 1) -> Strongest:

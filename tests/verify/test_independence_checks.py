@@ -52,13 +52,13 @@ def test_an_honest_run_obeys_and_each_pattern_is_tested(honest: Evidence, table:
     found = verify(one_state(), honest, table)
     assert found.obeys, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed]
     tested = {verdict.parameter.name for verdict in found.verdicts if verdict.p_value is not None}
-    assert tested >= set(LIES.values())
+    assert tested >= set().union(*LIES.values())
 
 
 @pytest.mark.parametrize("lie", LIES, ids=lambda lie: lie.__name__)
 def test_a_lie_that_leaves_single_numbers_intact_is_found(honest: Evidence, table: MomentTable, lie: Lie) -> None:
     failed = verify(one_state(), told(lie, honest), table).failed
-    assert LIES[lie] in [verdict.parameter.name for verdict in failed]
+    assert LIES[lie] <= {verdict.parameter.name for verdict in failed}
     assert {verdict.parameter.group for verdict in failed} == {GROUP}
 
 
@@ -87,11 +87,11 @@ def test_draws_that_persist_are_no_lie_if_the_file_says_so(many: ManyDetections,
     evidence = many.detect(model, 1)
     found = checked(model, evidence, table)
     assert min(p_values(found).values()) > 1e-4
-    assert found["box errors: with earlier times"].measure is not None
-    asked = checked(one_state(), evidence, table)["box errors: with earlier times"]
+    assert found["box errors: correlation with earlier times"].measure is not None
+    asked = checked(one_state(), evidence, table)["box errors: correlation with earlier times"]
     assert asked.measure is not None
     assert asked.measure.p_value() < 1e-9
-    assert asked.note.endswith(" lags: 1 steps")
+    assert asked.note.endswith(" lags, 1 steps back")
 
 
 def test_what_never_changes_is_too_little_seen(honest: Evidence, table: MomentTable) -> None:
@@ -115,10 +115,13 @@ def test_cameras_of_other_frame_rates_are_compared_at_common_steps(many: ManyDet
     evidence = slower.detect(one_state(), 2)
     found = checked(one_state(), evidence, MomentTable())
     assert min(p_values(found).values()) > 1e-4
-    same = checked(one_state(), told(same_errors_in_both_cameras, evidence), MomentTable())
-    assert same["box errors: between cameras"].measure is not None
-    assert same["box errors: between cameras"].measure.measured > 0.9
-    assert same["box errors: between cameras"].measure.count < found["box errors: within images"].measure.count
+    lie = checked(one_state(), told(same_errors_in_both_cameras, evidence), MomentTable())
+    within = found["box errors: correlation within images"].measure
+    between = lie["box errors: correlation between cameras"].measure
+    assert within is not None
+    assert between is not None
+    assert between.measured > 0.9
+    assert between.count < within.count
 
 
 def test_one_camera_is_not_compared_with_another(many: ManyDetections) -> None:
