@@ -144,8 +144,7 @@ def independence(found: list[dict[str, Any]]) -> list[str]:
         "",
         "## Checks of independence",
         "",
-        "Over all rows together. Checks of the strongest of many lags, and of the number of false positives, have "
-        "fewer small p-values than others: they are cautious.",
+        "Over all rows together. Many rows have the same noise, so one unlucky seed may count many times here as well.",
         "",
         "| Check | Tests | p < 0.1 | p < 0.01 | p < 0.001 |",
         "|---|---|---|---|---|",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Literal
 
 import numpy as np
 from scipy import special
@@ -13,6 +14,9 @@ from modsim3d.detector.confidence import NormalScores, QuantileScores
 Levels = tuple[Array, Array]
 """Probability of a smaller confidence, and of one that is not larger, shapes (n,)."""
 
+_ROUNDING = 1e-9
+"""A value less its shift may miss a step of its law by rounding."""
+
 
 def _normal(law: NormalScores, values: Array, shift: Array) -> Levels | None:
     if law.std == 0:
@@ -22,15 +26,21 @@ def _normal(law: NormalScores, values: Array, shift: Array) -> Levels | None:
 
 
 def _quantiles(law: QuantileScores, values: Array, shift: Array) -> Levels | None:
-    quantiles = law.quantiles
-    share, steps = np.linspace(0, 1, len(quantiles)), np.flatnonzero(np.diff(quantiles) > 0)
-    if not len(steps):
+    if not np.ptp(law.quantiles):
         return None
-    last, first = np.append(steps, len(quantiles) - 1), np.append(0, steps + 1)
-    return (
-        np.interp(values - shift, quantiles[first], share[first]),
-        np.interp(values - shift, quantiles[last], share[last]),
-    )
+    before = values - shift
+    return _level(law.quantiles, before - _ROUNDING, "left"), _level(law.quantiles, before + _ROUNDING, "right")
+
+
+def _level(quantiles: Array, values: Array, side: Literal["left", "right"]) -> Array:
+    """Probability of less than each value, or with `right` of no more, under a law straight between quantiles."""
+    count = np.searchsorted(quantiles, values, side=side)
+    above = np.clip(count, 1, len(quantiles) - 1)
+    step = np.diff(quantiles)[above - 1]
+    part = (values - quantiles[above - 1]) / np.where(step > 0, step, 1)
+    between = (above - 1 + part) / (len(quantiles) - 1)
+    level: Array = np.where(count == 0, 0.0, np.where(count == len(quantiles), 1.0, between))
+    return level
 
 
 LEVELS: Mapping[str, Callable[..., Levels | None]] = {"normal": _normal, "quantiles": _quantiles}

@@ -108,7 +108,8 @@ def larger_and_larger_errors(evidence: Evidence) -> list[Detections]:
     for seen in evidence.cameras:
         rows = single(seen)
         errors = seen.detections.errors_px[rows]
-        result.append(with_errors(seen, rows, errors[np.argsort((errors**2).sum(axis=1))]))
+        distance = (((errors - errors.mean(axis=0)) / errors.std(axis=0)) ** 2).sum(axis=1)
+        result.append(with_errors(seen, rows, errors[np.argsort(distance)]))
     return result
 
 
