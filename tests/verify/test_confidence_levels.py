@@ -41,7 +41,7 @@ def test_a_law_of_one_value_has_no_levels() -> None:
 
 def test_a_step_of_a_law_has_all_its_levels() -> None:
     values = np.array([0.3, 0.4, 0.5, 0.65, 0.8])
-    for shift in (np.zeros(5), np.full(5, 0.05)):
+    for shift in np.tile(np.linspace(0, 0.1, 8)[:, None], 5):
         levels = LEVELS["quantiles"](STEPS, values + shift, shift)
         assert levels is not None
         np.testing.assert_allclose(levels[0], [0, 0.375, 0.5, 0.625, 0.75], atol=1e-7)
