@@ -15,6 +15,7 @@ from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.confidence import SCORES
+from modsim3d.detector.draws import poisson_quantile
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import model_name
 from modsim3d.detector.records import FALSE_POSITIVE
@@ -29,6 +30,9 @@ NO_VESSEL = -1
 _LEAST_OF_STATE = 30
 """Rows of a state with fewer are left out: they cannot show the state's own mean and spread."""
 _LEAST_LEVEL = 1e-12
+_MANY, _NO_CAP = 10.0, 1 << 30
+_CAP = 0.9
+"""Level at which small Poisson numbers are capped: products of rare large ones have no nearly normal sum."""
 
 
 class Draw(StrEnum):
@@ -126,19 +130,33 @@ def miss_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
 
 
 def clutter_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
-    """Number of transient false positives of each image less its expectation."""
+    """Number of transient false positives of each image, small numbers capped, less its expectation."""
     note = max_detections_note(model, evidence)
     if note or model.clutter.model not in RATE_CHECKS:
         return none_of(Draw.FALSE_POSITIVES, note)
     expected, images = expected_clutter(model, evidence), evidence.frames
     rows = np.flatnonzero(expected.transient > 0)
     mean, dispersion = expected.transient[rows], expected.dispersion[rows]
+    poisson = (dispersion == 1) & (mean < _MANY)
+    found, cap = n_transient(evidence)[rows], np.full(len(rows), _NO_CAP)
+    cap[poisson] = np.maximum(poisson_quantile(np.full(int(poisson.sum()), _CAP), mean[poisson]), 1)
     variance = mean * dispersion
-    values = _centred(n_transient(evidence)[rows] - mean, variance, images.state[rows])
     third = variance * (2 * dispersion - 1)
+    mean[poisson], variance[poisson], third[poisson] = capped_poisson(mean[poisson], cap[poisson])
+    values = _centred(np.minimum(found, cap) - mean, variance, images.state[rows])
     return Residuals(
         Draw.FALSE_POSITIVES, rows, np.zeros(len(rows), dtype=np.int64), values[:, None], variance, third[:, None]
     )
+
+
+def capped_poisson(means: Array, caps: Indices) -> tuple[Array, Array, Array]:
+    """Mean, variance and third central moment of Poisson numbers cut down to caps of 1 or more, shapes (n,)."""
+    counts = np.arange(int(caps.max(initial=0)) + 1)
+    chances = np.where(counts < caps[:, None], special.pdtr(counts, means[:, None]), 1.0)
+    chances = np.diff(chances, axis=1, prepend=0.0)
+    mean: Array = chances @ counts.astype(np.float64)
+    rest = counts - mean[:, None]
+    return mean, (chances * rest**2).sum(axis=1), (chances * rest**3).sum(axis=1)
 
 
 def n_transient(evidence: Evidence) -> Indices:

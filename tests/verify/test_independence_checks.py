@@ -18,7 +18,7 @@ from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.independence_checks import GROUP, independence_checks
 from modsim3d.verify.many_seeds import ManyDetections
 from modsim3d.verify.parameters import Parameter
-from modsim3d.verify.residuals import Draw, miss_residuals, residuals_of
+from modsim3d.verify.residuals import Draw, capped_poisson, miss_residuals, residuals_of
 from modsim3d.verify.verification import verify
 from tests.detector_variants import Data, thesis_data
 from tests.verify.lies import LIES, Lie, same_errors_in_both_cameras, told
@@ -148,3 +148,13 @@ def test_a_residual_is_above_zero_where_a_vessel_was_missed(honest: Evidence) ->
     missed = honest.instances.outcome == -1
     assert missed.any()
     np.testing.assert_array_equal(residuals.values[:, 0] > 0, missed)
+
+
+def test_moments_of_capped_numbers_are_those_of_many_draws() -> None:
+    means, caps = np.array([0.2, 1.5, 6.0]), np.array([1, 3, 9])
+    drawn = np.minimum(np.random.default_rng(0).poisson(means, (200_000, 3)), caps)
+    mean, variance, third = capped_poisson(means, caps)
+    np.testing.assert_allclose(mean, drawn.mean(axis=0), atol=0.02)
+    np.testing.assert_allclose(variance, drawn.var(axis=0), rtol=0.02)
+    np.testing.assert_allclose(third, ((drawn - drawn.mean(axis=0)) ** 3).mean(axis=0), atol=0.15)
+    np.testing.assert_allclose(mean[0], 1 - np.exp(-0.2))
