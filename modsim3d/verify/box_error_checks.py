@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -36,16 +36,31 @@ _ROUNDING_PX = 1e-6
 _CONDITION = 1e8
 
 
+StateFits = Mapping[int, StateFit | None]
+"""The fit of each state that is looked at and whose law has a check; None where too little was seen."""
+
+
+def state_fits(
+    model: DetectorModel, evidence: Evidence, table: MomentTable, states: Collection[str] | None = None
+) -> StateFits:
+    """Fit the box errors of each of the named states, or of all; the table holds expectations that are known."""
+    chosen = [s for s, state in enumerate(model.states) if states is None or state.name in states]
+    return {
+        s: _fit(model.states[s], evidence, _rows(model, evidence, s), table)
+        for s in chosen
+        if _has_check(model.states[s])
+    }
+
+
 def box_error_checks(
     model: DetectorModel, evidence: Evidence, table: MomentTable, states: Collection[str] | None = None
 ) -> list[Parameter]:
-    """The parameters of each of the named states, or of all; the boxes themselves; correlation from frame to frame.
+    """The checks of the named states' fits, or of all."""
+    return fit_checks(model, evidence, state_fits(model, evidence, table, states))
 
-    The table holds expectations that are known already.
-    """
-    chosen = [s for s, state in enumerate(model.states) if states is None or state.name in states]
-    rows = {s: _rows(model, evidence, s) for s in chosen if _has_check(model.states[s])}
-    fits = {s: _fit(model.states[s], evidence, rows[s], table) for s in rows}
+
+def fit_checks(model: DetectorModel, evidence: Evidence, fits: StateFits) -> list[Parameter]:
+    """The parameters of each state that was fitted; the boxes themselves; correlation from frame to frame."""
     found = [fit for fit in fits.values() if fit is not None]
     replayed = replay(model, evidence, found) if model.persistence.box_s > 0 else None
     parameters = []
@@ -53,7 +68,7 @@ def box_error_checks(
         errors = None if replayed is None or fit is None else replayed.errors[found.index(fit)]
         parameters += [
             replace(parameter, note=_limited(model, evidence, s) or parameter.note)
-            for parameter in _state_checks(model.states[s], evidence, rows[s], fit, errors)
+            for parameter in _state_checks(model.states[s], evidence, _rows(model, evidence, s), fit, errors)
         ]
     persistence = box_persistence(model, evidence, found, replayed)
     return [

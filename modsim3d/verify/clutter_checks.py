@@ -191,17 +191,11 @@ def _extras(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
         return np.zeros(size), np.zeros(size)
     single, long = second_box_candidates(model, evidence)
     chance = rule.duplicates + rule.splits * long
-    image = _images_of(evidence, evidence.true_detections.instance[single])
+    image = evidence.images_of(evidence.true_detections.instance[single])
     return (
         np.bincount(image, chance, minlength=size).astype(np.float64),
         np.bincount(image, chance * (1 - chance), minlength=size).astype(np.float64),
     )
-
-
-def _images_of(evidence: Evidence, instances: Indices) -> Indices:
-    """Row of `FrameTable` of instances."""
-    first = np.cumsum([0, *(len(seen.frames) for seen in evidence.cameras)])
-    return first[evidence.instances.camera[instances]] + evidence.instances.frame[instances]
 
 
 def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:

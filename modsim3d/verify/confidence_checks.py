@@ -46,7 +46,7 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
     parameters = []
     for s, state in enumerate(model.states):
         law = state.confidence
-        true, false = _scored(evidence, s, law)
+        true, false = scored(evidence, s, law)
         groups = [(".true", law.true, true), (".false", law.false, false)]
         if law.true is law.false:
             groups = [("", law.true, true + false)]
@@ -61,18 +61,18 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
     return [*parameters, Parameter("confidence_threshold", Part.CONFIDENCE, Exact(outside, len(every)))]
 
 
-def _scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Scored]:
-    """True and false detections of a state."""
+def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Scored]:
+    """True and false detections of a state, in the order in which the evidence has them."""
     true, false, instances = evidence.true_detections, evidence.false_detections, evidence.instances
     seen = np.append(instances.visible_fraction, np.nan)  # the last for instance −1: no vessel
 
-    def scored(found: TrueDetections | FalseDetections, ours: Mask) -> Scored:
+    def of_rows(found: TrueDetections | FalseDetections, ours: Mask) -> Scored:
         visible = seen[found.instance[ours]]
         width, height = sizes(found.boxes_px[ours]).T
         smaller = np.minimum(np.sqrt(width * height) / law.size_reference_px, 1.0)
         return Scored(found.confidence[ours], np.where(np.isnan(visible), 0, 1 - visible), -np.log2(smaller))
 
-    return scored(true, instances.state[true.instance] == s), scored(false, false.state == s)
+    return of_rows(true, instances.state[true.instance] == s), of_rows(false, false.state == s)
 
 
 Slope = tuple[str, float, Array]

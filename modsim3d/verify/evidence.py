@@ -132,6 +132,12 @@ class Evidence:
             FalseDetections(**_joined(false, frame_row=first_frame, instance=first_row)),
         )
 
+    def images_of(self, instances: Indices) -> Indices:
+        """Row of `FrameTable` of instances, shapes (k,)."""
+        first = np.cumsum([0, *(len(seen.frames) for seen in self.cameras)])
+        rows: Indices = first[self.instances.camera[instances]] + self.instances.frame[instances]
+        return rows
+
     def census(self, model: DetectorModel) -> TargetCensus:
         """The census that the detector had of the scene."""
         return take_census(model, ((seen.frames, seen.targets) for seen in self.cameras))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from modsim3d.detector.file.finding import find_detector
@@ -18,13 +17,14 @@ from modsim3d.runs.files.replacing import read_of_run
 from modsim3d.runs.pipeline import detector_inputs
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.verify.box_error_checks import box_error_checks
+from modsim3d.verify.box_error_checks import fit_checks, state_fits
 from modsim3d.verify.class_checks import EFFECT_CHECKS, class_checks
 from modsim3d.verify.clutter_checks import RATE_CHECKS, clutter_checks
 from modsim3d.verify.confidence_checks import SCORE_CHECKS, confidence_checks
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.error_likelihoods import LIKELIHOODS
 from modsim3d.verify.evidence import CameraEvidence, Evidence
+from modsim3d.verify.independence_checks import independence_checks
 from modsim3d.verify.parameters import Parameter, Verdict, Verification, judge
 from modsim3d.verify.state_checks import state_checks
 
@@ -43,10 +43,16 @@ def verify(model: DetectorModel, evidence: Evidence, table: MomentTable | None =
 
     The table keeps expectations of box errors: give it to further calls over the same truth to save most of their work.
     """
-    box_errors = partial(box_error_checks, table=table or MomentTable())
+    fits = state_fits(model, evidence, table or MomentTable())
     # In the order in which the detector works.
-    parts = (state_checks, class_checks, box_errors, clutter_checks, confidence_checks)
-    parameters = [parameter for checks in parts for parameter in checks(model, evidence)]
+    parameters = [
+        *state_checks(model, evidence),
+        *class_checks(model, evidence),
+        *fit_checks(model, evidence, fits),
+        *clutter_checks(model, evidence),
+        *confidence_checks(model, evidence),
+        *independence_checks(model, evidence, [fit for fit in fits.values() if fit is not None]),
+    ]
     return judge([*parameters, *unchecked(model)])
 
 

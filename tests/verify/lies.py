@@ -1,0 +1,190 @@
+"""Runs whose single numbers are right and whose draws are not independent, made from a true run's detections."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import at_least_a_pixel, clip, inside_image, move
+from modsim3d.detector.records import FALSE_POSITIVE, TRUE, Detections
+from modsim3d.verify.evidence import CameraEvidence, Evidence
+
+Lie = Callable[[Evidence], list[Detections]]
+
+
+def told(lie: Lie, evidence: Evidence) -> Evidence:
+    """The run as the lie has it."""
+    pairs = zip(evidence.cameras, lie(evidence), strict=True)
+    return Evidence.of([replace(seen, detections=detections) for seen, detections in pairs])
+
+
+def single(seen: CameraEvidence) -> Indices:
+    """Rows of detections that are one box of one vessel."""
+    return np.flatnonzero(seen.detections.kind == TRUE)
+
+
+def places(seen: CameraEvidence, rows: Indices) -> Indices:
+    """Step and vessel of detections as one number each."""
+    target = seen.detections.target[rows]
+    return seen.frames.steps[seen.targets.frame[target]] * 1000 + seen.targets.vessel[target]
+
+
+def with_errors(seen: CameraEvidence, rows: Indices, errors_px: Array) -> Detections:
+    """Other errors of some detections, and the boxes that follow from them; small ones where they leave no box."""
+    found, image = seen.detections, seen.frames.image_size_px
+    true = at_least_a_pixel(seen.targets.boxes_px[found.target[rows]], image)
+    errors_px = np.where(inside_image(move(true, errors_px), image)[:, None], errors_px, found.errors_px[rows])
+    small = 1e-3 * np.random.default_rng(0).standard_normal(errors_px.shape)
+    errors_px = np.where(inside_image(move(true, errors_px), image)[:, None], errors_px, small)
+    errors, boxes = found.errors_px.copy(), found.boxes_px.copy()
+    errors[rows], boxes[rows] = errors_px, clip(move(true, errors_px), image)
+    return replace(found, errors_px=errors, boxes_px=boxes)
+
+
+def in_frames(found: Detections, frame: Indices, **columns: Array) -> Detections:
+    """Detections moved to other frames, in the order of these."""
+    order = np.argsort(frame, kind="stable")
+    names = ("target", "partner", "kind", "label", "confidence", "boxes_px", "errors_px", "redrawn")
+    values = {name: columns.get(name, getattr(found, name))[order] for name in names}
+    return replace(found, frame=frame[order], **values)
+
+
+def copied(
+    seen: CameraEvidence, rows: Indices, of: CameraEvidence, those: Indices, apart: int, share: float
+) -> Detections:
+    """The errors of other detections, so many steps earlier, of the same vessels where there are some.
+
+    Of the variance a share is theirs, the rest that of the own errors.
+    """
+    wanted, known = places(seen, rows) - 1000 * apart, places(of, those)
+    order = np.argsort(known)
+    place = np.minimum(np.searchsorted(known[order], wanted), len(known) - 1)
+    same = np.flatnonzero(known[order[place]] == wanted)
+    rows, those = rows[same], those[order[place[same]]]
+    own, theirs = seen.detections.errors_px[rows], of.detections.errors_px[those]
+    if share == 1:
+        return with_errors(seen, rows, theirs)
+    mean = of.detections.errors_px[single(of)].mean(axis=0)
+    return with_errors(seen, rows, mean + (1 - share) ** 0.5 * (own - mean) + share**0.5 * (theirs - mean))
+
+
+def same_errors_in_both_cameras(evidence: Evidence, share: float = 1.0) -> list[Detections]:
+    first, second = evidence.cameras
+    return [first.detections, copied(second, single(second), first, single(first), 0, share)]
+
+
+def similar_errors_in_both_cameras(evidence: Evidence) -> list[Detections]:
+    return same_errors_in_both_cameras(evidence, 0.1)
+
+
+def second_half_repeats_the_first(evidence: Evidence, share: float = 1.0) -> list[Detections]:
+    half = max(int(seen.frames.steps[-1]) for seen in evidence.cameras) // 2
+    result = []
+    for seen in evidence.cameras:
+        rows = single(seen)
+        late = seen.frames.steps[seen.detections.frame[rows]] >= half
+        result.append(copied(seen, rows[late], seen, rows[~late], half, share))
+    return result
+
+
+def second_half_resembles_the_first(evidence: Evidence) -> list[Detections]:
+    return second_half_repeats_the_first(evidence, 0.4)
+
+
+def same_errors_in_an_image(evidence: Evidence) -> list[Detections]:
+    result = []
+    for seen in evidence.cameras:
+        rows = single(seen)
+        _, first, of = np.unique(seen.detections.frame[rows], return_index=True, return_inverse=True)
+        result.append(with_errors(seen, rows, seen.detections.errors_px[rows[first[of]]]))
+    return result
+
+
+def larger_and_larger_errors(evidence: Evidence) -> list[Detections]:
+    result = []
+    for seen in evidence.cameras:
+        rows = single(seen)
+        errors = seen.detections.errors_px[rows]
+        distance = (((errors - errors.mean(axis=0)) / errors.std(axis=0)) ** 2).sum(axis=1)
+        result.append(with_errors(seen, rows, errors[np.argsort(distance)]))
+    return result
+
+
+def confidence_in_order(evidence: Evidence) -> list[Detections]:
+    return [replace(seen.detections, confidence=np.sort(seen.detections.confidence)) for seen in evidence.cameras]
+
+
+def confidence_in_order_within_minutes(evidence: Evidence) -> list[Detections]:
+    def ordered(seen: CameraEvidence) -> Detections:
+        found = seen.detections
+        minute = (seen.frames.times_s[found.frame] // 60).astype(np.int64)
+        return replace(found, confidence=found.confidence[np.lexsort((found.confidence, minute))])
+
+    return [ordered(seen) for seen in evidence.cameras]
+
+
+def _with_false_positives_at(seen: CameraEvidence, place: Callable[[Array, int], Array]) -> Detections:
+    """The same false positives at other places, given how many are expected up to each frame, as parts of these."""
+    found = seen.detections
+    rows = np.flatnonzero(found.kind == FALSE_POSITIVE)
+    expected = np.cumsum(np.bincount(found.frame[~found.false()], minlength=len(seen.frames))).astype(np.float64)
+    wanted = place(expected, len(rows)) * expected[-1]
+    frame = found.frame.copy()
+    frame[rows] = np.searchsorted(expected, wanted)
+    return in_frames(found, frame)
+
+
+def even_false_positives(evidence: Evidence) -> list[Detections]:
+    def place(expected: Array, count: int) -> Array:
+        return (np.arange(count) + 0.5) / count
+
+    return [_with_false_positives_at(seen, place) for seen in evidence.cameras]
+
+
+def false_positives_in_threes(evidence: Evidence) -> list[Detections]:
+    def place(expected: Array, count: int) -> Array:
+        return np.random.default_rng(0).random(count // 3 + 1)[np.arange(count) // 3]
+
+    return [_with_false_positives_at(seen, place) for seen in evidence.cameras]
+
+
+def same_misses_in_both_cameras(evidence: Evidence) -> list[Detections]:
+    """In the second camera as many misses as before, of the vessels that the first one misses as far as they go."""
+    first, second = evidence.cameras
+    chances = [seen.frames.steps[seen.targets.frame] * 1000 + seen.targets.vessel for seen in (first, second)]
+    seen_first = chances[0][first.detections.target[~first.detections.false()]]
+    missed = np.setdiff1d(chances[0], seen_first)
+    found = second.detections
+    rows = np.flatnonzero(~found.false())
+    rank = np.where(np.isin(chances[1], missed), 0, 1) + np.random.default_rng(0).random(len(chances[1]))
+    seen_now = np.sort(np.argsort(rank)[len(rank) - len(rows) :])
+    target, frame = found.target.copy(), found.frame.copy()
+    target[rows], frame[rows] = seen_now, second.targets.frame[seen_now]
+    moved = replace(second, detections=replace(found, target=target))
+    fitting = with_errors(moved, rows, found.errors_px[rows])
+    columns = {"target": target, "boxes_px": fitting.boxes_px, "errors_px": fitting.errors_px}
+    return [first.detections, in_frames(found, frame, **columns)]
+
+
+TWICE, CAMERAS, EARLIER = (
+    f"box errors: {check}"
+    for check in ("none comes twice", "correlation between cameras", "correlation with earlier times")
+)
+
+LIES: Mapping[Lie, set[str]] = {
+    same_errors_in_both_cameras: {TWICE, CAMERAS},
+    similar_errors_in_both_cameras: {CAMERAS},
+    second_half_repeats_the_first: {TWICE, EARLIER},
+    second_half_resembles_the_first: {EARLIER},
+    same_errors_in_an_image: {TWICE, "box errors: correlation within images"},
+    larger_and_larger_errors: {"box errors: order in time"},
+    same_misses_in_both_cameras: {"misses: correlation between cameras"},
+    confidence_in_order: {"confidence: order in time", "confidence: correlation with earlier times"},
+    confidence_in_order_within_minutes: {"confidence: correlation with earlier times"},
+    even_false_positives: {"false positives: variance over mean in stretches with one expected"},
+    false_positives_in_threes: {"false positives: variance over mean in images"},
+}
+"""Each lie, and the checks that must find it."""

@@ -1,0 +1,160 @@
+"""Independent draws pass, and lies that leave every single number as it is are found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modsim3d.detector.draws import select
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.model import DetectorModel
+from modsim3d.runs.pipeline import DetectorInput
+from modsim3d.scene.reading import load_scene
+from modsim3d.verify.box_error_checks import state_fits
+from modsim3d.verify.error_fit import MomentTable
+from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.independence_checks import GROUP, independence_checks
+from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.parameters import Parameter
+from modsim3d.verify.residuals import Draw, capped_poisson, miss_residuals, residuals_of
+from modsim3d.verify.verification import verify
+from tests.detector_variants import Data, thesis_data
+from tests.verify.lies import LIES, Lie, same_errors_in_both_cameras, told
+
+
+@pytest.fixture(scope="module")
+def many() -> ManyDetections:
+    return ManyDetections.of_scene(load_scene("simulation_3", mode=2, steps=3000, source="analytic"))
+
+
+@pytest.fixture(scope="module")
+def table() -> MomentTable:
+    return MomentTable()
+
+
+def one_state(**sections: object) -> DetectorModel:
+    """A detector of one state whose box errors no box cuts down: errors of one box fit any other."""
+    data: Data = thesis_data() | {"transition_matrix": [[1.0]], "initial_state": "good"}
+    data["states"] = {"good": data["states"]["good"]}
+    error = data["states"]["good"]["box_error"]
+    error["mean"] = [value / 20 for value in error["mean"]]
+    error["covariance"] = [[value / 400 for value in row] for row in error["covariance"]]
+    return parse_detector(data | sections)
+
+
+@pytest.fixture(scope="module")
+def honest(many: ManyDetections) -> Evidence:
+    return many.detect(one_state(), 3)
+
+
+def test_an_honest_run_obeys_and_each_pattern_is_tested(honest: Evidence, table: MomentTable) -> None:
+    found = verify(one_state(), honest, table)
+    assert found.obeys, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed]
+    tested = {verdict.parameter.name for verdict in found.verdicts if verdict.p_value is not None}
+    assert tested >= set().union(*LIES.values())
+
+
+@pytest.mark.parametrize("lie", LIES, ids=lambda lie: lie.__name__)
+def test_a_lie_that_leaves_single_numbers_intact_is_found(honest: Evidence, table: MomentTable, lie: Lie) -> None:
+    failed = verify(one_state(), told(lie, honest), table).failed
+    assert LIES[lie] <= {verdict.parameter.name for verdict in failed}
+    assert {verdict.parameter.group for verdict in failed} == {GROUP}
+
+
+def checked(model: DetectorModel, evidence: Evidence, table: MomentTable) -> dict[str, Parameter]:
+    fits = [fit for fit in state_fits(model, evidence, table).values() if fit is not None]
+    return {parameter.name: parameter for parameter in independence_checks(model, evidence, fits)}
+
+
+def p_values(found: dict[str, Parameter]) -> dict[str, float]:
+    return {name: parameter.measure.p_value() for name, parameter in found.items() if parameter.measure is not None}
+
+
+def test_honest_seeds_have_small_p_values_as_often_as_they_should(many: ManyDetections, table: MomentTable) -> None:
+    model = one_state()
+    every = np.array([list(p_values(checked(model, many.detect(model, seed), table)).values()) for seed in range(12)])
+    assert every.shape[1] >= 18
+    assert every.min() > 1e-4
+    # 216 p-values: more of them lie below with a probability of 0.1 %.
+    assert every.size == 216
+    assert (every < 0.1).sum() <= 36
+    assert (every < 0.01).sum() <= 8
+
+
+def test_draws_that_persist_are_no_lie_if_the_file_says_so(many: ManyDetections, table: MomentTable) -> None:
+    model = one_state(persistence={"class_s": 1.0, "box_s": 1.0})
+    evidence = many.detect(model, 1)
+    found = checked(model, evidence, table)
+    assert min(p_values(found).values()) > 1e-4
+    assert found["box errors: correlation with earlier times"].measure is not None
+    asked = checked(one_state(), evidence, table)["box errors: correlation with earlier times"]
+    assert asked.measure is not None
+    assert asked.measure.p_value() < 1e-9
+    assert asked.note.endswith(" lags, 1 steps back")
+
+
+@pytest.mark.parametrize("persists_s", [20.0, 1e9])
+def test_what_hardly_changes_is_too_little_seen(honest: Evidence, table: MomentTable, persists_s: float) -> None:
+    found = checked(one_state(persistence={"class_s": persists_s, "box_s": persists_s}), honest, table)
+    untested = [name for name, parameter in found.items() if parameter.measure is None]
+    of_both = [name for name in found if name.startswith(("box errors", "misses"))]
+    assert untested == [name for name in of_both if persists_s > 100 or not name.endswith("twice")]
+
+
+def every_third_frame(part: DetectorInput) -> DetectorInput:
+    frames, targets = part.frames, part.targets
+    rows = np.flatnonzero(targets.frame % 3 == 0)
+    fewer = replace(
+        frames, steps=frames.steps[::3], times_s=frames.times_s[::3], sea_half_planes=frames.sea_half_planes[::3]
+    )
+    return replace(part, frames=fewer, targets=replace(select(targets, rows), frame=targets.frame[rows] // 3))
+
+
+def test_cameras_of_other_frame_rates_are_compared_at_common_steps(many: ManyDetections) -> None:
+    first, second = many.inputs
+    slower = replace(many, inputs=(first, every_third_frame(second)))
+    evidence = slower.detect(one_state(), 2)
+    found = checked(one_state(), evidence, MomentTable())
+    assert min(p_values(found).values()) > 1e-4
+    lie = checked(one_state(), told(same_errors_in_both_cameras, evidence), MomentTable())
+    within = found["box errors: correlation within images"].measure
+    between = lie["box errors: correlation between cameras"].measure
+    assert within is not None
+    assert between is not None
+    assert between.measured > 0.9
+    assert between.count < within.count
+
+
+def test_one_camera_is_not_compared_with_another(many: ManyDetections) -> None:
+    alone = replace(many, inputs=many.inputs[:1]).detect(one_state(), 0)
+    assert not [name for name in checked(one_state(), alone, MomentTable()) if "cameras" in name]
+
+
+def test_residuals_have_the_moments_that_they_say(honest: Evidence, table: MomentTable) -> None:
+    fits = [fit for fit in state_fits(one_state(), honest, table).values() if fit is not None]
+    for residuals in residuals_of(one_state(), honest, fits):
+        rows, components = residuals.values.shape
+        expected = components * residuals.variance.sum()
+        assert abs(residuals.values.sum()) < 1e-6 * rows
+        assert (residuals.values**2).sum() == pytest.approx(expected, rel=8 * rows**-0.5), residuals.draw
+        reach = (1 if residuals.draw == Draw.MISS else 6) * rows**0.5
+        assert (residuals.values**3).sum() == pytest.approx(residuals.third.sum(), abs=reach), residuals.draw
+
+
+def test_a_residual_is_above_zero_where_a_vessel_was_missed(honest: Evidence) -> None:
+    residuals = miss_residuals(one_state(), honest)
+    missed = honest.instances.outcome == -1
+    assert missed.any()
+    np.testing.assert_array_equal(residuals.values[:, 0] > 0, missed)
+
+
+def test_moments_of_capped_numbers_are_those_of_many_draws() -> None:
+    means, caps = np.array([0.2, 1.5, 6.0]), np.array([1, 3, 9])
+    drawn = np.minimum(np.random.default_rng(0).poisson(means, (200_000, 3)), caps)
+    mean, variance, third = capped_poisson(means, caps)
+    np.testing.assert_allclose(mean, drawn.mean(axis=0), atol=0.02)
+    np.testing.assert_allclose(variance, drawn.var(axis=0), rtol=0.02)
+    np.testing.assert_allclose(third, ((drawn - drawn.mean(axis=0)) ** 3).mean(axis=0), atol=0.15)
+    np.testing.assert_allclose(mean[0], 1 - np.exp(-0.2))
