@@ -63,8 +63,8 @@ def _unpaired(start: Indices, end: Indices, vertices: int) -> tuple[Indices, Ind
 def _joined(start: Indices, end: Indices) -> tuple[Indices, Indices]:
     """Edges in order along closed lines, shape (e,), and the number of edges of each line, shape (l,).
 
-    As many edges begin at each vertex as end there. A line begins at its lowest vertex. Lines are in order of it, so that
-    those of a shape stay together.
+    As many edges begin at each vertex as end there. A line begins at its lowest vertex. Lines are in order of it, so
+    that those of a shape stay together.
     """
     order = np.argsort(start, kind="stable")
     after = np.empty_like(order)
@@ -114,7 +114,8 @@ def tidy_at_border(shape: Indices, ends: Indices, size: tuple[int, int]) -> tupl
     left = np.ones(len(shape), dtype=bool)
     shapes, every = [], []
     for axis, bound in ((0, 0), (0, size[0]), (1, 0), (1, size[1])):
-        on = left & np.all(ends[..., axis] == bound, axis=1)
+        there = ends[..., axis] == bound
+        on = left & there[:, 0] & there[:, 1]
         left &= ~on
         place, which = np.unique((shape[on, None] << PLACE_BITS) + ends[on, :, 1 - axis], return_inverse=True)
         change = np.bincount(which.reshape(-1), np.tile([1, -1], int(on.sum())), len(place)).astype(np.int64)

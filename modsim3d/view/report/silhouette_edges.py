@@ -1,8 +1,8 @@
 """The edges of meshes at which front faces meet back faces, in pixels, cut at the near plane and at the image's edge.
 
 A ray from the camera leaves a closed solid through a back face as often as it passes through the solid. The border of
-all back faces beyond the near plane therefore winds around each pixel as often as the solid covers it. Edges between two
-back faces or two front faces are not needed, nor is a section that closes the solid at the near plane.
+all back faces beyond the near plane therefore winds around each pixel as often as the solid covers it. Edges between
+two back faces or two front faces are not needed, nor is a section that closes the solid at the near plane.
 """
 
 from __future__ import annotations
@@ -190,9 +190,11 @@ def _confined(edges: Edges, size_px: tuple[int, int], guard_px: float = 0.0) -> 
 
     Lines outside are moved to the nearest places on the border.
     """
-    row, ends = edges.row, edges.ends_px
-    for axis, size in enumerate(size_px):
-        for bound in (-guard_px, size + guard_px):
+    low, high = -guard_px, np.array(size_px) + guard_px
+    out = np.any((edges.ends_px < low) | (edges.ends_px > high), axis=(1, 2))
+    row, ends = edges.row[out], edges.ends_px[out]
+    for axis in (0, 1):
+        for bound in (low, high[axis]):
             beyond = ends[..., axis] > bound
             cut = np.flatnonzero(beyond[:, 0] != beyond[:, 1])
             start, end = ends[cut, 0], ends[cut, 1]
@@ -202,9 +204,9 @@ def _confined(edges: Edges, size_px: tuple[int, int], guard_px: float = 0.0) -> 
             row = np.concatenate([row, row[cut]])
             ends = np.concatenate([ends, np.stack([crossing, end], axis=1)])
             ends[cut, 1] = crossing
-    ends = np.clip(ends, -guard_px, np.array(size_px) + guard_px)
+    ends = np.clip(ends, low, high)
     kept = np.any(ends[:, 0] != ends[:, 1], axis=1)
-    return Edges(row[kept], ends[kept])
+    return Edges(np.concatenate([edges.row[~out], row[kept]]), np.concatenate([edges.ends_px[~out], ends[kept]]))
 
 
 def _divided(edges: Edges, longest_px: float) -> Edges:
