@@ -191,8 +191,8 @@ def _box_in_image(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
 
 def _least(pixels: Array) -> Array:
     """Least column and row of the projected vertices (n, K, 2) of each solid; NaN is left out, shape (n, 2)."""
-    least: Array = np.where(np.isnan(pixels), np.inf, pixels).min(axis=1)
-    return least
+    columns, rows = (np.where(np.isnan(place), np.inf, place).min(axis=1) for place in np.moveaxis(pixels, -1, 0))
+    return np.stack([columns, rows], axis=-1)
 
 
 def _projected_areas(pixels: Array, solid: Solid) -> Array:

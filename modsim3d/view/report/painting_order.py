@@ -94,12 +94,12 @@ def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: In
     Returns:
         A permutation of the rows, in order of frame, shape (n,).
     """
-    order = np.lexsort((-depth_m, frame))
+    _, occluder_in_frame = np.unique(frame * (int(occluder.max(initial=0)) + 1) + occluder, return_inverse=True)
+    farthest_m = np.full(len(frame), -np.inf)
+    np.maximum.at(farthest_m, occluder_in_frame, depth_m)
+    order = np.lexsort((-depth_m, occluder_in_frame, -farthest_m[occluder_in_frame], frame))
     place = np.argsort(order)
-    wrong = frame[hidden[place[hidden] > place[hider]]]
-    frame_and_occluder = frame * (int(occluder.max(initial=0)) + 1) + occluder
-    _, first, pieces = np.unique(frame_and_occluder, return_index=True, return_counts=True)
-    wrong = np.union1d(wrong, frame[first[pieces > 1]])
+    wrong = np.unique(frame[hidden[place[hidden] > place[hider]]])
     in_question = np.isin(frame[hidden], wrong)
     before: dict[int, list[int]] = defaultdict(list)
     for back, front in zip(hidden[in_question].tolist(), hider[in_question].tolist(), strict=True):

@@ -8,7 +8,7 @@ two back faces or two front faces are not needed, nor is a section that closes t
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -30,7 +30,7 @@ class Edges:
     """Directed edges that form closed lines around what each row of `Outlines` covers.
 
     Attributes:
-        row: Row of the outlines, shape (e,).
+        row: Row of the outlines, non-decreasing, shape (e,).
         ends_px: Start and end of each edge, shape (e, 2, 2).
     """
 
@@ -40,30 +40,34 @@ class Edges:
     def boxes_px(self, rows: int) -> Array:
         """Tight boxes around the edges of each row; (inf, inf, −inf, −inf) around none, shape (rows, 4)."""
         boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (rows, 1))
-        np.minimum.at(boxes[:, :2], self.row, self.ends_px[:, 0])
-        np.maximum.at(boxes[:, 2:], self.row, self.ends_px[:, 0])
+        first = np.flatnonzero(np.diff(self.row, prepend=-1))
+        if len(first):
+            for axis in (0, 1):
+                starts = np.ascontiguousarray(self.ends_px[:, 0, axis])
+                boxes[self.row[first], axis] = np.minimum.reduceat(starts, first)
+                boxes[self.row[first], 2 + axis] = np.maximum.reduceat(starts, first)
         return boxes
 
 
 def silhouette_edges(outlines: Outlines, intrinsics: Intrinsics) -> Edges:
-    """The edges around all rows in the camera's image, row by row.
+    """The edges around all rows in the camera's image.
 
     The lines around solids that are not closed wind around what their faces cover, seen from either side.
     """
-    found = [Edges(np.empty(0, dtype=np.int64), np.empty((0, 2, 2)))]
+    found = [(np.empty(0, dtype=np.int64), np.empty((0, 2, 2)))]
     for part in outlines.parts:
         crosses = outlines.crosses_near[part.rows]
         for cut in (False, True):
             for some in _in_turns(part, np.flatnonzero(crosses == cut)):
                 found.append(_edges(some, intrinsics, cut=cut))
-    row = np.concatenate([edges.row for edges in found])
+    row, ends = np.concatenate([row for row, _ in found]), np.concatenate([ends for _, ends in found])
+    if intrinsics.distortion is not None:
+        row, ends = _confined(row, ends, intrinsics.pinhole.image_size_px, LENS_GUARD_PX)
+        row, ends = _divided(row, ends, intrinsics.chord_px)
+        ends = intrinsics.through_lens(ends)
+    row, ends = _confined(row, ends, intrinsics.image_size_px)
     order = np.argsort(row, kind="stable")
-    edges = Edges(row[order], np.concatenate([edges.ends_px for edges in found])[order])
-    if intrinsics.distortion is None:
-        return _confined(edges, intrinsics.image_size_px)
-    edges = _confined(edges, intrinsics.pinhole.image_size_px, LENS_GUARD_PX)
-    edges = _divided(edges, intrinsics.chord_px)
-    return _confined(replace(edges, ends_px=intrinsics.through_lens(edges.ends_px)), intrinsics.image_size_px)
+    return Edges(row[order], ends[order])
 
 
 def _in_turns(part: Part, members: Indices) -> Iterator[Part]:
@@ -105,8 +109,8 @@ def _mesh(solid: Solid) -> _Mesh:
     return _Mesh(ends, faces, signs)
 
 
-def _edges(part: Part, intrinsics: Intrinsics, *, cut: bool) -> Edges:
-    """The edges around the rows of a part in the pinhole's image; `cut` if the near plane cuts all of them."""
+def _edges(part: Part, intrinsics: Intrinsics, *, cut: bool) -> tuple[Indices, Array]:
+    """Rows, and ends in the pinhole's image, of the edges around a part; `cut` if the near plane cuts all of its rows."""
     mesh = _mesh(part.solid)
     turned = _turned(part)
     net = sum(sign * turned[:, face] for sign, face in zip(mesh.signs, mesh.faces, strict=True))
@@ -116,11 +120,11 @@ def _edges(part: Part, intrinsics: Intrinsics, *, cut: bool) -> Edges:
     many = np.abs(times)
     member, vertex = np.repeat(member, many), np.repeat(vertex, many, axis=0)
     if not cut:
-        return Edges(part.rows[member], part.vertices_px[member[:, None], vertex])
+        return part.rows[member], part.vertices_px[member[:, None], vertex]
     member, ends = _beyond_near(part, member, vertex, intrinsics.near_clip_m)
     section_member, section = _section(part, turned, intrinsics.near_clip_m)
     pixels = intrinsics.pinhole.project(np.concatenate([ends, section]))
-    return Edges(part.rows[np.concatenate([member, section_member])], pixels)
+    return part.rows[np.concatenate([member, section_member])], pixels
 
 
 def _turned(part: Part) -> Signs:
@@ -185,14 +189,14 @@ def _crossing(part: Part, member: Indices, inner: Indices, outer: Indices, near:
     return crossing
 
 
-def _confined(edges: Edges, size_px: tuple[int, int], guard_px: float = 0.0) -> Edges:
+def _confined(row: Indices, ends: Array, size_px: tuple[int, int], guard_px: float = 0.0) -> tuple[Indices, Array]:
     """Edges whose lines wind around each pixel of the image as before, and which do not leave it by more than a guard.
 
     Lines outside are moved to the nearest places on the border.
     """
     low, high = -guard_px, np.array(size_px) + guard_px
-    out = np.any((edges.ends_px < low) | (edges.ends_px > high), axis=(1, 2))
-    row, ends = edges.row[out], edges.ends_px[out]
+    out = ((ends < low) | (ends > high)).reshape(-1, 4).any(axis=1)
+    whole_row, whole_ends, row, ends = row[~out], ends[~out], row[out], ends[out]
     for axis in (0, 1):
         for bound in (low, high[axis]):
             beyond = ends[..., axis] > bound
@@ -206,17 +210,18 @@ def _confined(edges: Edges, size_px: tuple[int, int], guard_px: float = 0.0) -> 
             ends[cut, 1] = crossing
     ends = np.clip(ends, low, high)
     kept = np.any(ends[:, 0] != ends[:, 1], axis=1)
-    return Edges(np.concatenate([edges.row[~out], row[kept]]), np.concatenate([edges.ends_px[~out], ends[kept]]))
+    return np.concatenate([whole_row, row[kept]]), np.concatenate([whole_ends, ends[kept]])
 
 
-def _divided(edges: Edges, longest_px: float) -> Edges:
+def _divided(row: Indices, ends: Array, longest_px: float) -> tuple[Indices, Array]:
     """Edges cut into equal pieces that are no longer than `longest_px`."""
-    length = np.linalg.norm(edges.ends_px[:, 1] - edges.ends_px[:, 0], axis=1)
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     pieces = np.maximum(1, np.ceil(length / longest_px).astype(np.int64))
     which = np.repeat(np.arange(len(pieces)), pieces)
     piece = np.arange(len(which)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    start, end = edges.ends_px[which, 0], edges.ends_px[which, 1]
-    first, last = piece[:, None] / pieces[which, None], (piece[:, None] + 1) / pieces[which, None]
-    ends = np.stack([start + first * (end - start), start + last * (end - start)], axis=1)
-    ends[piece + 1 == pieces[which], 1] = end[piece + 1 == pieces[which]]
-    return Edges(edges.row[which], ends)
+    start, end = ends[which, 0], ends[which, 1]
+    shares = (piece[:, None] / pieces[which, None], (piece[:, None] + 1) / pieces[which, None])
+    divided = np.stack([start + share * (end - start) for share in shares], axis=1)
+    last = piece + 1 == pieces[which]
+    divided[last, 1] = end[last]
+    return row[which], divided

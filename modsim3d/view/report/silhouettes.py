@@ -169,8 +169,10 @@ def shapes(
     shape_of_row = np.empty(len(order), dtype=np.int64)
     shape_of_row[order] = np.searchsorted(begins, np.arange(len(order)), side="right") - 1
     places = np.clip(np.rint(edges.ends_px / quantum_px), 0, NONE - 1).astype(np.int64)
+    stays = np.all(places[:, 0] == places[:, 1], axis=1)
+    row_of, places = edges.row[~stays], places[~stays]
     column, row = np.rint(np.array(intrinsics.image_size_px) / quantum_px).astype(np.int64).tolist()
-    found = contours(*tidy_at_border(shape_of_row[edges.row], places, (column, row)))
+    found = contours(*tidy_at_border(shape_of_row[row_of], places, (column, row)))
     first_line = np.flatnonzero(np.diff(found.shape, prepend=-1))
     begin = begins[found.shape[first_line]]
     lines = np.diff(first_line, append=len(found.shape))
@@ -179,7 +181,7 @@ def shapes(
 
 def _seen(outlines: Outlines, edges: Edges) -> tuple[Outlines, Edges]:
     """The outlines with edges in the image, with tight boxes, and their edges."""
-    rows = np.unique(edges.row)
+    rows = edges.row[np.flatnonzero(np.diff(edges.row, prepend=-1))]
     boxes_px = edges.boxes_px(len(outlines))[rows]
     numbered = replace(edges, row=new_numbers(rows, len(outlines))[edges.row])
     return replace(outlines.take(rows), boxes_px=boxes_px), numbered
