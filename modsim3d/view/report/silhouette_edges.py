@@ -110,7 +110,7 @@ def _mesh(solid: Solid) -> _Mesh:
 
 
 def _edges(part: Part, intrinsics: Intrinsics, *, cut: bool) -> tuple[Indices, Array]:
-    """Rows, and ends in the pinhole's image, of the edges around a part; `cut` if the near plane cuts all of its rows."""
+    """Rows, and ends in the pinhole's image, of the edges around a part; `cut` if the near plane cuts all rows."""
     mesh = _mesh(part.solid)
     turned = _turned(part)
     net = sum(sign * turned[:, face] for sign, face in zip(mesh.signs, mesh.faces, strict=True))
