@@ -38,7 +38,10 @@ class Edges:
     ends_px: Array
 
     def boxes_px(self, rows: int) -> Array:
-        """Tight boxes around the edges of each row; (inf, inf, −inf, −inf) around none, shape (rows, 4)."""
+        """Boxes around the edges of each row; (inf, inf, −inf, −inf) around none, shape (rows, 4).
+
+        They may be too large along the image's border.
+        """
         boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (rows, 1))
         first = np.flatnonzero(np.diff(self.row, prepend=-1))
         if len(first):
@@ -113,7 +116,10 @@ def _edges(part: Part, intrinsics: Intrinsics, *, cut: bool) -> tuple[Indices, A
     """Rows, and ends in the pinhole's image, of the edges around a part; `cut` if the near plane cuts all rows."""
     mesh = _mesh(part.solid)
     turned = _turned(part)
-    net = sum(sign * turned[:, face] for sign, face in zip(mesh.signs, mesh.faces, strict=True))
+    net = np.zeros((len(mesh.ends), len(part.rows)), dtype=np.int8)
+    for sign, face in zip(mesh.signs, mesh.faces, strict=True):
+        net += sign[:, None] * turned[face]
+    net = np.ascontiguousarray(net.T)
     member, edge = np.nonzero(net)
     times = net[member, edge]
     vertex = np.where((times > 0)[:, None], mesh.ends[edge], mesh.ends[edge, ::-1])
@@ -128,20 +134,20 @@ def _edges(part: Part, intrinsics: Intrinsics, *, cut: bool) -> tuple[Indices, A
 
 
 def _turned(part: Part) -> Signs:
-    """How often each face counts, and a last column of zeros, shape (m, F + 1).
+    """How often each face counts, and a last row of zeros, shape (F + 1, m).
 
     It is 1 for a face as it is, −1 for one whose corners run the other way round, 0 for one that is not needed.
     """
-    x, y, z = (np.ascontiguousarray(part.vertices_camera[..., axis]) for axis in range(3))
+    x, y, z = (np.ascontiguousarray(part.vertices_camera[..., axis].T) for axis in range(3))
     a, b, c = part.solid.faces.T
-    ax, ay, az = x[:, a], y[:, a], z[:, a]
-    bx, by, bz = x[:, b] - ax, y[:, b] - ay, z[:, b] - az
-    cx, cy, cz = x[:, c] - ax, y[:, c] - ay, z[:, c] - az
+    ax, ay, az = x[a], y[a], z[a]
+    bx, by, bz = x[b] - ax, y[b] - ay, z[b] - az
+    cx, cy, cz = x[c] - ax, y[c] - ay, z[c] - az
     away = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    turned = np.zeros((len(part.rows), len(part.solid.faces) + 1), dtype=np.int8)
-    turned[:, :-1] = -(away > 0).astype(np.int8)
+    turned = np.zeros((len(part.solid.faces) + 1, len(part.rows)), dtype=np.int8)
+    turned[:-1] = -(away > 0).astype(np.int8)
     if not part.solid.closed:
-        turned[:, :-1] += away < 0
+        turned[:-1] += away < 0
     return turned
 
 
@@ -163,7 +169,7 @@ def _section(part: Part, turned: Signs, near: float) -> tuple[Indices, Array]:
     faces = part.solid.faces
     inside = (part.vertices_camera[..., 2] >= near)[:, faces]
     after = np.roll(inside, -1, axis=2)
-    member, face = np.nonzero((inside & ~after).any(axis=2) & (turned[:, :-1] != 0))
+    member, face = np.nonzero((inside & ~after).any(axis=2) & (turned[:-1].T != 0))
     which = np.arange(len(member))
     ends = np.empty((len(member), 2, 3))
     inside, after = inside[member, face], after[member, face]
@@ -172,7 +178,7 @@ def _section(part: Part, turned: Signs, near: float) -> tuple[Indices, Array]:
     corner = faces[face]
     ends[:, 0] = _crossing(part, member, corner[which, leaves], corner[which, (leaves + 1) % 3], near)
     ends[:, 1] = _crossing(part, member, corner[which, (comes + 1) % 3], corner[which, comes], near)
-    backwards = turned[member, face] < 0
+    backwards = turned[face, member] < 0
     ends[backwards] = ends[backwards, ::-1]
     return member, ends
 

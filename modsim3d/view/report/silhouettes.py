@@ -180,7 +180,7 @@ def shapes(
 
 
 def _seen(outlines: Outlines, edges: Edges) -> tuple[Outlines, Edges]:
-    """The outlines with edges in the image, with tight boxes, and their edges."""
+    """The outlines that have edges in the image, with the boxes of these, and the edges."""
     rows = edges.row[np.flatnonzero(np.diff(edges.row, prepend=-1))]
     boxes_px = edges.boxes_px(len(outlines))[rows]
     numbered = replace(edges, row=new_numbers(rows, len(outlines))[edges.row])
