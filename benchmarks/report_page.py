@@ -20,13 +20,13 @@ from benchmarks.processes import ROOT, Finished, modsim3d, say
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.report.report import parts_folder
+from modsim3d.view.report.player_page import parts_folder
 from tests.view.report.browser import Browser, open_browser
 
 RESULTS = ROOT / "benchmarks" / "REPORT_PAGE.md"
 ROUNDS, SHOWN = 3, 400
 WINDOW = 1280, 1600
-DENSE_S = 60
+MINUTE_S = 60
 PLAY = """(async () => {
   const shown = [], drawn = [];
   for (let i = FIRST; i < FIRST + COUNT; i++) {
@@ -41,11 +41,22 @@ PLAY = """(async () => {
 
 @dataclass(frozen=True)
 class Case:
-    """A run whose page is measured: its title, its scene, its steps, and whether the frames lie beside the page."""
+    """A run whose page is measured.
+
+    Attributes:
+        title: The run in words.
+        scene: Its scene.
+        steps: Its steps.
+        source: Where its truth comes from; the analytic one knows no meshes.
+        duration_s: Time that all steps take together; None for the scene's own time step.
+        beside: Whether the frames lie beside the page.
+    """
 
     title: str
     scene: str
     steps: int
+    source: str = "analytic"
+    duration_s: float | None = None
     beside: bool = False
 
     def run(self, folder: Path, quick: bool) -> StoredRun:
@@ -53,16 +64,17 @@ class Case:
         steps = max(self.steps // 100, 20) if quick else self.steps
         place = folder / f"{Path(self.scene).stem}_{steps}"
         if not (place / "run.json").is_file():
-            dense = self.scene.endswith("dense.yaml")
-            settings: dict[str, object] = {"time_step_s": DENSE_S / self.steps} if dense else {}
-            run_scene(load_scene(self.scene, mode=2, source="analytic", steps=steps, settings=settings), place)
+            settings: dict[str, object] = {"time_step_s": self.duration_s / self.steps} if self.duration_s else {}
+            run_scene(load_scene(self.scene, mode=2, source=self.source, steps=steps, settings=settings), place)
         return open_run(place)
 
 
 DENSE = str(ROOT / "benchmarks" / "dense.yaml")
 CASES = (
     Case("Simulation 1: 5 vessels, 1,500 steps", "simulation_1", 1_500),
-    Case("`dense.yaml`: 50 vessels, 5,000 steps in 60 s", DENSE, 5_000),
+    Case("`dense.yaml`: 50 vessels, 5,000 steps in 60 s", DENSE, 5_000, duration_s=MINUTE_S),
+    Case("Strait: meshes in waves, two cameras, 1,500 steps in 60 s", "strait", 1_500, "rendered", MINUTE_S),
+    Case("Fairway: meshes in waves, two cameras, 600 steps", "fairway", 600, "rendered"),
     Case("Simulation 1, 200,000 steps", "simulation_1", 200_000),
     Case("the same with `--parts`", "simulation_1", 200_000, beside=True),
 )

@@ -43,6 +43,10 @@ class PosesInWaves:
     angles_rad: Array
     world_R_vessel: Array
 
+    def rows(self, rows: Indices) -> PosesInWaves:
+        """Poses at some of the S steps, by index, shape (n,)."""
+        return PosesInWaves(self.poses.rows(rows), self.angles_rad[rows], self.world_R_vessel[rows])
+
     def of_camera(self, mount: Mount, carrier: int, composition: str) -> CameraPoses:
         """Poses of a camera on the vessel with the index `carrier`; for `composition` see `Waves`."""
         positions_m, headings_rad = self.poses.positions_m[:, carrier], self.poses.headings_rad[:, carrier]

@@ -47,15 +47,17 @@ class Sight:
     obstacles: tuple[Obstacle, ...] = ()
     curved: bool = False
 
-    def outlines(self, *, as_shoeboxes: bool = False) -> Outlines:
+    def outlines(self, *, as_shoeboxes: bool = False, measured: bool = True) -> Outlines:
         """Outlines of the other vessels, the obstacles, and the hull that carries the camera if that has a mesh.
 
-        With `as_shoeboxes`, shoeboxes replace meshes, and the hull that carries the camera is left out.
+        With `as_shoeboxes`, shoeboxes replace meshes, and the hull that carries the camera is left out. For `measured`
+        see `outline`.
         """
         bodies = self._bodies(self.others, as_shoeboxes=as_shoeboxes)
         if not as_shoeboxes:
             bodies += self._own_hull()
-        return outline(self.camera.intrinsics, self.camera_poses, bodies + self._obstacle_bodies())
+        bodies += self._obstacle_bodies()
+        return outline(self.camera.intrinsics, self.camera_poses, bodies, measured=measured)
 
     def body_around(self) -> tuple[int, int] | None:
         """The first step (as an index) and the occluder that the camera is inside of, or None."""

@@ -98,9 +98,15 @@ def new_numbers(rows: Indices, count: int) -> Indices:
     return place
 
 
-def outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[Bodies]) -> Outlines:
-    """Project all bodies at the steps of the camera's poses and keep those whose silhouettes overlap the image."""
-    found = [_outline(intrinsics, camera_poses, some) for some in bodies]
+def outline(
+    intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[Bodies], *, measured: bool = True
+) -> Outlines:
+    """Project all bodies at the steps of the camera's poses and keep those whose silhouettes overlap the image.
+
+    Unless they are to be measured, areas and shares are NaN, and boxes are whole ones in the pinhole's image; of what
+    the near plane cuts they are the whole image, and it may be outside.
+    """
+    found = [_outline(intrinsics, camera_poses, some, measured) for some in bodies]
     columns = {name: np.concatenate([_NOTHING[name], *(columns[name] for columns, _ in found)]) for name in _COLUMNS}
     order = np.lexsort((columns["occluder"], columns["frame"]))
     place = new_numbers(order, len(order))
@@ -122,7 +128,9 @@ _NOTHING = {
 }
 
 
-def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) -> tuple[dict[str, Array], Part]:
+def _outline(
+    intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
+) -> tuple[dict[str, Array], Part]:
     """The columns of `Outlines` for bodies with the same faces, and the part that they form."""
     solid, pinhole = bodies.solid, intrinsics.pinhole
     camera = camera_poses.to_camera(bodies.vertices_world())
@@ -134,11 +142,13 @@ def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) 
     boxes = np.concatenate([_least(pixels), -_least(-pixels)], axis=-1)
     size = np.array(pinhole.image_size_px, dtype=np.float64)
     touching = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1) | crosses
-    areas = _projected_areas(pixels, solid) if solid.convex else np.full(len(pixels), np.nan)
+    areas = _projected_areas(pixels, solid) if solid.convex and measured else np.full(len(pixels), np.nan)
     fractions = np.where(crosses, np.nan, 1.0)
     whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
     cut = np.flatnonzero(touching & ~(whole & (intrinsics.distortion is None)))
-    if not (solid.convex or bodies.boxed):
+    if not measured:
+        boxes[crosses], fractions[:] = [0, 0, *size], np.nan
+    elif not (solid.convex or bodies.boxed):
         for row in cut.tolist():  # of an obstacle only a box is needed, which may be too large
             boxes[row] = _box_in_image(cut_near(vertices[row][solid.faces], pinhole, solid), intrinsics)
         touching &= np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
@@ -181,8 +191,8 @@ def _box_in_image(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
 
 def _least(pixels: Array) -> Array:
     """Least column and row of the projected vertices (n, K, 2) of each solid; NaN is left out, shape (n, 2)."""
-    least: Array = np.where(np.isnan(pixels), np.inf, pixels).min(axis=1)
-    return least
+    columns, rows = (np.where(np.isnan(place), np.inf, place).min(axis=1) for place in np.moveaxis(pixels, -1, 0))
+    return np.stack([columns, rows], axis=-1)
 
 
 def _projected_areas(pixels: Array, solid: Solid) -> Array:

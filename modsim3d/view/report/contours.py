@@ -1,8 +1,8 @@
-"""Outlines of drawn triangles as closed lines, without cutting polygons.
+"""Closed lines around what is covered, without cutting polygons.
 
-Where triangles that all run the same way round share an edge, they run along it in opposite directions. What is left
-when such pairs are taken away are closed lines that wind around each point as often as triangles cover it: filled by
-the non-zero rule they are the silhouette, holes and all, however many triangles lie over each other.
+Edges that run between the same places in opposite directions cancel each other. What is left are closed lines that wind
+around each point as often as it is covered: filled by the non-zero rule they are the silhouette, holes and all, however
+many faces lie over each other.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Indices, Mask
 
 PLACE_BITS = 17
 """Bits of a coordinate in a vertex's number."""
+_PLACE = (1 << PLACE_BITS) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,18 +33,19 @@ class Contours:
     corners: Indices
 
 
-def contours(shape: Indices, corners: Indices) -> Contours:
-    """Find the lines around what the triangles of each shape cover, by the index of the shape, shape (T,).
+def contours(shape: Indices, ends: Indices) -> Contours:
+    """Join the directed edges of each shape to closed lines, by the index of the shape, shape (e,).
 
-    The corners are whole numbers from 0 to 65,535, shape (T, 3, 2), and all triangles run the same way round.
+    Start and end of the edges are whole numbers from 0 to 65,535, shape (e, 2, 2). In each shape as many edges begin at
+    a place as end there.
     """
-    place = (corners[..., 0] << PLACE_BITS) + corners[..., 1]
+    place = (ends[..., 0] << PLACE_BITS) + ends[..., 1]
     number, vertex = np.unique((shape[:, None] << 2 * PLACE_BITS) + place, return_inverse=True)
-    vertex = vertex.reshape(-1, 3)
-    start, end = _unpaired(vertex.ravel(), np.roll(vertex, -1, axis=1).ravel(), len(number))
+    start, end = vertex.reshape(-1, 2).T
+    start, end = _unpaired(start, end, len(number))
     line, count = _joined(start, end)
     numbers = number[start[line]]
-    flat = np.column_stack([numbers >> PLACE_BITS, numbers]) & ((1 << PLACE_BITS) - 1)
+    flat = np.column_stack([numbers >> PLACE_BITS, numbers]) & _PLACE
     first = np.cumsum(count) - count
     return Contours(numbers[first] >> 2 * PLACE_BITS, count, flat)
 
@@ -61,39 +63,68 @@ def _unpaired(start: Indices, end: Indices, vertices: int) -> tuple[Indices, Ind
 def _joined(start: Indices, end: Indices) -> tuple[Indices, Indices]:
     """Edges in order along closed lines, shape (e,), and the number of edges of each line, shape (l,).
 
-    As many edges begin at each vertex as end there.
+    As many edges begin at each vertex as end there. A line begins at its lowest vertex. Lines are in order of it, so
+    that those of a shape stay together.
     """
-    after = np.empty_like(start)
-    after[np.argsort(end, kind="stable")] = np.argsort(start, kind="stable")
-    follows, done = after.tolist(), bytearray(len(start))
-    line: list[int] = []
-    count: list[int] = []
-    # By the lowest vertex of each, so that lines of a shape stay together.
-    for first in np.argsort(start, kind="stable").tolist():
-        begun, edge = len(line), first
-        while not done[edge]:
-            done[edge] = 1
-            line.append(edge)
-            edge = follows[edge]
-        if len(line) > begun:
-            count.append(len(line) - begun)
-    return np.array(line, dtype=np.int64), np.array(count, dtype=np.int64)
+    order = np.argsort(start, kind="stable")
+    after = np.empty_like(order)
+    after[np.argsort(end, kind="stable")] = np.arange(len(order))
+    after = after[order]
+    first = _least_along(after)
+    heads = first == np.arange(len(first))
+    count = np.bincount(first, minlength=len(first))
+    begin = np.cumsum(np.where(heads, count, 0)) - count
+    line = np.empty_like(order)
+    left = _left_to(heads, after)
+    line[begin[first] + (count[first] - left) % count[first]] = order
+    return line, count[heads]
 
 
-def one_way_round(corners_px: Array, corners: Indices, closed: Mask) -> tuple[Mask, Indices]:
-    """The triangles that a contour needs, all the same way round; of a closed solid only those that face the camera.
+def _least_along(after: Indices) -> Indices:
+    """The least index in the ring of each, where one follows the other as `after` says, shape (n,)."""
+    least, jump = np.arange(len(after)), after
+    while True:
+        # Each knows the least of 2, 4, 8, … from itself on; once nobody learns more, all know that of the ring.
+        lower = np.minimum(least, least[jump])
+        if np.array_equal(lower, least):
+            return least
+        least, jump = lower, jump[jump]
+
+
+def _left_to(heads: Mask, after: Indices) -> Indices:
+    """Number of steps along `after` from each to the next head, zero for a head itself, shape (n,)."""
+    left = np.where(heads, 0, 1)
+    jump = np.where(heads, np.arange(len(after)), after)
+    while not heads[jump].all():
+        left, jump = left + left[jump], jump[jump]
+    return left
+
+
+def tidy_at_border(shape: Indices, ends: Indices, size: tuple[int, int]) -> tuple[Indices, Indices]:
+    """Edges without the ways to and fro along the border of an image; the lines wind around its pixels as before.
 
     Args:
-        corners_px: Corners in pixels of the image, shape (T, 3, 2).
-        corners: The same in the units of `contours`, shape (T, 3, 2).
-        closed: Whether a triangle's solid is closed, shape (T,).
+        shape: Shape that each edge belongs to, shape (e,).
+        ends: Start and end of each edge, whole numbers from 0 to the size, shape (e, 2, 2).
+        size: Greatest column and row.
 
     Returns:
-        Which triangles are needed, shape (T,), and their corners in those units, shape (T', 3, 2).
+        Shape and ends of the edges that stay, and of those along the border.
     """
-    a, b, c = np.moveaxis(corners_px, 1, 0)
-    # Rows run downwards: the area of a face turned to the camera is positive this way round.
-    doubled = (b - a)[:, 1] * (c - a)[:, 0] - (b - a)[:, 0] * (c - a)[:, 1]
-    kept = np.where(closed, doubled, np.abs(doubled)) > 0
-    turned = np.where((doubled < 0)[:, None, None], corners[:, ::-1], corners)
-    return kept, turned[kept]
+    left = np.ones(len(shape), dtype=bool)
+    shapes, every = [], []
+    for axis, bound in ((0, 0), (0, size[0]), (1, 0), (1, size[1])):
+        there = ends[..., axis] == bound
+        on = left & there[:, 0] & there[:, 1]
+        left &= ~on
+        place, which = np.unique((shape[on, None] << PLACE_BITS) + ends[on, :, 1 - axis], return_inverse=True)
+        change = np.bincount(which.reshape(-1), np.tile([1, -1], int(on.sum())), len(place)).astype(np.int64)
+        place, cover = place[change != 0], np.cumsum(change[change != 0])
+        piece = np.repeat(np.arange(len(cover)), np.abs(cover))
+        along = np.stack([place[piece], place[np.minimum(piece + 1, len(place) - 1)]], axis=1)
+        along[cover[piece] < 0] = along[cover[piece] < 0, ::-1]
+        shapes.append(along[:, 0] >> PLACE_BITS)
+        both = np.full((len(along), 2, 2), bound)
+        both[..., 1 - axis] = along & _PLACE
+        every.append(both)
+    return np.concatenate([shape[left], *shapes]), np.concatenate([ends[left], *every])

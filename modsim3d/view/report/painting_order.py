@@ -94,19 +94,26 @@ def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: In
     Returns:
         A permutation of the rows, in order of frame, shape (n,).
     """
-    order = np.lexsort((-depth_m, frame))
+    _, occluder_in_frame = np.unique(frame * (int(occluder.max(initial=0)) + 1) + occluder, return_inverse=True)
+    farthest_m = np.full(len(frame), -np.inf)
+    np.maximum.at(farthest_m, occluder_in_frame, depth_m)
+    order = np.lexsort((-depth_m, occluder_in_frame, -farthest_m[occluder_in_frame], frame))
     place = np.argsort(order)
-    wrong = frame[hidden[place[hidden] > place[hider]]]
-    frame_and_occluder = frame * (int(occluder.max(initial=0)) + 1) + occluder
-    _, first, pieces = np.unique(frame_and_occluder, return_index=True, return_counts=True)
-    wrong = np.union1d(wrong, frame[first[pieces > 1]])
-    in_question = np.isin(frame[hidden], wrong)
-    before: dict[int, list[int]] = defaultdict(list)
-    for back, front in zip(hidden[in_question].tolist(), hider[in_question].tolist(), strict=True):
-        before[back].append(front)
+    wrong = np.unique(frame[hidden[place[hidden] > place[hider]]])
+    by_row = np.lexsort((hider, hidden))
+    hidden, hider = hidden[by_row], hider[by_row]
+    known: dict[tuple[bytes, ...], Indices] = {}
     for crowded in wrong:
-        rows = slice(*np.searchsorted(frame, (crowded, crowded + 1)))
-        order[rows] = _behind_first(order[rows].tolist(), occluder, before)
+        first, stop = np.searchsorted(frame, (crowded, crowded + 1)).tolist()
+        pairs = slice(*np.searchsorted(hidden, (first, stop)))
+        far_to_near, of, back, front = order[first:stop] - first, occluder[first:stop], hidden[pairs], hider[pairs]
+        same = far_to_near.tobytes(), of.tobytes(), (back - first).tobytes(), (front - first).tobytes()
+        if same not in known:  # little changes from frame to frame
+            before: dict[int, list[int]] = defaultdict(list)
+            for behind, nearer in zip((back - first).tolist(), (front - first).tolist(), strict=True):
+                before[behind].append(nearer)
+            known[same] = np.array(_behind_first(far_to_near.tolist(), of, before))
+        order[first:stop] = first + known[same]
     return order
 
 

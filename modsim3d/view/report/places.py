@@ -15,6 +15,7 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.scene.scene import Scene
 from modsim3d.view.maps.birds_eye import footprint
 from modsim3d.view.report.packing import ROW_BEFORE, Coded, Column
+from modsim3d.view.report.part_motion import PartMotion
 
 PER_METRE, PER_TURN = 100, 1 << 16
 
@@ -29,12 +30,11 @@ class Places:
         self._reach: list[Array] = []
         self._half_m = np.array([vessel.length_m for vessel in scene.vessels])[:, None] / 2
 
-    def columns(self, steps: Indices) -> dict[str, Column | Coded]:
+    def columns(self, steps: Indices, motion: PartMotion) -> dict[str, Column | Coded]:
         """The places at ascending steps, shape (S,): a row a step, with a column for each vessel or camera."""
-        scene, first, stop = self._scene, int(steps[0]), int(steps[-1]) + 1
-        poses = scene.poses.poses(first, stop).rows(steps - first)
+        scene, poses = self._scene, motion.at(steps).poses
         there, place_m = poses.present, poses.positions_m[..., :2]
-        cameras = [_camera_places(scene, camera, steps) for camera in scene.cameras]
+        cameras = [_camera_places(scene, camera, steps, motion) for camera in scene.cameras]
         camera_m, looks, camera_there = (np.stack(columns, axis=1) for columns in zip(*cameras, strict=True))
         self._reach += [(place_m + side * self._half_m)[there] for side in (-1, 1)]
         self._reach.append(camera_m[camera_there])
@@ -60,7 +60,7 @@ class Places:
         }
 
 
-def _camera_places(scene: Scene, camera: Camera, steps: Indices) -> tuple[Array, Array, Mask]:
+def _camera_places(scene: Scene, camera: Camera, steps: Indices, motion: PartMotion) -> tuple[Array, Array, Mask]:
     """Where a camera is and looks at ascending steps, shape (S,).
 
     Returns:
@@ -69,10 +69,10 @@ def _camera_places(scene: Scene, camera: Camera, steps: Indices) -> tuple[Array,
     """
     there = np.ones(len(steps), dtype=bool)
     if camera.mount.vessel is not None:
-        there = scene.motion.at(steps).poses.present[:, scene.vessel_names.index(camera.mount.vessel)]
+        there = motion.at(steps).poses.present[:, scene.vessel_names.index(camera.mount.vessel)]
     place_m, looks_rad = np.zeros((2, len(steps), 2))
     if there.any():
-        poses = scene.camera_poses(camera, scene.motion.at(steps[there]), steps[there])
+        poses = scene.camera_poses(camera, motion.at(steps[there]), steps[there])
         width, height = camera.intrinsics.image_size_px
         row = float(np.clip(camera.intrinsics.principal_point_px[1], 0, height))
         rays = camera.intrinsics.unproject(np.array([[0.0, row], [width, row]]), np.ones(2)) @ poses.camera_R_world

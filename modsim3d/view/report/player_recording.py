@@ -23,6 +23,7 @@ from modsim3d.view.report.clock import clock
 from modsim3d.view.report.overview import Overview, ShownRows
 from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, packed, starts
 from modsim3d.view.report.part_columns import ALL_SEA, PartFrames, detection_columns, frame_columns, truth_columns
+from modsim3d.view.report.part_motion import PartMotion
 from modsim3d.view.report.parts import PartRows, parts, shown_in_a_part
 from modsim3d.view.report.places import Places
 from modsim3d.view.report.silhouettes import Silhouettes
@@ -106,7 +107,8 @@ class _Recorder:
         frames = PartFrames(part)
         horizons = np.empty((frames.pages, 3))
         horizons[frames.count :] = ALL_SEA
-        shape_frame, silhouettes = self._silhouettes.columns(part.rows, frames.steps, horizons)
+        motion = PartMotion(self._scene, [part.steps, *frames.steps])
+        shape_frame, silhouettes = self._silhouettes.columns(part.rows, frames.steps, motion, horizons)
         columns = {
             **frame_columns(part, frames),
             "horizon": Coded(horizons.astype(np.float32), by=ROW_BEFORE),
@@ -114,7 +116,7 @@ class _Recorder:
             **silhouettes,
             **truth_columns(part.rows, frames, self._quantum),
             **detection_columns(part.rows, frames, self._quantum),
-            **self._places.columns(part.steps),
+            **self._places.columns(part.steps, motion),
         }
         if self._tracks is not None:
             columns |= self._tracks.columns(frames, self._quantum)

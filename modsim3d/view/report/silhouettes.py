@@ -9,21 +9,21 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
+from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
-from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.triangles import triangles_of
-from modsim3d.view.report.contours import contours, one_way_round
+from modsim3d.truth.outlines import Outlines, new_numbers
+from modsim3d.view.report.contours import contours, tidy_at_border
 from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column, same_before
 from modsim3d.view.report.painting_order import in_front, painting_order
+from modsim3d.view.report.part_motion import PartMotion
 from modsim3d.view.report.shapes import NO_SHAPES, Shapes, concatenated
+from modsim3d.view.report.silhouette_edges import Edges, silhouette_edges
 
 STILL = 1 << 31
 """The first number of the outlines that all parts share."""
 STEPS_TOGETHER = 250
 """Steps whose geometry is computed together: few calls, little memory."""
-MOST_FACES = 300_000
-"""Number of faces whose outlines are computed together: few calls, little memory."""
 
 
 class Silhouettes:
@@ -39,13 +39,14 @@ class Silhouettes:
         self._still = OutlineStore()
 
     def columns(
-        self, rows: RunRows, frames: Sequence[Indices], horizons: Array
+        self, rows: RunRows, frames: Sequence[Indices], motion: PartMotion, horizons: Array
     ) -> tuple[Indices, dict[str, Column | Coded]]:
         """The silhouettes of one part, and its horizons.
 
         Args:
             rows: The run's rows of these frames at least.
             frames: For each camera the steps of its frames, ascending, shape (F_c,).
+            motion: The vessels at these steps.
             horizons: Receives the sea half plane of each frame, camera by camera, shape (F, 3) with F = ΣF_c at least.
 
         Returns:
@@ -63,7 +64,9 @@ class Silhouettes:
             for first in range(0, len(every), STEPS_TOGETHER):
                 steps = every[first : first + STEPS_TOGETHER]
                 place = begin + first
-                horizons[place : place + len(steps)], drawn = seen(scene, index, steps, self._quantum_px, hides)
+                horizons[place : place + len(steps)], drawn = seen(
+                    scene, index, steps, motion.at(steps), self._quantum_px, hides
+                )
                 found.append(replace(drawn, frame=place + drawn.frame))
                 still.append(drawn.occluder >= still_owner)
             begin += len(every)
@@ -84,13 +87,16 @@ class Silhouettes:
         return _outline_columns(self._still.shapes())
 
 
-def seen(scene: Scene, index: int, steps: Indices, quantum_px: float, hides: Indices) -> tuple[Array, Shapes]:
+def seen(
+    scene: Scene, index: int, steps: Indices, motion: PosesInWaves, quantum_px: float, hides: Indices
+) -> tuple[Array, Shapes]:
     """What a camera sees at some steps.
 
     Args:
         scene: The scene.
         index: Index of the camera.
         steps: Ascending steps at which it takes a frame, shape (S,).
+        motion: Poses of all vessels at these steps.
         quantum_px: The unit of lengths in the image.
         hides: Keys of what hides what in the truth, from `hiding`, shape (m,).
 
@@ -99,9 +105,9 @@ def seen(scene: Scene, index: int, steps: Indices, quantum_px: float, hides: Ind
         as their frame.
     """
     camera = scene.cameras[index]
-    sight, numbers = scene.sight(camera, steps), steps * len(scene.cameras) + index
+    sight, numbers = scene.sight(camera, steps, motion), steps * len(scene.cameras) + index
     half_planes = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
-    before = sight.outlines()
+    before = sight.outlines(measured=False)
     numbered = replace(before, frame=numbers[before.frame])
     drawn = shapes(numbered, camera.intrinsics, quantum_px, len(scene.occluder_names), hides)
     return half_planes, replace(drawn, frame=np.searchsorted(numbers, drawn.frame))
@@ -178,41 +184,28 @@ def shapes(
         occluder_count: Number of the scene's occluder names.
         hides: Keys of what hides what in the truth, see `in_front`, shape (m,).
     """
+    edges = silhouette_edges(outlines, intrinsics)
+    outlines, edges = _seen(outlines, edges)
     hidden, hider = in_front(outlines, occluder_count, hides)
     order = painting_order(outlines.frame, outlines.depth_m, outlines.occluder, hidden, hider)
     frame, occluder = outlines.frame[order], outlines.occluder[order]
     begins = np.flatnonzero((np.diff(frame, prepend=-1) != 0) | (np.diff(occluder, prepend=-1) != 0))
     shape_of_row = np.empty(len(order), dtype=np.int64)
     shape_of_row[order] = np.searchsorted(begins, np.arange(len(order)), side="right") - 1
-    drawn = [NO_SHAPES]
-    for rows in _in_turns(outlines):
-        some = outlines.take(rows)
-        triangles = triangles_of(some, intrinsics, guard_px=0.0)
-        corners = np.clip(np.rint(triangles.corners_px / quantum_px), 0, NONE - 1).astype(np.int64)
-        kept, corners = one_way_round(triangles.corners_px, corners, _closed(some)[triangles.row])
-        found = contours(shape_of_row[rows[triangles.row[kept]]], corners)
-        first_line = np.flatnonzero(np.diff(found.shape, prepend=-1))
-        begin = begins[found.shape[first_line]]
-        lines = np.diff(first_line, append=len(found.shape))
-        drawn.append(Shapes(frame[begin], occluder[begin], lines, found.count, found.corners.astype(np.uint16)))
-    return concatenated(drawn)
+    places = np.clip(np.rint(edges.ends_px / quantum_px), 0, NONE - 1).astype(np.int64)
+    stays = np.all(places[:, 0] == places[:, 1], axis=1)
+    row_of, places = edges.row[~stays], places[~stays]
+    column, row = np.rint(np.array(intrinsics.image_size_px) / quantum_px).astype(np.int64).tolist()
+    found = contours(*tidy_at_border(shape_of_row[row_of], places, (column, row)))
+    first_line = np.flatnonzero(np.diff(found.shape, prepend=-1))
+    begin = begins[found.shape[first_line]]
+    lines = np.diff(first_line, append=len(found.shape))
+    return Shapes(frame[begin], occluder[begin], lines, found.count, found.corners.astype(np.uint16))
 
 
-def _in_turns(outlines: Outlines) -> list[Indices]:
-    """Rows of whole frames, so that their faces fit into memory."""
-    if not len(outlines):
-        return []
-    faces = np.zeros(len(outlines))
-    for part in outlines.parts:
-        faces[part.rows] = len(part.solid.faces)
-    _, frame = np.unique(outlines.frame, return_inverse=True)
-    turn = np.cumsum(np.bincount(frame, faces)) // MOST_FACES
-    return np.split(np.arange(len(outlines)), np.flatnonzero(np.diff(turn[frame])) + 1)
-
-
-def _closed(outlines: Outlines) -> Mask:
-    """Whether the solid of each row is closed, shape (n,)."""
-    closed = np.zeros(len(outlines), dtype=bool)
-    for part in outlines.parts:
-        closed[part.rows] = part.solid.closed
-    return closed
+def _seen(outlines: Outlines, edges: Edges) -> tuple[Outlines, Edges]:
+    """The outlines that have edges in the image, with the boxes of these, and the edges."""
+    rows = edges.row[np.flatnonzero(np.diff(edges.row, prepend=-1))]
+    boxes_px = edges.boxes_px(len(outlines))[rows]
+    numbered = replace(edges, row=new_numbers(rows, len(outlines))[edges.row])
+    return replace(outlines.take(rows), boxes_px=boxes_px), numbered

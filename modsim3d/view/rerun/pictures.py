@@ -104,7 +104,7 @@ def seen_at(rows: RunRows, steps: Indices) -> Iterator[Seen]:
         taken = taken[np.isin(taken, steps)]
         if not len(taken):
             continue
-        half_planes, shapes = seen(scene, index, taken, quantum, hides)
+        half_planes, shapes = seen(scene, index, taken, scene.motion.at(taken), quantum, hides)
         silhouettes: list[list[Silhouette]] = [[] for _ in taken]
         for frame, occluder, (count, corners) in zip(shapes.frame, shapes.occluder, shapes.pieces(), strict=True):
             lines = np.split(corners * quantum, np.cumsum(count)[:-1])

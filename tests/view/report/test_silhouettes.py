@@ -28,6 +28,11 @@ def twice_area(corners):
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
+def edges_of(triangles):
+    """Edges from corner to corner, shape (3T, 2, 2)."""
+    return np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2, 2)
+
+
 def winding(ring, point):
     """How often a closed line goes around a point that is not on it."""
     x, y = (np.asarray(ring, dtype=float) - point).T
@@ -42,7 +47,7 @@ def test_lines_wind_around_each_point_as_often_as_triangles_cover_it(triangles, 
     if not oriented:
         return
     shape = np.array(data.draw(st.lists(st.integers(0, 1), min_size=len(oriented), max_size=len(oriented))))
-    found = contours(shape, np.array(oriented))
+    found = contours(np.repeat(shape, 3), edges_of(np.array(oriented)))
     assert np.all(np.diff(found.shape) >= 0)
     rings = np.split(found.corners, np.cumsum(found.count)[:-1])
     x, y = data.draw(st.tuples(PLACES, PLACES))
@@ -54,13 +59,14 @@ def test_lines_wind_around_each_point_as_often_as_triangles_cover_it(triangles, 
 
 
 def test_triangles_that_share_an_edge_have_one_line_around_both():
-    found = contours(np.zeros(2, dtype=np.int64), np.array([[(0, 0), (4, 0), (4, 4)], [(0, 0), (4, 4), (0, 4)]]))
+    triangles = np.array([[(0, 0), (4, 0), (4, 4)], [(0, 0), (4, 4), (0, 4)]])
+    found = contours(np.zeros(6, dtype=np.int64), edges_of(triangles))
     assert found.count.tolist() == [4]
     assert {tuple(corner) for corner in found.corners.tolist()} == {(0, 0), (4, 0), (4, 4), (0, 4)}
 
 
 def test_nothing_has_no_lines():
-    found = contours(NONE, np.empty((0, 3, 2), dtype=np.int64))
+    found = contours(NONE, np.empty((0, 2, 2), dtype=np.int64))
     assert len(found.shape) == len(found.count) == len(found.corners) == 0
 
 
