@@ -45,7 +45,7 @@ def test_the_address_follows_step_camera_vessel_and_layers_and_brings_them_back(
 def test_the_address_is_left_alone_until_something_is_done_and_while_the_run_plays(browser, page):
     browser.open(page)
     assert browser.run(SETTLED) == ""
-    browser.run("(player.setSpeed(0.25), player.go(5), player.play(true))")
+    browser.run("(player.playback.setSpeed(0.25), player.go(5), player.play(true))")
     assert browser.run(SETTLED) == ""
     browser.run("player.play(false)")
     assert browser.run(SETTLED) == browser.run("`#step=${player.index}&camera=C1`")

@@ -173,7 +173,7 @@ def test_fifty_vessels_keep_their_names_and_the_rows_scroll_under_a_fixed_axis(b
     whole, shown = browser.run("(p => [p.scrollHeight, p.clientHeight])(player.timeline.panel)")
     assert shown <= 500 < whole
     before = pixels(browser, "timeline")
-    browser.run(f"player.follow({vessels - 1})")
+    browser.run(f"player.choose({vessels - 1})")
     settle(browser)
     after = pixels(browser, "timeline")
     top, rows_top, rows = browser.run("(t => [t.topOf(t.followed), t.rowsTop, t.rowsPx])(player.timeline)")

@@ -56,7 +56,7 @@ def test_the_table_has_the_detections_and_follows_steps_but_not_play(browser, mi
         assert (cells["outcome"] == "false alarm") == (row["kind"] not in ("true", "merged", "split"))
     said = "document.querySelector('#numbersOf').textContent"
     assert f"step {STEP}" in browser.run(said)
-    browser.run("(player.playing = true, player.go(20))")
+    browser.run("(player.playback.playing = true, player.go(20))")
     assert f"step {STEP}" in browser.run(said)
     browser.run("player.play(false)")
     assert "step 20" in browser.run(said)

@@ -55,7 +55,7 @@ def test_differences_are_moments_lanes_and_labels(browser, both, mistaken_folder
     first = first[np.lexsort((found.vessel[first], found.index[first]))]
     browser.press("x")
     assert browser.run("player.momentRow.kind") == "differs"
-    browser.run("player.goTo(player.moments.choose(0))")
+    browser.run("player.momentRow.show(player.moments.choose(0))")
     assert browser.run("player.index") == found.index[first[0]]
     assert browser.run("player.followed") == found.vessel[first[0]]
     assert browser.run("player.moments.list.length") == len(first)

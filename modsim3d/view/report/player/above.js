@@ -81,12 +81,11 @@ class Above {
   // Where vessels were at the steps before, as far as they are at hand.
   trails(recording, index, { vessels, colours }) {
     const { context } = this;
+    const steps = [];
+    for (let step = Math.max(0, index - TRAIL_STEPS); step <= index; step++) if (recording.ready(step)) steps.push(recording.places(step).vessels);
     vessels.forEach((_, vessel) => {
       context.beginPath();
-      for (let step = Math.max(0, index - TRAIL_STEPS); step <= index; step++) {
-        const place = recording.ready(step) ? recording.places(step).vessels[vessel] : null;
-        if (place) context.lineTo(...this.toCanvas(place.x, place.y));
-      }
+      for (const { [vessel]: place } of steps) if (place) context.lineTo(...this.toCanvas(place.x, place.y));
       Object.assign(context, { strokeStyle: colours.vessels[vessel], lineWidth: 1.5, globalAlpha: 0.6 });
       context.stroke();
       context.globalAlpha = 1;

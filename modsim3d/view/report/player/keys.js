@@ -8,7 +8,7 @@ function keysOf(player) {
       row('space', 'play or pause', { ' ': actions.play }),
       row('← →', 'one step; with shift ten', { ArrowLeft: ({ shiftKey }) => player.step(shiftKey ? -10 : -1), ArrowRight: ({ shiftKey }) => player.step(shiftKey ? 10 : 1) }),
       row('Home End', 'first and last frame', { Home: () => player.go(0), End: () => player.go(player.recording.length - 1) }),
-      row('[ ]', 'slower, faster', { '[': () => player.faster(-1), ']': () => player.faster(1) }),
+      row('[ ]', 'slower, faster', { '[': () => player.playback.faster(-1), ']': () => player.playback.faster(1) }),
       row('R', 'repeat: the chosen moment, or the whole run', { r: actions.loop }),
     ] },
     { title: 'Moments: with shift the one before', keys: [

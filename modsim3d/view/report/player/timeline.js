@@ -189,11 +189,16 @@ class Timeline {
       Object.assign(context, { strokeStyle: colourOf('--accent'), lineWidth: 1 });
       context.strokeRect(0.5, top + 0.5, this.left - NAME_LEFT_PX, bottom - top - 1);
     }
-    for (const [colour, wide] of [['--paper', 5], ['--ink', 2]]) {
-      context.fillStyle = colourOf(colour);
-      context.fillRect(x - wide / 2, 0, wide, this.height - AXIS_PX + 2);
-    }
+    drawPlayhead(context, x, this.height - AXIS_PX + 2);
     this.canvas.setAttribute('aria-valuenow', index);
-    this.canvas.setAttribute('aria-valuetext', this.say(index, followed, this.camera));
+    this.canvas.setAttribute('aria-valuetext', this.say(index, followed));
+  }
+}
+
+// The line at the shown step, with a seam.
+function drawPlayhead(context, x, high) {
+  for (const [colour, wide] of [['--paper', 5], ['--ink', 2]]) {
+    context.fillStyle = colourOf(colour);
+    context.fillRect(x - wide / 2, 0, wide, high);
   }
 }
