@@ -26,6 +26,10 @@ PLAYER = files("modsim3d.view.report") / "player"
 BOATS = 50
 
 
+CUT_OFF = """[...document.querySelectorAll('{} button')].filter((each) => each.scrollWidth > each.clientWidth)
+    .map((each) => each.textContent)"""
+
+
 @pytest.fixture(scope="module")
 def crowd_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Fifty boats in rows, some with long names, for a few steps."""
@@ -83,6 +87,15 @@ def test_at_each_size_nothing_overlaps_or_sticks_out_and_focus_shows_whole(brows
         assert measured(browser, "outside") == []
         assert browser.run("document.documentElement.scrollWidth") <= size[0]
         assert measured(browser, "badRings") == []
+
+
+def test_names_and_headings_of_the_list_are_seen(browser, crowd_page):
+    browser.open(crowd_page, DESK)
+    for size in (DESK, TABLET, PHONE):
+        browser.resize(size)
+        settle(browser)
+        assert browser.run(CUT_OFF.format(".vessels thead")) == [], size
+        assert all("long" in name for name in browser.run(CUT_OFF.format("#vessels"))), size
 
 
 def test_on_a_desk_image_controls_and_the_first_rows_of_time_are_seen_at_once(browser, page):

@@ -19,6 +19,7 @@ from modsim3d.view.report.run_differences import differences
 from modsim3d.view.report.side_by_side import write_side_by_side
 from modsim3d.view.report.vessel_outcomes import VesselOutcome
 from tests.view.report.browser import Browser
+from tests.view.report.test_layout import PHONE, TABLET
 
 SIZE = (1440, 1000)
 
@@ -46,6 +47,23 @@ def test_both_runs_show_their_own_detections_of_one_frame(browser, both, mistake
         np.testing.assert_allclose(shown, boxes, atol=0.051)
     titles = browser.run("[...document.querySelectorAll('.run')].map(each => each.textContent)")
     assert titles == [f"A {mistaken_folder.name}", f"B {other_folder.name}"]
+
+
+def test_the_images_are_level_and_the_page_is_no_wider_than_a_phone(browser, both):
+    browser.open(both, TABLET)
+    one, other = browser.run("player.panes.map(pane => pane.canvas.getBoundingClientRect().toJSON())")
+    assert (one["top"], one["height"]) == (other["top"], other["height"])
+    browser.resize(PHONE)
+    assert browser.run("document.documentElement.scrollWidth") == PHONE[0]
+
+
+def test_the_saved_picture_says_which_run_it_is_of(browser, both, tmp_path):
+    browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    browser.open(both, SIZE, "#step=50")
+    browser.click("[data-do=save]")
+    said = "new Promise(done => setTimeout(() => done(document.querySelector('#note').textContent), 300))"
+    run, scene = browser.run("[player.pane.run.replace(' ', '-'), player.recording.facts.name]")
+    assert browser.run(said) == f"Saved as {scene}_{run}_bow_50.png"
 
 
 def test_differences_are_moments_lanes_and_labels(browser, both, mistaken_folder, other_folder):

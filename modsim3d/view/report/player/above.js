@@ -1,6 +1,6 @@
 // The view from above: where the vessels are at a step, where the camera looks, and where the vessels come from.
 
-const TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.2;
+const TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.6;
 
 class Above {
   constructor(canvas, choose) {
@@ -47,7 +47,9 @@ class Above {
     facts.obstacles.forEach((rings, i) => this.area(rings, facts.colours.owners[facts.vessels.length + i]));
     this.trails(recording, index, facts);
     this.placed = [];
-    vessels.forEach((place, vessel) => place && this.vessel(place, vessel, facts, vessel === chosen));
+    const draw = (vessel) => vessels[vessel] && this.vessel(vessels[vessel], vessel, facts, vessel === chosen);
+    for (const vessel of vessels.keys()) if (vessel !== chosen) draw(vessel);
+    if (chosen !== null) draw(chosen); // over the others, with its name
     this.scaleBar();
   }
 

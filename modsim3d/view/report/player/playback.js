@@ -36,7 +36,7 @@ class Playback {
     const time = this.from.time + ((now - this.from.now) / 1000) * this.speed;
     let index = this.shown;
     while (index < last && times[index + 1] <= time) index++;
-    const again = loop.on && index === last && time >= times[last] + this.held(last);
+    const again = loop.on && this.shown === last && time >= times[last] + this.held(last);
     if (again) index = first;
     if (index !== player.index) player.go(index);
     this.shown = index;
