@@ -202,6 +202,8 @@ def test_times_that_are_no_plain_decimals_are_kept_as_they_are(texts):
     assert columns["clockTexts"].tobytes().decode().split("\n") == texts
 
 
+AROUND = 20
+"""As in recording.js."""
 FRAME = """JSON.stringify([0, 1].map((camera) => [
     player.recording.shapes({0}, camera).map((shape) => player.recording.lines(shape)),
     player.recording.truths({0}, camera), player.recording.detections({0}, camera), player.recording.state({0}, camera),
@@ -237,8 +239,8 @@ def test_a_part_that_is_missing_is_said(browser, page_with_files, tmp_path):
     assert "A-3.js cannot be read" in browser.run("document.querySelector('#failure').textContent")
     assert browser.run("Promise.resolve(player.go(0)).then(() => document.querySelector('#failure').hidden)")
     browser.run(
-        f"Promise.resolve(player.go({3 * PART - 1})).then(() => new Promise(done => setTimeout(done, 100)))"
-    )  # beside it
+        f"Promise.resolve(player.go({3 * PART - AROUND})).then(() => new Promise(done => setTimeout(done, 100)))"
+    )  # near it
     assert browser.run("document.querySelector('#failure').hidden")
     assert all("Uncaught" not in error for error in browser.errors)
     browser.errors.clear()  # those of the missing file

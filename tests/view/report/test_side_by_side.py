@@ -51,6 +51,9 @@ def test_both_runs_show_their_own_detections_of_one_frame(browser, both, mistake
 
 def test_the_images_are_level_and_the_page_is_no_wider_than_a_phone(browser, both):
     browser.open(both, TABLET)
+    browser.run(
+        "(document.querySelectorAll('.run')[1].textContent += ' which has a longer name than the other one', 0)"
+    )
     one, other = browser.run("player.panes.map(pane => pane.canvas.getBoundingClientRect().toJSON())")
     assert (one["top"], one["height"]) == (other["top"], other["height"])
     browser.resize(PHONE)
