@@ -184,9 +184,10 @@ def test_the_command_takes_two_runs(monkeypatch, capsys, mistaken_folder, other_
     assert not (tmp_path / "no.html").exists()
 
 
-def test_the_same_runs_give_the_same_bytes(both, mistaken_folder, other_folder, tmp_path):
-    again = write_side_by_side(open_run(mistaken_folder), open_run(other_folder), tmp_path / "again.html")
-    assert again.read_bytes() == both.read_bytes()
+def test_the_same_runs_give_the_same_bytes(mistaken_folder, other_folder, tmp_path):
+    runs = open_run(mistaken_folder), open_run(other_folder)
+    pages = [write_side_by_side(*runs, tmp_path / name, every=10) for name in ("once.html", "again.html")]
+    assert pages[0].read_bytes() == pages[1].read_bytes()
 
 
 def test_an_interrupted_first_run_without_steps_is_refused(mistaken_folder):

@@ -60,7 +60,7 @@ class Above {
     context.moveTo(atX, atY);
     context.arc(atX, atY, VIEW_PX, -yaw - fov / 2, -yaw + fov / 2);
     context.closePath();
-    context.fillStyle = colourOf('--card');
+    context.fillStyle = colourOf('--sight');
     context.fill();
     context.beginPath();
     context.arc(atX, atY, 3.5, 0, 2 * Math.PI);
