@@ -13,9 +13,9 @@ from modsim3d import cli
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
+from modsim3d.view.report import side_by_side
 from modsim3d.view.report.compared_counts import paired_detections
-from modsim3d.view.report.player_recording import recording
-from modsim3d.view.report.run_differences import differences
+from modsim3d.view.report.run_differences import Differences, differences
 from modsim3d.view.report.side_by_side import write_side_by_side
 from modsim3d.view.report.vessel_outcomes import VesselOutcome
 from tests.view.report.browser import Browser
@@ -25,9 +25,18 @@ SIZE = (1440, 1000)
 
 
 @pytest.fixture(scope="module")
-def both(mistaken_folder: Path, other_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("both") / "both.html"
-    return write_side_by_side(open_run(mistaken_folder), open_run(other_folder), out)
+def page_and_differences(
+    mistaken_folder: Path, other_folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Differences]:
+    out, found = tmp_path_factory.mktemp("both") / "both.html", []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(side_by_side, "differences", lambda *runs: found.append(differences(*runs)) or found[0])
+        return write_side_by_side(open_run(mistaken_folder), open_run(other_folder), out), found[0]
+
+
+@pytest.fixture(scope="module")
+def both(page_and_differences: tuple[Path, Differences]) -> Path:
+    return page_and_differences[0]
 
 
 def frames(browser: Browser) -> list[dict]:
@@ -69,9 +78,9 @@ def test_the_saved_picture_says_which_run_it_is_of(browser, both, tmp_path):
     assert browser.run(said) == f"Saved as {scene}_{run}_bow_50.png"
 
 
-def test_differences_are_moments_lanes_and_labels(browser, both, mistaken_folder, other_folder):
-    browser.open(both, SIZE)
-    found = differences(*(recording(open_run(folder)).outcomes for folder in (mistaken_folder, other_folder)))
+def test_differences_are_moments_lanes_and_labels(browser, page_and_differences):
+    page, found = page_and_differences
+    browser.open(page, SIZE)
     first = np.flatnonzero(found.camera == 0)
     first = first[np.lexsort((found.vessel[first], found.index[first]))]
     browser.press("x")
