@@ -14,7 +14,7 @@ LEAST_STACKED, LEAST_DENSE = 4, 9
 TABLE_STYLE = """
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 .facts th { font-weight: 400; text-align: left; vertical-align: top; }
-td.number { white-space: nowrap; } td.broken { white-space: normal; }
+td.number { white-space: nowrap; } td.broken { white-space: normal; overflow-wrap: anywhere; }
 .whole { white-space: nowrap; }
 @media screen and (max-width: 40rem) {
   td, th { padding-right: 0.7rem; } td.number { white-space: normal; } .pad { display: none; }

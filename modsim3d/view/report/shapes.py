@@ -68,7 +68,7 @@ class Shapes:
             which = np.repeat(np.arange(len(rows)), long)
             place = np.arange(len(which)) - np.repeat(np.cumsum(long) - long, long)
             mine, other = (values[first[shapes][which] + place] for shapes in (rows, others[rows]))
-            differ = (mine != other).reshape(len(which), -1).any(axis=1)
+            differ = (mine != other).any(axis=tuple(range(1, mine.ndim)))  # also of no shapes at all
             same[rows[np.unique(which[differ])]] = False
         return same
 

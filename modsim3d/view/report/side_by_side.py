@@ -77,7 +77,7 @@ def write_side_by_side(
         name=f"{first.scene.name}: two runs",
         lead=html.escape(
             f"{names[0]} and {names[1]}: what two detectors, or one with two seeds, made of the same truth. "
-            f"They differ in {_stretches(len(found.vessel))}."
+            f"They differ {_times(len(found.vessel))}; consecutive frames of a vessel count once."
         ),
         notes=note,
         result=_result(compared, names),
@@ -122,8 +122,8 @@ def _differences_html(found: Differences, names: tuple[str, str]) -> str:
     return f"{facts}\n{data_element('differences-columns', packed(difference_columns(found)))}"
 
 
-def _stretches(number: int) -> str:
-    return f"{number} stretch{'' if number == 1 else 'es'} of frames of a vessel"
+def _times(number: int) -> str:
+    return "once" if number == 1 else f"{number:,} times"
 
 
 def _result(compared: Rows, names: tuple[str, str]) -> str:

@@ -27,6 +27,10 @@ PLAYER = files("modsim3d.view.report") / "player"
 BOATS = 50
 
 
+CUT_OFF = """[...document.querySelectorAll('{} button')].filter((each) => each.scrollWidth > each.clientWidth)
+    .map((each) => each.textContent)"""
+
+
 @pytest.fixture(scope="module")
 def crowd_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Fifty boats in rows, some with long names, for a few steps."""
@@ -84,6 +88,15 @@ def test_at_each_size_nothing_overlaps_or_sticks_out_and_focus_shows_whole(brows
         assert measured(browser, "outside") == []
         assert browser.run("document.documentElement.scrollWidth") <= size[0]
         assert measured(browser, "badRings") == []
+
+
+def test_names_and_headings_of_the_list_are_seen(browser, crowd_page):
+    browser.open(crowd_page, DESK)
+    for size in (DESK, TABLET, PHONE):
+        browser.resize(size)
+        settle(browser)
+        assert browser.run(CUT_OFF.format(".vessels thead")) == [], size
+        assert all("long" in name for name in browser.run(CUT_OFF.format("#vessels"))), size
 
 
 def test_on_a_desk_image_controls_and_the_first_rows_of_time_are_seen_at_once(browser, page):
@@ -171,7 +184,7 @@ def test_fifty_vessels_keep_their_names_and_the_rows_scroll_under_a_fixed_axis(b
     whole, shown = browser.run("(p => [p.scrollHeight, p.clientHeight])(player.timeline.panel)")
     assert shown <= 500 < whole
     before = pixels(browser, "timeline")
-    browser.run(f"player.follow({vessels - 1})")
+    browser.run(f"player.choose({vessels - 1})")
     settle(browser)
     after = pixels(browser, "timeline")
     top, rows_top, rows = browser.run("(t => [t.topOf(t.followed), t.rowsTop, t.rowsPx])(player.timeline)")

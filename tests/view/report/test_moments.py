@@ -47,10 +47,10 @@ def test_the_chosen_moment_plays_again_and_again_with_two_seconds_on_both_sides(
     browser.open(mistaken_page)
     browser.press("m")
     browser.run(  # one that ends long before the run does
-        "(moments => player.goTo(moments.choose("
+        "(moments => player.momentRow.show(moments.choose("
         "moments.list.findIndex(({ index, until }) => index > 20 && until < 100))))(player.moments)"
     )
-    browser.run("player.setSpeed(50)")
+    browser.run("player.playback.setSpeed(50)")
     browser.press("r")
     first, last = browser.run("[player.loop.marked.first, player.loop.marked.last]")
     times, moment = browser.run("[Array.from(player.recording.facts.times), player.moments.list[player.moments.place]]")

@@ -56,10 +56,24 @@ def test_the_table_has_the_detections_and_follows_steps_but_not_play(browser, mi
         assert (cells["outcome"] == "false alarm") == (row["kind"] not in ("true", "merged", "split"))
     said = "document.querySelector('#numbersOf').textContent"
     assert f"step {STEP}" in browser.run(said)
-    browser.run("(player.playing = true, player.go(20))")
+    browser.run("(player.playback.playing = true, player.go(20))")
     assert f"step {STEP}" in browser.run(said)
     browser.run("player.play(false)")
     assert "step 20" in browser.run(said)
+
+
+def test_the_tables_that_are_opened_while_the_run_plays_are_those_of_that_frame(browser, mistaken_page):
+    browser.open(mistaken_page, hash=f"#step={STEP}")
+    browser.run("(player.playback.playing = true, 0)")  # without a clock
+    browser.press("d")
+    rows = browser.run(ROWS.format("numbersDetections"))
+    assert len(rows) > 3
+    false = "player.numbers.detections.findLastIndex(each => each.false)"
+    place = browser.run(f"player.numbers.detections.length && {false}")
+    browser.run(f"(player.go(20), document.querySelector('#numbersDetections').tBodies[0].rows[{place}].click())")
+    assert browser.run("player.alarm") is None  # that was one of another frame
+    browser.run(f"(player.go({STEP}), document.querySelector('#numbersDetections').tBodies[0].rows[{place}].click())")
+    assert browser.run("player.alarm") == place >= 0
 
 
 def test_the_numbers_are_copied_as_cells(browser, mistaken_page):

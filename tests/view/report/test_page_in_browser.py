@@ -299,7 +299,7 @@ def test_focus_can_be_seen_and_space_presses_the_button_that_has_it(browser, pag
 
 def test_playing_goes_on_and_stops_at_the_end(browser, page):
     browser.open(page, hash=f"#step={STEPS - 40}")
-    browser.run("player.setSpeed(50)")
+    browser.run("player.playback.setSpeed(50)")
     browser.press(" ")
     assert browser.run("player.playing")
     browser.run("new Promise(done => { const look = () => player.playing ? setTimeout(look, 20) : done(1); look(); })")

@@ -202,6 +202,8 @@ def test_times_that_are_no_plain_decimals_are_kept_as_they_are(texts):
     assert columns["clockTexts"].tobytes().decode().split("\n") == texts
 
 
+AROUND = 20
+"""As in recording.js."""
 FRAME = """JSON.stringify([0, 1].map((camera) => [
     player.recording.shapes({0}, camera).map((shape) => player.recording.lines(shape)),
     player.recording.truths({0}, camera), player.recording.detections({0}, camera), player.recording.state({0}, camera),
@@ -235,4 +237,18 @@ def test_a_part_that_is_missing_is_said(browser, page_with_files, tmp_path):
     browser.open(page)
     browser.run(f"player.go({3 * PART})")
     assert "A-3.js cannot be read" in browser.run("document.querySelector('#failure').textContent")
-    browser.errors.clear()  # that of the missing file
+    assert browser.run("Promise.resolve(player.go(0)).then(() => document.querySelector('#failure').hidden)")
+    browser.run(
+        f"Promise.resolve(player.go({3 * PART - AROUND})).then(() => new Promise(done => setTimeout(done, 100)))"
+    )  # near it
+    assert browser.run("document.querySelector('#failure').hidden")
+    assert all("Uncaught" not in error for error in browser.errors)
+    browser.errors.clear()  # those of the missing file
+
+
+def test_a_part_that_is_cut_off_is_said(browser, page_with_files, tmp_path):
+    page = Path(shutil.copytree(page_with_files.parent, tmp_path / "copy")) / page_with_files.name
+    (parts_folder(page) / "A-3.js").write_text("", encoding="utf-8")
+    browser.open(page)
+    browser.run(f"Promise.race([player.go({3 * PART}), new Promise(done => setTimeout(done, 1000))])")
+    assert "A-3.js cannot be read" in browser.run("document.querySelector('#failure').textContent")

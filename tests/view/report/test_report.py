@@ -26,7 +26,7 @@ from modsim3d.view.report.packing import NONE, in_quanta
 from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.player_recording import quantum_px
 from modsim3d.view.report.report import write_report
-from tests.scenes import mistaken_strait
+from tests.scenes import mistaken_strait, write_scene
 from tests.view.report.conftest import STEPS
 from tests.view.report.unpacking import read
 
@@ -255,6 +255,12 @@ def interrupted(folder: Path, after: int) -> Path:
             load_scene("simulation_3", mode=2, seed=5, steps=STEPS + 300, source="analytic"), folder, progress=stop
         )
     return folder
+
+
+def test_a_run_in_which_no_vessel_is_ever_seen_has_a_page(tmp_path):
+    boats = {"astern": ([30.0, 8.0, 9.0], [[0, -300, 60], [2, -300, 50]])}
+    run_scene(load_scene(str(write_scene(tmp_path, boats, steps=3)), source="analytic"), tmp_path / "run")
+    assert len(read(write_report(open_run(tmp_path / "run"))).shown) == 3
 
 
 def test_interrupted_run_shows_what_is_there_and_says_so(tmp_path, page):

@@ -14,20 +14,30 @@ from modsim3d import cli
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
+from modsim3d.view.report import side_by_side
 from modsim3d.view.report.compared_counts import paired_detections
-from modsim3d.view.report.player_recording import recording
-from modsim3d.view.report.run_differences import differences
+from modsim3d.view.report.run_differences import Differences, differences
 from modsim3d.view.report.side_by_side import write_side_by_side
 from modsim3d.view.report.vessel_outcomes import VesselOutcome
 from tests.view.report.browser import Browser
+from tests.view.report.test_layout import PHONE, TABLET
 
 SIZE = (1440, 1000)
 
 
 @pytest.fixture(scope="module")
-def both(mistaken_folder: Path, other_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("both") / "both.html"
-    return write_side_by_side(open_run(mistaken_folder), open_run(other_folder), out)
+def page_and_differences(
+    mistaken_folder: Path, other_folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Differences]:
+    out, found = tmp_path_factory.mktemp("both") / "both.html", []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(side_by_side, "differences", lambda *runs: found.append(differences(*runs)) or found[0])
+        return write_side_by_side(open_run(mistaken_folder), open_run(other_folder), out), found[0]
+
+
+@pytest.fixture(scope="module")
+def both(page_and_differences: tuple[Path, Differences]) -> Path:
+    return page_and_differences[0]
 
 
 def frames(browser: Browser) -> list[dict]:
@@ -49,14 +59,34 @@ def test_both_runs_show_their_own_detections_of_one_frame(browser, both, mistake
     assert titles == [f"A {mistaken_folder.name}", f"B {other_folder.name}"]
 
 
-def test_differences_are_moments_lanes_and_labels(browser, both, mistaken_folder, other_folder):
-    browser.open(both, SIZE)
-    found = differences(*(recording(open_run(folder)).outcomes for folder in (mistaken_folder, other_folder)))
+def test_the_images_are_level_and_the_page_is_no_wider_than_a_phone(browser, both):
+    browser.open(both, TABLET)
+    browser.run(
+        "(document.querySelectorAll('.run')[1].textContent += ' which has a longer name than the other one', 0)"
+    )
+    one, other = browser.run("player.panes.map(pane => pane.canvas.getBoundingClientRect().toJSON())")
+    assert (one["top"], one["height"]) == (other["top"], other["height"])
+    browser.resize(PHONE)
+    assert browser.run("document.documentElement.scrollWidth") == PHONE[0]
+
+
+def test_the_saved_picture_says_which_run_it_is_of(browser, both, tmp_path):
+    browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    browser.open(both, SIZE, "#step=50")
+    browser.click("[data-do=save]")
+    said = "new Promise(done => setTimeout(() => done(document.querySelector('#note').textContent), 300))"
+    run, scene = browser.run("[player.pane.run.replace(' ', '-'), player.recording.facts.name]")
+    assert browser.run(said) == f"Saved as {scene}_{run}_bow_50.png"
+
+
+def test_differences_are_moments_lanes_and_labels(browser, page_and_differences):
+    page, found = page_and_differences
+    browser.open(page, SIZE)
     first = np.flatnonzero(found.camera == 0)
     first = first[np.lexsort((found.vessel[first], found.index[first]))]
     browser.press("x")
     assert browser.run("player.momentRow.kind") == "differs"
-    browser.run("player.goTo(player.moments.choose(0))")
+    browser.run("player.momentRow.show(player.moments.choose(0))")
     assert browser.run("player.index") == found.index[first[0]]
     assert browser.run("player.followed") == found.vessel[first[0]]
     assert browser.run("player.moments.list.length") == len(first)
@@ -176,9 +206,10 @@ def test_the_page_of_two_runs_fits_a_phone_and_says_what_it_rests_on(browser, bo
     )
 
 
-def test_the_same_runs_give_the_same_bytes(both, mistaken_folder, other_folder, tmp_path):
-    again = write_side_by_side(open_run(mistaken_folder), open_run(other_folder), tmp_path / "again.html")
-    assert again.read_bytes() == both.read_bytes()
+def test_the_same_runs_give_the_same_bytes(mistaken_folder, other_folder, tmp_path):
+    runs = open_run(mistaken_folder), open_run(other_folder)
+    pages = [write_side_by_side(*runs, tmp_path / name, every=10) for name in ("once.html", "again.html")]
+    assert pages[0].read_bytes() == pages[1].read_bytes()
 
 
 def test_an_interrupted_first_run_without_steps_is_refused(mistaken_folder):

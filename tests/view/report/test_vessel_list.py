@@ -58,7 +58,7 @@ def test_rows_stay_where_they_are_while_the_run_plays(opened):
     opened.click("[data-order=outcome]")
     choose(opened, "which", "missed")
     before = opened.run(NAMES)
-    opened.run("(player.playing = true, player.go(100))")  # as the clock does
+    opened.run("(player.playback.playing = true, player.go(100))")  # as the clock does
     assert opened.run(NAMES) == before
     opened.run("player.play(false)")
     assert opened.run(NAMES) != before

@@ -1,6 +1,6 @@
 // The view from above: where the vessels are at a step, where the camera looks, and where the vessels come from.
 
-const TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.2;
+const TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.6;
 
 class Above {
   constructor(canvas, choose) {
@@ -47,7 +47,9 @@ class Above {
     facts.obstacles.forEach((rings, i) => this.area(rings, facts.colours.owners[facts.vessels.length + i]));
     this.trails(recording, index, facts);
     this.placed = [];
-    vessels.forEach((place, vessel) => place && this.vessel(place, vessel, facts, vessel === chosen));
+    const draw = (vessel) => vessels[vessel] && this.vessel(vessels[vessel], vessel, facts, vessel === chosen);
+    for (const vessel of vessels.keys()) if (vessel !== chosen) draw(vessel);
+    if (chosen !== null) draw(chosen); // over the others, with its name
     this.scaleBar();
   }
 
@@ -58,7 +60,7 @@ class Above {
     context.moveTo(atX, atY);
     context.arc(atX, atY, VIEW_PX, -yaw - fov / 2, -yaw + fov / 2);
     context.closePath();
-    context.fillStyle = colourOf('--card');
+    context.fillStyle = colourOf('--sight');
     context.fill();
     context.beginPath();
     context.arc(atX, atY, 3.5, 0, 2 * Math.PI);
@@ -81,12 +83,11 @@ class Above {
   // Where vessels were at the steps before, as far as they are at hand.
   trails(recording, index, { vessels, colours }) {
     const { context } = this;
+    const steps = [];
+    for (let step = Math.max(0, index - TRAIL_STEPS); step <= index; step++) if (recording.ready(step)) steps.push(recording.places(step).vessels);
     vessels.forEach((_, vessel) => {
       context.beginPath();
-      for (let step = Math.max(0, index - TRAIL_STEPS); step <= index; step++) {
-        const place = recording.ready(step) ? recording.places(step).vessels[vessel] : null;
-        if (place) context.lineTo(...this.toCanvas(place.x, place.y));
-      }
+      for (const { [vessel]: place } of steps) if (place) context.lineTo(...this.toCanvas(place.x, place.y));
       Object.assign(context, { strokeStyle: colours.vessels[vessel], lineWidth: 1.5, globalAlpha: 0.6 });
       context.stroke();
       context.globalAlpha = 1;

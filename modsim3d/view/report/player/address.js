@@ -22,7 +22,7 @@ function placeOf(name, things) {
 function layersInAddress(hash, shown) {
   const asked = partsOf(hash).get('layers');
   if (asked === null) return null;
-  const names = asked.split(',').filter((name) => name in shown);
+  const names = asked.split(',').filter((name) => Object.hasOwn(shown, name));
   return names.length || !asked ? Object.fromEntries(Object.keys(shown).map((name) => [name, names.includes(name)])) : null;
 }
 

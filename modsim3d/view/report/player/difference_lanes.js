@@ -2,37 +2,15 @@
 
 const DIFFERENCE_PX = 15, BETWEEN_PX = 3;
 
-class DifferenceLanes {
-  constructor(panel, canvas, differences, timeline) {
-    Object.assign(this, { panel, canvas, differences, timeline, index: 0 });
-    this.context = canvas.getContext('2d');
-    panel.addEventListener('scroll', () => this.draw(this.index));
+class DifferenceLanes extends LanePanel {
+  constructor(panel, differences, timeline) {
+    super(panel, timeline, DIFFERENCE_PX);
+    this.differences = differences;
   }
 
   prepare(camera) {
-    const { timeline } = this, lanes = Map.groupBy(this.differences.of(camera), ({ vessel }) => vessel);
-    this.lanes = [...lanes].sort(([one], [other]) => one - other);
-    const ratio = this.ratio = window.devicePixelRatio || 1, width = timeline.panel.parentElement.clientWidth;
-    $('differencesSpace').style.height = `${this.lanes.length * DIFFERENCE_PX}px`;
-    this.high = Math.min(this.panel.clientHeight, this.lanes.length * DIFFERENCE_PX);
-    [this.canvas.width, this.canvas.height] = [Math.round(width * ratio), Math.round(this.high * ratio)];
-    Object.assign(this.canvas.style, { width: `${width}px`, height: `${this.high}px` });
-  }
-
-  // Only the lanes in sight are drawn.
-  draw(index) {
-    this.index = index;
-    if (!this.canvas.width || !this.canvas.height) return;
-    const { context, timeline } = this, top = this.panel.scrollTop, x = timeline.x(index + 0.5);
-    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-    context.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    Object.assign(context, { font: '12px system-ui, sans-serif', textBaseline: 'middle' });
-    const stop = Math.min(this.lanes.length, Math.ceil((top + this.high) / DIFFERENCE_PX));
-    for (let at = Math.floor(top / DIFFERENCE_PX); at < stop; at++) this.lane(this.lanes[at], at * DIFFERENCE_PX - top);
-    for (const [colour, wide] of [['--paper', 5], ['--ink', 2]]) {
-      context.fillStyle = colourOf(colour);
-      context.fillRect(x - wide / 2, 0, wide, this.high);
-    }
+    const lanes = Map.groupBy(this.differences.of(camera), ({ vessel }) => vessel);
+    this.layOut([...lanes].sort(([one], [other]) => one - other));
   }
 
   lane([vessel, list], top) {
@@ -46,8 +24,6 @@ class DifferenceLanes {
       context.fillRect(left, top + (a < b ? 0 : half), wide, half);
     }
   }
-
-  laneAt(y) { return this.lanes[Math.floor((y + this.panel.scrollTop) / DIFFERENCE_PX)] ?? null; }
 
   vesselAt(y) { return this.laneAt(y)?.[0] ?? null; }
 

@@ -25,14 +25,14 @@ function listenOnPicture(pane, player) {
 function listenOnTimeline(timeline, player, hint) {
   const { canvas } = timeline, next = (by) => () => {
     const { vessels } = timeline, at = vessels.indexOf(player.followed);
-    if (vessels.length) player.follow(vessels[at < 0 ? (by > 0 ? 0 : vessels.length - 1) : clamped(at + by, 0, vessels.length - 1)]);
+    if (vessels.length) player.choose(vessels[at < 0 ? (by > 0 ? 0 : vessels.length - 1) : clamped(at + by, 0, vessels.length - 1)]);
   };
   onKeys(canvas, { ArrowUp: next(-1), ArrowDown: next(1), Escape: () => { hint.hidden = true; } });
   canvas.addEventListener('keyup', ({ key }) => {
     if (key === 'Escape') return;
     const { left, top } = canvas.getBoundingClientRect(), row = timeline.topOf(player.followed);
     const y = row === null ? timeline.rowsTop : row + timeline.rowPx;
-    showHint(hint, left + timeline.x(player.index + 0.5), top + y, timeline.say(player.index, player.followed, player.camera));
+    showHint(hint, left + timeline.x(player.index + 0.5), top + y, timeline.say(player.index, player.followed));
   });
   canvas.addEventListener('blur', () => { hint.hidden = true; });
 }

@@ -64,7 +64,7 @@ function listenToTime(canvas, player, vesselAt, hint) {
   const press = (event) => {
     seek(event);
     const vessel = vesselAt(event.offsetY);
-    if (vessel !== null) player.follow(vessel);
+    if (vessel !== null) player.choose(vessel);
   };
   canvas.addEventListener('pointerdown', (event) => {
     canvas.setPointerCapture(event.pointerId);

@@ -82,7 +82,9 @@ class Hover {
     if (!at && !this.at) return;
     this.at = at;
     const before = this.hit;
-    this.find(this.player.frameOf(this.pane), this.player.shown);
+    const frame = this.player.frameOf(this.pane);
+    if (!frame) return; // nothing is drawn yet
+    this.find(frame, this.player.shown);
     this.place();
     if (before?.vessel !== this.hit?.vessel || before?.alarm !== this.hit?.alarm || before?.lane !== this.hit?.lane) this.player.draw();
   }
@@ -91,7 +93,7 @@ class Hover {
   // what it is is said in a message.
   press({ clientX, clientY, offsetX, offsetY }) {
     const { player, pane, pressed } = this, frame = player.frameOf(pane);
-    if (pressed && Math.hypot(clientX - pressed.x, clientY - pressed.y) > STILL_PX) return;
+    if (!frame || pressed && Math.hypot(clientX - pressed.x, clientY - pressed.y) > STILL_PX) return;
     const hit = boxUnder(pane, frame, player.shown, offsetX, offsetY);
     player.choose(hit?.vessel ?? null, hit?.alarm ?? null);
     if (hit && pressed?.by === 'touch') say(boxInWords(hit, frame, pane.recording).join(' · '));

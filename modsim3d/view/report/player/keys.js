@@ -2,13 +2,13 @@
 
 // Groups of rows; of a row `keys` says what happens at each of its keys, `shown` and `words` are for reading.
 function keysOf(player) {
-  const { actions } = player, row = (shown, words, keys) => ({ shown, words, keys });
+  const { actions } = player, count = player.recording.facts.cameras.length, row = (shown, words, keys) => ({ shown, words, keys });
   const groups = [
     { title: 'Time', keys: [
       row('space', 'play or pause', { ' ': actions.play }),
       row('← →', 'one step; with shift ten', { ArrowLeft: ({ shiftKey }) => player.step(shiftKey ? -10 : -1), ArrowRight: ({ shiftKey }) => player.step(shiftKey ? 10 : 1) }),
       row('Home End', 'first and last frame', { Home: () => player.go(0), End: () => player.go(player.recording.length - 1) }),
-      row('[ ]', 'slower, faster', { '[': () => player.faster(-1), ']': () => player.faster(1) }),
+      row('[ ]', 'slower, faster', { '[': () => player.playback.faster(-1), ']': () => player.playback.faster(1) }),
       row('R', 'repeat: the chosen moment, or the whole run', { r: actions.loop }),
     ] },
     { title: 'Moments: with shift the one before', keys: [
@@ -16,8 +16,8 @@ function keysOf(player) {
       ...KINDS.filter(({ kind }) => player.differences || kind !== 'differs').map(({ kind, key, one }) => row(key.toUpperCase(), `next ${one}`, { [key]: ({ shiftKey }) => player.momentRow.seek(shiftKey ? -1 : 1, kind) })),
     ] },
     { title: 'Picture', keys: [
-      row('C', 'next camera', { c: () => player.look((player.camera + 1) % player.recording.facts.cameras.length) }),
-      ...(player.differences || player.recording.facts.cameras.length < 2 ? [] : [row('G', 'another camera beside the first; again for the next, then none', { g: () => player.stage.nextBeside() })]),
+      ...(count < 2 ? [] : [row('C', 'next camera', { c: () => player.look((player.camera + 1) % count) })]),
+      ...(player.differences || count < 2 ? [] : [row('G', 'another camera beside the first; again for the next, then none', { g: () => player.stage.nextBeside() })]),
       row('V', 'next vessel; with shift the previous one', { v: ({ shiftKey }) => player.followNext(shiftKey ? -1 : 1) }),
       row('Esc', 'choose no vessel', { Escape: () => player.choose(null) }),
       row('+ −', 'zoom', { '+': actions.zoomIn, '=': actions.zoomIn, '-': actions.zoomOut }),

@@ -2,11 +2,10 @@
 
 const LANE_PX = 13, LEAST_PX = 3, MARK_PX = 4;
 
-class Lanes {
-  constructor(panel, canvas, recording, timeline) {
-    Object.assign(this, { panel, canvas, recording, timeline, found: [], index: 0 });
-    this.context = canvas.getContext('2d');
-    panel.addEventListener('scroll', () => this.draw(this.index));
+class Lanes extends LanePanel {
+  constructor(panel, recording, timeline) {
+    super(panel, timeline, LANE_PX);
+    Object.assign(this, { recording, found: [] });
   }
 
   // The lanes of a camera in the order of first appearance, each in stretches of one vessel.
@@ -15,41 +14,14 @@ class Lanes {
   }
 
   prepare(camera) {
-    const { timeline } = this, { cameras, tracks } = this.recording.facts, width = timeline.canvas.clientWidth;
+    const { cameras, tracks } = this.recording.facts, of = cameras.length > 1 ? ` of ${cameras[camera].name}` : '';
     this.camera = camera;
-    this.lanes = this.of(camera);
-    const of = cameras.length > 1 ? ` of ${cameras[camera].name}` : '';
+    this.layOut(this.of(camera));
     $('lanesTitle').textContent = `Tracks${of}: ${this.lanes.length} of ${tracks.name}, in the order in which they begin`;
-    const whole = this.lanes.length * LANE_PX;
-    $('lanesSpace').style.height = `${whole}px`;
-    this.high = Math.min(this.panel.clientHeight, whole);
-    this.ratio = window.devicePixelRatio || 1;
-    this.canvas.width = Math.round(width * this.ratio);
-    this.canvas.height = Math.round(this.high * this.ratio);
-    this.canvas.style.width = `${width}px`;
-    this.canvas.style.height = `${this.high}px`;
-  }
-
-  // Only the lanes in sight are drawn, however many there are.
-  draw(index) {
-    this.index = index;
-    if (!this.canvas.width || !this.canvas.height) return;
-    const { context, timeline } = this, top = this.panel.scrollTop;
-    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-    context.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    Object.assign(context, { font: '11px system-ui, sans-serif', textBaseline: 'middle' });
-    this.states();
-    const stop = Math.min(this.lanes.length, Math.ceil((top + this.high) / LANE_PX));
-    for (let at = Math.floor(top / LANE_PX); at < stop; at++) this.lane(this.lanes[at], at * LANE_PX - top);
-    const x = timeline.x(index + 0.5);
-    for (const [colour, wide] of [['--paper', 5], ['--ink', 2]]) {
-      context.fillStyle = colourOf(colour);
-      context.fillRect(x - wide / 2, 0, wide, this.high);
-    }
   }
 
   // The performance states, pale, behind all lanes.
-  states() {
+  background() {
     const { context, timeline, recording } = this, { facts } = recording;
     context.globalAlpha = 0.45;
     for (const { index, until, state } of recording.states(this.camera)) {
@@ -114,8 +86,6 @@ class Lanes {
     const there = this.lanes.flatMap((lane, at) => (this.at(lane, index) ? [at] : []));
     if (there.length && !there.some((at) => at >= first && at <= stop)) this.panel.scrollTop = there[0] * LANE_PX;
   }
-
-  laneAt(y) { return this.lanes[Math.floor((y + this.panel.scrollTop) / LANE_PX)] ?? null; }
 
   // The vessel that a lane follows at a step, or else mostly; null if there is no lane or it follows none.
   vesselOf(lane, index) { return lane && (this.at(lane, index)?.vessel ?? lane.vessel); }

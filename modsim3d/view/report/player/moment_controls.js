@@ -7,7 +7,7 @@ class MomentControls {
     Object.assign(this, { player, moments: player.moments, kind: null });
     $('kind').addEventListener('change', () => this.lookFor($('kind').value));
     $('moment').addEventListener('change', () => {
-      if ($('moment').value) player.goTo(this.moments.choose(Number($('moment').value)));
+      if ($('moment').value) this.show(this.moments.choose(Number($('moment').value)));
     });
   }
 
@@ -42,7 +42,7 @@ class MomentControls {
     if (!kind || !this.count(kind)) return say(kind ? `${player.pane.facts.name} has no ${kindOf(kind).one}` : 'There are no moments to look for');
     if (kind !== this.kind) this.lookFor(kind);
     const found = this.moments.from(player.index, by);
-    if (found) player.goTo(found);
+    if (found) this.show(found);
     else say(`This is the ${by > 0 ? 'last' : 'first'} ${kindOf(kind).one}`);
   }
 

@@ -39,12 +39,6 @@ class Moments {
     return this.list[place];
   }
 
-  // The one that was chosen last, while a frame of it is shown.
-  at(index) {
-    const current = this.list[this.place];
-    return current && current.index <= index && index <= current.until ? current : null;
-  }
-
   // In words; `until` where it lasts.
   text({ index, until, vessel, state }) {
     const { timestamps, vessels, states } = this.recording.facts;

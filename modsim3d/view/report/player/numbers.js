@@ -50,15 +50,24 @@ class Numbers {
   constructor(player) {
     this.player = player;
     this.panel = $('numbers');
-    this.panel.addEventListener('toggle', () => this.show(player.frameOf(player.pane)));
+    this.panel.addEventListener('toggle', () => this.open());
     $('numbersCopy').addEventListener('click', () => this.copy());
   }
 
-  // While the run plays, the tables stay those of the frame at which it began to.
+  // While the run plays, the tables stay those of the frame at which it began to, or at which they were opened.
   show(frame) {
+    if (this.panel.open && !this.player.playing) this.fillAll(frame);
+  }
+
+  open() {
+    const frame = this.player.frameOf(this.player.pane);
+    if (this.panel.open && frame) this.fillAll(frame);
+  }
+
+  fillAll(frame) {
     const { player } = this;
-    if (!this.panel.open || player.playing) return;
     const { recording, facts: { name } } = player.pane, { timestamps, steps } = recording.facts;
+    this.index = frame.index;
     this.truths = truthRows(recording, frame);
     this.detections = detectionRows(recording, frame);
     $('numbersOf').textContent = [`${name}, ${timestamps[frame.index]} s, step ${steps[frame.index]}`, recording.age(frame.index, frame.camera)].filter((word) => word).join(', ');
@@ -70,7 +79,7 @@ class Numbers {
   toggle() {
     this.panel.open = !this.panel.open;
     if (!this.panel.open) return;
-    this.show(this.player.frameOf(this.player.pane));
+    this.open();
     this.panel.scrollIntoView({ block: 'nearest' });
   }
 
@@ -84,7 +93,8 @@ class Numbers {
     table.tBodies[0].replaceChildren(...rows.map((row, i) => {
       const line = element('tr', {}, ...cells(row, i));
       line.addEventListener('click', () => { // not where text was marked
-        if (getSelection().isCollapsed) this.player.choose(row.false ? null : row.vessel, row.false ? i : null);
+        if (!getSelection().isCollapsed) return;
+        this.player.choose(row.false ? null : row.vessel, row.false && this.index === this.player.index ? i : null);
       });
       return line;
     }));

@@ -1,26 +1,23 @@
 // The player: what is shown, and how controls change it. Each part of the page has a file of its own.
 
-const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 20, 50];
-
 class Player {
   // Of one run, or of two with their differences.
   constructor(recordings, differences = null) {
     this.index = 0;
-    this.speed = 5;
-    this.playing = false;
     this.followed = null; // the vessel that is chosen, and
     this.alarm = null; // the false alarm that is: its place among the detections of the frame
     this.differences = differences;
     this.stage = new Stage(this, recordings, differences ? differences.runs : ['']);
     const { recording } = this, { facts } = recording;
     this.loop = new Loop(recording.length);
+    this.playback = new Playback(this);
     this.shown = Object.fromEntries(LAYERS.map(([name]) => [name, name !== 'names']));
     this.drawn = { frames: 0, rows: 0, milliseconds: 0 };
     this.closeup = new Closeup($('closeup'));
     this.above = new Above($('above'), (vessel) => this.choose(vessel));
     this.timeline = new Timeline($('timeline'), recording);
-    this.lanes = facts.tracks ? new Lanes($('lanesPanel'), $('lanes'), recording, this.timeline) : null;
-    this.differenceLanes = differences && new DifferenceLanes($('differencesPanel'), $('differences'), differences, this.timeline);
+    this.lanes = facts.tracks ? new Lanes($('lanesPanel'), recording, this.timeline) : null;
+    this.differenceLanes = differences && new DifferenceLanes($('differencesPanel'), differences, this.timeline);
     this.moments = new Moments(recording, differences);
     this.momentRow = new MomentControls(this);
     this.list = new VesselList($('vessels'), facts, (vessel) => this.choose(this.followed === vessel ? null : vessel));
@@ -42,6 +39,7 @@ class Player {
     clearTimeout(writeAddress.timer); // the address stays as it is until something is done
   }
 
+  get playing() { return this.playback.playing; }
   get panes() { return this.stage.panes; }
   get pane() { return this.stage.active; }
   get recording() { return this.pane.recording; }
@@ -53,7 +51,6 @@ class Player {
   fill() {
     const { facts } = this.recording;
     $('slider').max = this.recording.length - 1;
-    for (const speed of SPEEDS) $('speed').add(new Option(`${speed}×`, speed, false, speed === this.speed));
     LAYERS.forEach(([name, title], i) => this.addLayer(name, title, i + 1));
     if (this.lanes) {
       this.shown.tracks = true;
@@ -72,7 +69,6 @@ class Player {
       button.addEventListener('click', () => this.actions[button.dataset.do]());
     }
     $('slider').addEventListener('input', () => this.go(Number($('slider').value)));
-    $('speed').addEventListener('change', () => this.setSpeed(Number($('speed').value)));
     $('theme').addEventListener('click', () => this.otherTheme());
     window.addEventListener('resize', () => this.resize());
     window.addEventListener('hashchange', () => this.fromAddress());
@@ -109,59 +105,15 @@ class Player {
 
   step(by) { this.play(false); this.go(this.index + by); }
 
-  play(playing) {
-    const paused = this.playing && !playing;
-    if (playing && !this.loop.on && this.index === this.recording.length - 1) this.index = 0;
-    this.playing = playing;
-    $('play').textContent = playing ? '⏸ Pause' : '▶ Play';
-    $('status').setAttribute('aria-live', playing ? 'off' : 'polite');
-    if (paused) this.pause();
-    if (!playing) return;
-    this.clock = { started: performance.now(), from: this.recording.facts.times[this.index] };
-    requestAnimationFrame((now) => this.tick(now));
-  }
+  play(playing) { this.playback.play(playing); }
 
   // What waits while the run plays: the order of the list, the numbers, the address.
   pause() { this.draw(); keepAddress(this); }
-
-  tick(now) {
-    if (!this.playing) return;
-    const { times } = this.recording.facts, time = this.clock.from + ((now - this.clock.started) / 1000) * this.speed;
-    const { first, last } = this.loop.stretch ?? this.loop.whole;
-    let index = this.index;
-    while (index < last && times[index + 1] <= time) index++;
-    if (index !== this.index) this.go(index);
-    if (index < last) requestAnimationFrame((later) => this.tick(later));
-    else if (this.loop.on) this.again(first, now);
-    else this.play(false);
-  }
-
-  // From the beginning of what repeats, once its last frame was seen for as long as the one before it.
-  again(first) {
-    const { times } = this.recording.facts, shown = (times[this.index] - times[this.index - 1]) / this.speed;
-    setTimeout(() => {
-      if (!this.playing) return;
-      this.go(first);
-      this.play(true);
-    }, Math.min(1000 * (shown || 0), 1000));
-  }
 
   repeat() {
     this.loop.toggle();
     this.draw();
   }
-
-  setSpeed(speed) {
-    this.speed = speed;
-    $('speed').value = speed;
-    if (this.playing) this.play(true);
-  }
-
-  faster(by) {
-    this.setSpeed(SPEEDS[Math.min(Math.max(SPEEDS.indexOf(this.speed) + by, 0), SPEEDS.length - 1)]);
-  }
-
-  goTo(moment) { return moment && this.momentRow.show(moment); }
 
   fromAddress() {
     const { hash } = location, { facts } = this.recording, asked = partsOf(hash);
@@ -171,11 +123,12 @@ class Player {
       this.stage.activate(this.stage.panes[0]);
       this.look(camera);
     }
-    if (asked.get('beside')) this.stage.beside(asked.get('beside'));
-    if (layers) this.show(layers);
-    if (index !== null) this.go(index);
-    if (vessel !== null) this.choose(vessel);
-    return index !== null;
+    const whole = index !== null; // an address with a step says all: what it leaves out is as usual
+    if (whole || asked.has('beside')) this.stage.beside(asked.get('beside') ?? '');
+    if (whole || layers) this.show(layers ?? this.usual);
+    if (whole) this.go(index);
+    if (whole || vessel !== null) this.choose(vessel);
+    return whole;
   }
 
   // ---- views
@@ -208,8 +161,6 @@ class Player {
     if (vessel !== null) this.list.reveal(vessel);
     keepAddress(this);
   }
-
-  follow(vessel) { this.choose(vessel); }
 
   followNext(by = 1) {
     const { length } = this.recording.facts.vessels, from = this.followed ?? (by > 0 ? -1 : length);
@@ -250,6 +201,7 @@ class Player {
       return;
     }
     this.waiting = null;
+    $('failure').hidden = true; // of a part that is not wanted any more
     this.drawFrame();
     for (const recording of recordings) recording.prefetch(index);
   }

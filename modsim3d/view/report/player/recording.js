@@ -53,7 +53,7 @@ class Recording {
 
   // Make ready what may be wanted next.
   prefetch(index) {
-    for (const near of [index - AROUND, index + AROUND]) if (near >= 0 && near < this.length && !this.ready(near)) this.load(near);
+    for (const near of [index - AROUND, index + AROUND]) if (near >= 0 && near < this.length && !this.ready(near)) this.load(near).catch(() => {}); // said when it is wanted
   }
 
   partOf(index) { return Math.floor(index / this.facts.partSteps); }
@@ -220,41 +220,3 @@ class Recording {
     return sides[0] === NONE ? null : Array.from(sides, (side) => side * this.facts.quantum);
   }
 }
-
-// The frames of consecutive steps.
-class Part {
-  constructor(columns, first, stop) {
-    Object.assign(this, { columns, first, stop, outlines: new Outlines(columns) });
-  }
-}
-
-class Outlines {
-  constructor({ lineCount, cornerCount, corners }) {
-    Object.assign(this, { corners, lineStart: beginnings(lineCount), cornerStart: beginnings(cornerCount) });
-  }
-
-  lines(outline, quantum) {
-    const lines = [];
-    for (let line = this.lineStart[outline]; line < this.lineStart[outline + 1]; line++) {
-      const part = this.corners.subarray(2 * this.cornerStart[line], 2 * this.cornerStart[line + 1]);
-      lines.push(Array.from(part, (value) => value * quantum));
-    }
-    return lines;
-  }
-}
-
-// The packed text of a part: in the page, or in a file beside it, which is a script because a page from a disk can read no other.
-function textOfPart(folder, name, number) {
-  const id = `part-${name}-${number}`;
-  if (!folder) return $(id).textContent;
-  return new Promise((resolve, reject) => {
-    const script = element('script', { src: `${folder}/${name}-${number}.js` });
-    takers.set(id, resolve);
-    script.addEventListener('load', () => { script.remove(); takers.delete(id); });
-    script.addEventListener('error', () => reject(new Error(`${folder}/${name}-${number}.js cannot be read: copy the whole folder with the page.`)));
-    document.head.append(script);
-  });
-}
-
-const takers = new Map();
-window.takePart = (id, text) => takers.get(id)?.(text);

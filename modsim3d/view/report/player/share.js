@@ -30,7 +30,7 @@ function copyLink(player) {
 }
 
 // The picture as it is on the page, over a strip that says what it shows.
-function captioned({ canvas, picture, recording, camera, facts: { name } }, index) {
+function captioned({ canvas, picture, recording, camera, run, facts: { name } }, index) {
   const { facts } = recording, ratio = picture.ratio, strip = CAPTION_PX * ratio;
   const image = element('canvas', { width: canvas.width, height: canvas.height + strip }), context = image.getContext('2d');
   context.fillStyle = colourOf('--card');
@@ -38,18 +38,20 @@ function captioned({ canvas, picture, recording, camera, facts: { name } }, inde
   context.drawImage(canvas, 0, 0);
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   Object.assign(context, { font: '14px system-ui, sans-serif', textBaseline: 'middle', fillStyle: colourOf('--ink') });
-  const words = [facts.name, name, `${facts.timestamps[index]} s`, `step ${facts.steps[index]}`, picture.narrow ? '' : `detector ${recording.state(index, camera)}`];
+  const words = [facts.name, run, name, `${facts.timestamps[index]} s`, `step ${facts.steps[index]}`, picture.narrow ? '' : `detector ${recording.state(index, camera)}`];
   context.fillText(words.filter((word) => word).join(' · '), 10, canvas.height / ratio + CAPTION_PX / 2, canvas.width / ratio - 20);
   return image;
 }
 
-// NAME_CAMERA_STEP.png
-function pictureName({ recording: { facts }, facts: { name } }, index) {
+// SCENE_CAMERA_STEP.png, with the run after the scene where there are two.
+function pictureName({ recording: { facts }, run, facts: { name } }, index) {
   const plain = (word) => word.replace(/[^\p{L}\p{N}._-]+/gu, '-').replace(/^[-.]+|-+$/g, '') || 'unnamed';
-  return `${plain(facts.name)}_${plain(name)}_${facts.steps[index]}.png`;
+  return `${[facts.name, run, name].filter((word) => word).map(plain).join('_')}_${facts.steps[index]}.png`;
 }
 
-async function savePicture({ pane, index }) {
+async function savePicture(player) {
+  await player.waiting;
+  const { pane, index } = player;
   const blob = await new Promise((done) => captioned(pane, index).toBlob(done, 'image/png'));
   const link = element('a', { href: URL.createObjectURL(blob), download: pictureName(pane, index) });
   link.click();

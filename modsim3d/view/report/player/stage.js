@@ -80,8 +80,8 @@ class Stage {
     return this.frameOf(this.active);
   }
 
-  // What a pane shows now.
-  frameOf(pane) { return this.frames[this.panes.indexOf(pane)]; }
+  // What a pane shows now; undefined if nothing is drawn yet.
+  frameOf(pane) { return this.frames?.[this.panes.indexOf(pane)]; }
 
   // What the other run's detector made of the same frame; null if there is no other run.
   get otherFrame() { return this.linked ? this.frames[1 - this.panes.indexOf(this.active)] : null; }

@@ -128,7 +128,7 @@ class Timeline {
     context.font = '12px system-ui, sans-serif';
     for (let k = Math.ceil(first / apart); k * apart <= last; k++) {
       const time = Number((k * apart).toFixed(6)), text = `${time} s`, wide = context.measureText(text).width;
-      const x = this.x(times.findIndex((each) => each >= time) + 0.5);
+      const x = this.x(placeInTime(times, time) + 0.5);
       context.fillStyle = colourOf('--line');
       context.fillRect(x, this.height - AXIS_PX, 1, 4);
       this.text(context, text, Math.min(Math.max(x - wide / 2, this.left), this.left + this.wide - wide), y + 2, 200);
@@ -189,11 +189,22 @@ class Timeline {
       Object.assign(context, { strokeStyle: colourOf('--accent'), lineWidth: 1 });
       context.strokeRect(0.5, top + 0.5, this.left - NAME_LEFT_PX, bottom - top - 1);
     }
-    for (const [colour, wide] of [['--paper', 5], ['--ink', 2]]) {
-      context.fillStyle = colourOf(colour);
-      context.fillRect(x - wide / 2, 0, wide, this.height - AXIS_PX + 2);
-    }
+    drawPlayhead(context, x, this.height - AXIS_PX + 2);
     this.canvas.setAttribute('aria-valuenow', index);
-    this.canvas.setAttribute('aria-valuetext', this.say(index, followed, this.camera));
+    this.canvas.setAttribute('aria-valuetext', this.say(index, followed));
   }
+}
+
+// The line at the shown step, with a seam.
+function drawPlayhead(context, x, high) {
+  for (const [colour, wide] of [['--paper', 5], ['--ink', 2]]) {
+    context.fillStyle = colourOf(colour);
+    context.fillRect(x - wide / 2, 0, wide, high);
+  }
+}
+
+// Where a time lies among the steps, in steps; between two where neither has it.
+function placeInTime(times, time) {
+  const next = times.findIndex((each) => each >= time), before = times[next - 1];
+  return next < 1 ? 0 : next - (times[next] - time) / (times[next] - before);
 }

@@ -1,0 +1,52 @@
+"""Playing a run: by one clock, from where the user goes."""
+
+from __future__ import annotations
+
+from tests.view.report.browser import Browser
+
+FRAMES = """new Promise((done) => {{
+    let left = {};
+    const next = () => (left-- ? requestAnimationFrame(next) : done());
+    next();
+}})"""
+COARSE_AXIS = """(() => {
+    const { timeline } = player, { recording } = timeline, { facts } = recording, places = [];
+    facts.times = facts.times.filter((_, i) => i % 26 === 0);
+    recording.length = facts.times.length;
+    timeline.text = (context, text, x) => places.push([parseFloat(text), x + context.measureText(text).width / 2]);
+    timeline.axis(timeline.still.getContext('2d'));
+    return places;
+})()"""
+
+
+def test_play_goes_on_from_the_step_that_the_user_goes_to(browser: Browser, page):
+    browser.open(page, hash="#step=150")
+    browser.run("(player.playback.setSpeed(1), player.play(true))")
+    for step in (20, 200):
+        browser.run(f"(player.go({step}), {FRAMES.format(5)})")
+        assert step <= browser.run("player.index") <= step + 5
+    assert browser.run("player.playing")
+
+
+def test_there_is_one_clock_however_often_the_speed_changes(browser: Browser, page):
+    browser.open(page)
+    browser.run(
+        "(() => { const { playback } = player, { tick } = playback; window.ticks = 0;"
+        " playback.tick = (now) => { window.ticks++; tick.call(playback, now); }; player.play(true); })()"
+    )
+    for key in "[][][ ":
+        browser.press(key)
+    browser.press(" ")
+    ticks = browser.run(f"(window.ticks = 0, {FRAMES.format(10)}.then(() => window.ticks))")
+    assert 8 <= ticks <= 12
+    browser.press(" ")
+    assert browser.run(f"(window.ticks = 0, {FRAMES.format(3)}.then(() => window.ticks))") == 0
+
+
+def test_the_axis_has_its_times_evenly_where_steps_are_far_apart(browser: Browser, page):
+    browser.open(page)
+    places = browser.run(COARSE_AXIS)
+    inner = places[1:-1]
+    apart = [(x - inner[0][1]) / (time - inner[0][0]) for time, x in inner[1:]]
+    assert len(apart) > 2
+    assert max(apart) - min(apart) < 0.05 * apart[0]
