@@ -24,7 +24,7 @@ from modsim3d.view.report.count_tables import (
     named_values,
 )
 from modsim3d.view.report.player_page import PageText, write_page
-from modsim3d.view.report.player_recording import recording
+from modsim3d.view.report.recording.recorder import recording
 
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}

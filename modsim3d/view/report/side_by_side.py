@@ -14,10 +14,10 @@ from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions
 from modsim3d.view.pages.tables import UNKNOWN
 from modsim3d.view.report.compared_counts import PAIRED_HEADER, compared_counts, paired_detections
 from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, Rows, named_values
-from modsim3d.view.report.packing import packed
 from modsim3d.view.report.player_page import PageText, write_page
-from modsim3d.view.report.player_recording import recording
-from modsim3d.view.report.recording_html import data_element, json_in_html
+from modsim3d.view.report.recording.packing import packed
+from modsim3d.view.report.recording.recorder import recording
+from modsim3d.view.report.recording.recording_html import data_element, json_in_html
 from modsim3d.view.report.report import check_steps, sections
 from modsim3d.view.report.run_differences import Differences, check_same_truth, difference_columns, differences
 

@@ -21,10 +21,10 @@ from modsim3d.runs.outcomes import Outcome, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.report.overview import UNKNOWN_FRACTION, WHOLE
-from modsim3d.view.report.packing import NONE, in_quanta
-from modsim3d.view.report.part_columns import in_250ths
-from modsim3d.view.report.player_recording import quantum_px
+from modsim3d.view.report.recording.overview import UNKNOWN_FRACTION, WHOLE
+from modsim3d.view.report.recording.packing import NONE, in_quanta
+from modsim3d.view.report.recording.part_columns import in_250ths
+from modsim3d.view.report.recording.recorder import quantum_px
 from modsim3d.view.report.report import write_report
 from tests.scenes import mistaken_strait
 from tests.view.report.conftest import STEPS

@@ -14,10 +14,10 @@ from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.view.report.compared_counts import paired_detections
-from modsim3d.view.report.player_recording import recording
+from modsim3d.view.report.recording.recorder import recording
+from modsim3d.view.report.recording.vessel_outcomes import VesselOutcome
 from modsim3d.view.report.run_differences import differences
 from modsim3d.view.report.side_by_side import write_side_by_side
-from modsim3d.view.report.vessel_outcomes import VesselOutcome
 from tests.view.report.browser import Browser
 
 SIZE = (1440, 1000)

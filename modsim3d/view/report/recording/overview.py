@@ -9,8 +9,8 @@ import numpy as np
 
 from modsim3d.arrays import Indices, Mask
 from modsim3d.runs.outcomes import Outcome, having
-from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column
-from modsim3d.view.report.stretches import Stretches, StretchesBuilder, onsets
+from modsim3d.view.report.recording.packing import NONE, ROW_BEFORE, Coded, Column
+from modsim3d.view.report.recording.stretches import Stretches, StretchesBuilder, onsets
 
 UNKNOWN_FRACTION, WHOLE = 255, 250
 """Visible fractions are counted in 250ths."""

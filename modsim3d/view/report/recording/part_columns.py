@@ -9,10 +9,10 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.detector.records import KINDS
 from modsim3d.runs.files.columns import NOBODY, indices, numbers
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.view.report.overview import UNKNOWN_FRACTION, WHOLE
-from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, in_quanta, starts
-from modsim3d.view.report.parts import PartRows
-from modsim3d.view.report.truth_numbers import number_columns
+from modsim3d.view.report.recording.overview import UNKNOWN_FRACTION, WHOLE
+from modsim3d.view.report.recording.packing import NONE, ROW_BEFORE, Coded, Column, in_quanta, starts
+from modsim3d.view.report.recording.parts import PartRows
+from modsim3d.view.report.recording.truth_numbers import number_columns
 
 NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)
 """What stands for the state and the horizon of a camera that has not taken a frame yet."""

@@ -13,10 +13,10 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.triangles import triangles_of
-from modsim3d.view.report.contours import contours, one_way_round
-from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column, same_before
-from modsim3d.view.report.painting_order import in_front, painting_order
-from modsim3d.view.report.shapes import NO_SHAPES, Shapes, concatenated
+from modsim3d.view.report.recording.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column, same_before
+from modsim3d.view.report.recording.silhouettes.contours import contours, one_way_round
+from modsim3d.view.report.recording.silhouettes.painting_order import in_front, painting_order
+from modsim3d.view.report.recording.silhouettes.shapes import NO_SHAPES, Shapes, concatenated
 
 STILL = 1 << 31
 """The first number of the outlines that all parts share."""
