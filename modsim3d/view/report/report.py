@@ -126,12 +126,7 @@ def _notes(run: StoredRun, every: int, out: Path) -> str:
 
 def note_on_steps(every: int) -> str:
     """A paragraph that says that only every K-th step is shown, K being 2 at least."""
-    return f"<p class=soft>One step in {every:,} is shown; the tables count all of them.</p>"
-
-
-def option_of_steps(steps: int, every: int) -> tuple[str, str]:
-    """How many steps a page counts and shows, for what it rests on."""
-    return "Steps", f"{steps:,}" + (f", one in {every:,} shown" if every > 1 else "")
+    return f"<p class=soft>One of {every:,} steps is shown; the tables count all of them.</p>"
 
 
 def _result(counts: DetectorCounts) -> str:
@@ -157,7 +152,7 @@ def _provenance(run: StoredRun, every: int, command: str | None, tracks: Path | 
         made_by=command or f"modsim3d.view.report.report.write_report of {run.folder} from Python",
         inputs=(*run_inputs(run), *(() if tracks is None else track_inputs(tracks.name, tracks))),
         seeds=run_seeds(run),
-        options=(option_of_steps(run.steps, every),),
+        options=(("Steps", f"{run.steps:,}" + (f", one of {every} shown" if every > 1 else "")),),
         made_before=run_versions(run),
     )
 

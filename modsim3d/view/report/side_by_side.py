@@ -19,7 +19,7 @@ from modsim3d.view.report.player_page import PageText, write_page
 from modsim3d.view.report.recording.packing import packed
 from modsim3d.view.report.recording.recorder import recording
 from modsim3d.view.report.recording.recording_html import data_element, json_in_html
-from modsim3d.view.report.report import check_steps, note_on_steps, option_of_steps, sections
+from modsim3d.view.report.report import check_steps, note_on_steps, sections
 from modsim3d.view.report.run_differences import Differences, check_same_truth, difference_columns, differences
 
 SIDE_BY_SIDE_FILE = "side_by_side.html"
@@ -95,7 +95,7 @@ def _provenance(runs: tuple[StoredRun, StoredRun], every: int, command: str | No
         made_by=command or f"modsim3d.view.report.side_by_side.write_side_by_side of {folders} from Python",
         inputs=tuple(replace(each, what=f"{name}: {each.what}") for name, run in lettered for each in run_inputs(run)),
         seeds=tuple((f"{name} {seed}", value) for name, run in lettered for seed, value in run_seeds(run)),
-        options=(option_of_steps(runs[0].steps, every),),
+        options=(("Steps", f"{runs[0].steps:,}" + (f", one of {every} shown" if every > 1 else "")),),
         made_before=tuple((f"{name}: {what}", text) for name, run in lettered for what, text in run_versions(run)),
     )
 

@@ -206,6 +206,7 @@ def test_every_kth_step_is_shown_and_all_are_counted(page, run_folder, tmp_path)
     thinned = write_report(open_run(run_folder), tmp_path / "some.html", every=7)
     facts, columns = unpack(thinned)
     all_facts, everything = unpack(page)
+    assert "One of 7 steps is shown" in thinned.read_text(encoding="utf-8")
     assert facts["steps"] == list(range(0, STEPS, 7))
     assert facts["timestamps"] == all_facts["timestamps"][::7]
     cameras = len(facts["cameras"])
