@@ -20,7 +20,7 @@ from benchmarks.processes import ROOT, Finished, modsim3d, say
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.report.report import parts_folder
+from modsim3d.view.report.player_page import parts_folder
 from tests.view.report.browser import Browser, open_browser
 
 RESULTS = ROOT / "benchmarks" / "REPORT_PAGE.md"
