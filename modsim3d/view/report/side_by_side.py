@@ -61,39 +61,30 @@ def write_side_by_side(
         for run, name, counts in zip(runs, "AB", tables, strict=True)
     ]
     found = differences(recordings[0].outcomes, recordings[1].outcomes)
-    text = _page_text(runs, names, tables, len(found.vessel), every, command)
-    write_page(text, recordings, out, in_files=in_files, differences=_differences_html(found, names))
-    return out
-
-
-def _page_text(
-    runs: tuple[StoredRun, StoredRun],
-    names: tuple[str, str],
-    tables: list[CountTables],
-    stretches: int,
-    every: int,
-    command: str | None,
-) -> PageText:
-    """What is around the player; `stretches` says how many differences there are."""
-    compared, paired = compared_counts(*tables), paired_detections(*(RunRows.of(run) for run in runs))
+    compared = compared_counts(tables[0], tables[1])
+    paired = paired_detections(*(RunRows.of(run) for run in runs))
     parts = [
         ("What happened", compared, ("", names[0], "", names[1], "")),
         ("Vessels in frames, by who detected them", paired, PAIRED_HEADER),
-        *((f"By vessel: {name}", each.by_vessel(), VESSEL_HEADER) for name, each in zip(names, tables, strict=True)),
-        ("Settings that differ", _differing_settings(*runs), ("", *names)),
+        *(
+            (f"By vessel: {name}", counts.by_vessel(), VESSEL_HEADER)
+            for name, counts in zip(names, tables, strict=True)
+        ),
+        ("Settings that differ", _differing_settings(first, second), ("", *names)),
     ]
-    scene = runs[0].scene.name
-    return PageText(
-        title=f"{scene}: two runs side by side",
-        name=f"{scene}: two runs",
+    text = PageText(
+        title=f"{first.scene.name}: two runs side by side",
+        name=f"{first.scene.name}: two runs",
         lead=html.escape(
             f"{names[0]} and {names[1]}: what two detectors, or one with two seeds, made of the same truth. "
-            f"What they made of a vessel differs in {counted(stretches, 'stretch', 'stretches')} of frames."
+            f"What they made of a vessel differs in {counted(len(found.vessel), 'stretch', 'stretches')} of frames."
         ),
         notes=note_on_steps(every) if every > 1 else "",
         result=_result(compared, names),
         tables=f"{sections(parts)}\n{provenance(_provenance(runs, every, command))}",
     )
+    write_page(text, recordings, out, in_files=in_files, differences=_differences_html(found, names))
+    return out
 
 
 def _provenance(runs: tuple[StoredRun, StoredRun], every: int, command: str | None) -> Provenance:
@@ -116,8 +107,9 @@ def run_names(first: StoredRun, second: StoredRun) -> tuple[str, str]:
 
 def _differing_settings(first: StoredRun, second: StoredRun) -> Rows:
     one, other = ({row[0]: row[1] for row in named_values(run.settings)} for run in (first, second))
-    differ = [name for name in {**one, **other} if one.get(name) != other.get(name)]
-    names = [name for name in differ if not name.startswith("truncation.")]  # computed from the others
+    names = [
+        name for name in {**one, **other} if one.get(name) != other.get(name) and not name.startswith("truncation.")
+    ]
     return [(name, one.get(name, UNKNOWN), other.get(name, UNKNOWN)) for name in names]
 
 
