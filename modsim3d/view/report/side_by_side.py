@@ -19,7 +19,7 @@ from modsim3d.view.report.player_page import PageText, write_page
 from modsim3d.view.report.recording.packing import packed
 from modsim3d.view.report.recording.recorder import recording
 from modsim3d.view.report.recording.recording_html import data_element, json_in_html
-from modsim3d.view.report.report import check_steps, note_on_steps, sections
+from modsim3d.view.report.report import check_steps, sections
 from modsim3d.view.report.run_differences import Differences, check_same_truth, difference_columns, differences
 
 SIDE_BY_SIDE_FILE = "side_by_side.html"
@@ -72,6 +72,7 @@ def write_side_by_side(
         ),
         ("Settings that differ", _differing_settings(first, second), ("", *names)),
     ]
+    note = f"<p class=soft>Every {every}th step is shown; the tables count all of them.</p>" if every > 1 else ""
     text = PageText(
         title=f"{first.scene.name}: two runs side by side",
         name=f"{first.scene.name}: two runs",
@@ -79,7 +80,7 @@ def write_side_by_side(
             f"{names[0]} and {names[1]}: what two detectors, or one with two seeds, made of the same truth. "
             f"What they made of a vessel differs in {counted(len(found.vessel), 'stretch', 'stretches')} of frames."
         ),
-        notes=note_on_steps(every) if every > 1 else "",
+        notes=note,
         result=_result(compared, names),
         tables=f"{sections(parts)}\n{provenance(_provenance(runs, every, command))}",
     )
