@@ -152,7 +152,7 @@ def _provenance(run: StoredRun, every: int, command: str | None, tracks: Path | 
         made_by=command or f"modsim3d.view.report.report.write_report of {run.folder} from Python",
         inputs=(*run_inputs(run), *(() if tracks is None else track_inputs(tracks.name, tracks))),
         seeds=run_seeds(run),
-        options=(("Steps", f"{run.steps:,}" + (f", one of {every} shown" if every > 1 else "")),),
+        options=(("Steps", f"{run.steps:,}" + (f", every {every}th shown" if every > 1 else "")),),
         made_before=run_versions(run),
     )
 

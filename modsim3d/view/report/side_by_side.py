@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from modsim3d.display import counted
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages.provenance import Provenance, provenance
@@ -78,7 +77,7 @@ def write_side_by_side(
         name=f"{first.scene.name}: two runs",
         lead=html.escape(
             f"{names[0]} and {names[1]}: what two detectors, or one with two seeds, made of the same truth. "
-            f"What they made of a vessel differs in {counted(len(found.vessel), 'stretch', 'stretches')} of frames."
+            f"They differ in {_stretches(len(found.vessel))}."
         ),
         notes=note,
         result=_result(compared, names),
@@ -96,7 +95,7 @@ def _provenance(runs: tuple[StoredRun, StoredRun], every: int, command: str | No
         made_by=command or f"modsim3d.view.report.side_by_side.write_side_by_side of {folders} from Python",
         inputs=tuple(replace(each, what=f"{name}: {each.what}") for name, run in lettered for each in run_inputs(run)),
         seeds=tuple((f"{name} {seed}", value) for name, run in lettered for seed, value in run_seeds(run)),
-        options=(("Steps", f"{runs[0].steps:,}" + (f", one of {every} shown" if every > 1 else "")),),
+        options=(("Steps", f"{runs[0].steps:,}" + (f", every {every}th shown" if every > 1 else "")),),
         made_before=tuple((f"{name}: {what}", text) for name, run in lettered for what, text in run_versions(run)),
     )
 
@@ -117,6 +116,10 @@ def _differing_settings(first: StoredRun, second: StoredRun) -> Rows:
 def _differences_html(found: Differences, names: tuple[str, str]) -> str:
     facts = f'<script type="application/json" id="runs">{json_in_html(names)}</script>'
     return f"{facts}\n{data_element('differences-columns', packed(difference_columns(found)))}"
+
+
+def _stretches(number: int) -> str:
+    return f"{number} stretch{'' if number == 1 else 'es'} of frames of a vessel"
 
 
 def _result(compared: Rows, names: tuple[str, str]) -> str:
