@@ -47,6 +47,7 @@ with socket.socket(socket.AF_UNIX) as server:
 
 def serve(folder: Path) -> None:
     """Answer each client with the exit status of its command, which has the client's arguments, folder and files."""
+    inherited = frozenset(os.environ)
     prepare()
     backend = choose_backend()
     prepare_environment(backend)
@@ -66,7 +67,7 @@ def serve(folder: Path) -> None:
             connection = listening.accept()[0]
             if os.fork() == 0:
                 listening.close()
-                answer(connection)
+                answer(connection, inherited)
             connection.close()
             with contextlib.suppress(ChildProcessError):
                 while os.waitpid(-1, os.WNOHANG)[0]:
@@ -80,8 +81,11 @@ def modules() -> list[str]:
     return sorted(".".join(name) for name in names if name[1] != "old_paths" and not name[-1].startswith("__"))
 
 
-def answer(connection: socket.socket) -> None:
-    """Run the command of a client in a process of its own; a client that goes away takes it along."""
+def answer(connection: socket.socket, inherited: frozenset[str]) -> None:
+    """Run the command of a client in a process of its own; a client that goes away takes it along.
+
+    Of the environment of this process the command has only what preparing has added to the variables `inherited`.
+    """
     length, files, _, _ = socket.recv_fds(connection, 8, 3)
     arguments, folder, environment, limits = json.loads(
         connection.recv(int.from_bytes(length, "big"), socket.MSG_WAITALL)
@@ -97,6 +101,8 @@ def answer(connection: socket.socket) -> None:
         )
         connection.close()
         os.chdir(folder)
+        for name in inherited - environment.keys():
+            os.environ.pop(name, None)
         os.environ.update(environment)
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         sys.argv = ["modsim3d", *arguments]

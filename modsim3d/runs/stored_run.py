@@ -166,8 +166,7 @@ class StoredRun:
         if self.stored is not None:
             return self.stored.rows(0, self.steps)
         self.check_has_steps()
-        blocks = (self._simulation.detect(truth, *steps) for truth, *steps in self._kept_blocks())
-        parts = [{name: table(block, self.scene) for name, (_, table) in TABLES.items()} for block in blocks]
+        parts = [self._tables_of(*steps) for steps in self._ranges()]
         return {name: pa.concat_tables([part[name] for part in parts]) for name in TABLES}
 
     def tables_of_steps(self, count: int) -> Iterator[tuple[int, dict[str, pa.Table]]]:
@@ -188,7 +187,7 @@ class StoredRun:
             whole = stop if stop == self.steps else done + (stop - done) // count * count
             while done < whole:
                 edge = min(done + count, self.steps)
-                places = {name: _split_at(table, edge) for name, table in chunk.items()}
+                places = {name: int(np.searchsorted(table["step"].to_numpy(), edge)) for name, table in chunk.items()}
                 yield done, {name: table.slice(0, places[name]) for name, table in chunk.items()}
                 chunk = {name: table.slice(places[name]) for name, table in chunk.items()}
                 done = edge
@@ -250,11 +249,6 @@ class StoredRun:
         if truth is None:
             raise RunDirectoryError(f"{self.folder} has lost the truth of steps {first} to {stop - 1}")
         return truth
-
-
-def _split_at(table: pa.Table, step: int) -> int:
-    """The first row of a table in order of step that is not before a step."""
-    return int(np.searchsorted(table["step"].to_numpy(), step))
 
 
 def opened_run(run: StoredRun | StrPath) -> StoredRun:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 
@@ -23,6 +24,11 @@ FILES = {"small": scenes.small, "dense": scenes.dense}
 def looked_at(name: str, text: str, tmp_path) -> dict[str, float]:
     trial = Bench(quick=True, folder=tmp_path, bytes_per_s=1.0)
     return child.shares(trial.scene(name, text))
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in HERE.glob("*.py")))
+def test_every_benchmark_finds_what_it_measures(name):
+    importlib.import_module(f"benchmarks.{name}")
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -31,6 +31,12 @@ MADE_OF_A_RUN = frozenset(
 _FILMS = "detections|scene|ids|corners|map|all"
 _PICTURE = re.compile(rf"(?:{_FILMS})(?:_\d+\.(?:png|svg|pdf)|\.(?:mp4|gif))")
 _FRAME = re.compile(r"frame_\d+\.png")
+_PART = re.compile(r"[AB]-\d+\.js")
+_FOLDERS = {
+    **dict.fromkeys(_FILMS.split("|"), _FRAME),
+    **dict.fromkeys(("report_parts", "side_by_side_parts"), _PART),
+}
+"""Folders that other commands make in a run directory, and the names of the files in them."""
 LONGEST_NAME = 255
 """Bytes that a file system allows."""
 _OLDER = ("frames.parquet", "truth.parquet", "detections.parquet", "ownship.parquet", POSES_FILE)
@@ -65,8 +71,8 @@ def made_of_run(folder: Path) -> set[str]:
     for path in folder.iterdir():
         if path.is_file() and _PICTURE.fullmatch(path.name):
             made.add(path.name)
-        elif path.is_dir() and path.name in _FILMS.split("|"):
-            made |= {f"{path.name}/{frame.name}" for frame in path.iterdir() if _FRAME.fullmatch(frame.name)}
+        elif path.is_dir() and (pattern := _FOLDERS.get(path.name)):
+            made |= {f"{path.name}/{file.name}" for file in path.iterdir() if pattern.fullmatch(file.name)}
     return made
 
 

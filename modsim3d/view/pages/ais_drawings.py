@@ -30,7 +30,8 @@ MOST_LANES = 60
 KILOMETRES_FROM_M = 10_000.0
 CROWD = 100
 """Of more vessels the triangles are half as large, and reports are left out."""
-LANE_PX, LANE_LEFT = 16.0, 190.0
+LANE_PX, LANE_LEFT, MOST_LETTERS = 16.0, 190.0, 26
+"""Of the chart of presence: height of a lane, its left end, and letters of a name."""
 
 
 def vessel_name(vessel: VesselTrack) -> str:
@@ -39,7 +40,7 @@ def vessel_name(vessel: VesselTrack) -> str:
 
 
 @dataclass(frozen=True)
-class _Frame:
+class _MapArea:
     """The part of the world that the map shows, in metres, and its height in pixels."""
 
     west_m: float
@@ -48,7 +49,7 @@ class _Frame:
     height: float
 
     @classmethod
-    def around(cls, places_m: Array) -> _Frame:
+    def around(cls, places_m: Array) -> _MapArea:
         low, high = places_m.min(axis=0), places_m.max(axis=0)
         size = np.maximum((high - low) * (1 + 2 * MARGIN), LEAST_EXTENT_M)
         size = np.maximum(size, [size[1] / MOST_ASPECT, size[0] * LEAST_ASPECT])
@@ -82,16 +83,16 @@ def traffic_map(traffic: Traffic) -> str:
     camera_m = np.array([traffic.camera.position_m[:2]])
     jumps_m = np.concatenate([vessel.jumps_m for vessel in traffic.vessels])
     shown_m = np.concatenate([*(vessel.places_m for vessel in traffic.vessels), camera_m])
-    frame = _Frame.around(np.concatenate([shown_m, _not_far(jumps_m, shown_m)]))
+    area = _MapArea.around(np.concatenate([shown_m, _not_far(jumps_m, shown_m)]))
     crowded = len(traffic.vessels) > CROWD
     most = max(2, min(MOST_OF_A_VESSEL, MOST_POINTS // len(traffic.vessels)))
-    parts = [_grid(frame), _region(traffic, frame), _camera(traffic, frame)]
+    parts = [_grid(area), _region(traffic, area), _camera(traffic, area)]
     parts += [
-        _vessel(vessel, frame, most, colour_of(index), crowded=crowded) for index, vessel in enumerate(traffic.vessels)
+        _vessel(vessel, area, most, colour_of(index), crowded=crowded) for index, vessel in enumerate(traffic.vessels)
     ]
-    parts.append(_crosses(frame, jumps_m))
-    parts.append(_names(traffic, frame))
-    outside = not frame.holds(jumps_m).all()
+    parts.append(_crosses(area, jumps_m))
+    parts.append(_names(traffic, area))
+    outside = not area.holds(jumps_m).all()
     caption = [
         "w1 points east, w2 north. Lines are the tracks of the hulls' centres",
         "" if crowded else ", dots the reports that they were made from",
@@ -103,7 +104,7 @@ def traffic_map(traffic: Traffic) -> str:
         f" Of long tracks at most {most} points are drawn." if _any_longer(traffic, most) else "",
         f" The {MOST_NAMES} longest vessels have names." if len(traffic.vessels) > MOST_NAMES else "",
     ]
-    drawing = svg(WIDTH, round(frame.height, 1), "map of the traffic", "\n".join(part for part in parts if part))
+    drawing = svg(WIDTH, round(area.height, 1), "map of the traffic", "\n".join(part for part in parts if part))
     return _wide(drawing, "".join(caption))
 
 
@@ -126,9 +127,9 @@ def _wide(drawing: str, caption: str) -> str:
     return f"<figure>\n{inner}\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>"
 
 
-def _grid(frame: _Frame) -> str:
-    bottom, right = frame.height - BOTTOM, WIDTH - RIGHT
-    unit, unit_m = ("km", 1000) if frame.east_m - frame.west_m > KILOMETRES_FROM_M else ("m", 1)
+def _grid(area: _MapArea) -> str:
+    bottom, right = area.height - BOTTOM, WIDTH - RIGHT
+    unit, unit_m = ("km", 1000) if area.east_m - area.west_m > KILOMETRES_FROM_M else ("m", 1)
     clip = f'x="{LEFT}" y="{TOP}" width="{right - LEFT:.1f}" height="{bottom - TOP:.1f}"'
     lines = [f'<clipPath id="map"><rect {clip}/></clipPath><rect {clip} fill="none" stroke="var(--line)"/>']
 
@@ -136,12 +137,12 @@ def _grid(frame: _Frame) -> str:
         place = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"'
         lines.append(f'<text {place} fill="var(--soft)">{shown}</text>')
 
-    for metres in nice_ticks(frame.west_m, frame.east_m, 8):
-        x = float(frame.place(np.array([[metres, frame.south_m]]))[0, 0])
+    for metres in nice_ticks(area.west_m, area.east_m, 8):
+        x = float(area.place(np.array([[metres, area.south_m]]))[0, 0])
         lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{bottom:.1f}" stroke="var(--line)"/>')
         text(x, bottom + 14, "middle", f"{metres / unit_m:g}")
-    for metres in nice_ticks(frame.south_m, frame.north_m, 6):
-        y = float(frame.place(np.array([[frame.west_m, metres]]))[0, 1])
+    for metres in nice_ticks(area.south_m, area.north_m, 6):
+        y = float(area.place(np.array([[area.west_m, metres]]))[0, 1])
         lines.append(f'<line x1="{LEFT}" x2="{right:.1f}" y1="{y:.1f}" y2="{y:.1f}" stroke="var(--line)"/>')
         text(LEFT - 5, y + 4, "end", f"{metres / unit_m:g}")
     text(right, bottom + 27, "end", f"w1, {unit}")
@@ -149,7 +150,7 @@ def _grid(frame: _Frame) -> str:
     return "\n".join(lines)
 
 
-def _region(traffic: Traffic, frame: _Frame) -> str:
+def _region(traffic: Traffic, area: _MapArea) -> str:
     """The edge of the region that was asked for."""
     region = traffic.options.region
     if region is None:
@@ -157,19 +158,19 @@ def _region(traffic: Traffic, frame: _Frame) -> str:
     south, north, west = region.south_deg, region.north_deg, region.west_deg
     east = west + region.width_deg
     latitudes, longitudes = np.array([south, south, north, north]), np.array([west, east, east, west])
-    corners = frame.place(local_metres(latitudes, longitudes, traffic.origin)).tolist()
+    corners = area.place(local_metres(latitudes, longitudes, traffic.origin)).tolist()
     points = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
     style = 'fill="none" stroke="var(--soft)" stroke-dasharray="8 5"'
     return f'<g clip-path="url(#map)"><polygon points="{points}" {style}><title>region</title></polygon></g>'
 
 
-def _camera(traffic: Traffic, frame: _Frame) -> str:
+def _camera(traffic: Traffic, area: _MapArea) -> str:
     """The camera and the directions of its image's edges."""
-    camera, far_m = traffic.camera, 2 * (frame.east_m - frame.west_m)
+    camera, far_m = traffic.camera, 2 * (area.east_m - area.west_m)
     angles = camera.yaw_rad + np.array([-CAMERA_HALF_ANGLE_RAD, CAMERA_HALF_ANGLE_RAD])
     at = np.array(camera.position_m[:2])
     ends = at + far_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    (x, y), *edges = frame.place(np.concatenate([at[None], ends])).tolist()
+    (x, y), *edges = area.place(np.concatenate([at[None], ends])).tolist()
     wedge = " ".join(f"{a:.1f},{b:.1f}" for a, b in ((x, y), *edges))
     return (
         f'<g clip-path="url(#map)"><polygon points="{wedge}" fill="var(--soft)" fill-opacity="0.12"/>'
@@ -178,7 +179,7 @@ def _camera(traffic: Traffic, frame: _Frame) -> str:
     )
 
 
-def _vessel(vessel: VesselTrack, frame: _Frame, most: int, colour: str, *, crowded: bool) -> str:
+def _vessel(vessel: VesselTrack, area: _MapArea, most: int, colour: str, *, crowded: bool) -> str:
     """Its track, without a line where it is absent; what joins it there; and its reports."""
     pieces = np.split(np.arange(len(vessel.steps)), np.flatnonzero(np.diff(vessel.steps) > 1) + 1)
     every = max(1, -(-len(vessel.steps) // most))
@@ -186,50 +187,50 @@ def _vessel(vessel: VesselTrack, frame: _Frame, most: int, colour: str, *, crowd
     last = None
     for piece in pieces:
         kept = np.unique(np.append(piece[::every], piece[-1]))
-        points = [f"{x:.1f},{y:.1f}" for x, y in frame.place(vessel.places_m[kept]).tolist()]
+        points = [f"{x:.1f},{y:.1f}" for x, y in area.place(vessel.places_m[kept]).tolist()]
         lines += f"M{' '.join(points)}"
         joins += f"M{last} {points[0]}" if last else ""
         last = points[-1]
     reports = vessel.reported_m[:: max(1, -(-len(vessel.reported_m) // most))]
-    reports = reports[frame.holds(reports)]
-    dots = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in frame.place(reports).tolist())
+    reports = reports[area.holds(reports)]
+    dots = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in area.place(reports).tolist())
     colours = f'fill="{colour}" stroke="var(--paper)" stroke-width="0.8"'
     marks = [f'<path d="{lines}" stroke-width="{0.8 if crowded else 1.6}" stroke-linecap="round"/>']
     if joins:
         marks.append(f'<path d="{joins}" stroke-width="1" stroke-dasharray="2 4"/>')
     if dots and not crowded:
         marks.append(f'<path d="{dots}" stroke-width="3.4" stroke-linecap="round" stroke-opacity="0.6"/>')
-    marks.append(f'<polygon points="{_triangle(vessel, frame, 0.5 if crowded else 1.0)}" {colours}/>')
+    marks.append(f'<polygon points="{_triangle(vessel, area, 0.5 if crowded else 1.0)}" {colours}/>')
     name = html.escape(vessel_name(vessel))
     return f'<g fill="none" stroke="{colour}"><title>{name}</title>{"".join(marks)}</g>'
 
 
-def _triangle(vessel: VesselTrack, frame: _Frame, size: float) -> str:
+def _triangle(vessel: VesselTrack, area: _MapArea, size: float) -> str:
     """Its last place, pointing ahead; w2 is up and rows go down."""
     cosine, sine = float(np.cos(vessel.headings_rad[-1])), float(np.sin(vessel.headings_rad[-1]))
-    ((x, y),) = frame.place(vessel.places_m[-1:]).tolist()
+    ((x, y),) = area.place(vessel.places_m[-1:]).tolist()
     corners = ((9.0 * size, 0.0), (-5.0 * size, 5.0 * size), (-5.0 * size, -5.0 * size))
     return " ".join(f"{x + a * cosine - b * sine:.1f},{y - a * sine - b * cosine:.1f}" for a, b in corners)
 
 
-def _crosses(frame: _Frame, jumps_m: Array) -> str:
-    places = np.clip(frame.place(jumps_m), (LEFT, TOP), (WIDTH - RIGHT, frame.height - BOTTOM)).tolist()
+def _crosses(area: _MapArea, jumps_m: Array) -> str:
+    places = np.clip(area.place(jumps_m), (LEFT, TOP), (WIDTH - RIGHT, area.height - BOTTOM)).tolist()
     marks = "".join(f"M{x - 4:.1f} {y - 4:.1f}l8 8m0 -8l-8 8" for x, y in places)
     return f'<path d="{marks}" stroke="var(--bad)" stroke-width="1.8" fill="none"/>' if marks else ""
 
 
-def _names(traffic: Traffic, frame: _Frame) -> str:
+def _names(traffic: Traffic, area: _MapArea) -> str:
     """A name where each track ends, unless it would lie on another one or on a vessel."""
-    ends = frame.place(np.concatenate([vessel.places_m[-1:] for vessel in traffic.vessels])).tolist()
+    ends = area.place(np.concatenate([vessel.places_m[-1:] for vessel in traffic.vessels])).tolist()
     taken = [(x - 9, y + 4, 18.0) for x, y in ends]
     texts = []
     longest = sorted(traffic.vessels, key=lambda vessel: (-vessel.hull.length_m, vessel.mmsi))[:MOST_NAMES]
     for vessel in longest:
         name = vessel_name(vessel)
-        ((x, y),) = frame.place(vessel.places_m[-1:]).tolist()
+        ((x, y),) = area.place(vessel.places_m[-1:]).tolist()
         wide = LETTER_PX * len(name)
         for left, base in ((x + 11, y + 4), (x - 11 - wide, y + 4), (x - wide / 2, y - 11), (x - wide / 2, y + 20)):
-            inside = left >= LEFT and left + wide <= WIDTH - RIGHT and TOP + LINE_PX <= base <= frame.height - BOTTOM
+            inside = left >= LEFT and left + wide <= WIDTH - RIGHT and TOP + LINE_PX <= base <= area.height - BOTTOM
             if inside and not any(
                 left < other + length and other < left + wide and abs(base - line) < LINE_PX
                 for other, line, length in taken
@@ -249,21 +250,7 @@ def presence_chart(traffic: Traffic, caption: str) -> str:
     span_s = max(float(times[-1]), 1e-9)
     height = LANE_PX * len(shown) + 32
     scale = (WIDTH - LANE_LEFT - 12) / span_s
-    parts = []
-    for lane, vessel in enumerate(shown):
-        y = LANE_PX * (lane + 0.5)
-        name = html.escape(vessel_name(vessel)[:26])
-        parts.append(f'<text x="{LANE_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{name}</text>')
-        for piece in np.split(vessel.steps, np.flatnonzero(np.diff(vessel.steps) > 1) + 1):
-            first, last = float(times[piece[0]]), float(times[piece[-1]])
-            box = f'x="{LANE_LEFT + first * scale:.1f}" width="{max((last - first) * scale, 1.0):.1f}"'
-            parts.append(f'<rect {box} y="{y - 5:.1f}" height="10" rx="2" fill="{colour_of(0)}" fill-opacity="0.35"/>')
-        inside = vessel.reported_s[(vessel.reported_s >= 0) & (vessel.reported_s <= span_s)]
-        inside = inside[:: max(1, -(-len(inside) // MOST_OF_A_VESSEL))]
-        dots = "".join(f"M{LANE_LEFT + s * scale:.1f} {y:.1f}h0" for s in inside.tolist())
-        parts.append(
-            f'<path d="{dots}" stroke="{colour_of(0)}" stroke-width="3" stroke-linecap="round"/>' if dots else ""
-        )
+    parts = [_lane(vessel, LANE_PX * (lane + 0.5), times, scale) for lane, vessel in enumerate(shown)]
     for seconds in nice_ticks(0.0, span_s, 8):
         x = LANE_LEFT + seconds * scale
         parts.append(
@@ -271,3 +258,19 @@ def presence_chart(traffic: Traffic, caption: str) -> str:
         )
     parts.append(f'<text x="{WIDTH - 12}" y="{height - 3:.1f}" text-anchor="end" fill="var(--soft)">seconds</text>')
     return _wide(svg(WIDTH, height, "when each vessel is in the scene", "\n".join(parts)), caption)
+
+
+def _lane(vessel: VesselTrack, y: float, times_s: Array, scale: float) -> str:
+    """The name of a vessel, and when it is there and reports, at a row of the drawing; `scale` is pixels per second."""
+    name = html.escape(vessel_name(vessel)[:MOST_LETTERS])
+    parts = [f'<text x="{LANE_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{name}</text>']
+    for piece in np.split(vessel.steps, np.flatnonzero(np.diff(vessel.steps) > 1) + 1):
+        first, last = float(times_s[piece[0]]), float(times_s[piece[-1]])
+        box = f'x="{LANE_LEFT + first * scale:.1f}" width="{max((last - first) * scale, 1.0):.1f}"'
+        parts.append(f'<rect {box} y="{y - 5:.1f}" height="10" rx="2" fill="{colour_of(0)}" fill-opacity="0.35"/>')
+    inside = vessel.reported_s[(vessel.reported_s >= 0) & (vessel.reported_s <= times_s[-1])]
+    inside = inside[:: max(1, -(-len(inside) // MOST_OF_A_VESSEL))]
+    dots = "".join(f"M{LANE_LEFT + s * scale:.1f} {y:.1f}h0" for s in inside.tolist())
+    if dots:
+        parts.append(f'<path d="{dots}" stroke="{colour_of(0)}" stroke-width="3" stroke-linecap="round"/>')
+    return "\n".join(parts)

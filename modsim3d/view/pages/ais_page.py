@@ -12,6 +12,7 @@ from modsim3d.ais.options import Options, time_text
 from modsim3d.ais.report import REASONS, messages_read, messages_used, summary_rows
 from modsim3d.ais.traffic import Traffic
 from modsim3d.ais.vessel_track import VesselTrack
+from modsim3d.display import counted
 from modsim3d.view.pages import page
 from modsim3d.view.pages.ais_drawings import MOST_LANES, presence_chart, traffic_map
 from modsim3d.view.pages.provenance import Provenance, file_input
@@ -49,7 +50,7 @@ def ais_page(traffic: Traffic, command: str | None = None) -> str:
         page="traffic from AIS",
         made_by=command or "modsim3d.view.pages.ais_page.ais_page from Python",
         inputs=tuple(
-            file_input("AIS log", tally.path, f"{tally.format}, {_counted(tally.messages, 'message')}")
+            file_input("AIS log", tally.path, f"{tally.format}, {counted(tally.messages, 'message')}")
             for tally in traffic.files
         ),
         options=tuple((option, why) for option, why in _options(traffic)),
@@ -60,12 +61,12 @@ def ais_page(traffic: Traffic, command: str | None = None) -> str:
 def _result(traffic: Traffic) -> list[str]:
     kept, grid = len(traffic.vessels), traffic.grid
     span = f"from {_time(grid.start_s)} to {_time(grid.end_s)}"
-    steps = f"{_counted(len(grid.timestamps), 'step')}, one every {traffic.options.time_step_s:g} s"
-    lead = f"{kept:,} of {_counted(kept + len(_lost(traffic)), 'vessel')} in the scene, {span}: {steps}."
+    steps = f"{counted(len(grid.timestamps), 'step')}, one every {traffic.options.time_step_s:g} s"
+    lead = f"{kept:,} of {counted(kept + len(_lost(traffic)), 'vessel')} in the scene, {span}: {steps}."
     jumps, guessed = sum(vessel.jumps for vessel in traffic.vessels), _guessed(traffic)
-    used = f"{messages_used(traffic):,} of {_counted(messages_read(traffic), 'message')} used as positions"
-    removed = f"{_counted(jumps, 'position')} removed as {'a jump' if jumps == 1 else 'jumps'}"
-    sizes = f"length or beam guessed for {_counted(guessed, 'vessel')}"
+    used = f"{messages_used(traffic):,} of {counted(messages_read(traffic), 'message')} used as positions"
+    removed = f"{counted(jumps, 'position')} removed as {'a jump' if jumps == 1 else 'jumps'}"
+    sizes = f"length or beam guessed for {counted(guessed, 'vessel')}"
     far = _farthest(traffic)
     warning = [page.paragraph(f"The farthest position is {far}.", "bad")] if "where the plane" in far else []
     return [
@@ -293,10 +294,6 @@ def _time(unix_s: float) -> str:
 
 def _share(part: int, whole: int) -> str:
     return f"{100 * part / whole:.1f} %" if whole else page.UNKNOWN
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def _shown(text: str) -> str:

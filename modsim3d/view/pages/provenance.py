@@ -49,7 +49,6 @@ class Provenance:
         inputs: What it was made from, the most important first.
         seeds: Each seed with its name.
         options: What else decides the content, each with its name.
-        versions: Of the packages that made the page, by their names.
         made_before: How the inputs were made: a name, such as `The run`, and by which versions.
     """
 
@@ -58,18 +57,17 @@ class Provenance:
     inputs: tuple[Input, ...]
     seeds: tuple[tuple[str, str], ...] = ()
     options: tuple[tuple[str, str], ...] = ()
-    versions: Mapping[str, str] | None = None
     made_before: tuple[tuple[str, str], ...] = ()
 
     def in_short(self) -> str:
         """The first inputs, the seeds and the version, in a line."""
         first = [f"{Path(each.path).name} ({each.sha256[:_SHORT]})" for each in self.inputs[:2] if each.sha256]
         seeds = [f"seeds: {', '.join(f'{name} {value}' for name, value in self.seeds)}"] if self.seeds else []
-        return " · ".join([*first, *seeds, f"modsim3d {(self.versions or installed())['modsim3d']}"])
+        return " · ".join([*first, *seeds, f"modsim3d {version('modsim3d')}"])
 
 
 def installed() -> dict[str, str]:
-    """The versions of the packages that decide results."""
+    """The versions of the packages that decide results, by their names."""
     return {name: version(name) for name in VERSIONED}
 
 
@@ -116,7 +114,7 @@ def provenance(found: Provenance) -> str:
     facts = [
         ("Page", html.escape(found.page)),
         ("Made by", f"<code>{html.escape(found.made_by)}</code>"),
-        ("Made with", html.escape(versions_in_words(found.versions or installed()))),
+        ("Made with", html.escape(versions_in_words(installed()))),
         *((name, html.escape(text)) for name, text in found.made_before),
         *((f"Seed: {name}", html.escape(value)) for name, value in found.seeds),
         *((name, html.escape(value)) for name, value in found.options),

@@ -15,8 +15,8 @@ from modsim3d.outputs.placing import put_folder_in_place, write_files
 from modsim3d.view.pages.print_style import PRINT_STYLE, mark_of, sheet_style
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE
 from modsim3d.view.pages.tables import TABLE_STYLE
-from modsim3d.view.report.player_recording import Recording
-from modsim3d.view.report.recording_html import part_files, recording_html
+from modsim3d.view.report.recording.recorder import Recording
+from modsim3d.view.report.recording.recording_html import part_files, recording_html
 
 PART_FILES = "*-*.js"
 """Files of parts beside the page."""

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from modsim3d.display import counted
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
@@ -24,7 +25,7 @@ from modsim3d.view.report.count_tables import (
     named_values,
 )
 from modsim3d.view.report.player_page import PageText, write_page
-from modsim3d.view.report.player_recording import recording
+from modsim3d.view.report.recording.recorder import recording
 
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
@@ -65,17 +66,14 @@ def write_report(
     out = run.folder / REPORT_FILE if out is None else out
     counts = CountTables(run.scene)
     frames = recording(run, every, progress, followed, count=counts.add)
-    lead, tables = (
-        html.escape(_lead(run, every)),
-        _tables(counts, run.settings, _provenance(run, every, command, tracks)),
-    )
+    lead = html.escape(_lead(run, every))
     text = PageText(
         title=f"{run.scene.name}: report of a run",
         name=run.scene.name,
         lead=lead if followed is None else f"{lead}</p>\n  <p>{html.escape(followed.sentence())}",
         notes=_notes(run, every, out),
         result=_result(counts.total),
-        tables=tables,
+        tables=_tables(counts, run.settings, _provenance(run, every, command, tracks)),
         lanes=followed is not None,
     )
     write_page(text, [frames], out, in_files=in_files)
@@ -97,16 +95,12 @@ def check_steps(run: StoredRun) -> None:
 
 def _lead(run: StoredRun, every: int) -> str:
     scene, last = run.scene, (run.steps - 1) // every * every
-    cameras, vessels = _count(len(scene.cameras), "simulated camera"), _count(len(scene.vessels), "vessel")
+    cameras, vessels = counted(len(scene.cameras), "simulated camera"), counted(len(scene.vessels), "vessel")
     return (
         f"What {cameras} saw of {vessels} in {round(float(scene.times_s(0, last + 1)[-1]), 6):g} s, and what a "
         "simulated vessel detector made of it. The truth is known exactly, so each mistake of the detector is counted "
         "and marked."
     )
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def _notes(run: StoredRun, every: int, out: Path) -> str:
@@ -118,7 +112,7 @@ def _notes(run: StoredRun, every: int, out: Path) -> str:
             "are there and shown; <code>modsim3d run --resume</code> goes on with it.</p>"
         )
     if every > 1:
-        notes.append(f"<p class=soft>Every {every}th step is shown; the tables count all of them.</p>")
+        notes.append(note_on_steps(every))
     folder = Path(os.path.relpath(run.folder.resolve(), out.parent.resolve()))
     links = [
         f'<a href="{html.escape((folder / name).as_posix(), quote=True)}">{html.escape(text)}</a>'
@@ -128,6 +122,11 @@ def _notes(run: StoredRun, every: int, out: Path) -> str:
     if links:
         notes.append(f"<p>Also of this run: {', '.join(links)}</p>")
     return "\n".join(notes)
+
+
+def note_on_steps(every: int) -> str:
+    """A paragraph that says that only every K-th step is shown, K being 2 at least."""
+    return f"<p class=soft>One of {every:,} steps is shown; the tables count all of them.</p>"
 
 
 def _result(counts: DetectorCounts) -> str:

@@ -12,8 +12,8 @@ from modsim3d.arrays import Indices
 from modsim3d.display import listed
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.view.report.packing import ROW_BEFORE, Coded, Column
-from modsim3d.view.report.vessel_outcomes import OutcomeStretches
+from modsim3d.view.report.recording.packing import ROW_BEFORE, Coded, Column
+from modsim3d.view.report.recording.vessel_outcomes import OutcomeStretches
 
 DETECTORS_OWN = "detected"
 """The column of the truth that depends on the detector."""

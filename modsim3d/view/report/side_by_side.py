@@ -15,11 +15,11 @@ from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions
 from modsim3d.view.pages.tables import UNKNOWN, breaking
 from modsim3d.view.report.compared_counts import PAIRED_HEADER, compared_counts, paired_detections
 from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, Rows, named_values
-from modsim3d.view.report.packing import packed
 from modsim3d.view.report.player_page import PageText, write_page
-from modsim3d.view.report.player_recording import recording
-from modsim3d.view.report.recording_html import data_element, json_in_html
-from modsim3d.view.report.report import check_steps, sections
+from modsim3d.view.report.recording.packing import packed
+from modsim3d.view.report.recording.recorder import recording
+from modsim3d.view.report.recording.recording_html import data_element, json_in_html
+from modsim3d.view.report.report import check_steps, note_on_steps, sections
 from modsim3d.view.report.run_differences import Differences, check_same_truth, difference_columns, differences
 
 SIDE_BY_SIDE_FILE = "side_by_side.html"
@@ -71,7 +71,7 @@ def write_side_by_side(
             for name, counts in zip(names, tables, strict=True)
         ),
     ]
-    note = f"<p class=soft>Every {every}th step is shown; the tables count all of them.</p>" if every > 1 else ""
+    note = note_on_steps(every) if every > 1 else ""
     text = PageText(
         title=f"{first.scene.name}: two runs side by side",
         name=f"{first.scene.name}: two runs",

@@ -16,8 +16,8 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.view import palette
 from modsim3d.view.pictures.plain import below_horizon
-from modsim3d.view.report.player_recording import quantum_px
-from modsim3d.view.report.silhouettes import hiding, seen
+from modsim3d.view.report.recording.recorder import quantum_px
+from modsim3d.view.report.recording.silhouettes.silhouettes import hiding, seen
 from modsim3d.view.rerun.log import Log, image_path
 
 MOST_PX = 1280

@@ -18,7 +18,12 @@ from tests.commands.bad_input.builders import Call, Inputs
 from tests.commands.bad_input.writers import scene_file
 
 SMALL = ("--camera", "C0", "--width", "160")
-NOTES = {"notes.txt": "mine", "scene/notes.txt": "mine too", "mine/frame_000001.png": "no film"}
+NOTES = {
+    "notes.txt": "mine",
+    "scene/notes.txt": "mine too",
+    "mine/frame_000001.png": "no film",
+    "report_parts/a": "mine",
+}
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -59,10 +64,11 @@ def test_what_no_run_has_written_stays_the_scene_that_is_run_included(project, c
 
 
 def test_nothing_of_the_old_run_stays_beside_the_new_one(inputs, call, tmp_path):
-    out, scene = tmp_path / "run", inputs.write()
+    out, other, scene = tmp_path / "run", tmp_path / "other", inputs.write()
     assert call("run", scene, "--out", out)[0] == 0
     for command in (
-        *(("verify", out), ("report", out), ("view", out, "--sheet", "--overwrite"), ("view", out, "--map")),
+        *(("verify", out), ("view", out, "--sheet", "--overwrite"), ("view", out, "--map")),
+        *(("report", out, "--parts"), ("detect", out, "--out", other), ("report", out, other, "--parts")),
         *(("view", out, "--film", kind, *SMALL) for kind in ("detections", "ids", "map", "all")),
         *(("view", out, "--film", kind, *SMALL, "--format", "png") for kind in ("corners", "map")),
         *(("view", out, "--film", kind, "--frame", "1", "--camera", "C0") for kind in ("detections", "scene")),

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from modsim3d.motion.poses.base import generated_timestamps
 from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.stored_run import StoredRun, open_run
-from modsim3d.view.report import overview, parts
-from modsim3d.view.report.clock import clock, said
-from modsim3d.view.report.overview import Overview, ShownRows, steps_in_a_bin
 from modsim3d.view.report.player_page import parts_folder
-from modsim3d.view.report.player_recording import recording
+from modsim3d.view.report.recording import overview, parts
+from modsim3d.view.report.recording.clock import clock, said
+from modsim3d.view.report.recording.overview import Overview, ShownRows, steps_in_a_bin
+from modsim3d.view.report.recording.recorder import recording
+from modsim3d.view.report.recording.stretches import StretchesBuilder
+from modsim3d.view.report.recording.vessel_outcomes import VesselOutcome
 from modsim3d.view.report.report import write_report
-from modsim3d.view.report.stretches import StretchesBuilder
-from modsim3d.view.report.vessel_outcomes import VesselOutcome
 from tests.view.report.unpacking import Unpacked, read
 
 PART = 7

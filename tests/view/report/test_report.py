@@ -21,10 +21,10 @@ from modsim3d.runs.outcomes import Outcome, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.report.overview import UNKNOWN_FRACTION, WHOLE
-from modsim3d.view.report.packing import NONE, in_quanta
-from modsim3d.view.report.part_columns import in_250ths
-from modsim3d.view.report.player_recording import quantum_px
+from modsim3d.view.report.recording.overview import UNKNOWN_FRACTION, WHOLE
+from modsim3d.view.report.recording.packing import NONE, in_quanta
+from modsim3d.view.report.recording.part_columns import in_250ths
+from modsim3d.view.report.recording.recorder import quantum_px
 from modsim3d.view.report.report import write_report
 from tests.scenes import mistaken_strait, write_scene
 from tests.view.report.conftest import STEPS
@@ -206,6 +206,7 @@ def test_every_kth_step_is_shown_and_all_are_counted(page, run_folder, tmp_path)
     thinned = write_report(open_run(run_folder), tmp_path / "some.html", every=7)
     facts, columns = unpack(thinned)
     all_facts, everything = unpack(page)
+    assert "One of 7 steps is shown" in thinned.read_text(encoding="utf-8")
     assert facts["steps"] == list(range(0, STEPS, 7))
     assert facts["timestamps"] == all_facts["timestamps"][::7]
     cameras = len(facts["cameras"])

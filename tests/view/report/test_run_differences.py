@@ -10,9 +10,9 @@ from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.report.player_recording import recording
+from modsim3d.view.report.recording.recorder import recording
+from modsim3d.view.report.recording.vessel_outcomes import VesselOutcome
 from modsim3d.view.report.run_differences import check_same_truth, differences
-from modsim3d.view.report.vessel_outcomes import VesselOutcome
 from tests.scenes import write_scene
 
 

@@ -16,9 +16,9 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.view.report import side_by_side
 from modsim3d.view.report.compared_counts import paired_detections
+from modsim3d.view.report.recording.vessel_outcomes import VesselOutcome
 from modsim3d.view.report.run_differences import Differences, differences
 from modsim3d.view.report.side_by_side import write_side_by_side
-from modsim3d.view.report.vessel_outcomes import VesselOutcome
 from tests.view.report.browser import Browser
 from tests.view.report.test_layout import PHONE, TABLET
 

@@ -1,4 +1,4 @@
-// Columns of whole numbers, as packing.py has packed them.
+// Columns of whole numbers, as recording/packing.py has packed them.
 
 const NONE = 0xffff;
 const ARRAYS = { uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array, int32: Int32Array, float32: Float32Array };

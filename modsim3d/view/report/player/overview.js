@@ -1,4 +1,4 @@
-// What the timeline of one camera shows: counts in bins of steps, and moments. It is made by overview.py.
+// What the timeline of one camera shows: counts in bins of steps, and moments. It is made by recording/overview.py.
 
 const COUNTED = ['seen', 'annotated', 'missed', 'false', 'mislabelled', 'bad', 'off'];
 const COUNTED_OF_VESSELS = ['seen', 'fraction', 'missed', 'mislabelled', 'bad', 'off'];
@@ -44,7 +44,7 @@ function stepsIn({ length, every }) {
   return steps;
 }
 
-// The texts and the numbers of the times of all steps, in seconds, as clock.py has stored them.
+// The texts and the numbers of the times of all steps, in seconds, as recording/clock.py has stored them.
 function timesIn({ clock: { decimals, first } }, { clock, clockTexts }) {
   if (clockTexts) {
     const timestamps = new TextDecoder().decode(clockTexts).split('\n');

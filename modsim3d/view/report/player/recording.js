@@ -1,5 +1,5 @@
 // The recording of a run: what its numbers mean, what the timeline shows, and its frames in parts that are unpacked when they
-// are needed. Its other side is player_recording.py.
+// are needed. Its other side is recording/recorder.py.
 
 const UNKNOWN_FRACTION = 255, WHOLE = 250, STILL = 2 ** 31;
 const MOST_PARTS = 8; // unpacked at once

@@ -13,7 +13,7 @@ from modsim3d.view.shaded.lights.seen import SeenLight, is_hidden, lights_toward
 from modsim3d.view.shaded.sea_and_sky import Floats
 
 FAINTEST, BRIGHTEST = 0.35, 1.2
-"""Of the middle of a light, which is the faintest one that an eye sees or a strong one."""
+"""Brightness of the middle of the faintest light that an eye sees, and of a strong light."""
 MOST_PX = 4.0
 """Radius of the strongest light at a width of 1280."""
 
@@ -37,7 +37,7 @@ def draw_lights(rgb: Floats, solids: Solids, window: Window, speeds_m_s: Array, 
 
 
 def _glow(rgb: Floats, place_px: Array, light: SeenLight, unit_px: float) -> None:
-    """A bright point in a halo; an eye and a camera tell decades of light, so both grow with them."""
+    """A bright point in a halo. Its radius and its brightness grow with the logarithm of the light, as eyes see it."""
     radius_px = max(1.0, unit_px * min(0.7 + 0.75 * light.decades, MOST_PX))
     peak = min(FAINTEST + 0.4 * light.decades, BRIGHTEST)
     reach = math.ceil(8 * radius_px)

@@ -16,10 +16,11 @@ from modsim3d.view.shaded.lights.lantern import Colour, Lantern, Sector
 
 KNOT_M_S = 1852 / 3600
 STANDS_M_S = 0.5 * KNOT_M_S
-"""A vessel that is slower is taken to be at anchor, or to make no way while she fishes."""
+"""A slower vessel is taken to be at anchor, or to make no way if she fishes."""
 SLOW_M_S = 7 * KNOT_M_S
 """Rule 23 d (ii): below 7 m and 7 knots a white light is enough."""
-MIDSHIPS = 0.0
+CENTRE_LINE = 0.0
+"""Across the vessel."""
 
 
 def lanterns(vessel: Vessel, speed_m_s: float) -> tuple[Lantern, ...]:
@@ -108,45 +109,46 @@ class _Rig:
 
     @property
     def apart_m(self) -> float:
-        """Between two lights one above the other (Annex I, section 2 i)."""
+        """Distance between two lights, one above the other (Annex I, section 2 i)."""
         return 2.0 if self.length_m >= 20 else 1.0
 
     @cached_property
     def top(self) -> tuple[float, float, float]:
-        """The highest point, in the middle of the ship: the top of a mast if the mesh has one."""
+        """The highest point, moved to the centre line: the top of a mast if the mesh has one."""
         return self._highest(-0.5)
 
     def _highest(self, from_v1: float) -> tuple[float, float, float]:
         vertices = self.vessel.solid.vertices
         ahead = vertices[vertices[:, 0] >= from_v1]
         highest = ahead[ahead[:, 2] >= ahead[:, 2].max() - 1e-6]
-        return float(highest[:, 0].mean()), MIDSHIPS, float(highest[0, 2])
+        return float(highest[:, 0].mean()), CENTRE_LINE, float(highest[0, 2])
 
     @cached_property
     def fore(self) -> tuple[float, float, float]:
         """Of the forward masthead light, or the only one (Annex I, sections 2 and 3).
 
-        It is 6 m above the deck, or as much as the vessel is broad up to 12 m. From 20 m on it is before midships. From
-        50 m on it is in the foremost quarter, and 4.5 m lower than the one abaft. A foremast that is higher carries it.
+        A vessel of 20 m or more has it before midships. One of 50 m or more has it in the foremost quarter, as high
+        above the deck as she is broad, but 6 to 12 m, and 4.5 m lower than the one abaft if her height allows that.
+        If she has a foremast of at least this height there, it is at the top of the foremast.
         """
         if self.length_m < 50:
-            return self.top if self.length_m < 20 or self.top[0] > 0 else (0.1, MIDSHIPS, 1.0)
+            return self.top if self.length_m < 20 or self.top[0] > 0 else (0.1, CENTRE_LINE, 1.0)
         wanted_m = self.deck_m + float(np.clip(self.vessel.beam_m, 6.0, 12.0))
         most_m = max(self.height_m - 4.5, 0.6 * self.height_m)
         mast = self._highest(0.25)
         if wanted_m <= mast[2] * self.height_m <= most_m:
             return mast
-        return 0.3, MIDSHIPS, min(wanted_m, most_m) / self.height_m
+        return 0.3, CENTRE_LINE, min(wanted_m, most_m) / self.height_m
 
     @cached_property
     def after(self) -> tuple[float, float, float]:
         """Of the after masthead light: at the full height, half the length behind the other, or 100 m."""
         behind = min(0.5, 100.0 / self.length_m)
-        return min(self.top[0], self.fore[0] - behind), MIDSHIPS, 1.0
+        return min(self.top[0], self.fore[0] - behind), CENTRE_LINE, 1.0
 
     def all_round(self, name: str, colour: Colour, height_m: float, v1: float | None = None) -> Lantern:
         """A light that is seen from everywhere, above the highest point unless `v1` says where."""
-        place = (self.top[0] if v1 is None else v1, MIDSHIPS, height_m / self.height_m)
+        place = (self.top[0] if v1 is None else v1, CENTRE_LINE, height_m / self.height_m)
         return Lantern(name, colour, Sector.ALL_ROUND, 2.0 if self.length_m < 50 else 3.0, place)
 
     def masthead(self, place: tuple[float, float, float]) -> Lantern:
@@ -184,4 +186,4 @@ class _Rig:
         return v1, max(height_m, 0.3 * mast_m) / self.height_m
 
     def _stern_place(self) -> tuple[float, float, float]:
-        return -0.5, MIDSHIPS, (self.deck_m + 0.1 * (self.height_m - self.deck_m)) / self.height_m
+        return -0.5, CENTRE_LINE, (self.deck_m + 0.1 * (self.height_m - self.deck_m)) / self.height_m

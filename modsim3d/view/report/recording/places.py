@@ -14,8 +14,8 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera
 from modsim3d.scene.scene import Scene
 from modsim3d.view.maps.birds_eye import footprint
-from modsim3d.view.report.packing import ROW_BEFORE, Coded, Column
-from modsim3d.view.report.part_motion import PartMotion
+from modsim3d.view.report.recording.packing import ROW_BEFORE, Coded, Column
+from modsim3d.view.report.recording.part_motion import PartMotion
 
 PER_METRE, PER_TURN = 100, 1 << 16
 

@@ -13,12 +13,12 @@ from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.outlines import Outlines, new_numbers
-from modsim3d.view.report.contours import contours, tidy_at_border
-from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column, same_before
-from modsim3d.view.report.painting_order import in_front, painting_order
-from modsim3d.view.report.part_motion import PartMotion
-from modsim3d.view.report.shapes import NO_SHAPES, Shapes, concatenated
-from modsim3d.view.report.silhouette_edges import Edges, silhouette_edges
+from modsim3d.view.report.recording.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column, same_before
+from modsim3d.view.report.recording.part_motion import PartMotion
+from modsim3d.view.report.recording.silhouettes.contours import contours, tidy_at_border
+from modsim3d.view.report.recording.silhouettes.painting_order import in_front, painting_order
+from modsim3d.view.report.recording.silhouettes.shapes import NO_SHAPES, Shapes, concatenated
+from modsim3d.view.report.recording.silhouettes.silhouette_edges import Edges, silhouette_edges
 
 STILL = 1 << 31
 """The first number of the outlines that all parts share."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from modsim3d.arrays import Indices, Mask
 from modsim3d.runs.outcomes import Outcome, having
-from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column
-from modsim3d.view.report.stretches import Stretches, StretchesBuilder, onsets
+from modsim3d.view.report.recording.packing import NONE, ROW_BEFORE, Coded, Column
+from modsim3d.view.report.recording.stretches import Stretches, StretchesBuilder, onsets
 
 UNKNOWN_FRACTION, WHOLE = 255, 250
 """Visible fractions are counted in 250ths."""
@@ -19,11 +19,11 @@ WRONG = {MISLABELLED: Outcome.MISLABELLED, BAD: Outcome.BELOW_HALF_IOU, OFF: Out
 """What may be wrong with a detection of a vessel."""
 MOMENT_KINDS = (MISSED, FALSE, MISLABELLED, OFF, BAD, HIDDEN)
 BEGINS, ENDS = 0.9 * WHOLE, 0.98 * WHOLE
-"""A vessel is occluded from when no more of it is visible until more than that is, so that a flicker is no onset."""
-LITTLE = "little"
-"""A vessel is hidden by a little at least."""
-HALF = "half"
-"""A vessel is less than half visible."""
+"""An occlusion begins when at most the first is visible, and ends when more than the second is: a flicker is none."""
+LITTLE, HALF = "little", "half"
+"""Stretches in which a vessel is hidden a little at least, and in which less than half of it is visible."""
+ANNOTATED, DETECTED = 1, 2
+"""What is so of a row of the truth, as bits of the column `flags`."""
 COUNTS = ("seen", "annotated", MISSED, FALSE, MISLABELLED, BAD, OFF)
 VESSEL_COUNTS = ("seen", "fraction", MISSED, MISLABELLED, BAD, OFF)
 MOST_BINS, LEAST_BINS, MOST_CELLS = 6000, 1000, 600_000
@@ -77,8 +77,8 @@ class ShownRows:
             state=columns["state"][frame].astype(np.int64),
             truth_index=index[truth_at],
             vessel=columns["vessel"][truth].astype(np.int64),
-            annotated=columns["flags"][truth] & 1 > 0,
-            missed=columns["flags"][truth] == 1,
+            annotated=columns["flags"][truth] & ANNOTATED > 0,
+            missed=columns["flags"][truth] == ANNOTATED,
             fraction=np.where(fraction == UNKNOWN_FRACTION, WHOLE, fraction),
             rows=columns["full"][truth][:, [1, 3]],
             drawn_index=index[drawn_at],
@@ -172,7 +172,7 @@ class Overview:
             columns[f"{prefix}vessels.{name}"] = Coded(counts.astype(np.uint32), by=ROW_BEFORE)
         for name in ("state", *([HALF] if half else []), *MOMENT_KINDS):
             found = self.stretches(name).by_time()
-            key = np.where(found.key < (1 << 16) if name == "state" else found.key < self._vessels, found.key, NONE)
+            key = found.key if name == "state" else np.where(found.key < self._vessels, found.key, NONE)
             columns[f"{prefix}moments.{name}.index"] = Coded(found.first.astype(np.uint32), by=ROW_BEFORE)
             columns[f"{prefix}moments.{name}.long"] = Coded((found.until - found.first).astype(np.uint32))
             columns[f"{prefix}moments.{name}.key"] = Coded(key.astype(np.uint16), by=ROW_BEFORE)

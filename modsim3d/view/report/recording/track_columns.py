@@ -11,10 +11,10 @@ from modsim3d.arrays import Indices
 from modsim3d.runs.files.columns import NOBODY
 from modsim3d.scene.scene import Scene
 from modsim3d.view.followed_tracks import FollowedTracks
-from modsim3d.view.report.overview import rows_of
-from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, in_quanta, starts
-from modsim3d.view.report.part_columns import PartFrames
-from modsim3d.view.report.stretches import StretchesBuilder
+from modsim3d.view.report.recording.overview import rows_of
+from modsim3d.view.report.recording.packing import NONE, ROW_BEFORE, Coded, Column, in_quanta, starts
+from modsim3d.view.report.recording.part_columns import PartFrames
+from modsim3d.view.report.recording.stretches import StretchesBuilder
 
 UNSCORED, SWITCHED, MOVED = 1, 2, 4
 """What is so of a row, as bits of the column `trackFlags`."""

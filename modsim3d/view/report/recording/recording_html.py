@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import orjson
 
-from modsim3d.view.report.packing import as_text
-from modsim3d.view.report.player_recording import Recording
+from modsim3d.view.report.recording.packing import as_text
+from modsim3d.view.report.recording.recorder import Recording
 
 
 def recording_html(recording: Recording, folder: str | None = None) -> str:

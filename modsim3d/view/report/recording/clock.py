@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.view.report.packing import ROW_BEFORE, Coded, Columns
+from modsim3d.view.report.recording.packing import ROW_BEFORE, Coded, Columns
 
 _DECIMAL = re.compile(r"(-?)(\d+)\.(\d+)")
 LONGEST_DIFFERENCE = 2**31

@@ -10,8 +10,8 @@ import numpy as np
 from modsim3d.arrays import Indices
 from modsim3d.runs.files.columns import NOBODY, positions
 from modsim3d.runs.outcomes import Outcome, having
-from modsim3d.view.report.overview import ShownRows
-from modsim3d.view.report.stretches import StretchesBuilder
+from modsim3d.view.report.recording.overview import ShownRows
+from modsim3d.view.report.recording.stretches import StretchesBuilder
 
 
 class VesselOutcome(IntEnum):

@@ -9,10 +9,10 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.detector.records import KINDS
 from modsim3d.runs.files.columns import NOBODY, indices, numbers
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.view.report.overview import UNKNOWN_FRACTION, WHOLE
-from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, in_quanta, starts
-from modsim3d.view.report.parts import PartRows
-from modsim3d.view.report.truth_numbers import number_columns
+from modsim3d.view.report.recording.overview import ANNOTATED, DETECTED, UNKNOWN_FRACTION, WHOLE
+from modsim3d.view.report.recording.packing import NONE, ROW_BEFORE, Coded, Column, in_quanta, starts
+from modsim3d.view.report.recording.parts import PartRows
+from modsim3d.view.report.recording.truth_numbers import number_columns
 
 NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)
 """What stands for the state and the horizon of a camera that has not taken a frame yet."""
@@ -25,6 +25,9 @@ class PartFrames:
 
     Attributes:
         steps: For each camera the steps of its frames, shape (F_c,).
+        begins: Number of each camera's first frame, and the number of frames, shape (cameras + 1,).
+        numbers: Step × cameras + camera of each frame, shape (count,).
+        count: Number of frames without the empty one.
         pages: Number of frames, with the empty one.
         shown: Number of the frame that each camera shows at each step, shape (S, cameras).
     """
@@ -76,7 +79,7 @@ def truth_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str
     return {
         "truthStart": Coded(starts(frame[shown], frames.pages), by=ROW_BEFORE),
         "vessel": Coded(rows.truth_vessel[shown].astype(np.uint16), by=ROW_BEFORE),
-        "flags": (rows.annotated[shown] + 2 * rows.detected[shown]).astype(np.uint8),
+        "flags": (ANNOTATED * rows.annotated[shown] + DETECTED * rows.detected[shown]).astype(np.uint8),
         "fraction": Coded(in_250ths(rows.numbers("visible_fraction")[shown]), by="vessel"),
         "depth": Coded(np.rint(PER_METRE * depth_m[shown]).astype(np.uint32), by="vessel"),
         "hider": Coded(hiders[shown].astype(np.uint16), by="vessel"),

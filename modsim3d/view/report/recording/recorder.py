@@ -19,16 +19,22 @@ from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks
-from modsim3d.view.report.clock import clock
-from modsim3d.view.report.overview import Overview, ShownRows
-from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, packed, starts
-from modsim3d.view.report.part_columns import ALL_SEA, PartFrames, detection_columns, frame_columns, truth_columns
-from modsim3d.view.report.part_motion import PartMotion
-from modsim3d.view.report.parts import PartRows, parts, shown_in_a_part
-from modsim3d.view.report.places import Places
-from modsim3d.view.report.silhouettes import Silhouettes
-from modsim3d.view.report.track_columns import Lanes, TrackRows, track_facts
-from modsim3d.view.report.vessel_outcomes import OutcomesBuilder, OutcomeStretches
+from modsim3d.view.report.recording.clock import clock
+from modsim3d.view.report.recording.overview import Overview, ShownRows
+from modsim3d.view.report.recording.packing import NONE, ROW_BEFORE, Coded, Column, packed, starts
+from modsim3d.view.report.recording.part_columns import (
+    ALL_SEA,
+    PartFrames,
+    detection_columns,
+    frame_columns,
+    truth_columns,
+)
+from modsim3d.view.report.recording.part_motion import PartMotion
+from modsim3d.view.report.recording.parts import PartRows, parts, shown_in_a_part
+from modsim3d.view.report.recording.places import Places
+from modsim3d.view.report.recording.silhouettes.silhouettes import Silhouettes
+from modsim3d.view.report.recording.track_columns import Lanes, TrackRows, track_facts
+from modsim3d.view.report.recording.vessel_outcomes import OutcomesBuilder, OutcomeStretches
 
 FINEST_PX = 0.1
 

@@ -1,4 +1,4 @@
-"""Columns of whole numbers in few bytes for the player of a run's page; its other side is `player/columns.js`.
+"""Columns of whole numbers in few bytes for the player of a run's page; its other side is `report/player/columns.js`.
 
 A column that changes little is stored as differences: from its row before, from the row before of the same vessel, or
 from another column. The differences are zigzag numbers (0, −1, 1, −2 become 0, 1, 2, 3), first the low bytes of all of

@@ -6,7 +6,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, starts
+from modsim3d.view.report.recording.packing import NONE, ROW_BEFORE, Coded, Column, starts
 
 WHOLE_SILHOUETTE = NONE - 1
 """Fractions of a silhouette that are in the image are counted in 65,534ths; `NONE` is a null."""
