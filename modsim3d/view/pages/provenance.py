@@ -176,6 +176,7 @@ PROVENANCE_STYLE = """
 .rests-on td { vertical-align: top; overflow-wrap: anywhere; }
 .rests-on code { font-size: 0.92em; }
 .digest { font: 0.82em ui-monospace, monospace; overflow-wrap: anywhere; }
+@media screen and (max-width: 40rem) { .rests-on .facts th { width: 38%; overflow-wrap: anywhere; } }
 @media screen and (min-width: 64rem) { .digest { white-space: nowrap; } }
 .lines { display: flex; gap: 1.5rem; margin-top: 2.2cm; }
 .lines div { flex: 1; border-top: 1px solid var(--ink); padding-top: 0.2rem; font-size: 0.85rem; }

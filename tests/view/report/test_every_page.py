@@ -196,10 +196,11 @@ WIDEST = """(() => { document.querySelectorAll('details').forEach(each => each.o
     return document.documentElement.scrollWidth; })()"""
 
 
-def test_no_page_is_wider_than_a_phone(pages: Path, browser: Browser) -> None:
+def test_no_page_is_wider_than_a_phone_or_a_tablet(pages: Path, browser: Browser) -> None:
     for path in PAGES.values():
-        browser.visit(pages / path, (390, 800))
-        assert browser.run(WIDEST) <= 390, path
+        for width in (390, 800):
+            browser.visit(pages / path, (width, 800))
+            assert browser.run(WIDEST) <= width, (path, width)
 
 
 PRINTED = """(() => { const rules = [...document.styleSheets].flatMap(sheet => [...sheet.cssRules]);
