@@ -50,3 +50,9 @@ def test_spaces_that_align_an_interval_belong_to_it():
     written = table([["a", "5.6 [4.5, 7.0]", *["1"] * 8], ["b", "43.9 [133.6, 57.3]", *["1"] * 8]], header)
     first = written.partition('data-label="0">')[2].partition("</td>")[0]
     assert first.startswith('5.6 <span class="whole"><i class="pad">') and first.endswith("7.0]</span>")
+
+
+def test_a_checksum_between_numbers_may_be_broken():
+    checksum = "6c5565f7c7d53c2a0301052c9311c88904166820ee6fe3257c0885f4296d9476"
+    written = table([["seed", "3"], ["steps", "60"], ["scene_sha256", checksum]], ("", "A"))
+    assert '<td class="number broken">6c5565f7c7d53c2a<wbr>0301052c9311c889<wbr>' in written

@@ -36,6 +36,7 @@ _NUMBER = re.compile(
 )
 _START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d|\d+\. )(\d|∞)")
 """How a number begins; a version with two points is none, and neither is an ordinal."""
+_CHECKSUM = re.compile(r"[0-9a-f]{32,}")
 _INTERVAL = re.compile(r"\[[^\[\]]+, [^\[\]]+\]")
 _WHOLE = re.compile(rf'(?:(?<= )<i class="pad">[^<]*</i>)?{_INTERVAL.pattern}')
 """An interval of HTML with the spaces before it, which align it and not the number."""
@@ -73,7 +74,7 @@ def table(
     shown = [
         column
         if place in markup
-        else [_in_number(cell) for cell in aligned(column)]
+        else [_in_number(cell) if _is_number(cell) else breaking(cell) for cell in aligned(column)]
         if right[place]
         else [breaking(cell) for cell in column]
         for place, column in enumerate(columns)
@@ -103,7 +104,9 @@ def is_numeric(column: Sequence[str]) -> bool:
 
 
 def _is_number(cell: str) -> bool:
-    return _START.match(cell) is not None and len(re.findall(r"[^\W\d_]{2,}", cell)) <= _MOST_WORDS
+    if _START.match(cell) is None or _CHECKSUM.search(cell):
+        return False
+    return len(re.findall(r"[^\W\d_]{2,}", cell)) <= _MOST_WORDS
 
 
 def aligned(column: Sequence[str]) -> list[str]:
