@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from modsim3d.arrays import Array
 from modsim3d.display import counted, listed
 from modsim3d.learn.false_positive_estimate import NOT_WRITTEN
 from modsim3d.learn.figures import Figures
@@ -67,9 +68,15 @@ def _widest(report: Report, columns: Sequence[tuple[Figures, Column]], relative:
     for figures, column in columns:
         low, high = column.interval(report.level, figures.units)
         half = (np.asarray(high, dtype=float) - np.asarray(low, dtype=float)) / 2
-        found.append(half / np.abs(column.estimate) if relative else half)
+        found.append(_share_of(half, np.abs(column.estimate)) if relative else half)
     widest = float(np.max([np.max(each) for each in found]))
     return widest if np.isfinite(widest) else None
+
+
+def _share_of(half: Array, size: Array) -> Array:
+    """Half a width over a size; 0 where both are 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where((half == 0) & (size == 0), 0.0, half / size)
 
 
 def results(report: Report) -> list[tuple[str, str, str]]:

@@ -45,14 +45,14 @@ class Sources:
         """All files with their checksums.
 
         Raises:
-            OSError: A file cannot be read.
+            InputError: A file cannot be read.
         """
         return (*self._files(), *(found for run in self.runs for found in run_inputs(run)))
 
     @property
     def seeds(self) -> tuple[tuple[str, str], ...]:
         """The seed of the bootstrap, and those of the runs."""
-        of_runs = ((f"{run.folder}, {name}", seed) for run in self.runs for name, seed in run_seeds(run))
+        of_runs = ((f"{name} of {run.folder}", seed) for run in self.runs for name, seed in run_seeds(run))
         return ("bootstrap", str(self.settings.seed)), *of_runs
 
     @property
@@ -61,16 +61,32 @@ class Sources:
         return tuple(dict.fromkeys(found for run in self.runs for found in run_versions(run)))
 
     def _files(self) -> Iterator[Input]:
-        read = dict.fromkeys(path for path in self.read if path.is_file() and path.suffix.lower() not in _IMAGES)
-        folders = [run.folder for run in self.runs]
-        rest = [path for path in read if not any(path.is_relative_to(folder) for folder in folders)]
+        files_of, rest = self._sorted()
         for place, pair in enumerate(zip(self.truth, self.detections, strict=True)):
             number = f" {place + 1}" if len(self.truth) > 1 else ""
             for what, given in zip((f"ground truth{number}", f"detections{number}"), pair, strict=True):
-                mine = [path for path in rest if path.is_relative_to(given)]
-                rest = [path for path in rest if path not in mine]
                 if given.is_dir():
-                    yield folder_input(what, given, mine)
+                    yield folder_input(what, given, files_of.get(given.absolute(), []))
                 else:
                     yield file_input(what, given)
         yield from (file_input("also read", path) for path in rest)
+
+    def _sorted(self) -> tuple[dict[Path, list[Path]], list[Path]]:
+        """The files that were read by the path that they belong to, which is absolute, and those of none.
+
+        A file belongs to the innermost of the given paths that it lies in. What is read of a run is listed with it.
+        """
+        given = {path.absolute() for path in (*self.truth, *self.detections)}
+        runs = [run.folder.resolve() for run in self.runs]
+        found: dict[Path, list[Path]] = {}
+        rest: list[Path] = []
+        for path in dict.fromkeys(self.read):
+            if not path.is_file() or path.suffix.lower() in _IMAGES:
+                continue
+            whole = path.absolute()
+            owner = next((each for each in (whole, *whole.parents) if each in given), None)
+            if owner is not None:
+                found.setdefault(owner, []).append(whole)
+            elif not (runs and any(path.resolve().is_relative_to(run) for run in runs)):
+                rest.append(path)
+        return found, rest

@@ -206,7 +206,7 @@ def test_planted_error_in_what_was_counted_is_unexplained(monkeypatch, tmp_path,
     )
     page = (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
     assert "are unexplained" in page
-    assert "unexplained: " in page  # the pictures begin with it
+    assert "Unexplained: " in page  # what is said of the pictures begins with it
 
 
 def behind_is_before(outlines):

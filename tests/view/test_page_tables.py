@@ -3,7 +3,7 @@
 import re
 
 from modsim3d.view.pages import page
-from modsim3d.view.pages.tables import aligned
+from modsim3d.view.pages.tables import aligned, table
 
 
 def test_an_unknown_number_stands_where_the_numbers_of_its_column_do() -> None:
@@ -43,3 +43,16 @@ def test_a_key_may_be_broken_and_is_the_same_text() -> None:
     name = "states.clear.confusion[background][boat]"
     table = page.table([(name, "1")], ("parameter", "asked"))
     assert name not in table and name in table.replace("<wbr>", "")
+
+
+def test_spaces_that_align_an_interval_belong_to_it():
+    header = ("", *(f"{number}" for number in range(9)))
+    written = table([["a", "5.6 [4.5, 7.0]", *["1"] * 8], ["b", "43.9 [133.6, 57.3]", *["1"] * 8]], header)
+    first = written.partition('data-label="0">')[2].partition("</td>")[0]
+    assert first.startswith('5.6 <span class="whole"><i class="pad">') and first.endswith("7.0]</span>")
+
+
+def test_a_checksum_between_numbers_may_be_broken():
+    checksum = "6c5565f7c7d53c2a0301052c9311c88904166820ee6fe3257c0885f4296d9476"
+    written = table([["seed", "3"], ["steps", "60"], ["scene_sha256", checksum]], ("", "A"))
+    assert '<td class="number broken">6c5565f7c7d53c2a<wbr>0301052c9311c889<wbr>' in written

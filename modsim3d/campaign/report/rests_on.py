@@ -39,7 +39,8 @@ def rests_on(folder: CampaignFolder, page: str, command: str | None) -> Provenan
         page=page,
         made_by=command or f"modsim3d.campaign.report.writing.write_page of {folder.path} from Python",
         inputs=(*_files(folder), plan, *own),
-        seeds=(("traffic", traffic), ("detector", f"{keys.seeds.detector:,} for each")),
+        seeds=(("campaign", f"{keys.seed}"),),
+        options=(("Traffic seeds", traffic), ("Detector seeds", f"{keys.seeds.detector:,} for each traffic seed")),
         made_before=(("Its rows were made with", versions_in_words(facts["versions"])),),
     )
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from types import MappingProxyType
 
-from modsim3d.view.pages import page
-
-_NO_NOTES: Mapping[int, str] = MappingProxyType({})
+from modsim3d.view.pages.page import scrolling
+from modsim3d.view.pages.tables import NO_NOTES, table
 
 
 def grid(
@@ -16,7 +14,7 @@ def grid(
     *,
     markup: Container[int] = (),
     bad: Container[int] = (),
-    notes: Mapping[int, str] = _NO_NOTES,
+    notes: Mapping[int, str] = NO_NOTES,
 ) -> str:
     """A table; columns of numbers, with an interval or not, are set to the right.
 
@@ -27,7 +25,7 @@ def grid(
         bad: Rows that stand out.
         notes: What is said below a row, by its number.
     """
-    return page.scrolling(page.table(rows, header, bad, markup=markup, notes=notes))
+    return scrolling(table(rows, header, bad, markup=markup, notes=notes))
 
 
 def without_empty(

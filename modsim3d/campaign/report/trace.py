@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import shlex
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +17,7 @@ from modsim3d.campaign.results.folder import FILE, VERDICTS, CampaignFolder
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.task import PLAN
 from modsim3d.view.pages import page
+from modsim3d.view.pages.provenance import shown_path
 
 _MOST_RANGES = 6
 _MOST_ROWS = 200
@@ -115,7 +117,7 @@ def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[str]:
     yield page.paragraph(
         f"SHA-256 of the plan: {folder.facts['sha256']}. {PLAN} has all checksums in full. With the same plan and the "
         "same versions the rows come out the same, byte by byte. "
-        f"Paths in {FILE} are relative to {folder.facts['base']}."
+        f"Paths in {FILE} are relative to {shown_path(Path(folder.facts['base']))}."
     )
     path, again = folder.path, f"{folder.path.name}_again"
     commands = {

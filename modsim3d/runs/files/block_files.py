@@ -67,6 +67,10 @@ class BlockFiles:
         return cls(rows, lines)
 
 
+KEPT_TRUTH = "truth_*.npz"
+"""The files with the truth of blocks."""
+
+
 def kept_truth_path(folder: Path, first: int, stop: int) -> Path:
     """The file with the truth of a block: NumPy's `.npz`, and after it a digest."""
     return folder / f"truth_{first:09d}_{stop:09d}.npz"

@@ -243,4 +243,5 @@ def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer, styles
 def describe_case(scene: Scene, case: VesselDifference) -> str:
     """Which vessel a case shows, when, from which camera, and why."""
     (time,) = scene.timestamps(case.step, case.step + 1)
-    return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {case.reason}"
+    reason = f"{case.reason[:1].upper()}{case.reason[1:]}"
+    return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {reason}"

@@ -5,13 +5,14 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 from PIL import Image
 
+from modsim3d.view.pages import tables
 from modsim3d.view.pages.print_style import PRINT_STYLE, mark_of, sheet_style
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
-from modsim3d.view.pages.tables import TABLE_STYLE, UNKNOWN, facts, table
+from modsim3d.view.pages.tables import LEAST_STACKED, NO_NOTES, TABLE_STYLE, UNKNOWN, facts
 
 __all__ = ["STYLE", "UNKNOWN", "facts", "folded", "heading", "listed", "page", "paragraph", "picture", "table", "tiles"]
 
@@ -65,6 +66,19 @@ def paragraph(text: str, kind: str = "") -> str:
 def heading(text: str) -> str:
     """A section's heading."""
     return f"<h2>{html.escape(text)}</h2>"
+
+
+def table(
+    rows: Sequence[Sequence[str]],
+    header: Sequence[str] = (),
+    bad: Container[int] = (),
+    *,
+    markup: Container[int] = (),
+    notes: Mapping[int, str] = NO_NOTES,
+) -> str:
+    """A table as `tables.table` writes it; one of several columns scrolls sideways where it is too wide."""
+    written = tables.table(rows, header, bad, markup=markup, notes=notes)
+    return scrolling(written) if len(header) >= LEAST_STACKED else written
 
 
 def scrolling(content: str) -> str:

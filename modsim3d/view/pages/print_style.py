@@ -24,6 +24,7 @@ PRINT_STYLE = """
   td, th { padding-right: 0.6rem; }
   tr, figure, svg, img, dl > div, .rests-on { break-inside: avoid; }
   figure svg:has(+ svg), figure svg + svg, body .plots figure { width: 48%; }
+  .rests-on > p.soft, .signature { break-before: avoid; break-inside: avoid; }
   h3 + p.soft { break-after: avoid; } table.dense { font-size: 7pt; } .dense .whole { white-space: normal; }
   figure img, figure svg, svg { max-width: 100%; max-height: 24cm; }
   details::details-content { content-visibility: visible; display: block; block-size: auto; overflow: visible; }

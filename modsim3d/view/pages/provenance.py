@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+from modsim3d.display import counted
+from modsim3d.errors import InputError
 from modsim3d.inputs.shipped import data_folder
 from modsim3d.runs.run import VERSIONED
 from modsim3d.view.pages.tables import UNKNOWN, breaking
@@ -77,9 +79,17 @@ def versions_in_words(versions: Mapping[str, str]) -> str:
 
 
 def sha256_of(path: Path) -> str:
-    """The checksum of a file, as `sha256sum` prints it."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """The checksum of a file, as `sha256sum` prints it.
+
+    Raises:
+        InputError: The file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        problem = f"cannot be read for its checksum: {error.strerror or error}"
+        raise InputError(str(path), [problem]) from None
 
 
 def file_input(what: str, path: Path, note: str = "") -> Input:
@@ -103,10 +113,11 @@ def folder_input(what: str, folder: Path, files: Iterable[Path]) -> Input:
         folder: The folder as it was given.
         files: Files inside it.
     """
-    names = sorted({path.relative_to(folder).as_posix(): path for path in files}.items())
+    inside = folder.absolute()
+    names = sorted({path.absolute().relative_to(inside).as_posix(): path for path in files}.items())
     lines = "".join(f"{sha256_of(path)}  {name}\n" for name, path in names)
     digest = hashlib.sha256(lines.encode("utf-8", "surrogateescape")).hexdigest()
-    return Input(what, str(folder), digest, f"of the sha256sum lines of {len(names):,} files, sorted by path")
+    return Input(what, str(folder), digest, f"of the sha256sum lines of {counted(len(names), 'file')}, sorted by path")
 
 
 def provenance(found: Provenance) -> str:
@@ -130,9 +141,11 @@ def provenance(found: Provenance) -> str:
 
 
 def top_line(found: Provenance) -> str:
-    """The line under a page's title, which leads to the block."""
+    """The line under a page's title, which leads to the block, and what is wrong with an input."""
     link = f'<a href="#{ANCHOR}">what this page rests on</a>'
-    return f'<div class="soft top-line">{html.escape(found.in_short())} · {link}</div>'
+    line = f'<div class="soft top-line">{html.escape(found.in_short())} · {link}</div>'
+    wrong = (f'<p class="bad">{html.escape(f"{each.path}: {each.note}")}.</p>' for each in found.inputs if each.bad)
+    return "\n".join([line, *wrong])
 
 
 def _inputs(inputs: Sequence[Input]) -> str:
@@ -161,6 +174,7 @@ PROVENANCE_STYLE = """
 .rests-on td { vertical-align: top; overflow-wrap: anywhere; }
 .rests-on code { font-size: 0.92em; }
 .digest { font: 0.82em ui-monospace, monospace; overflow-wrap: anywhere; }
+@media screen and (max-width: 40rem) { .rests-on .facts th { width: 38%; overflow-wrap: anywhere; } }
 @media screen and (min-width: 64rem) { .digest { white-space: nowrap; } }
 .lines { display: flex; gap: 1.5rem; margin-top: 2.2cm; }
 .lines div { flex: 1; border-top: 1px solid var(--ink); padding-top: 0.2rem; font-size: 0.85rem; }

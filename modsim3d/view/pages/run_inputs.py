@@ -5,33 +5,41 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from modsim3d.runs.files.block_files import SETTINGS_FILE
+from modsim3d.runs.files.block_files import KEPT_TRUTH, SETTINGS_FILE
 from modsim3d.runs.files.replacing import RUN_FILE, SCENE_FOLDER, UNFINISHED
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages.provenance import Input, file_input, folder_input, sha256_of, versions_in_words
 
-_TABLES = {"truth.parquet": "truth of the run", "detections.parquet": "detections of the run"}
+_TABLES = {
+    "truth.parquet": "truth of the run",
+    "frames.parquet": "frames and states of the run",
+    "detections.parquet": "detections of the run",
+}
 CHANGED = "not the file that the run wrote: run.json has another checksum"
 
 
 def run_inputs(run: StoredRun) -> tuple[Input, ...]:
     """Scene, detector, manifest and tables of a run, with the checksums that the files have now.
 
+    An interrupted run has its settings and the truth that it has kept in place of the last two.
+
     Raises:
-        OSError: A file cannot be read.
+        InputError: A file cannot be read.
     """
     work = run.folder if run.finished else run.folder / UNFINISHED
     scene_folder, copy = work / SCENE_FOLDER, run.scene.copy
+    listing = RUN_FILE if run.finished else SETTINGS_FILE
     scene = Input(
         "scene of the run",
         str(scene_folder / copy.names[0]),
         run.settings["scene_sha256"],
-        "of the scene and every file that it names; run.json has it as scene_sha256",
+        f"of the scene and every file that it names; {listing} has it as scene_sha256",
     )
     detector = scene_folder / str(copy.document["detector"])
     found = [scene, _run_file(run, detector, "detector file of the run")]
     if not run.finished:
-        return (*found, file_input("settings of the run", work / SETTINGS_FILE))
+        kept = folder_input("truth that the run has kept", work, work.glob(KEPT_TRUTH))
+        return (*found, file_input("settings of the run", work / SETTINGS_FILE), kept)
     tables = [_run_file(run, run.folder / name, what) for name, what in _TABLES.items()]
     return (*found, file_input("manifest of the run", run.folder / RUN_FILE), *tables)
 

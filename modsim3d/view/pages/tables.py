@@ -16,6 +16,7 @@ td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 .facts th { font-weight: 400; text-align: left; vertical-align: top; }
 td.number { white-space: nowrap; } td.broken { white-space: normal; overflow-wrap: anywhere; }
 .whole { white-space: nowrap; }
+@media screen and (min-width: 40.01rem) { .dense .whole { display: block; } }
 @media screen and (max-width: 40rem) {
   td, th { padding-right: 0.7rem; } td.number { white-space: normal; } .pad { display: none; }
   table.stack, .stack tbody, .stack tr { display: block; } .stack thead { display: none; }
@@ -35,14 +36,17 @@ _NUMBER = re.compile(
 )
 _START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d|\d+\. )(\d|∞)")
 """How a number begins; a version with two points is none, and neither is an ordinal."""
+_CHECKSUM = re.compile(r"[0-9a-f]{32,}")
 _INTERVAL = re.compile(r"\[[^\[\]]+, [^\[\]]+\]")
+_WHOLE = re.compile(rf'(?:(?<= )<i class="pad">[^<]*</i>)?{_INTERVAL.pattern}')
+"""An interval of HTML with the spaces before it, which align it and not the number."""
 _PADS = re.compile(f"[{_DIGIT}{_POINT}]+")
 _LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")
 """Words such as keys and checksums, which may be broken."""
 _MOST_WORDS = 3
 _LONGEST = 28
 """Letters of a cell that is never broken."""
-_NO_NOTES: Mapping[int, str] = MappingProxyType({})
+NO_NOTES: Mapping[int, str] = MappingProxyType({})
 
 
 def table(
@@ -51,7 +55,7 @@ def table(
     bad: Container[int] = (),
     *,
     markup: Container[int] = (),
-    notes: Mapping[int, str] = _NO_NOTES,
+    notes: Mapping[int, str] = NO_NOTES,
 ) -> str:
     """A table of rows under a header; columns of numbers are set to the right, with their points below each other.
 
@@ -70,7 +74,7 @@ def table(
     shown = [
         column
         if place in markup
-        else [_in_number(cell) for cell in aligned(column)]
+        else [_in_number(cell) if _is_number(cell) else breaking(cell) for cell in aligned(column)]
         if right[place]
         else [breaking(cell) for cell in column]
         for place, column in enumerate(columns)
@@ -100,7 +104,9 @@ def is_numeric(column: Sequence[str]) -> bool:
 
 
 def _is_number(cell: str) -> bool:
-    return _START.match(cell) is not None and len(re.findall(r"[^\W\d_]{2,}", cell)) <= _MOST_WORDS
+    if _START.match(cell) is None or _CHECKSUM.search(cell):
+        return False
+    return len(re.findall(r"[^\W\d_]{2,}", cell)) <= _MOST_WORDS
 
 
 def aligned(column: Sequence[str]) -> list[str]:
@@ -158,7 +164,7 @@ def breaking(text: str) -> str:
 def _in_number(cell: str) -> str:
     """A cell of numbers as HTML: an interval stays on one line, and a phone needs no spaces of alignment."""
     padded = _PADS.sub(lambda found: f'<i class="pad">{found[0]}</i>', html.escape(cell))
-    return _INTERVAL.sub(lambda found: f'<span class="whole">{found[0]}</span>', padded)
+    return _WHOLE.sub(lambda found: f'<span class="whole">{found[0]}</span>', padded)
 
 
 def _shape(columns: int) -> str:

@@ -148,7 +148,7 @@ def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, 
         + TABLE_STYLE
         + PROVENANCE_STYLE
         + PRINT_STYLE
-        + sheet_style(text.title, mark_of(text.tables)),
+        + sheet_style(text.title, mark_of(text.lead + text.notes + text.result + text.tables)),
         "lead": text.lead,
         "notes": text.notes,
         "result": text.result,

@@ -152,9 +152,14 @@ def _provenance(run: StoredRun, every: int, command: str | None, tracks: Path | 
         made_by=command or f"modsim3d.view.report.report.write_report of {run.folder} from Python",
         inputs=(*run_inputs(run), *(() if tracks is None else track_inputs(tracks.name, tracks))),
         seeds=run_seeds(run),
-        options=(("Steps", f"{run.steps:,}" + (f", every {every}th shown" if every > 1 else "")),),
+        options=(("Steps", _steps(run, every)),),
         made_before=run_versions(run),
     )
+
+
+def _steps(run: StoredRun, every: int) -> str:
+    whole = "" if run.finished else f" of {run.scene.steps:,}: the run was interrupted"
+    return f"{run.steps:,}{whole}" + (f", one of {every} shown" if every > 1 else "")
 
 
 def _tables(counts: CountTables, settings: dict[str, Any], rests_on: Provenance) -> str:

@@ -97,7 +97,7 @@ def _provenance(runs: tuple[StoredRun, StoredRun], every: int, command: str | No
         made_by=command or f"modsim3d.view.report.side_by_side.write_side_by_side of {folders} from Python",
         inputs=tuple(replace(each, what=f"{name}: {each.what}") for name, run in lettered for each in run_inputs(run)),
         seeds=tuple((f"{name} {seed}", value) for name, run in lettered for seed, value in run_seeds(run)),
-        options=(("Steps", f"{runs[0].steps:,}" + (f", every {every}th shown" if every > 1 else "")),),
+        options=(("Steps", f"{runs[0].steps:,}" + (f", one of {every} shown" if every > 1 else "")),),
         made_before=tuple((f"{name}: {what}", text) for name, run in lettered for what, text in run_versions(run)),
     )
 

@@ -15,8 +15,12 @@ from pathlib import Path
 import pytest
 
 from modsim3d import cli
+from modsim3d.errors import InputError
+from modsim3d.learn.learned import Settings
+from modsim3d.learn.sources import Sources
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
+from modsim3d.view.pages.provenance import Provenance, file_input, top_line
 from modsim3d.view.pages.run_inputs import CHANGED, run_inputs
 from tests.view.made_tracks import perfect, write_csv
 from tests.view.report.browser import Browser
@@ -24,6 +28,7 @@ from tests.view.report.browser import Browser
 CAMPAIGN = """\
 scene: fairway
 steps: 4
+seed: 7
 seeds: {traffic: 2}
 set: {annotation.source: analytic}
 trackers: [reference]
@@ -120,6 +125,7 @@ def test_a_learned_page_has_the_checksum_of_its_detector_file(pages: Path) -> No
 def test_a_page_says_nothing_of_the_machine(pages: Path) -> None:
     for name in PAGES:
         assert str(pages) not in block(pages, name) and not re.search(r"\d\d:\d\d", block(pages, name))
+        assert not any(path.startswith("/") for _, path, _ in inputs(pages, name)), name
 
 
 def test_the_same_command_gives_the_same_bytes(pages: Path) -> None:
@@ -135,6 +141,48 @@ def test_a_file_that_was_changed_after_the_run_stands_out(run_folder: Path) -> N
     files = {**run.settings["files"], "truth.parquet": {"bytes": 1, "sha256": "0" * 64}}
     (changed,) = (each for each in run_inputs(replace(run, settings={**run.settings, "files": files})) if each.bad)
     assert changed.what == "truth of the run" and changed.note == CHANGED
+    assert CHANGED in top_line(Provenance("report of a run", "modsim3d report run", (changed,)))
+    assert CHANGED not in top_line(Provenance("report of a run", "modsim3d report run", run_inputs(run)))
+
+
+def test_every_table_of_a_run_that_pages_are_made_from_has_its_checksum(pages: Path) -> None:
+    for name in ("verify", "learn", "score", "report"):
+        listed = {path for _, path, _ in inputs(pages, name)}
+        assert {f"run/{table}.parquet" for table in ("frames", "truth", "detections")} < listed, name
+
+
+def test_the_seed_of_a_campaign_is_no_number_of_seeds(pages: Path) -> None:
+    text = block(pages, "campaign")
+    assert re.findall(r"<th>Seed: (.*?)</th><td>(.*?)</td>", text) == [("campaign", "7")]
+    assert "<th>Traffic seeds</th><td>2</td>" in text
+
+
+def learned_from(folder: Path, *pairs: tuple[str, str], read: list[str]) -> list[tuple[str, str, str]]:
+    """What a page of learn says of its inputs: what, path and how many files."""
+    truth, detections = zip(*([folder / name for name in pair] for pair in pairs), strict=True)
+    found = Sources(truth, detections, (), tuple(folder / name for name in read), Settings(), "learn").inputs
+    return [(each.what, Path(each.path).relative_to(folder).as_posix(), each.note.partition(", ")[0]) for each in found]
+
+
+def test_a_file_that_is_given_twice_is_listed_twice(tmp_path: Path) -> None:
+    for name in ("gt/labels/1.txt", "gt/data.yaml", "gt/day/1.txt", "night/1.txt"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(name)
+    read = ["gt/labels/1.txt", "gt/data.yaml", "gt/day/1.txt", "night/1.txt"]
+    found = learned_from(tmp_path, ("gt/labels", "gt/day"), ("gt/labels", "night"), read=read)
+    one = "of the sha256sum lines of 1 file"
+    assert found == [
+        ("ground truth 1", "gt/labels", one),
+        ("detections 1", "gt/day", one),
+        ("ground truth 2", "gt/labels", one),
+        ("detections 2", "night", one),
+        ("also read", "gt/data.yaml", ""),
+    ]
+
+
+def test_an_input_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"gone\.yaml:\n  cannot be read for its checksum: No such file"):
+        file_input("detector file", tmp_path / "gone.yaml")
 
 
 def test_tests_that_pass_are_folded_behind_their_number(pages: Path) -> None:
@@ -148,10 +196,11 @@ WIDEST = """(() => { document.querySelectorAll('details').forEach(each => each.o
     return document.documentElement.scrollWidth; })()"""
 
 
-def test_no_page_is_wider_than_a_phone(pages: Path, browser: Browser) -> None:
+def test_no_page_is_wider_than_a_phone_or_a_tablet(pages: Path, browser: Browser) -> None:
     for path in PAGES.values():
-        browser.visit(pages / path, (390, 800))
-        assert browser.run(WIDEST) <= 390, path
+        for width in (390, 800):
+            browser.visit(pages / path, (width, 800))
+            assert browser.run(WIDEST) <= width, (path, width)
 
 
 PRINTED = """(() => { const rules = [...document.styleSheets].flatMap(sheet => [...sheet.cssRules]);

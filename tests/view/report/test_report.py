@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import sys
@@ -21,6 +22,7 @@ from modsim3d.runs.outcomes import Outcome, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from modsim3d.view.pages.run_inputs import run_inputs
 from modsim3d.view.report.recording.overview import UNKNOWN_FRACTION, WHOLE
 from modsim3d.view.report.recording.packing import NONE, in_quanta
 from modsim3d.view.report.recording.part_columns import in_250ths
@@ -268,6 +270,11 @@ def test_interrupted_run_shows_what_is_there_and_says_so(tmp_path, page):
     cut = open_run(interrupted(tmp_path / "cut", after=1))
     text = (written := write_report(cut)).read_text(encoding="utf-8")
     assert f"This run was interrupted.</strong> {cut.steps} of {STEPS + 300} steps" in text
+    assert f"<td>{cut.steps} of {STEPS + 300}: the run was interrupted</td>" in text
+    *_, kept = run_inputs(cut)
+    (file,) = (cut.folder / "unfinished").glob("truth_*.npz")
+    line = f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n"
+    assert kept.sha256 == hashlib.sha256(line.encode()).hexdigest()
     (facts, columns), (_, whole) = unpack(written), unpack(page)
     assert len(facts["steps"]) == cut.steps
     shared = min(cut.steps, STEPS) * len(facts["cameras"])
