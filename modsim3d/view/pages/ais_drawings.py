@@ -12,7 +12,7 @@ from modsim3d.ais.scene_folder import CAMERA_HALF_ANGLE_RAD
 from modsim3d.ais.traffic import Traffic
 from modsim3d.ais.vessel_track import VesselTrack
 from modsim3d.arrays import Array, Mask
-from modsim3d.view.pages.charts import colour_of, nice_ticks, svg
+from modsim3d.view.pages.charts import colour_of, nice_ticks, svg, tick_text
 
 WIDTH = 1100.0
 LEFT, RIGHT, TOP, BOTTOM = 56.0, 20.0, 8.0, 30.0
@@ -139,11 +139,11 @@ def _grid(frame: _Frame) -> str:
     for metres in nice_ticks(frame.west_m, frame.east_m, 8):
         x = float(frame.place(np.array([[metres, frame.south_m]]))[0, 0])
         lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{bottom:.1f}" stroke="var(--line)"/>')
-        text(x, bottom + 14, "middle", f"{metres / unit_m:g}")
+        text(x, bottom + 14, "middle", tick_text(metres / unit_m))
     for metres in nice_ticks(frame.south_m, frame.north_m, 6):
         y = float(frame.place(np.array([[frame.west_m, metres]]))[0, 1])
         lines.append(f'<line x1="{LEFT}" x2="{right:.1f}" y1="{y:.1f}" y2="{y:.1f}" stroke="var(--line)"/>')
-        text(LEFT - 5, y + 4, "end", f"{metres / unit_m:g}")
+        text(LEFT - 5, y + 4, "end", tick_text(metres / unit_m))
     text(right, bottom + 27, "end", f"w1, {unit}")
     text(LEFT + 4, TOP + 13, "start", f"w2, {unit}")
     return "\n".join(lines)
