@@ -129,7 +129,8 @@ class MapNames:
     def place(self) -> None:
         """Put each name beside its thing, or farther off with a line to it; hide a name without room for it.
 
-        A name lies on no other, on no other vessel, on no heading tick and on no camera; where it can, on no track's last part.
+        A name lies on no other, on no other vessel, on no heading tick and on no camera. Where it can, it lies on no
+        track's last part.
         """
         page = _Page.of(self)
         later = []

@@ -111,7 +111,7 @@ class _Rig:
 
     @property
     def upper_m(self) -> float:
-        """Height of the upper of the two lights of a vessel that fishes; a long trawler's masthead light is above it."""
+        """Height of the upper light of a vessel that fishes; a long trawler has her masthead light above it."""
         long_trawler = kind_of(self.vessel) is Kind.TRAWLING and self.length_m >= 50
         return self.fore[2] * self.height_m if long_trawler else self.top_m
 
