@@ -95,7 +95,8 @@ def traffic_map(traffic: Traffic) -> str:
     caption = [
         "w1 points east, w2 north. Lines are the tracks of the hulls' centres",
         "" if crowded else ", dots the reports that they were made from",
-        ". Dashes join reports between which a vessel is absent, and crosses are positions that were removed as jumps",
+        ". Dashes join reports between which a vessel is absent" if _any_absent(traffic) else "",
+        ". Crosses are positions that were removed as jumps" if len(jumps_m) else "",
         "; those on the edge lie outside the map" if outside else "",
         ". A triangle is where a vessel is last, and points ahead. The wedge is what the scene's camera sees. "
         "AIS does not say where land is.",
@@ -113,6 +114,10 @@ def _not_far(places_m: Array, others_m: Array) -> Array:
     reach = NOT_FAR * (high - low).max()
     near: Array = places_m[((places_m >= low - reach) & (places_m <= high + reach)).all(axis=1)]
     return near
+
+
+def _any_absent(traffic: Traffic) -> bool:
+    return any((np.diff(vessel.steps) > 1).any() for vessel in traffic.vessels)
 
 
 def _any_longer(traffic: Traffic, most: int) -> bool:

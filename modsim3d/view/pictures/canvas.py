@@ -14,7 +14,7 @@ from modsim3d.view.pictures.window import Box
 NOMINAL_PX = 1280
 """Width of a picture for which the sizes below are meant."""
 TEXT_PX, LEAST_TEXT_PX = 15, 11
-SMALL_TEXT_PX = 12
+SMALL_TEXT_PX = 11
 """Up to this size, words stand twice as far apart."""
 LINE_PX = 2.0
 ARROW_HEAD = 0.45
