@@ -119,6 +119,13 @@ def test_map_has_tracks_gaps_jumps_and_the_region(traffic):
     assert drawing.count("<polygon") == 5  # vessels, region, camera
 
 
+def test_the_caption_of_the_map_explains_what_is_on_it(traffic, tmp_path):
+    plain = traffic_of(old_file(tmp_path, *(row(10 * k) for k in range(5))))
+    for words in ("Dashes join reports", "Crosses are positions"):
+        assert words in ais_page(traffic)
+        assert words not in ais_page(plain)
+
+
 def test_a_track_is_drawn_where_it_is_and_stops_at_a_gap(traffic):
     """From the ticks of the axes, which are 500 m apart, to places."""
     drawing = drawn(ais_page(traffic), 0)

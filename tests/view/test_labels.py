@@ -1,6 +1,7 @@
 """Labels stay inside the picture and off each other."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -82,7 +83,20 @@ def test_a_text_is_shortened_only_where_it_would_cover_a_boat():
     assert texts_drawn([Label(box, "Vessel 0.67", (200, 100, 0))], (100, 40), beside) == ["Vessel 0.67"]
 
 
+def test_an_optional_label_takes_no_room_that_another_needs():
+    box = (0.0, 0.0, 30.0, 10.0)
+    hidden, seen = Label(box, "hidden", (200, 100, 0), optional=True), Label(box, "seen", (200, 100, 0))
+    assert texts_drawn([hidden, seen], (60, 24), []) == ["seen"]
+
+
 def test_an_optional_label_is_left_out_where_it_would_cover_a_boat():
     label = Label((0.0, 0.0, 30.0, 10.0), "hidden", (200, 100, 0), optional=True)
     assert texts_drawn([label], (60, 40), []) == ["hidden"]
     assert texts_drawn([label], (60, 40), [(0.0, 0.0, 60.0, 40.0)]) == []
+
+
+@pytest.mark.parametrize("width", [640, 960, 1280])
+def test_words_stand_apart_in_any_size(width):
+    canvas = Canvas(Image.new("RGB", (width, 400)))
+    wide, joined = canvas.plate_size("ship2, 74 % seen")[0], canvas.plate_size("ship2,74%seen")[0]
+    assert (wide - joined) / 3 >= canvas.text_px / 5

@@ -16,7 +16,7 @@ from modsim3d.view.shaded.lights.kinds import Kind, kind_of
 from modsim3d.view.shaded.lights.lantern import NAUTICAL_MILE_M, THRESHOLD_LUX, Colour, Lantern, Sector
 from modsim3d.view.shaded.lights.rules import KNOT_M_S, lanterns
 from modsim3d.view.shaded.lights.seen import ground_speeds, is_hidden, lights_towards
-from tests.scenes import crossing
+from tests.scenes import crossing, write_scene
 
 W, R, G = "white", "red", "green"
 BEARINGS = (0, 45, 90, 112.4, 112.6, 135, 180, -135, -112.6, -112.4, -90, -45)
@@ -92,6 +92,9 @@ def test_lights_by_bearing(case):
         ("", "MotorYacht", "a", Kind.POWER),
         ("kayak", "boat", "kayak", Kind.OARS),
         ("", "HighSpeed", "assailant", Kind.POWER),
+        ("sailing_ship", "ship", "a", Kind.SAIL),
+        ("", "MotorSailer", "a", Kind.POWER),
+        ("container_ship", "sailboat", "a", Kind.POWER),
     ],
 )
 def test_kind_of_a_vessel(shape, label, name, kind):
@@ -159,6 +162,15 @@ def test_places_of_a_ships_lights(strait):
         assert after[0] >= -one.length_m / 2
 
 
+@pytest.mark.parametrize("length_m", [24, 60, 90])
+def test_lights_of_a_trawler_stand_apart(length_m):
+    """Annex I, sections 2 i and 2 j: 2 m between the upper two, and at least twice that down to the sidelights."""
+    found = placed(vessel(length_m, label="trawling"))
+    (upper,), (lower,), (side,) = (found[name] for name in ("upper", "lower", "port side"))
+    assert upper[2] - lower[2] == pytest.approx(2)
+    assert lower[2] - side[2] >= 4 - 1e-9
+
+
 @pytest.mark.parametrize("one", [entry[0] for entry in CASES.values()], ids=list(CASES))
 @pytest.mark.parametrize("knots", [0.1, 8])
 def test_no_light_is_outside_the_vessel(one, knots):
@@ -197,6 +209,39 @@ def test_strait_by_night(strait):
         "kayak": ["torch"],
         "barge": ["stern"],
     }
+
+
+@pytest.mark.parametrize(
+    ("aside_m", "shown"),
+    [
+        (0, {"masthead", "port side", "starboard side"}),  # right ahead, at half the beam from either sidelight
+        (40, {"masthead", "port side"}),
+        (-40, {"masthead", "starboard side"}),
+    ],
+)
+def test_a_broad_ship_shows_both_sidelights_to_what_is_right_ahead(tmp_path, aside_m, shown):
+    sight = ship_before_the_camera(tmp_path, 180.0, (250, aside_m))
+    assert {light.lantern.name for light in lights_towards(sight, np.array([5.0]))} == shown
+
+
+def test_sectors_begin_at_the_lights(tmp_path):
+    """Abeam of the middle of a long ship one is abaft the beam of her forward masthead light, which is far ahead."""
+    sight = ship_before_the_camera(tmp_path, 90.0, (60, 0))
+    lights = [light for light in lights_towards(sight, np.array([5.0])) if light.lantern.name == "masthead"]
+    (after,) = lights
+    assert after.lantern.place[0] < 0
+
+
+def ship_before_the_camera(folder, heading_deg, place_m):
+    """A ship of 200 m in sight of the camera."""
+    path = write_scene(folder, {"ship": ([200, 30, 40], track(place_m, heading_deg))}, 12)
+    scene = load_scene(path)
+    return scene.sight(scene.cameras[0], np.array([0]))
+
+
+def track(place_m, heading_deg):
+    ahead = 50 * np.array([math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))])
+    return [[0, *place_m], [10, *(place_m + ahead).tolist()]]
 
 
 WINDOW = Window.whole((800, 600), 800)

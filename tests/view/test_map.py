@@ -205,6 +205,27 @@ def test_each_vessel_of_a_crowd_is_named_beside_it_or_with_a_line_to_it(crowd):
         assert not any(box.intersection(other).area for i, other in boxes.items() if i != vessel)
 
 
+def test_no_name_lies_on_a_camera(scene):
+    (camera,) = scene.cameras
+    drawn = Map(BirdsEye(scene, scene.steps, (0,)), 900)
+    drawn.show(6)
+    place_m = drawn.sheet.axes.transData.inverted().transform
+    for name in [name for name in drawn.sheet.names.names if name.vessel is not None and name.middle_px is not None]:
+        under = replace(camera, name="under", mount=Mount((*place_m(name.middle_px).tolist(), 5.0)))
+        both = Map(BirdsEye(replace(scene, cameras=(camera, under)), scene.steps, (0, 1)), 900)
+        both.show(6)
+        dot = shapely.Point(both.sheet.axes.transData.transform(under.mount.position_m[:2]))
+        boxes = {each.note.get_text(): shapely.box(*box) for each, box in placed(both.sheet.names)}
+        assert {"under", name.note.get_text()} <= set(boxes)
+        assert not any(box.intersects(dot) for box in boxes.values())
+
+
+def placed(names):
+    """The names that are shown, with their boxes."""
+    shown = [name for name in names.names if name.middle_px is not None]
+    return [(name, name.note.get_window_extent().extents) for name in shown]
+
+
 def test_radii_keep_off_names(crowd):
     rings, names, taken = RangeRings(crowd.sheet, moves=False), crowd.sheet.names, crowd.sheet.names.taken_px
     texts = crowd.sheet.axes.texts[-RINGS:]

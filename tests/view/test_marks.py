@@ -21,6 +21,7 @@ from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmPlan, mistakes_in, vessels_in
 from modsim3d.view.outcome_words import NAMES, fate, is_a
 from modsim3d.view.pictures import contact_sheet, frame_picture, highlights
+from modsim3d.view.pictures.canvas import text_size
 from modsim3d.view.pictures.frame_picture import CameraView
 from modsim3d.view.pictures.highlights import pick_highlights
 from modsim3d.view.pictures.labels import Label
@@ -244,6 +245,15 @@ def test_each_picture_of_the_sheet_points_at_what_it_is_about_and_names_only_tha
         end = x - right * length, y - down * length
         assert 0 <= end[0] <= contact_sheet.PANEL_PX[0] and 0 <= end[1] <= contact_sheet.PANEL_PX[1]
         assert "obstacle:" not in contact_sheet._caption(highlight, frame)
+
+
+def test_a_caption_that_is_too_long_is_cut_where_one_sees_it():
+    room = 400
+    for text in ("short", 20 * "a long name "):
+        shown = contact_sheet._shortened(text, 17, room)
+        assert text_size(shown, 17)[2] <= room
+        assert shown == text or (shown.endswith("…") and text.startswith(shown[:-1]))
+    assert text_size(shown, 17)[2] > room - 20
 
 
 def test_an_arrow_covers_no_other_boat_and_stays_in_the_picture():

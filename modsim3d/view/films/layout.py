@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 from PIL import Image, ImageDraw
 
 from modsim3d.view import palette
-from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font
+from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font, words_apart
 from modsim3d.view.pictures.legend import Entry, legend
 
 GAP_PX = 4
@@ -96,7 +96,12 @@ class FilmLayout:
         """One picture of the film, from pictures of the sizes `panel_sizes`; a single panel shows no title."""
         sheet = self._blank.copy()
         draw = ImageDraw.Draw(sheet)
-        draw.text((self.text_px // 2, self.text_px // 3), head, fill=palette.INK, font=font(self.text_px))
+        draw.text(
+            (self.text_px // 2, self.text_px // 3),
+            words_apart(head, self.text_px),
+            fill=palette.INK,
+            font=font(self.text_px),
+        )
         for title, panel, (x, y) in zip(titles, panels, self._places, strict=True):
             sheet.paste(panel, (x, y))
             if self.title_px:

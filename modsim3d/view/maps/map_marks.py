@@ -179,6 +179,7 @@ class CameraMark:
     def __init__(self, sheet: MapSheet, index: int, *, moves: bool) -> None:
         """Put the artists where `show` finds them; those of a map without cameras on board never move again."""
         self._birds_eye, self._camera = sheet.birds_eye, sheet.birds_eye.scene.cameras[index]
+        self._sheet, self._index = sheet, index
         first = index == self._birds_eye.cameras[0]
         self.rings = RangeRings(sheet, moves=moves) if first else None
         label = sheet.once("field of view")
@@ -214,6 +215,7 @@ class CameraMark:
         for line, end in zip(self._edges, (edge[0], edge[-1]), strict=True):
             line.set_data(*np.array([at, end]).T)
         self._dot.set_data(*at[None].T)
+        self._sheet.names.dots_m[self._index] = at
         if self._name is not None:
             edge_m = CAMERA_NAME_SHARE * min(x1 - x0, y1 - y0)
             self._name.end_m = np.clip(at, (x0, y0), (x1, y1))

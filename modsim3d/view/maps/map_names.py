@@ -86,6 +86,7 @@ class MapNames:
         bodies_m: Outline of what is drawn of each vessel by its index, shape (k, 2) each; names of others keep off it.
         ticks_m: The heading tick of each vessel that has one, shape (2, 2) each.
         trails_m: The last part of each vessel's track, shape (n, 2) each.
+        dots_m: The cameras, shape (2,) each; no name lies on them.
         leaders: The lines from names to what they name.
         taken_px: Boxes of the names that are placed, shape (k, 4).
     """
@@ -95,6 +96,7 @@ class MapNames:
     bodies_m: dict[int, Array] = field(default_factory=dict)
     ticks_m: dict[int, Array] = field(default_factory=dict)
     trails_m: dict[int, Array] = field(default_factory=dict)
+    dots_m: dict[int, Array] = field(default_factory=dict)
     taken_px: Array = field(default_factory=lambda: np.empty((0, 4)))
     leaders: LineCollection = field(init=False)
 
@@ -108,8 +110,8 @@ class MapNames:
         self.axes.add_collection(self.leaders, autolim=False)
 
     def clear(self) -> None:
-        """Forget what was drawn of the vessels."""
-        for drawn in (self.bodies_m, self.ticks_m, self.trails_m):
+        """Forget where vessels and cameras were."""
+        for drawn in (self.bodies_m, self.ticks_m, self.trails_m, self.dots_m):
             drawn.clear()
 
     def add(self, text: str, vessel: int | None = None, **style: Any) -> MapName:
@@ -127,7 +129,8 @@ class MapNames:
     def place(self) -> None:
         """Put each name beside its thing, or farther off with a line to it; hide a name without room for it.
 
-        A name lies on no other, on no other vessel and on no heading tick; where it can, on no track's last part.
+        A name lies on no other, on no other vessel, on no heading tick and on no camera. Where it can, it lies on no
+        track's last part.
         """
         page = _Page.of(self)
         later = []
@@ -156,6 +159,7 @@ class _Page:
         bodies: Outlines of the vessels, shape (b,).
         ticks: Heading ticks of the vessels that have one.
         trails: The last parts of tracks.
+        dots: The cameras.
         taken: Boxes of the names that are placed, shape (k, 4).
         leaders: Lines from names to their things.
     """
@@ -168,6 +172,7 @@ class _Page:
     bodies: Shapes
     ticks: Shapes
     trails: Shapes
+    dots: Shapes
     taken: Array = field(default_factory=lambda: np.empty((0, 4)))
     leaders: list[Any] = field(default_factory=list)
 
@@ -184,6 +189,7 @@ class _Page:
             _drawn(shapely.Polygon, names.bodies_m, to_px),
             _drawn(shapely.LineString, names.ticks_m, to_px),
             _drawn(shapely.LineString, names.trails_m, to_px),
+            _drawn(shapely.Point, names.dots_m, to_px),
         )
 
     def put(self, name: MapName, middles: Array, *, avoid_lines: bool) -> bool:
@@ -223,7 +229,7 @@ class _Page:
         """Which of some places, shape (n, 2), are free for a name, in their order."""
         places = middles[:, [0, 1, 0, 1]] + name.extent_px()
         free: Indices = np.flatnonzero(_inside(places, self.frame) & ~overlapping(places, self.taken))
-        things = np.concatenate([self.bodies[self.owners != name.vessel], self.ticks])
+        things = np.concatenate([self.bodies[self.owners != name.vessel], self.ticks, self.dots])
         return free[~_met(shapely.box(*places[free].T), things)]
 
     def _take(self, name: MapName, middle: Array) -> None:

@@ -12,7 +12,7 @@ from modsim3d.ais.scene_folder import CAMERA_HALF_ANGLE_RAD
 from modsim3d.ais.traffic import Traffic
 from modsim3d.ais.vessel_track import VesselTrack
 from modsim3d.arrays import Array, Mask
-from modsim3d.view.pages.charts import colour_of, nice_ticks, svg
+from modsim3d.view.pages.charts import colour_of, nice_ticks, svg, tick_text
 
 WIDTH = 1100.0
 LEFT, RIGHT, TOP, BOTTOM = 56.0, 20.0, 8.0, 30.0
@@ -96,7 +96,8 @@ def traffic_map(traffic: Traffic) -> str:
     caption = [
         "w1 points east, w2 north. Lines are the tracks of the hulls' centres",
         "" if crowded else ", dots the reports that they were made from",
-        ". Dashes join reports between which a vessel is absent, and crosses are positions that were removed as jumps",
+        ". Dashes join reports between which a vessel is absent" if _any_absent(traffic) else "",
+        ". Crosses are positions that were removed as jumps" if len(jumps_m) else "",
         "; those on the edge lie outside the map" if outside else "",
         ". A triangle is where a vessel is last, and points ahead. The wedge is what the scene's camera sees. "
         "AIS does not say where land is.",
@@ -114,6 +115,10 @@ def _not_far(places_m: Array, others_m: Array) -> Array:
     reach = NOT_FAR * (high - low).max()
     near: Array = places_m[((places_m >= low - reach) & (places_m <= high + reach)).all(axis=1)]
     return near
+
+
+def _any_absent(traffic: Traffic) -> bool:
+    return any((np.diff(vessel.steps) > 1).any() for vessel in traffic.vessels)
 
 
 def _any_longer(traffic: Traffic, most: int) -> bool:
@@ -140,11 +145,11 @@ def _grid(area: _MapArea) -> str:
     for metres in nice_ticks(area.west_m, area.east_m, 8):
         x = float(area.place(np.array([[metres, area.south_m]]))[0, 0])
         lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{bottom:.1f}" stroke="var(--line)"/>')
-        text(x, bottom + 14, "middle", f"{metres / unit_m:g}")
+        text(x, bottom + 14, "middle", tick_text(metres / unit_m))
     for metres in nice_ticks(area.south_m, area.north_m, 6):
         y = float(area.place(np.array([[area.west_m, metres]]))[0, 1])
         lines.append(f'<line x1="{LEFT}" x2="{right:.1f}" y1="{y:.1f}" y2="{y:.1f}" stroke="var(--line)"/>')
-        text(LEFT - 5, y + 4, "end", f"{metres / unit_m:g}")
+        text(LEFT - 5, y + 4, "end", tick_text(metres / unit_m))
     text(right, bottom + 27, "end", f"w1, {unit}")
     text(LEFT + 4, TOP + 13, "start", f"w2, {unit}")
     return "\n".join(lines)

@@ -89,18 +89,19 @@ class Axes:
 
     def _ticks(self) -> str:
         lines = []
-        for value, text in self.x_ticks or [(value, _tick(value)) for value in nice_ticks(*self.x)]:
+        for value, text in self.x_ticks or [(value, tick_text(value)) for value in nice_ticks(*self.x)]:
             px, _ = self.place(value, self.y[0])
             place = f'x="{px:.1f}" y="{self.height - 20:.1f}"'
             lines.append(f'<text {place} text-anchor="middle" fill="var(--soft)">{html.escape(text)}</text>')
         for value in nice_ticks(*self.y):
             _, py = self.place(self.x[0], value)
             place = f'x="{_MARGIN[0] - 4}" y="{py + 4:.1f}"'
-            lines.append(f'<text {place} text-anchor="end" fill="var(--soft)">{_tick(value)}</text>')
+            lines.append(f'<text {place} text-anchor="end" fill="var(--soft)">{tick_text(value)}</text>')
         return "".join(lines)
 
 
-def _tick(value: float) -> str:
+def tick_text(value: float) -> str:
+    """The number at a tick of an axis, with a true minus sign."""
     return f"{value:g}".replace("-", "−")
 
 

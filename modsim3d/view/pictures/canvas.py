@@ -14,6 +14,8 @@ from modsim3d.view.pictures.window import Box
 NOMINAL_PX = 1280
 """Width of a picture for which the sizes below are meant."""
 TEXT_PX, LEAST_TEXT_PX = 15, 11
+SMALL_TEXT_PX = 11
+"""Up to this size, words stand twice as far apart."""
 LINE_PX = 2.0
 ARROW_HEAD = 0.45
 """Length of an arrow's head, as a share of the arrow's."""
@@ -32,6 +34,11 @@ def text_size(text: str, size: int) -> tuple[int, int, int, int]:
     """Bounding box of a text set at (0, 0): left, top, right and bottom in pixels."""
     left, top, right, bottom = font(size).getbbox(text)
     return int(left), int(top), int(right), int(bottom)
+
+
+def words_apart(text: str, size: int) -> str:
+    """A text with double spaces in a small size, where a space is as wide as the gap between two letters."""
+    return text.replace(" ", "  ") if size <= SMALL_TEXT_PX else text
 
 
 class Canvas:
@@ -131,7 +138,7 @@ class Canvas:
 
     def plate_size(self, text: str) -> tuple[int, int]:
         """Width and height of a text on its plate."""
-        left, top, right, bottom = text_size(text, self.text_px)
+        left, top, right, bottom = text_size(words_apart(text, self.text_px), self.text_px)
         return right - left + 2 * self._pad, bottom - top + 2 * self._pad
 
     def plate(self, x: int, y: int, text: str, colour: Colour) -> None:
@@ -142,7 +149,7 @@ class Canvas:
 @lru_cache(maxsize=1024)
 def _plate(text: str, colour: Colour, text_px: int, width: int, height: int) -> Image.Image:
     """Text in the middle of a plate; a film shows the same ones again and again."""
-    plate = Image.new("RGB", (width, height), colour)
+    plate, text = Image.new("RGB", (width, height), colour), words_apart(text, text_px)
     left, top, right, bottom = text_size(text, text_px)
     place = (width - (right - left)) // 2 - left, (height - (bottom - top)) // 2 - top
     ImageDraw.Draw(plate).text(place, text, fill=ink_on(colour), font=font(text_px))

@@ -62,9 +62,9 @@ RULE: Styles = (*VISIBLE, BoxStyle("rectangle rule", lambda boxes: boxes.rectang
 """The boxes that a picture of a vessel shows."""
 BOTH: Colour = (150, 158, 164)
 PIXELS = (
-    ("pixels seen by both", BOTH),
-    ("by the rendered source only", palette.ALARM),
-    ("in the {region} only", palette.VESSELS[2]),
+    ("pixels rendered and in the {region}", BOTH),
+    ("rendered only", palette.ALARM),
+    ("in that region only", palette.VESSELS[2]),
 )
 
 

@@ -34,6 +34,8 @@ COLUMNS = 2
 GAP_PX, CAPTION_PX = 16, 68
 TITLE_PX, CAPTION_TEXT_PX, TEXT_PX = 30, 26, 20
 """Sizes of text, which a page shows at about 60 %."""
+LEAST_TEXT_PX = 17
+"""Of a long caption; one that is longer still is cut."""
 NOMINAL_WIDTH_PX = 1700
 """Width of a picture for which the lines and the text of a panel are meant."""
 INSET_PX = (124, 62)
@@ -88,14 +90,22 @@ def _tile(highlight: Highlight, camera_view: CameraView, id_renderer: AnyIdRende
     draw = ImageDraw.Draw(tile)
     inset = _inset(camera_view, window)
     caption, room = _caption(highlight, frame), PANEL_PX[0] - inset.width - GAP_PX
-    fitting = (size for size in range(CAPTION_TEXT_PX, TEXT_PX, -1) if text_size(caption, size)[2] <= room)
-    draw.text((0, 2), caption, fill=palette.INK, font=font(next(fitting, TEXT_PX)))
+    fitting = (size for size in range(CAPTION_TEXT_PX, LEAST_TEXT_PX, -1) if text_size(caption, size)[2] <= room)
+    size = next(fitting, LEAST_TEXT_PX)
+    draw.text((0, 2), _shortened(caption, size, room), fill=palette.INK, font=font(size))
     place = f"{frame.camera}, {frame.timestamp} s, detector {frame.state}"
     draw.text((0, CAPTION_PX - TEXT_PX - 10), place, fill=palette.SOFT_INK, font=font(TEXT_PX))
     draw.rectangle((room, 0, PANEL_PX[0], CAPTION_PX), fill=palette.PAPER)
     tile.paste(inset, (PANEL_PX[0] - inset.width, (CAPTION_PX - inset.height) // 2))
     tile.paste(_panel(highlight, camera_view, window, id_renderer), (0, CAPTION_PX))
     return tile
+
+
+def _shortened(text: str, size: int, room: int) -> str:
+    """A text that is cut, with an ellipsis, where it is wider than there is room."""
+    if text_size(text, size)[2] <= room:
+        return text
+    return next(cut for end in range(len(text), -1, -1) if text_size(cut := f"{text[:end]}…", size)[2] <= room)
 
 
 def _panel(highlight: Highlight, camera_view: CameraView, window: Window, id_renderer: AnyIdRenderer) -> Image.Image:

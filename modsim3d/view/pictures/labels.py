@@ -41,13 +41,13 @@ class Label:
 def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> int:
     """Draw labels, the most important ones first, and return how many have found a free place.
 
-    They cover the boxes in `keep_clear` as little as possible.
+    Optional ones are placed last. Labels cover the boxes in `keep_clear` as little as possible.
     """
     size = np.array(canvas.picture.size)
     plates = np.empty((0, 4))
     chosen: list[tuple[Label, str, Array]] = []
     content = np.array(keep_clear, dtype=np.float64).reshape(-1, 4)
-    for label in labels:
+    for label in sorted(labels, key=lambda label: label.optional):
         x0, y0, x1, y1 = label.box
         if x1 < 0 or y1 < 0 or x0 > size[0] or y0 > size[1]:
             continue

@@ -15,7 +15,7 @@ from modsim3d.view import palette
 from modsim3d.view.followed_tracks import TRAIL_S
 from modsim3d.view.outcome_words import NAMES
 from modsim3d.view.palette import Colour
-from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, Canvas, font, text_size
+from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, Canvas, font, text_size, words_apart
 from modsim3d.view.pictures.layers import Layers
 from modsim3d.view.pictures.marks import draw_detection, draw_tether
 from modsim3d.view.pictures.window import Box
@@ -109,7 +109,7 @@ def _rows(entries: Sequence[Entry], width: int, text_px: int) -> list[list[tuple
     rows: list[list[tuple[int, Entry]]] = [[]] if entries else []
     x = text_px // 2
     for entry in entries:
-        needed = 3 * text_px + text_size(entry.text, text_px)[2]
+        needed = 3 * text_px + text_size(words_apart(entry.text, text_px), text_px)[2]
         if x + needed > width and rows[-1]:
             rows.append([])
             x = text_px // 2
@@ -141,7 +141,9 @@ def _entry(canvas: Canvas, entry: Entry, x: int, y: int, text_px: int) -> None:
         _draw_sample(canvas, sample, entry.colour, entry.style)
     _, high, _, low = text_size("Ag", text_px)
     middle = (chip[1] + chip[3]) // 2 - (high + low) // 2
-    canvas.draw.text((chip[2] + text_px // 2, middle), entry.text, fill=palette.INK, font=font(text_px))
+    canvas.draw.text(
+        (chip[2] + text_px // 2, middle), words_apart(entry.text, text_px), fill=palette.INK, font=font(text_px)
+    )
 
 
 def _hatch(canvas: Canvas, chip: tuple[int, int, int, int], colour: Colour) -> None:

@@ -20,12 +20,13 @@ class Kind(Enum):
 
 ACTIVITIES = {Kind.TRAWLING: {"trawling"}, Kind.FISHING: {"netting", "longlining"}}
 """Words for what a vessel does. A ship type, such as trawler or fishing vessel, does not say that she fishes."""
-BUILDS = {
-    Kind.POWER: {"motor", "motorboat", "motoryacht", "power", "ship", "ferry", "tug", "cargo", "tanker", "barge"},
-    Kind.OARS: {"kayak", "canoe", "rowing", "rowboat", "paddle", "paddleboard"},
-    Kind.SAIL: {"sail", "sails", "sailing", "sailboat", "sailer", "yacht", "ketch", "sloop", "schooner", "yawl"},
-}
-"""Words for what a vessel is. If a text has several, the first kind in this order counts."""
+BUILDS = (
+    (Kind.POWER, {"motor", "motorboat", "motoryacht", "motorsailer", "power", "powerboat", "speedboat"}),
+    (Kind.OARS, {"kayak", "canoe", "rowing", "rowboat", "paddle", "paddleboard"}),
+    (Kind.SAIL, {"sail", "sails", "sailing", "sailboat", "sailer", "yacht", "ketch", "sloop", "schooner", "yawl"}),
+    (Kind.POWER, {"ship", "ferry", "tug", "cargo", "tanker", "barge"}),
+)
+"""Words for what a vessel is. If a text has several, the first line that has one of them counts."""
 
 
 def kind_of(vessel: Vessel) -> Kind:
@@ -35,7 +36,7 @@ def kind_of(vessel: Vessel) -> Kind:
         if any(words & text for text in texts):
             return kind
     for text in texts:
-        for kind, words in BUILDS.items():
+        for kind, words in BUILDS:
             if words & text:
                 return kind
     return Kind.POWER

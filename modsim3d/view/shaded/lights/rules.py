@@ -60,13 +60,11 @@ def _sailing(rig: _Rig) -> tuple[Lantern, ...]:
 def _fishing(rig: _Rig, kind: Kind, *, makes_way: bool) -> tuple[Lantern, ...]:
     """Rule 26: trawlers green over white, others red over white; a long trawler also a masthead light above them."""
     trawls = kind is Kind.TRAWLING
-    masthead = trawls and rig.length_m >= 50
-    upper_m = rig.fore[2] * rig.height_m if masthead else rig.top_m
     shown = [
-        rig.all_round("upper", Colour.GREEN if trawls else Colour.RED, upper_m),
-        rig.all_round("lower", Colour.WHITE, upper_m - rig.apart_m),
+        rig.all_round("upper", Colour.GREEN if trawls else Colour.RED, rig.upper_m),
+        rig.all_round("lower", Colour.WHITE, rig.upper_m - rig.apart_m),
     ]
-    if masthead:
+    if trawls and rig.length_m >= 50:
         shown.append(rig.masthead(rig.after))
     return (*shown, *rig.sides(), rig.stern()) if makes_way else tuple(shown)
 
@@ -111,6 +109,12 @@ class _Rig:
     def apart_m(self) -> float:
         """Distance between two lights, one above the other (Annex I, section 2 i)."""
         return 2.0 if self.length_m >= 20 else 1.0
+
+    @property
+    def upper_m(self) -> float:
+        """Height of the upper light of a vessel that fishes; a long trawler has her masthead light above it."""
+        long_trawler = kind_of(self.vessel) is Kind.TRAWLING and self.length_m >= 50
+        return self.fore[2] * self.height_m if long_trawler else self.top_m
 
     @cached_property
     def top(self) -> tuple[float, float, float]:
@@ -179,7 +183,7 @@ class _Rig:
             return 0.1, min(self.deck_m + 1.0, self.height_m) / self.height_m
         height_m = self.deck_m + 0.6 * (mast_m - self.deck_m)
         if kind in (Kind.TRAWLING, Kind.FISHING):  # twice as far below the lower light as that is below the upper one
-            height_m = min(height_m, self.top_m - 3 * self.apart_m)
+            height_m = min(height_m, self.upper_m - 3 * self.apart_m)
         if self.length_m < 20:
             height_m = min(height_m, mast_m - 1.0)
         v1 = 0.2 if self.length_m < 20 else min(self.top[0], self.fore[0])

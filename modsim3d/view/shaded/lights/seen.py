@@ -56,9 +56,10 @@ def lights_towards(sight: Sight, speeds_m_s: Array, extinction_per_m: float = 0.
         vessel, world_R_vessel = sight.vessels[index], sight.world_R_vessel[0, index]
         origin_m = sight.poses.positions_m[0, index]
         ahead, port, _ = ((camera_m - origin_m) @ world_R_vessel).tolist()
-        bearing_deg = math.degrees(math.atan2(port, ahead))
         for lantern in lanterns(vessel, float(speeds_m_s[index])):
-            if not lantern.sector.holds(bearing_deg):
+            # From the centreline, so that a broad ship shows both sidelights to what is right ahead.
+            bearing = math.atan2(port, ahead - lantern.place[0] * vessel.length_m)
+            if not lantern.sector.holds(math.degrees(bearing)):
                 continue
             place_m = world_R_vessel @ (np.array(lantern.place) * vessel.extents_m) + origin_m
             distance_m = max(float(np.linalg.norm(place_m - camera_m)), 1.0)
