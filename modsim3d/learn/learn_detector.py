@@ -82,7 +82,7 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
         matched_by=settings.rule.in_words(labelled.scored),
         curves_matched_by=str(curve_rule),
         warning=gate_warning(labelled, matched, settings.rule),
-        remarks_on_data=(*labelled.notes, *_remarks(observed)),
+        remarks_on_data=(*dict.fromkeys(labelled.notes), *_remarks(observed)),
         near_gate=_near_gate(observed, settings.rule),
     )
 
