@@ -20,18 +20,27 @@ FrameRateOption = Annotated[
     float | None,
     typer.Option(metavar="HZ", help="Frames per second, for MOT without seqinfo.ini and for COCO videos."),
 ]
+ConfidenceScaleOption = Annotated[
+    str | None,
+    typer.Option(metavar="LOW,HIGH", help="Confidences in the files that stand for 0 and for 1, such as 0,100."),
+]
 SkipBadOption = Annotated[
     bool, typer.Option("--skip-bad", help="Leave out wrong entries of the files, and say how many.")
 ]
 
 
 def read_options(
-    labels: str | None, image_size: str | None, skip_bad: bool, frame_rate: float | None, category_offset: int = 0
+    labels: str | None,
+    image_size: str | None,
+    skip_bad: bool,
+    frame_rate: float | None,
+    category_offset: int = 0,
+    confidence_scale: str | None = None,
 ) -> ReadOptions:
     """What options say of labelled sets.
 
     Raises:
-        InputError: A size or a frame rate is none.
+        InputError: A size, a frame rate or a scale is none.
     """
     from modsim3d.formats.reading.builder import ReadOptions
 
@@ -39,7 +48,19 @@ def read_options(
         raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate:g})"])
     size_px = None if image_size is None else _size_px(image_size)
     names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
-    return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset)
+    scale = None if confidence_scale is None else _scale(confidence_scale)
+    return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset, scale)
+
+
+def _scale(text: str) -> tuple[float, float]:
+    """Both ends of a text such as `0,100`."""
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        low, high = math.nan, math.nan
+    if not -math.inf < low < high < math.inf:
+        raise InputError("--confidence-scale", [f"must be LOW,HIGH, two numbers that rise, as 0,100 (got '{text}')"])
+    return low, high
 
 
 def _size_px(text: str) -> tuple[float, float]:

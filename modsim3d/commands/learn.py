@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modsim3d.commands.labelled_options import FrameRateOption, ImageSizeOption, SkipBadOption, read_options
+from modsim3d.commands.labelled_options import (
+    ConfidenceScaleOption,
+    FrameRateOption,
+    ImageSizeOption,
+    SkipBadOption,
+    read_options,
+)
 from modsim3d.commands.learn_json import learn_json
 from modsim3d.commands.shared import (
     JsonOption,
@@ -95,7 +101,7 @@ def learn_command(
         typer.Option(
             metavar="HOW",
             help="How boxes are matched: confidence, optimal, centre or provenance.",
-            show_default="provenance for --run, confidence for files",
+            show_default="provenance for --run, confidence for files, optimal without confidences",
         ),
     ] = None,
     iou: Annotated[
@@ -109,8 +115,12 @@ def learn_command(
         typer.Option(min=0, metavar="PX", help="Largest distance, for --match centre.", show_default="50"),
     ] = None,
     confidence: Annotated[
-        float, typer.Option(min=0, max=1, metavar="P", help="Least confidence of a detection that counts.")
-    ] = 0.2,
+        float | None,
+        typer.Option(
+            min=0, max=1, metavar="P", help="Least confidence of a detection that counts.", show_default="0.2"
+        ),
+    ] = None,
+    confidence_scale: ConfidenceScaleOption = None,
     clutter: Annotated[
         Clutter,
         typer.Option(metavar="MODEL", help="Model of the number of false positives: auto, calibrated or per_image."),
@@ -155,7 +165,7 @@ def learn_command(
     """
     from modsim3d.inputs.opening import inputs_noted
     from modsim3d.inputs.text_files import read_text
-    from modsim3d.learn.learn_detector import LearnOptions, learn_detector
+    from modsim3d.learn.learn_detector import LearnOptions, learn_detector, least_confidence
     from modsim3d.learn.learned import Settings
     from modsim3d.learn.learning import learned_files
     from modsim3d.learn.sources import Sources
@@ -168,7 +178,7 @@ def learn_command(
     page = out_file(page, out.with_suffix(".html"))
     if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
-    options = read_options(labels, image_size, skip_bad, frame_rate, category_offset)
+    options = read_options(labels, image_size, skip_bad, frame_rate, category_offset, confidence_scale)
     if match is None and truth and run:
         raise ModsimError(
             "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "
@@ -179,7 +189,8 @@ def learn_command(
         order = read_text(sequence, "sequence") if sequence else None
     if interval is None and runs:
         interval = runs[-1].scene.detector.transition_interval_s
-    settings = Settings(_rule(labelled, match, iou, distance), confidence, replicates, seed, clutter.value)
+    least = least_confidence(labelled, confidence)
+    settings = Settings(_rule(labelled, match, iou, distance), least, replicates, seed, clutter.value)
     wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
     noted = list(read)
     read += [path for folder in run or () for path in read_of_run(folder)]

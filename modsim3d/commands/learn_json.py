@@ -31,7 +31,8 @@ def learn_json(report: Report, written: Sequence[Path]) -> dict[str, Any]:
         **{name: [_figures(figures, report) for figures in group] for name, group in groups.items()},
         "state_conditions": dict(report.state_map.states),
         "numbers": [number for each in learned.intervals(report.level) for number in _numbers(each)],
-        "lost_average_precision": {share.kind.value: share.gain_points for share in report.shares.shares},
+        "lost_average_precision": report.shares
+        and {share.kind.value: share.gain_points for share in report.shares.shares},
         "warning": report.warning,
         "remarks": list(report.remarks),
         "left_simple": list(learned.notes),
@@ -50,7 +51,7 @@ def _figures(figures: Figures, report: Report) -> dict[str, Any]:
         "name": figures.name,
         "images": figures.images,
         **{name: found(column) for name, column in figures.any_label._asdict().items()},
-        "average_precision": found(figures.mean_average_precision.all_points),
+        "average_precision": figures.mean_average_precision and found(figures.mean_average_precision.all_points),
     }
 
 

@@ -87,7 +87,7 @@ class Results:
         image: Row of the images, non-decreasing, shape (D,).
         label: Index into the labels, shape (D,).
         boxes_px: x_min, y_min, x_max, y_max, shape (D, 4).
-        confidence: In [0, 1], shape (D,).
+        confidence: In [0, 1], NaN where not given, shape (D,).
         probabilities: Of the k labels, NaN where not given, shape (D, k); None if given nowhere.
         origin: Row of the annotation that each is the one detection of, −1 for a false detection, shape (D,); None
             where unknown.
@@ -140,6 +140,11 @@ class LabelledSet:
     results: Results
     notes: tuple[str, ...] = field(default=())
     ids: FileIds | None = None
+
+    @property
+    def scored(self) -> bool:
+        """Whether any detection has a confidence, or there are no detections."""
+        return not len(self.results) or not bool(np.isnan(self.results.confidence).all())
 
 
 def joined(parts: Sequence[LabelledSet]) -> LabelledSet:

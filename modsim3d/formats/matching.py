@@ -24,6 +24,8 @@ from modsim3d.inputs.budgets import MAX_PAIRS
 from modsim3d.inputs.validation import shown
 
 PAIRS_AT_ONCE = 2_000_000
+NOT_SCORED = "the detections have none (-1)"
+"""What is said where something needs confidences that are not given."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +48,15 @@ class Rule:
 
     def __str__(self) -> str:
         """The rule in words, for a report."""
+        return self.in_words()
+
+    def in_words(self, scored: bool = True) -> str:
+        """The rule in words; without confidences the nearest centres come first."""
         if self.method == "provenance":
             return "provenance"
         if self.method == "centre":
-            return f"centres at most {self.most_distance_px:g} px apart, in order of confidence"
+            order = "in order of confidence" if scored else "the nearest first"
+            return f"centres at most {self.most_distance_px:g} px apart, {order}"
         order = "optimal assignment" if self.method == "optimal" else "in order of confidence"
         return f"IoU at least {self.least_iou:g}, {order}"
 
@@ -64,8 +71,13 @@ class Rule:
 
 
 def usual_method(labelled: LabelledSet) -> str:
-    """Provenance where the set says what each detection is of, as runs do; else in order of confidence, by IoU."""
-    return "confidence" if labelled.results.origin is None else "provenance"
+    """Provenance where the set says what each detection is of, as runs do; else in order of confidence, by IoU.
+
+    Without confidences, the optimal assignment.
+    """
+    if labelled.results.origin is not None:
+        return "provenance"
+    return "confidence" if labelled.scored else "optimal"
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +158,15 @@ def image_pairs(first: Indices, second: Indices, images: int) -> Iterator[tuple[
 
 
 def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> Matched:
-    """Match the detections that are confident enough.
+    """Match the detections that are confident enough, or whose confidence is not given.
 
     Raises:
-        ModsimError: The rule is `provenance`, and the set does not say where detections come from.
+        ModsimError: The rule is `provenance`, and the set does not say where detections come from; or it is
+            `confidence`, and no confidences are given.
     """
-    takes_part = labelled.results.confidence >= least_confidence
+    takes_part = ~(labelled.results.confidence < least_confidence)
+    if rule.method == "confidence" and not labelled.scored:
+        raise ModsimError(f"matching in order of confidence needs confidences, and {NOT_SCORED}: give --match optimal")
     if rule.method == "provenance":
         matches = _by_provenance(labelled, takes_part, rule)
     else:
@@ -227,16 +242,16 @@ def fits(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: R
 
 
 def _greedy(labelled: LabelledSet, pairs: Candidates) -> Indices:
-    """Most confident detection first.
+    """Most confident detection first; without confidences, the pair that fits best first.
 
     Ties are broken as COCO's own tools do: the later of equal annotations, the earlier of equal detections.
     """
     annotations, results = labelled.annotations, labelled.results
-    target, detection = pairs.annotation, pairs.detection
+    target, detection, ignored = pairs.annotation, pairs.detection, annotations.ignored[pairs.annotation]
     matches = np.full(len(results), NOBODY)
-    order = np.lexsort(
-        (-target, -pairs.quality, annotations.ignored[target], detection, -results.confidence[detection])
-    )
+    order = np.lexsort((-target, -pairs.quality, ignored, detection, -results.confidence[detection]))
+    if not labelled.scored:
+        order = np.lexsort((-target, detection, -pairs.quality, ignored))
     taken, done = set[int](), set[int]()
     crowd = annotations.crowd[target[order]].tolist()
     for row, box, many in zip(detection[order].tolist(), target[order].tolist(), crowd, strict=True):

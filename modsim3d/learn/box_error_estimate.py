@@ -11,9 +11,8 @@ from modsim3d.arrays import Array
 from modsim3d.learn.class_estimate import kept_share
 from modsim3d.learn.entries import Entry, Key, nested
 from modsim3d.learn.error_laws import LAWS, ErrorSample, LearnedLaw, heavy_tails
-from modsim3d.learn.form import SIGNIFICANT
 from modsim3d.learn.observed import ErrorSource, Observed
-from modsim3d.learn.persistence_fit import PAIRS_NEEDED, Consecutive, steps_between
+from modsim3d.learn.persistence_fit import Consecutive, steps_between
 from modsim3d.learn.resampling import Resampling
 
 ERRORS_NEEDED = 20
@@ -133,18 +132,23 @@ def _likelihood(errors_px: Array, sides_px: Array | None) -> float:
 
 
 def _persistence_s(observed: Observed, states: tuple[StateErrorForm, ...], notes: list[str]) -> float:
-    """Rough correlation time of errors; 0 with a note if they do not persist."""
-    if len(observed.steps) < PAIRS_NEEDED:
+    """Rough correlation time of errors; 0 with a note if they do not persist, or that is not sure."""
+    if not len(observed.steps):
         return 0.0  # which the note on misses says
-    if len(observed.pairs) < PAIRS_NEEDED:
-        text = f"persistence.box_s: 0; had {len(observed.pairs)} matches, needs {PAIRS_NEEDED}"
-    else:
-        consecutive = consecutive_errors(observed, states)
-        if len(consecutive) >= PAIRS_NEEDED and consecutive.correlated(SIGNIFICANT):
-            return consecutive.rough_time_s()
-        text = f"persistence.box_s: 0; errors of {len(consecutive)} consecutive pairs are not correlated"
-    notes.append(text)
+    consecutive = consecutive_errors(observed, states)
+    found = consecutive.correlation()
+    if found.persists:
+        return consecutive.rough_time_s()
+    notes.append(f"persistence.box_s: 0; {found.doubt if len(consecutive) else _why_none(observed, states)}")
     return 0.0
+
+
+def _why_none(observed: Observed, states: tuple[StateErrorForm, ...]) -> str:
+    """Why no two errors can be compared."""
+    away = (observed.pairs.of_source(ErrorSource.OWN_STATE, form.relative, k) for k, form in enumerate(states))
+    if max(int(chosen.sum()) for chosen in away) < ERRORS_NEEDED:
+        return f"no state has {ERRORS_NEEDED} matches away from the image's edge"
+    return "nothing has two matches away from the image's edge"
 
 
 def consecutive_errors(observed: Observed, states: tuple[StateErrorForm, ...]) -> Consecutive:

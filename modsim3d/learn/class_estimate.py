@@ -12,11 +12,9 @@ from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, MissFit, attribu
 from modsim3d.learn.entries import Entry, Key, columns_of_one, digits
 from modsim3d.learn.form import SIGNIFICANT, ratio
 from modsim3d.learn.observed import Observed
-from modsim3d.learn.persistence_fit import PAIRS_NEEDED, Consecutive, frame_interval_s
+from modsim3d.learn.persistence_fit import Consecutive, frame_interval_s, why_no_steps
 from modsim3d.learn.resampling import Column, Resampling, resample, spread, widened
 
-MISSES_NEEDED = 30
-"""Misses, before a correlation time of misses is looked for."""
 _TRIALS, _USUAL_RUNS = 200, 24
 
 
@@ -140,27 +138,23 @@ def _significant(
 def _usual_run_s(observed: Observed) -> float:
     """Length of runs of frames in which misses that persist look independent; 0 where frames are not consecutive."""
     times = observed.labelled.images.time_s
-    if len(observed.steps) < PAIRS_NEEDED:
+    if not len(observed.steps):
         return 0.0
     return float(np.nanmax(times) - np.nanmin(times)) / _USUAL_RUNS
 
 
 def _persistence_s(observed: Observed, effects: tuple[Effect, ...], fit: MissFit | None, notes: list[str]) -> float:
-    """Rough correlation time of misses; 0 with a note if they do not persist."""
-    pairs, misses = len(observed.steps), int(observed.missed.sum())
-    if pairs < PAIRS_NEEDED:
-        text = (
-            f"persistence: none; had {pairs} sightings that follow one of the same vessel, needs {PAIRS_NEEDED} "
-            "(frames with times, annotations with identities)"
-        )
-    elif misses < MISSES_NEEDED:
-        text = f"persistence.class_s: 0; had {misses} misses, needs {MISSES_NEEDED}"
-    else:
-        consecutive = consecutive_misses(observed, fit if effects else _plain_fit(observed))
-        if consecutive.correlated(SIGNIFICANT):
-            return consecutive.rough_time_s()
-        text = f"persistence.class_s: 0; misses of {pairs} consecutive pairs are not correlated"
-    notes.append(text)
+    """Rough correlation time of misses; 0 with a note if they do not persist, or that is not sure."""
+    if not len(observed.steps):
+        notes.append(f"persistence: none; {why_no_steps(observed.labelled)}")
+        return 0.0
+    consecutive = consecutive_misses(observed, fit if effects else _plain_fit(observed))
+    found = consecutive.correlation()
+    if found.persists:
+        return consecutive.rough_time_s()
+    varies = consecutive.expected.sum() > 0
+    reason = found.doubt if varies else "of each label in each state either everything or nothing was missed"
+    notes.append(f"persistence.class_s: 0; {reason}")
     return 0.0
 
 

@@ -11,6 +11,7 @@ from scipy import special
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.learn.entries import Entry, Key, digits, nested
+from modsim3d.learn.form import LearnedPart
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Column, Resampling, widened
 
@@ -38,7 +39,7 @@ class ConfidenceForm:
     false: tuple[ScoreForm, ...]
     notes: tuple[str, ...]
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedConfidence:
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
         """The distributions of each state."""
         learned: dict[Kind, list[LearnedScores]] = {"true": [], "false": []}
         for kind, forms in zip(KINDS, (self.true, self.false), strict=True):
@@ -48,6 +49,30 @@ class ConfidenceForm:
                 fit = _quantile_scores if form == "quantiles" else _normal_scores
                 learned[kind].append(fit(ours, ("confidence", kind), state, observed.threshold, resampling))
         return LearnedConfidence(tuple(learned["true"]), tuple(learned["false"]))
+
+
+@dataclass(frozen=True)
+class NoConfidenceForm:
+    """Detections without confidences."""
+
+    notes: tuple[str, ...] = ("confidence: 1 for every detection; the detections have none (-1)",)
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
+        """Nothing to estimate."""
+        return SureOfEverything()
+
+
+@dataclass(frozen=True)
+class SureOfEverything:
+    """A confidence of 1 for every detection, where none is known."""
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """Nothing outside the states."""
+        return {}
+
+    def state_section(self, state: int) -> dict[str, Any]:
+        """The same in every state."""
+        return {"confidence": {"mean": 1.0, "std": 0.0}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +144,10 @@ class LearnedConfidence:
         return {"confidence": {"true": self.true[state].section(), "false": self.false[state].section()}}
 
 
-def choose_confidence(observed: Observed) -> ConfidenceForm:
+def choose_confidence(observed: Observed) -> ConfidenceForm | NoConfidenceForm:
     """Which distribution the confidences of each state and kind follow."""
+    if not observed.labelled.scored:
+        return NoConfidenceForm()
     notes: list[str] = []
     scores = {kind: Scores.of(observed, kind) for kind in KINDS}
     chosen: dict[Kind, list[ScoreForm]] = {"true": [], "false": []}

@@ -72,7 +72,7 @@ class Figures:
         false_labels: Share of each label among false detections, shape (k,) (eq. 5.26).
         errors: Moments of the box errors in pixels (eq. 5.36 to 5.41), also of each label.
         error_covariance: Of the `CELLS`, in px², shape (10,).
-        average_precision: Of each label, shape (k,).
+        average_precision: Of each label, shape (k,); None without confidences, as are the next two.
         mean_average_precision: Over labels that are there (eq. 5.46).
         confidence_entropy: Cross-entropy of confidence, as the probability of being right.
         label_entropy: Cross-entropy of labels; None if no probabilities are given.
@@ -91,9 +91,9 @@ class Figures:
     errors: ErrorMoments
     error_covariance: Column
     errors_of_labels: tuple[ErrorMoments, ...]
-    average_precision: AveragePrecisions
-    mean_average_precision: AveragePrecisions
-    confidence_entropy: Column
+    average_precision: AveragePrecisions | None
+    mean_average_precision: AveragePrecisions | None
+    confidence_entropy: Column | None
     label_entropy: Column | None
 
 
@@ -103,7 +103,7 @@ class Matches:
 
     Attributes:
         matched: Matches with labels left aside, above the confidence threshold.
-        by_label: Matches label by label, at any confidence: for average precision.
+        by_label: Matches label by label, at any confidence: for average precision. None without confidences.
         beta: How many times more recall weighs than precision in F-beta.
         inflation: Factor by which persistent misses raise variances at least. Replicates cannot tell it for what
             happened once.
@@ -111,7 +111,7 @@ class Matches:
 
     labelled: LabelledSet
     matched: Matched
-    by_label: Matched
+    by_label: Matched | None
     resampling: Resampling
     beta: float = 2.0
     inflation: float = 1.0
@@ -148,7 +148,7 @@ class Matches:
                 ErrorMoments.of(self.resampling, found_in[label == each], errors[label == each]) for each in range(k)
             ),
             average_precision=average_precision,
-            mean_average_precision=_mean_average_precision(average_precision),
+            mean_average_precision=average_precision and _mean_average_precision(average_precision),
             confidence_entropy=self._confidence_entropy(images),
             label_entropy=self._label_entropy(images),
         )
@@ -162,7 +162,9 @@ class Matches:
         errors = errors_between(results.boxes_px[found], annotations.boxes_px[annotation])
         return results.image[found], annotations.label[annotation], errors
 
-    def _average_precision(self, images: Mask) -> AveragePrecisions:
+    def _average_precision(self, images: Mask) -> AveragePrecisions | None:
+        if self.by_label is None:
+            return None
         weights = self.resampling.weights[: 1 + CURVE_REPLICATES]
         labels = range(len(self.labelled.labels))
         rankings = [Ranking.of(self.labelled, self.by_label, label, images) for label in labels]
@@ -170,7 +172,9 @@ class Matches:
         number = np.array([float(len(ranking.annotation_image)) for ranking in rankings])
         return AveragePrecisions(*(Column(values[:, :, form], "fraction", number) for form in range(4)))
 
-    def _confidence_entropy(self, images: Mask) -> Column:
+    def _confidence_entropy(self, images: Mask) -> Column | None:
+        if not self.labelled.scored:
+            return None
         results = self.labelled.results
         rows = np.flatnonzero(self.matched.counts & images[results.image])
         right = self.matched.annotation[rows] >= 0

@@ -85,13 +85,16 @@ def results(report: Report) -> list[tuple[str, str, str]]:
     matched, found = observed.matched, len(observed.matched.pairs[0])
     sought, counts = int(np.count_nonzero(matched.sought)), int(np.count_nonzero(matched.counts))
     wrong = _wrong_class(report)
-    points = 100 * report.shares.average_precision
+    precise = []
+    if report.shares is not None:
+        points = f"{100 * report.shares.average_precision:.1f}"
+        precise = [("Average precision", points, f"points of 100, by {report.curves_matched_by}")]
     return [
         ("Matches", f"{found:,}", f"of {counted(sought, 'annotation')}"),
         ("Missed", _percent(sought - found, sought), f"{sought - found:,} of {counted(sought, 'annotation')}"),
         ("False", _percent(counts - found, counts), f"{counts - found:,} of {counted(counts, 'detection')}"),
         ("Wrong class", _percent(wrong, found), f"{wrong:,} of {counted(found, 'match', 'matches')}"),
-        ("Average precision", f"{points:.1f}", f"points of 100, by {report.curves_matched_by}"),
+        *precise,
         ("Left simple", f"{len(report.learned.notes):,}", "parts of which the data say too little; listed below"),
     ]
 

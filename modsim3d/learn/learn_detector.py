@@ -11,7 +11,7 @@ from modsim3d.arrays import Indices, Mask
 from modsim3d.boxes import iou
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Matched, Rule, match
+from modsim3d.formats.matching import NOT_SCORED, Matched, Rule, match
 from modsim3d.learn.error_shares import error_shares
 from modsim3d.learn.figures import Figures, Matches
 from modsim3d.learn.gate_bias import bias_of
@@ -21,6 +21,9 @@ from modsim3d.learn.observed import Observed
 from modsim3d.learn.report import NearGate, Report
 from modsim3d.learn.states import StateMap, cluster, each_its_own, parse_sequence, parse_states, transitions_of
 from modsim3d.learn.transitions import Transitions, count_transitions
+
+LEAST_CONFIDENCE = 0.2
+"""Least confidence of a detection that counts, unless another is asked for."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +53,16 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
     """Learn and report.
 
     Raises:
-        ModsimError: There are no annotations, or the states do not fit the conditions.
+        ModsimError: There are no annotations, the states do not fit the conditions, or some conditions have confidences
+            and others have none.
     """
+    _check_scores(labelled)
     check_size(len(labelled.labels), 1, settings.replicates)  # before boxes are matched, which takes longer
     matched = match(labelled, settings.rule, settings.threshold)
     if not matched.sought.any():
         raise ModsimError("no annotation is there to be detected: nothing can be learned")
     curve_rule = settings.rule.for_average_precision
-    by_label = match(labelled, curve_rule)
+    by_label = match(labelled, curve_rule) if labelled.scored else None
     state_map = _state_map(labelled, matched, options)
     image_state = state_map.of_images(labelled.images, labelled.conditions)
     observed = Observed(labelled, matched, state_map.names, image_state, settings.threshold)
@@ -70,15 +75,41 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
         states=[matches.figures(name, image_state == k) for k, name in enumerate(state_map.names)],
         state_map=state_map,
         learned=learned,
-        shares=error_shares(labelled, by_label, image_state >= 0, curve_rule),
+        shares=None if by_label is None else error_shares(labelled, by_label, image_state >= 0, curve_rule),
         bias=bias_of(learned, settings) if options.bias else None,
         level=options.level,
         beta=options.beta,
-        matched_by=str(settings.rule),
+        matched_by=settings.rule.in_words(labelled.scored),
         curves_matched_by=str(curve_rule),
         warning=gate_warning(labelled, matched, settings.rule),
-        remarks_on_data=(*labelled.notes, *_remarks(observed)),
+        remarks_on_data=(*dict.fromkeys(labelled.notes), *_remarks(observed)),
         near_gate=_near_gate(observed, settings.rule),
+    )
+
+
+def least_confidence(labelled: LabelledSet, asked: float | None) -> float:
+    """The least confidence of a detection that counts: the one that was asked for, or 0.2; 0 without confidences.
+
+    Raises:
+        ModsimError: One was asked for, and the detections have no confidences.
+    """
+    if labelled.scored:
+        return LEAST_CONFIDENCE if asked is None else asked
+    if asked is not None:
+        raise ModsimError(f"--confidence {asked:g} needs confidences, and {NOT_SCORED}: leave it out, and all count")
+    return 0.0
+
+
+def _check_scores(labelled: LabelledSet) -> None:
+    """Refuse conditions with confidences beside conditions without."""
+    missing, condition = np.isnan(labelled.results.confidence), labelled.images.condition[labelled.results.image]
+    if not labelled.scored or not missing.any():
+        return
+    without, scored = (
+        ", ".join(labelled.conditions[k] for k in np.unique(condition[rows])) for rows in (missing, ~missing)
+    )
+    raise ModsimError(
+        f"the detections of {without} have no confidences (-1), and those of {scored} do: learn from them apart"
     )
 
 
@@ -132,7 +163,12 @@ _ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
 
 
 def _remarks(observed: Observed) -> Iterator[str]:
-    """What speaks against the matches."""
+    """What the data lack, and what speaks against the matches."""
+    if not observed.labelled.scored:
+        yield (
+            "the detections have no confidences (-1): all of them count, average precision and the other figures that "
+            "need confidences are left out, and the detector file gives every detection a confidence of 1"
+        )
     labelled, (found, annotation) = observed.labelled, observed.matched.pairs
     if not len(found):
         yield "nothing matches: do annotations and detections belong to the same images, with boxes in the same pixels?"

@@ -23,7 +23,7 @@ from modsim3d.formats.matching import Rule, usual_method
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.inputs.opening import inputs_noted
-from modsim3d.inputs.validation import Count, Positive, Probability, Strict, describe, shown
+from modsim3d.inputs.validation import Count, Number, Positive, Probability, Strict, describe, shown
 from modsim3d.learn import learn_detector as labelled_sets
 from modsim3d.learn.learn_detector import LearnOptions
 from modsim3d.learn.learned import Settings
@@ -148,7 +148,8 @@ class _Choices(Strict):
     match: Method | None
     least_iou: Annotated[float, Field(strict=True, gt=0, le=1)]
     most_distance_px: Positive
-    confidence: Probability
+    confidence: Probability | None
+    confidence_scale: tuple[Number, Number] | None
     replicates: Annotated[int, Field(strict=True, ge=20)]
     seed: Count
     labels: tuple[str, ...]
@@ -166,7 +167,8 @@ def learn_detector(
     match: Method | None = None,
     least_iou: float = 0.5,
     most_distance_px: float = 50.0,
-    confidence: float = 0.2,
+    confidence: float | None = None,
+    confidence_scale: tuple[float, float] | None = None,
     replicates: int = 300,
     seed: int = 0,
     labels: Sequence[str] = (),
@@ -186,10 +188,13 @@ def learn_detector(
         states: Which conditions make each performance state, such as `{"good": ["day"], "bad": ["fog", "rain"]}`, or
             a number of states to be found by F1; a state for each condition if None.
         match: How boxes are matched: `confidence`, `optimal`, `centre` or `provenance`; if None, by provenance, that
-            is by what each detection came from, where that is known, which is in runs; else by `confidence`.
+            is by what each detection came from, where that is known, which is in runs; else by `confidence`, or
+            by `optimal` without confidences.
         least_iou: Least IoU of a match by `confidence` and `optimal`.
         most_distance_px: Largest distance between centres of a match by `centre`, in pixels.
-        confidence: Least confidence of a detection that counts.
+        confidence: Least confidence of a detection that counts; 0.2 if None. Without confidences all count.
+        confidence_scale: Confidences in the files that stand for 0 and for 1, such as (0, 100); None if they are from
+            0 to 1.
         replicates: Number of replicates of the bootstrap.
         seed: Seed of the bootstrap.
         labels: Names of the classes, for MOT and YOLO.
@@ -206,6 +211,7 @@ def learn_detector(
         least_iou=least_iou,
         most_distance_px=most_distance_px,
         confidence=confidence,
+        confidence_scale=confidence_scale,
         replicates=replicates,
         seed=seed,
         labels=labels,
@@ -226,7 +232,8 @@ def learn_detector(
         with inputs_noted() as inputs:  # also of files that are not named, such as data.yaml
             labelled = _read(pairs, given)
     rule = Rule(given.match or usual_method(labelled), given.least_iou, given.most_distance_px)
-    settings = Settings(rule, given.confidence, given.replicates, given.seed)
+    least = labelled_sets.least_confidence(labelled, given.confidence)
+    settings = Settings(rule, least, given.replicates, given.seed)
     options = LearnOptions(*wanted, interval_s=interval_s)
     truths, results = tuple(pair[1] for pair in pairs), tuple(pair[2] for pair in pairs)
     call = f"modsim3d.learn_detector({'run=…' if runs else 'truth=…, detections=…'}).write(…) from Python"
@@ -262,7 +269,10 @@ def _paths(given: Paths | None, name: str) -> list[Path]:
 
 
 def _read(pairs: Iterable[tuple[str, Path, Path]], given: _Choices) -> LabelledSet:
-    options = ReadOptions(given.labels, given.image_size_px, frame_rate_hz=given.frame_rate_hz)
+    scale = given.confidence_scale
+    if scale and not scale[0] < scale[1]:
+        raise InputError("learn_detector", [f"confidence_scale: must be two numbers that rise (got {shown(scale)})"])
+    options = ReadOptions(given.labels, given.image_size_px, frame_rate_hz=given.frame_rate_hz, confidence_scale=scale)
     return joined([read_pair(*pair, options) for pair in pairs])
 
 

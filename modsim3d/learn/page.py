@@ -31,17 +31,18 @@ def page_text(report: Report, out: Path, detector: str, sources: Sources) -> str
     body += [page.paragraph(how_well(report), "lead")]
     body += [page.paragraph(f"Warning: {report.warning}.", "bad")] if report.warning else []
     body += [page.tiles(results(report)), *_to_know(report), page.paragraph(lead(report), "soft")]
-    body += [page.heading(f"Precision against recall, matched by {report.curves_matched_by}"), *_curve_pictures(report)]
+    body += _curve_pictures(report)
     body += [page.heading("Box errors"), *_scatter(report)]
     body += [page.heading("Confusion matrices"), *_matrices(report)]
-    gains = {each.kind.value: max(each.gain_points, 0.0) for each in report.shares.shares}
-    body += [page.heading("What average precision is lost to"), charts.named_bars(gains, "points", _SHARES)]
+    if report.shares is not None:
+        gains = {each.kind.value: max(each.gain_points, 0.0) for each in report.shares.shares}
+        body += [page.heading("What average precision is lost to"), charts.named_bars(gains, "points", _SHARES)]
     for table in tables(report, every=True):
         body += [page.heading(table.title), '<div class="wide">', page.table(table.rows, table.header), "</div>"]
     body.append(page.heading("Left simple"))
     notes = report.learned.notes
     body.append(page.listed(notes) if notes else page.paragraph("Nothing: there was enough of everything."))
-    body += [page.paragraph(NEVER_LEARNED), page.paragraph(_POINTS, "soft")]
+    body += [page.paragraph(NEVER_LEARNED), *([page.paragraph(_POINTS, "soft")] if report.shares else [])]
     title = f"{out.name}: a detector learned from {counted(len(report.labelled.images), 'image')}"
     return page.page(title, body, _provenance(report, out, detector, sources))
 
@@ -65,7 +66,7 @@ def _provenance(report: Report, out: Path, detector: str, sources: Sources) -> P
         seeds=sources.seeds,
         options=(
             ("Matched by", report.matched_by),
-            ("Least confidence", f"{settings.threshold:g}"),
+            ("Least confidence", f"{settings.threshold:g}" if report.labelled.scored else "none: not given"),
             ("Intervals", f"{report.level:.0%}, {settings.replicates:,} replicates of the bootstrap"),
             ("States", states),
         ),
@@ -93,6 +94,8 @@ _POINTS = (
 
 
 def _curve_pictures(report: Report) -> list[str]:
+    if report.by_label is None:
+        return []
     curves, states = [], report.learned.observed.states
     for label, name in enumerate(report.labelled.labels):
         of_state: dict[str, tuple[Array, Array]] = {}
@@ -106,7 +109,8 @@ def _curve_pictures(report: Report) -> list[str]:
         curves.append(
             charts.precision_recall(of_state, colours, f"{name}: largest precision at each recall or beyond.")
         )
-    return ['<div class="plots">', *curves, "</div>"]
+    title = page.heading(f"Precision against recall, matched by {report.curves_matched_by}")
+    return [title, '<div class="plots">', *curves, "</div>"]
 
 
 def _scatter(report: Report) -> list[str]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.resampling import Column, Resampling, widened
 
-PAIRS_NEEDED = 200
-"""Consecutive sightings, before a correlation time is looked for."""
+LEVEL = 0.999
+"""Level of the interval of a correlation that decides whether noise persists."""
 _GRID = 96
 _ONCE = Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64))
 
@@ -27,6 +28,27 @@ class Steps:
     def __len__(self) -> int:
         """Number of pairs."""
         return len(self.earlier)
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """The interval of the correlation between one sighting and the next, from so many pairs of sightings."""
+
+    low: float
+    high: float
+    pairs: int
+
+    @property
+    def persists(self) -> bool:
+        """Whether noise surely persists."""
+        return self.low > 0
+
+    @property
+    def doubt(self) -> str:
+        """Why noise is not said to persist."""
+        where = "lies below 0, and only noise that persists is simulated" if self.high < 0 else "includes 0"
+        pairs = "1 consecutive pair" if self.pairs == 1 else f"{self.pairs:,} consecutive pairs"
+        return f"the {LEVEL:.1%} interval of the correlation in {pairs}, {self.low:.2f} to {self.high:.2f}, {where}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +71,26 @@ class Consecutive:
         """Number of pairs."""
         return len(self.products)
 
-    def correlated(self, significant: float) -> bool:
-        """Whether the mean product is so many standard errors above zero."""
-        error = float(self.products.std()) / np.sqrt(max(len(self), 1))
-        return bool(error > 0 and float(self.products.mean()) > significant * error)
+    def correlation(self) -> Correlation:
+        """The correlation with its interval.
+
+        Products of noise that does not persist are independent with mean 0, and their squares say how far the
+        correlation strays from 0. A correlation ρ above 0 strays further: its variance is larger by that of a share ρ
+        of so many trials as the expected products are worth, of rare misses as many as there are. Without it, two
+        misses among a thousand finds, which are hardly ever neighbours, would seem to show that misses do not persist.
+        """
+        whole, pairs = float(self.expected.sum()), len(self)
+        if whole <= 0:
+            return Correlation(-1.0, 1.0, pairs)
+        errors = float(special.ndtri((1 + LEVEL) / 2))
+        middle = float(self.products.sum()) / whole
+        reach = errors * float(np.sqrt((self.products**2).sum())) / whole
+        a_trial = errors**2 * float((self.expected**2).sum()) / whole**2
+        # The largest ρ ≥ 0 with (ρ − middle)² ≤ reach² + a_trial·ρ·(1 − ρ).
+        half = (middle + a_trial / 2) / (1 + a_trial)
+        root = half**2 - (middle**2 - reach**2) / (1 + a_trial)
+        high = max(middle + reach, half + np.sqrt(root) if root >= 0 else -1.0)
+        return Correlation(max(middle - reach, -1.0), min(high, 1.0), pairs)
 
     def rough_time_s(self) -> float:
         """The correlation time, without replicates."""
@@ -108,6 +146,15 @@ def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:
     apart_s = time_s[later] - time_s[earlier]
     same = (identity[earlier] == identity[later]) & (sequence[earlier] == sequence[later]) & (apart_s > 0)
     return Steps(earlier[same], later[same], apart_s[same])
+
+
+def why_no_steps(labelled: LabelledSet) -> str:
+    """Why no annotation follows another of the same thing."""
+    if not np.isfinite(labelled.images.time_s).any():
+        return "frames have no times"
+    if not np.any(labelled.annotations.identity >= 0):
+        return "annotations have no identities"
+    return "nothing is annotated in two frames with times"
 
 
 def frame_interval_s(labelled: LabelledSet) -> float:

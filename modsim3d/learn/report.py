@@ -12,7 +12,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.error_moments import CELLS, ErrorMoments
 from modsim3d.learn.error_shares import ErrorShares
-from modsim3d.learn.figures import Figures, Rates
+from modsim3d.learn.figures import AveragePrecisions, Figures, Rates
 from modsim3d.learn.gate_bias import Bias
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.parts import models_and_learners
@@ -68,9 +68,9 @@ class Report:
     """Everything that is reported.
 
     Attributes:
-        by_label: Matches label by label, for average precision and its curves.
+        by_label: Matches label by label, for average precision and its curves; None without confidences.
         conditions: Figures of each condition, the largest F1 first.
-        shares: What average precision is lost to.
+        shares: What average precision is lost to; None without confidences.
         bias: By how much matching shifts the numbers; None where that was not asked for.
         level: Level of the confidence intervals.
         beta: How many times more recall weighs than precision in F-beta.
@@ -82,12 +82,12 @@ class Report:
     """
 
     labelled: LabelledSet
-    by_label: Matched
+    by_label: Matched | None
     conditions: Sequence[Figures]
     states: Sequence[Figures]
     state_map: StateMap
     learned: Learned
-    shares: ErrorShares
+    shares: ErrorShares | None
     bias: Bias | None
     level: float
     beta: float
@@ -149,11 +149,11 @@ def tables(report: Report, every: bool = False) -> list[Table]:
     found = [_state_table(report)] if report.states_differ else []
     found += [_rates(report, groups), _errors(report, groups), _correlations(report, groups)]
     found += [_covariances(report, groups)] if every else []
-    found.append(_curves(report, groups))
+    found += _curves(report, groups)
     found += [_labels(report, figures) for figures in detailed if several]
     found += [_label_errors(report, figures) for figures in detailed if several and every]
     found += [_confusion(report, figures) for figures in detailed]
-    found += [_shares(report), _parameters(report)]
+    found += [*_shares(report), _parameters(report)]
     found += [] if report.bias is None else [_bias(report.bias)]
     return [*found, _models()]
 
@@ -189,15 +189,18 @@ def _labels(report: Report, figures: Figures) -> Table:
     def row(rates: Rates) -> tuple[Column, ...]:
         return (*rates[:3], *rates[4:])  # without F-beta
 
-    columns = [*row(figures.of_labels), figures.average_precision.all_points]
+    def area(of: AveragePrecisions | None) -> tuple[Column, ...]:
+        return () if of is None else (of.all_points,)
+
+    columns, last = [*row(figures.of_labels), *area(figures.average_precision)], ("AP",) * report.labelled.scored
     rows = [
         (name, f"{figures.counts[:, place].sum():.0f}", *cells(columns, place))
         for place, name in enumerate(report.labelled.labels)
     ]
-    rows.append(("arithmetic mean", "", *cells([*row(figures.mean), figures.mean_average_precision.all_points])))
-    rows.append(("weighted mean", "", *cells(row(figures.weighted)), ""))
+    rows.append(("arithmetic mean", "", *cells([*row(figures.mean), *area(figures.mean_average_precision)])))
+    rows.append(("weighted mean", "", *cells(row(figures.weighted)), *("" for _ in last)))
     title = f"Labels in {report.name(figures)}: another label is a miss of one and a false one of the other"
-    return Table(title, ("label", "annotations", *_RATES, "AP"), tuple(rows))
+    return Table(title, ("label", "annotations", *_RATES, *last), tuple(rows))
 
 
 def _error_cells(report: Report, figures: Figures, moments: ErrorMoments) -> list[str]:
@@ -245,15 +248,18 @@ def _label_errors(report: Report, figures: Figures) -> Table:
     return Table(title, ("label", *_ERROR_COLUMNS), rows)
 
 
-def _curves(report: Report, groups: Sequence[Figures]) -> Table:
+def _curves(report: Report, groups: Sequence[Figures]) -> list[Table]:
+    """The table of average precision; none without confidences."""
     rows = []
     for figures in groups:
+        if figures.mean_average_precision is None or figures.confidence_entropy is None:
+            return []
         entropies = [figures.confidence_entropy, *([figures.label_entropy] if figures.label_entropy else [])]
         columns = [*figures.mean_average_precision, *entropies]
         rows.append((report.name(figures), *(_cell(column, report.level, figures.units, 3) for column in columns)))
     extra = ("confidence cross-entropy", *(("label cross-entropy",) if groups[0].label_entropy else ()))
     title = f"Mean average precision over labels, every detection counted, matched by {report.curves_matched_by}"
-    return Table(title, ("condition", *_AVERAGE_PRECISIONS, *extra), tuple(rows))
+    return [Table(title, ("condition", *_AVERAGE_PRECISIONS, *extra), tuple(rows))]
 
 
 def _confusion(report: Report, figures: Figures) -> Table:
@@ -273,11 +279,14 @@ def _confusion(report: Report, figures: Figures) -> Table:
     return Table(title, ("", *names, "background"), tuple(rows))
 
 
-def _shares(report: Report) -> Table:
+def _shares(report: Report) -> list[Table]:
+    """The table of what average precision is lost to; none without confidences."""
+    if report.shares is None:
+        return []
     rows = tuple((each.kind.value, str(each.count), f"{each.gain_points:.2f}") for each in report.shares.shares)
     points = f"{100 * report.shares.average_precision:.1f} points"
     title = f"What mean average precision, {points}, is lost to, matched by {report.curves_matched_by}"
-    return Table(title, ("error", "number", "points gained if corrected"), rows)
+    return [Table(title, ("error", "number", "points gained if corrected"), rows)]
 
 
 def _parameters(report: Report) -> Table:
@@ -322,9 +331,10 @@ NEVER_LEARNED = (
 def lead(report: Report) -> str:
     """One sentence on the data and the method that the numbers rest on."""
     learned, labelled = report.learned, report.labelled
+    counted = f"confidence at least {learned.observed.threshold:g}" if labelled.scored else "without confidences"
     drawn = f"runs of {learned.run_s:.3g} s" if learned.run_s else "images"
     return (
         f"{len(labelled.images)} images, {len(labelled.annotations)} annotations, {len(labelled.results)} detections; "
-        f"matched by {report.matched_by}, confidence at least {learned.observed.threshold:g}; "
+        f"matched by {report.matched_by}, {counted}; "
         f"{report.level:.0%} intervals by bootstrap over {learned.units[None]} {drawn}."
     )

@@ -185,9 +185,10 @@ def test_mot(tmp_path):
     )
     with pytest.raises(InputError) as raised:
         read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
-    assert [line.partition(":")[0] for line in raised.value.problems] == [
+    assert [line.partition(":")[0] for line in raised.value.problems[:-1]] == [
         f"det.txt line {k}" for k in (3, 4, 1, 2, 5)
     ]  # fmt: skip
+    assert raised.value.problems[-1].startswith("confidences are from 0.9 to 7 here: --confidence-scale")
     (tmp_path / "seqinfo.ini").unlink()
     with pytest.raises(InputError, match="give --image-size"):
         read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())

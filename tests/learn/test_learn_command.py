@@ -178,7 +178,7 @@ def test_states_from_conditions_and_from_clusters(tmp_path):
     assert [state.name for state in model.states] == ["good", "bad"]
     assert model.transition_matrix.tolist() == [[1, 0], [0, 1]]
     assert "had 0 transitions" in named.output
-    assert "persistence: none; had 0 sightings" in named.output
+    assert "persistence: none; frames have no times" in named.output
     (tmp_path / "sequence.txt").write_text("excellent\nexcellent\nbad\n" * 10)
     command(*arguments, "--states", "3", "--sequence", tmp_path / "sequence.txt", "--interval", 5, "--out", out,
             "--overwrite", "--replicates", 30)  # fmt: skip

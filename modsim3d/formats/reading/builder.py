@@ -36,6 +36,7 @@ class ReadOptions:
         skip_bad: Leave out wrong entries and count them.
         frame_rate_hz: For MOT, and for COCO whose images have a `frame_id` alone.
         category_offset: Number to add to the category IDs of COCO results.
+        confidence_scale: Confidences in the files that stand for 0 and for 1; None if they are from 0 to 1.
     """
 
     labels: tuple[str, ...] = ()
@@ -43,6 +44,7 @@ class ReadOptions:
     skip_bad: bool = False
     frame_rate_hz: float | None = None
     category_offset: int = 0
+    confidence_scale: tuple[float, float] | None = None
 
 
 NO_OPTIONS = ReadOptions()

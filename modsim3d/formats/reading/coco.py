@@ -37,6 +37,7 @@ from modsim3d.formats.reading.builder import (
     labelled_set,
     valid_box,
 )
+from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.inputs.budgets import COCO_BYTES_PER_VALUE
 from modsim3d.inputs.strict_json import check_values, parse_json
 from modsim3d.inputs.text_files import read_text
@@ -89,9 +90,11 @@ def _read_results(
     """Append the results of a file; remarks on them."""
     problems, entries = Problems(f"detections {detections}", options.skip_bad), _results(detections)
     known, doubt = _known_to_results(entries, known, names, options.category_offset, problems)
+    scores = ((f"[{index}]", entry.get("score")) for index, entry in enumerate(entries) if isinstance(entry, dict))
+    confidences = Confidences.of(scores, options.confidence_scale, problems, "score")
     for index, entry in enumerate(entries):
-        _result(entry, f"[{index}]", known, rows, problems)
-    return doubt + problems.settle()
+        _result(entry, f"[{index}]", known, rows, confidences, problems)
+    return doubt + problems.settle() + confidences.notes
 
 
 def _known_to_results(
@@ -345,17 +348,19 @@ def _annotation(entry: Any, where: str, known: _Known, rows: AnnotationRows, pro
         rows.add(place, crowd or bool(entry.get("ignore", 0)), crowd, identity, visible_fraction, depth_m)
 
 
-def _result(entry: Any, where: str, known: _Known, rows: ResultRows, problems: Problems) -> None:
+def _result(
+    entry: Any, where: str, known: _Known, rows: ResultRows, confidences: Confidences, problems: Problems
+) -> None:
     place = _place(entry, where, known, problems)
     if place is None:
         return
-    score, given = entry.get("score"), entry.get("probabilities")
-    if not is_number(score, 0, 1):
-        problems.add(f"{where}: score must be from 0 to 1 (got {shown(score)})")
-    elif given is not None and not _distribution(given, len(known.categories)):
+    score, given = confidences.read(entry.get("score"), where, problems), entry.get("probabilities")
+    if score is None:
+        return
+    if given is not None and not _distribution(given, len(known.categories)):
         problems.add(f"{where}: probabilities must be {len(known.categories)} numbers from 0 to 1 (got {shown(given)})")
     else:
-        rows.add(place, float(score), given)
+        rows.add(place, score, given)
 
 
 def _distribution(values: Any, count: int) -> bool:

@@ -2,9 +2,9 @@
 
 A line of truth is frame, identity, x, y, width, height, flag (0 is ignored), class, visibility. A line of detections is
 frame, −1, x, y, width, height, confidence, and a class if the eighth number is 1 or more; if no line has a class, there
-is only one label. Frames and pixels count from 1: a box that begins at the left edge of the image has x = 1 (Milan et
-al. (2016), "MOT16", data format). A `seqinfo.ini` beside or above the truth gives the size of the images, their number
-and the frame rate.
+is only one label. A confidence of −1 in every line means that none is given. Frames and pixels count from 1: a box that
+begins at the left edge of the image has x = 1 (Milan et al. (2016), "MOT16", data format). A `seqinfo.ini` beside or
+above the truth gives the size of the images, their number and the frame rate.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from modsim3d.formats.reading.builder import (
     labelled_set,
     valid_box,
 )
+from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.formats.reading.text_lines import number_lines
 from modsim3d.inputs.budgets import FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES
 from modsim3d.inputs.text_files import read_text
@@ -90,8 +91,9 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     to_label, classed = {number: k for k, number in enumerate(names)}, "detections" if detected else "other lines"
     known = _Known(to_label, classed, min(spanned, MAX_FRAMES))
     annotations = _annotations(annotated, known, problems)
-    results = _results(detected, known, wrong)
-    notes = problems.settle() + wrong.settle()
+    confidences = Confidences.of(((where, numbers[6]) for where, numbers in detected), options.confidence_scale, wrong)
+    results = _results(detected, known, confidences, wrong)
+    notes = problems.settle() + wrong.settle() + confidences.notes
     rate_hz = options.frame_rate_hz or info.rate_hz
     if rate_hz is None:
         notes.append(f"{condition}: the frame rate is not known, so frames have no times: give --frame-rate")
@@ -146,15 +148,13 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
     return rows
 
 
-def _results(lines: Lines, known: _Known, problems: Problems) -> ResultRows:
+def _results(lines: Lines, known: _Known, confidences: Confidences, problems: Problems) -> ResultRows:
     rows = ResultRows(_corners)
     for where, numbers in lines:
-        if not 0 <= numbers[6] <= 1:
-            problems.add(f"{where}: confidence must be from 0 to 1 (got {numbers[6]:g})")
-            continue
-        place = _place(where, numbers, problems, known)
-        if place is not None:
-            rows.add(place, numbers[6])
+        confidence = confidences.read(numbers[6], where, problems)
+        place = None if confidence is None else _place(where, numbers, problems, known)
+        if place is not None and confidence is not None:
+            rows.add(place, confidence)
     return rows
 
 

@@ -27,6 +27,7 @@ from modsim3d.formats.reading.builder import (
     labelled_set,
     valid_box,
 )
+from modsim3d.formats.reading.confidences import Confidences, Scale
 from modsim3d.formats.reading.image_sizes import image_size_px, images_in
 from modsim3d.formats.reading.text_lines import number_lines
 from modsim3d.inputs.strict_yaml import load_yaml
@@ -57,8 +58,8 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
     problems = Problems(f"ground truth {truth}", options.skip_bad)
     wrong = Problems(f"detections {detections}", options.skip_bad)
     annotations = _annotations(_files(folder), images, problems)
-    results = _results(_files(predicted), images, wrong)
-    notes = problems.settle() + wrong.settle()
+    results, remarks = _results(_files(predicted), images, options.confidence_scale, wrong)
+    notes = problems.settle() + wrong.settle() + remarks
     found = {place.label for place in annotations.places + results.places}
     numbers = sorted({*range(len(names)), *found})
     whole = [names[number] if number < len(names) else f"class_{number}" for number in numbers]
@@ -78,17 +79,22 @@ def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> An
     return rows
 
 
-def _results(paths: list[Path], images: ImageRows, problems: Problems) -> ResultRows:
-    rows = ResultRows(corner_form)
-    for image, where, numbers in _lines(paths, images, "predictions", problems):
+def _results(
+    paths: list[Path], images: ImageRows, scale: Scale | None, problems: Problems
+) -> tuple[ResultRows, list[str]]:
+    """The results, and remarks on their confidences."""
+    rows, lines = ResultRows(corner_form), list(_lines(paths, images, "predictions", problems))
+    given = ((where, numbers[5]) for _, where, numbers in lines if len(numbers) == 6)
+    confidences = Confidences.of(given, scale, problems)
+    for image, where, numbers in lines:
         if len(numbers) != 6:
             problems.add(f"{where}: has {len(numbers)} numbers, must have 6: class, x, y, width, height, confidence")
             problems.hint = "predictions must come with their confidence (ultralytics: save_txt=True save_conf=True)"
-        elif not 0 <= numbers[5] <= 1:
-            problems.add(f"{where}: confidence must be from 0 to 1 (got {numbers[5]:g})")
-        elif (place := _place(where, numbers, image, images.sizes_px[image], problems)) is not None:
-            rows.add(place, numbers[5])
-    return rows
+        elif (confidence := confidences.read(numbers[5], where, problems)) is not None and (
+            place := _place(where, numbers, image, images.sizes_px[image], problems)
+        ) is not None:
+            rows.add(place, confidence)
+    return rows, confidences.notes
 
 
 def _lines(

@@ -1,0 +1,119 @@
+"""Whether noise persists is decided by an interval, and the note says what it was."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.learned import Learned, Settings, learn
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.persistence_fit import Consecutive
+from modsim3d.learn.transitions import Transitions
+from tests.formats.labelled_sets import found, images, truth
+
+RATE_HZ = 5.0
+
+
+def chain(kept: float, rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Standard normal numbers of which a share is kept from one row to the next, with a first axis of rows."""
+    value = rng.normal(size=shape)
+    for row in range(1, len(value)):
+        value[row] = kept * value[row - 1] + np.sqrt(1 - kept**2) * value[row]
+    return value
+
+
+def two_boats(frames: int, errors_px: np.ndarray, missed: np.ndarray | None = None) -> LabelledSet:
+    """Two boats in each frame, with errors (frames, 2, 4) in pixels; which are missed has shape (frames, 2)."""
+    image, identity = np.repeat(np.arange(frames), 2), np.tile([0, 1], frames)
+    boxes = np.tile([[200.0, 200, 260, 260], [400.0, 400, 460, 460]], (frames, 1))
+    seen = np.ones(2 * frames, dtype=bool) if missed is None else ~missed.ravel()
+    moved = boxes + errors_px.reshape(-1, 4)
+    return LabelledSet(
+        ("boat",),
+        ("usual",),
+        images(frames, time_s=np.arange(frames) / RATE_HZ),
+        truth(image, 0 * image, boxes, identity=identity),
+        found(image[seen], 0 * image[seen], moved[seen], np.full(seen.sum(), 0.9)),
+    )
+
+
+def learned_from(labelled: LabelledSet) -> Learned:
+    state = np.zeros(len(labelled.images), dtype=np.int64)
+    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2)
+    return learn(observed, Transitions(np.zeros((1, 1))), Settings(replicates=20))
+
+
+def notes_on(key: str, learned: Learned) -> list[str]:
+    return [note for note in learned.notes if note.startswith(f"{key}: ")]
+
+
+def test_errors_and_misses_that_persist_in_few_frames_are_found():
+    rng = np.random.default_rng(1)
+    errors, luck = chain(0.9, rng, 60, 2, 4), chain(0.95, rng, 90, 2)
+    learned = learned_from(two_boats(60, 2 * errors))
+    asked_s = 1 / RATE_HZ / -np.log(0.9)
+    assert 0.5 * asked_s < learned.detector()["persistence"]["box_s"] < 2 * asked_s
+    assert notes_on("persistence.box_s", learned) == []
+    misses = learned_from(two_boats(90, rng.normal(size=(90, 2, 4)), luck < -0.3))
+    assert misses.detector()["persistence"].keys() == {"class_s"}
+
+
+def test_the_interval_that_includes_zero_is_the_reason():
+    rng = np.random.default_rng(2)
+    learned = learned_from(two_boats(40, rng.normal(size=(40, 2, 4)), rng.random((40, 2)) < 0.3))
+    assert "persistence" not in learned.detector()
+    for key in ("class_s", "box_s"):
+        (note,) = notes_on(f"persistence.{key}", learned)
+        said = re.search(r"interval of the correlation in (\d+) consecutive pairs, (\S+) to (\S+), includes 0$", note)
+        assert said and 20 < int(said[1]) <= 78 and float(said[2]) <= 0 <= float(said[3]) < 1
+        assert "99.9%" in note
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "reason"),
+    [
+        ("times", "persistence", "none; frames have no times"),
+        ("identities", "persistence", "none; annotations have no identities"),
+        ("one frame each", "persistence", "none; nothing is annotated in two frames with times"),
+        ("all found", "persistence.class_s", "0; of each label in each state either everything or nothing was missed"),
+        ("few", "persistence.box_s", "0; no state has 20 matches away from the image's edge"),
+    ],
+)
+def test_the_reason_is_what_is_missing(change, key, reason):
+    frames = 9 if change == "few" else 40
+    labelled = two_boats(frames, np.random.default_rng(3).normal(size=(frames, 2, 4)))
+    if change == "times":
+        labelled = replace(labelled, images=replace(labelled.images, time_s=np.full(40, np.nan)))
+    if change in ("identities", "one frame each"):
+        number = np.arange(80) if change == "one frame each" else np.full(80, -1)
+        labelled = replace(labelled, annotations=replace(labelled.annotations, identity=number))
+    assert notes_on(key, learned_from(labelled)) == [f"{key}: {reason}"]
+
+
+def misses_of(missed: np.ndarray) -> Consecutive:
+    """Consecutive misses of one thing, shape (n,)."""
+    residual = missed - missed.mean()
+    count = len(missed) - 1
+    return Consecutive(residual[:-1] * residual[1:], residual[:-1] ** 2, np.ones(count), np.zeros(count, dtype=int))
+
+
+def test_a_correlation_of_rare_misses_is_not_said_to_be_known():
+    missed = np.zeros(1000)
+    missed[[300, 700]] = 1
+    found = misses_of(missed).correlation()
+    assert not found.persists and found.high > 0.7  # one of the two might as well have lasted
+    assert "includes 0" in found.doubt
+    alternating = misses_of(np.arange(200) % 2.0).correlation()
+    assert alternating.high < 0 and "lies below 0" in alternating.doubt
+
+
+@pytest.mark.parametrize("count", [12, 60, 400])
+def test_noise_that_does_not_persist_is_hardly_ever_said_to(count):
+    rng = np.random.default_rng(4)
+    wrong = sum(misses_of((rng.random(count + 1) < 0.4).astype(float)).correlation().persists for _ in range(1000))
+    assert wrong <= 5  # of 1000, at a level of 99.9 % of both sides
