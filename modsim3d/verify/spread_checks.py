@@ -24,7 +24,7 @@ def spread_checks(model: DetectorModel, evidence: Evidence, group: str) -> list[
     expected, found = expected_clutter(model, evidence), n_transient(evidence)
     windows = {
         "variance over mean in images": np.arange(len(found)),
-        "variance over mean in stretches with one expected": stretches(evidence.frames.camera, expected.transient),
+        "variance over mean in stretches": stretches(evidence.frames.camera, expected.transient),
     }
     measures = {name: _spread(expected, evidence.frames.state, found, window) for name, window in windows.items()}
     return [

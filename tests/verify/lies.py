@@ -184,7 +184,7 @@ LIES: Mapping[Lie, set[str]] = {
     same_misses_in_both_cameras: {"misses: correlation between cameras"},
     confidence_in_order: {"confidence: order in time", "confidence: correlation with earlier times"},
     confidence_in_order_within_minutes: {"confidence: correlation with earlier times"},
-    even_false_positives: {"false positives: variance over mean in stretches with one expected"},
+    even_false_positives: {"false positives: variance over mean in stretches"},
     false_positives_in_threes: {"false positives: variance over mean in images"},
 }
 """Each lie, and the checks that must find it."""
