@@ -141,8 +141,8 @@ def main() -> None:
         "Promised are less than 0.1 s of processor time per 1,000 vessel-frames of boxes; 200,000 steps open in less "
         "than 2 s and take less than 50 MB. Processor time and memory are of `modsim3d report`, from its start, which "
         f"takes about 1 s. A page is opened from the disk, {ROUNDS} times; the median from the start of navigation to "
-        f"the first frame. Then {SHOWN} steps are shown one after the other: the median time to draw one, and the longest "
-        "from asking for a step to seeing it, with the parts that had to be unpacked.",
+        f"the first frame. Then {SHOWN} steps are shown one after the other: the median time to draw one, and the "
+        "longest from asking for a step to seeing it, with the parts that had to be unpacked.",
         "",
         table(HEAD, rows),
         "",
