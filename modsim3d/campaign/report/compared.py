@@ -9,7 +9,7 @@ import pyarrow.compute as pc
 from modsim3d.arrays import Array, Indices
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.report.cells import over_seeds, seed_cells
-from modsim3d.campaign.report.tables import grid, without_empty
+from modsim3d.campaign.report.tables import without_empty
 from modsim3d.campaign.report.words import (
     MOST_KEYS,
     Score,
@@ -66,7 +66,7 @@ def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
             f"of twenty, one is expected to miss.{_stopped(plan)}{remark}",
             "soft",
         ),
-        grid(*without_empty(rows, header, (CRASHED_RUNS,)), bad=bad),
+        page.table(*without_empty(rows, header, (CRASHED_RUNS,)), bad=bad),
     ]
 
 
@@ -129,7 +129,7 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
             "nothing.",
             "soft",
         ),
-        grid(rows, header, markup=(len(columns) + 3,)),
+        page.table(rows, header, markup=(len(columns) + 3,)),
     ]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.report.tables import grid, without_empty
+from modsim3d.campaign.report.tables import without_empty
 from modsim3d.campaign.report.words import MOST_KEYS, condition_cells, number, shown, varying, with_interval
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.display import counted
@@ -94,7 +94,7 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
     bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
     notes = {place: _note(each, limit) for place, each in enumerate(shown)}
-    table = grid(kept, names, markup=(len(columns) + 3,), bad=bad, notes=notes)
+    table = page.table(kept, names, markup=(len(columns) + 3,), bad=bad, notes=notes)
     if len(rows) > MOST_OPEN:
         first = sum(each.outcome != "met" for each in shown)
         opened = 0 < first <= MOST_OPEN

@@ -13,7 +13,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from PIL import Image
 
-from modsim3d.campaign.report.tables import grid
 from modsim3d.campaign.report.words import Score, in_words, number, values_of, varying
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.verdicts.verdict import Verdict
@@ -134,6 +133,6 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
         page.heading("Runs that crashed"),
         page.paragraph(said, "soft"),
         _command("Make the first again", again),
-        grid(rows, ("runs", "error", "trackers", "numbers of the runs")),
+        page.table(rows, ("runs", "error", "trackers", "numbers of the runs")),
         *([page.paragraph(more.strip(), "soft")] if more else []),
     ]

@@ -12,7 +12,6 @@ import pyarrow as pa
 
 from modsim3d.campaign.file.keys import Range, SearchKeys
 from modsim3d.campaign.report.rests_on import rests_on
-from modsim3d.campaign.report.tables import grid
 from modsim3d.campaign.report.words import Score, number
 from modsim3d.campaign.results.done_rows import text_of
 from modsim3d.campaign.results.folder import CampaignFolder
@@ -124,7 +123,7 @@ def _worst(folder: CampaignFolder, search: SearchKeys, score: Score, table: pa.T
     ]
     if not rows:
         return [page.paragraph("There are none.")]
-    return [grid(rows, ("trial", score.name, *search.over, "traffic seed", "make it again"))]
+    return [page.table(rows, ("trial", score.name, *search.over, "traffic seed", "make it again"))]
 
 
 def _others(table: pa.Table) -> list[str]:
@@ -132,7 +131,7 @@ def _others(table: pa.Table) -> list[str]:
     if not rows:
         return []
     said = "A trial that is refused has values that the scene does not take; it is no failure of the tracker."
-    return [page.paragraph(said, "soft"), grid(rows[:SHOWN], ("trial", "status", "error"))]
+    return [page.paragraph(said, "soft"), page.table(rows[:SHOWN], ("trial", "status", "error"))]
 
 
 def _ranges(search: SearchKeys) -> Sequence[tuple[str, str]]:

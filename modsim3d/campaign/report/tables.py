@@ -1,31 +1,8 @@
-"""Tables and folded parts of the page; wide tables scroll by themselves, so that the page does not."""
+"""Tables of the page of a campaign without what says nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
-
-from modsim3d.view.pages.page import scrolling
-from modsim3d.view.pages.tables import NO_NOTES, table
-
-
-def grid(
-    rows: Sequence[Sequence[str]],
-    header: Sequence[str],
-    *,
-    markup: Container[int] = (),
-    bad: Container[int] = (),
-    notes: Mapping[int, str] = NO_NOTES,
-) -> str:
-    """A table; columns of numbers, with an interval or not, are set to the right.
-
-    Args:
-        rows: The cells as text.
-        header: Names of the columns.
-        markup: Columns whose cells are HTML already.
-        bad: Rows that stand out.
-        notes: What is said below a row, by its number.
-    """
-    return scrolling(table(rows, header, bad, markup=markup, notes=notes))
+from collections.abc import Sequence
 
 
 def without_empty(

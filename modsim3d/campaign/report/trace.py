@@ -11,7 +11,6 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.arrays import Indices
-from modsim3d.campaign.report.tables import grid
 from modsim3d.campaign.results.done_rows import text_of
 from modsim3d.campaign.results.folder import FILE, VERDICTS, CampaignFolder
 from modsim3d.campaign.verdicts.verdict import Verdict
@@ -64,7 +63,7 @@ def _verdicts(table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
             ]
         )
     header = ["requirement", "tracker", "condition", "outcome", "runs", "traffic seeds", "detector seeds"]
-    yield grid(rows, header)
+    yield page.table(rows, header)
     yield from _left_out(len(verdicts), VERDICTS)
 
 
@@ -97,7 +96,7 @@ def _conditions(folder: CampaignFolder) -> Iterator[str]:
         values = ", ".join(f"{key} {text_of(value)}" for key, value in each["values"].items())
         sums = (each[name][:_DIGITS] for name in ("truth_sha256", "detector_sha256"))
         rows.append([f"{number}", each["scene"], values or "as it is", *sums])
-    yield grid(rows, ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"])
+    yield page.table(rows, ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"])
     yield from _left_out(len(conditions), PLAN)
     if folder.plan.drawn:
         keys = ", ".join(folder.plan.drawn)

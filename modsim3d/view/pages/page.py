@@ -5,16 +5,28 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 from PIL import Image
 
-from modsim3d.view.pages import tables
 from modsim3d.view.pages.print_style import PRINT_STYLE, mark_of, sheet_style
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
-from modsim3d.view.pages.tables import LEAST_STACKED, NO_NOTES, TABLE_STYLE, UNKNOWN, facts
+from modsim3d.view.pages.tables import TABLE_STYLE, UNKNOWN, facts, scrolling, table
 
-__all__ = ["STYLE", "UNKNOWN", "facts", "folded", "heading", "listed", "page", "paragraph", "picture", "table", "tiles"]
+__all__ = [
+    "STYLE",
+    "UNKNOWN",
+    "facts",
+    "folded",
+    "heading",
+    "listed",
+    "page",
+    "paragraph",
+    "picture",
+    "scrolling",
+    "table",
+    "tiles",
+]
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2329; --paper: #fbfbf9; --soft: #5c6670; --line: #d5d9dc; --bad: #c22; }
@@ -66,24 +78,6 @@ def paragraph(text: str, kind: str = "") -> str:
 def heading(text: str) -> str:
     """A section's heading."""
     return f"<h2>{html.escape(text)}</h2>"
-
-
-def table(
-    rows: Sequence[Sequence[str]],
-    header: Sequence[str] = (),
-    bad: Container[int] = (),
-    *,
-    markup: Container[int] = (),
-    notes: Mapping[int, str] = NO_NOTES,
-) -> str:
-    """A table as `tables.table` writes it; one of several columns scrolls sideways where it is too wide."""
-    written = tables.table(rows, header, bad, markup=markup, notes=notes)
-    return scrolling(written) if len(header) >= LEAST_STACKED else written
-
-
-def scrolling(content: str) -> str:
-    """A table that scrolls sideways where it is too wide, by keyboard too."""
-    return f'<div class="scroll" tabindex="0" role="group" aria-label="Table">{content}</div>'
 
 
 def listed(texts: Iterable[str], kind: str = "") -> str:

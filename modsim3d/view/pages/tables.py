@@ -59,7 +59,8 @@ def table(
 ) -> str:
     """A table of rows under a header; columns of numbers are set to the right, with their points below each other.
 
-    A dash for an unknown number stands where the numbers of its column do.
+    One of several columns scrolls sideways where it is too wide. A dash for an unknown number stands where the numbers
+    of its column do.
 
     Args:
         rows: The cells as text.
@@ -94,7 +95,13 @@ def table(
         lines.append(('<tr class="bad">' if number in bad else "<tr>") + content + "</tr>")
         if note := notes.get(number):
             lines.append(f'<tr><td colspan="{len(shown)}" class="soft">{html.escape(note)}</td></tr>')
-    return "\n".join([*lines, "</tbody>", "</table>"])
+    written = "\n".join([*lines, "</tbody>", "</table>"])
+    return scrolling(written) if len(header) >= LEAST_STACKED else written
+
+
+def scrolling(content: str) -> str:
+    """A table that scrolls sideways where it is too wide, by keyboard too."""
+    return f'<div class="scroll" tabindex="0" role="group" aria-label="Table">{content}</div>'
 
 
 def is_numeric(column: Sequence[str]) -> bool:

@@ -43,7 +43,7 @@ function vesselInWords(vessel, frame, { vessels, labels }) {
   const { name, label } = vessels[vessel], truth = frame.truths.find((each) => each.vessel === vessel);
   const found = frame.detections.find((each) => each.vessel === vessel && !each.false), lines = [labels.length > 1 ? `${name} (${label})` : name];
   if (truth) {
-    const [distance, seen, became] = describe(truth, null), by = truth.hider && truth.fraction > 0 ? `, hidden by ${truth.hider.replace(/^obstacle:/, '')}` : '';
+    const [distance, seen, became] = describe(truth, null), by = truth.hider && truth.fraction > 0 ? `, hidden by ${truth.hider}` : '';
     lines.push([distance, seen && `${seen} visible${by}`].filter((word) => word).join(', '));
     if (!found) lines.push(became);
   }

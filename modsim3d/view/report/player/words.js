@@ -1,7 +1,7 @@
 // What is said of vessels and detections, in words.
 
 function describe(truth, detection) {
-  const seen = truth.fraction === null ? '' : percent(truth.fraction), by = truth.hider ? ` by ${truth.hider.replace(/^obstacle:/, '')}` : '';
+  const seen = truth.fraction === null ? '' : percent(truth.fraction), by = truth.hider ? ` by ${truth.hider}` : '';
   const as = detection?.mislabelled ? `as ${detection.label}` : 'detected', how = detection?.off ? ', off it' : detection?.bad ? ', IoU\u00a0<\u00a00.5' : '';
   const found = `${as} ${detection?.confidence.toFixed(2) ?? ''}${how}`;
   const what = truth.missed ? 'missed' : truth.detected ? found : truth.fraction === 0 ? 'hidden' : 'not annotated';
