@@ -234,7 +234,8 @@ class Scene:
         Raises:
             InputError: The vessel that carries the camera has no pose at a step.
         """
-        vessel_poses = vessel_poses or self.motion.at(steps)
+        if vessel_poses is None:
+            vessel_poses = self.motion.at(steps)
         camera_poses = self.camera_poses(camera, vessel_poses, steps)
         curved = self.sea == "curved"
         return line_of_sight(camera, camera_poses, steps, self.vessels, vessel_poses, self.obstacles, curved)

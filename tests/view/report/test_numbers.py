@@ -7,6 +7,8 @@ import math
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from tests.view.report.browser import Browser
+
 STEP = 90
 ROWS = "[...document.querySelectorAll('#{} tr')].map(row => [...row.cells].map(cell => cell.textContent))"
 LEFT_OUT = {"camera", "step", "timestamp"}  # above the table
@@ -15,9 +17,17 @@ TENTHS = {*BOX, "silhouette_px", "visible_px", "depth_m"}
 DIGITS = {**dict.fromkeys(TENTHS, 1), "visible_fraction": 4, "in_frame_fraction": 4}
 
 
+def open_numbers(browser: Browser) -> None:
+    """Press the key and wait until the tables are filled: a browser tells later that a part was opened."""
+    browser.press("d")
+    browser.run(
+        "new Promise(done => { const look = () => (player.numbers.detections ? done(1) : setTimeout(look, 5)); look(); })"
+    )
+
+
 def test_the_table_has_every_column_of_the_truth(browser, mistaken_page, mistaken_folder):
     browser.open(mistaken_page, hash=f"#step={STEP}")
-    browser.press("d")
+    open_numbers(browser)
     header, *rows = browser.run(ROWS.format("numbersTruth"))
     table = pq.read_table(mistaken_folder / "truth.parquet")
     truth = table.filter((pc.field("step") == STEP) & (pc.field("camera") == "bow")).to_pylist()
@@ -65,7 +75,7 @@ def test_the_table_has_the_detections_and_follows_steps_but_not_play(browser, mi
 def test_the_tables_that_are_opened_while_the_run_plays_are_those_of_that_frame(browser, mistaken_page):
     browser.open(mistaken_page, hash=f"#step={STEP}")
     browser.run("(player.playback.playing = true, 0)")  # without a clock
-    browser.press("d")
+    open_numbers(browser)
     rows = browser.run(ROWS.format("numbersDetections"))
     assert len(rows) > 3
     false = "player.numbers.detections.findLastIndex(each => each.false)"
@@ -79,7 +89,7 @@ def test_the_tables_that_are_opened_while_the_run_plays_are_those_of_that_frame(
 def test_the_numbers_are_copied_as_cells(browser, mistaken_page):
     browser.call("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
     browser.open(mistaken_page, hash=f"#step={STEP}")
-    browser.press("d")
+    open_numbers(browser)
     browser.click("#numbersCopy")
     text = browser.run("new Promise(done => setTimeout(() => done(navigator.clipboard.readText()), 50))")
     of, truth, detections = text.rstrip("\n").split("\n\n")
