@@ -21,7 +21,8 @@ def open_numbers(browser: Browser) -> None:
     """Press the key and wait until the tables are filled: a browser tells later that a part was opened."""
     browser.press("d")
     browser.run(
-        "new Promise(done => { const look = () => (player.numbers.detections ? done(1) : setTimeout(look, 5)); look(); })"
+        "new Promise(done => { const look = () => (player.numbers.detections ? done(1) : setTimeout(look, 5));"
+        " look(); })"
     )
 
 
