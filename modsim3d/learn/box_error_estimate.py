@@ -11,7 +11,8 @@ from modsim3d.arrays import Array
 from modsim3d.learn.class_estimate import kept_share
 from modsim3d.learn.entries import Entry, Key, nested
 from modsim3d.learn.error_laws import LAWS, ErrorSample, LearnedLaw, heavy_tails
-from modsim3d.learn.observed import ErrorSource, Observed
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.pairs import ErrorSource
 from modsim3d.learn.persistence_fit import Consecutive, steps_between
 from modsim3d.learn.resampling import Resampling
 

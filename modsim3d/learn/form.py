@@ -10,6 +10,24 @@ from modsim3d.arrays import Array
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling
 
+RICHER = (
+    "relative",
+    "mixed",
+    "student_t",
+    "effects",
+    "persistence",
+    "sizes",
+    "places",
+    "lasting",
+    "confidence",
+    "slopes",
+    "duplicates",
+    "merges",
+    "splits",
+)
+"""What learning may add to the plain model, and can be told to leave out: box errors that grow with the box, or partly
+do; heavy tails; effects on misses; persistence of misses and box errors; sizes and places of false positives, and how
+long they last; confidence of true and false detections apart; its slopes; duplicates, merges and splits."""
 SIGNIFICANT = 3.3
 """Standard errors from zero that an effect needs: one in a thousand reaches them by chance."""
 

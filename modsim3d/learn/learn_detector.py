@@ -65,7 +65,7 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
     by_label = match(labelled, curve_rule) if labelled.scored else None
     state_map = _state_map(labelled, matched, options)
     image_state = state_map.of_images(labelled.images, labelled.conditions)
-    observed = Observed(labelled, matched, state_map.names, image_state, settings.threshold)
+    observed = Observed(labelled, matched, state_map.names, image_state, settings.threshold, settings.without)
     learned = learn(observed, _transitions(observed, options), settings)
     matches = Matches(labelled, matched, by_label, learned.resampling, options.beta, learned.numbers.classes.inflation)
     return Report(

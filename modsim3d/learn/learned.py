@@ -44,6 +44,7 @@ class Settings:
         replicates: Number of replicates of the bootstrap.
         seed: Seed of all random numbers.
         clutter: Model of the number of false positives; `auto` for the likelier of `calibrated` and `per_image`.
+        without: Models of `form.RICHER` that are left out whatever the data carry.
     """
 
     rule: Rule = field(default_factory=Rule)
@@ -51,6 +52,7 @@ class Settings:
     replicates: int = 300
     seed: int = 0
     clutter: str = "auto"
+    without: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from modsim3d.learn.error_moments import covariance
 from modsim3d.learn.error_shares import ErrorKind, error_shares
 from modsim3d.learn.figures import Matches
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.observed import ErrorSource, Observed
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.pairs import ErrorSource
 from modsim3d.learn.persistence_fit import Consecutive
 from modsim3d.learn.resampling import Column, from_scale, resample, to_scale
 from modsim3d.learn.states import transitions_of
