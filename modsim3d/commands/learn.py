@@ -125,6 +125,10 @@ def learn_command(
         Clutter,
         typer.Option(metavar="MODEL", help="Model of the number of false positives: auto, calibrated or per_image."),
     ] = Clutter.auto,
+    without: Annotated[
+        str | None,
+        typer.Option(metavar="MODEL,...", help="Models to leave out, whatever the data carry (docs/learn.md)."),
+    ] = None,
     level: Annotated[
         float, typer.Option(min=0.5, max=0.9999, metavar="P", help="Confidence level of the intervals.")
     ] = 0.95,
@@ -165,6 +169,7 @@ def learn_command(
     """
     from modsim3d.inputs.opening import inputs_noted
     from modsim3d.inputs.text_files import read_text
+    from modsim3d.learn.form import left_out
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector, least_confidence
     from modsim3d.learn.learned import Settings
     from modsim3d.learn.learning import learned_files
@@ -178,6 +183,7 @@ def learn_command(
     page = out_file(page, out.with_suffix(".html"))
     if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
+    plain = left_out((name.strip() for name in without.split(",")) if without else (), "--without")
     options = read_options(labels, image_size, skip_bad, frame_rate, category_offset, confidence_scale)
     if match is None and truth and run:
         raise ModsimError(
@@ -190,7 +196,7 @@ def learn_command(
     if interval is None and runs:
         interval = runs[-1].scene.detector.transition_interval_s
     least = least_confidence(labelled, confidence)
-    settings = Settings(_rule(labelled, match, iou, distance), least, replicates, seed, clutter.value)
+    settings = Settings(_rule(labelled, match, iou, distance), least, replicates, seed, clutter.value, plain)
     wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
     noted = list(read)
     read += [path for folder in run or () for path in read_of_run(folder)]

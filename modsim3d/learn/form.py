@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, Protocol
 
 import numpy as np
 
 from modsim3d.arrays import Array
+from modsim3d.errors import InputError
+from modsim3d.inputs.validation import shown
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling
 
@@ -51,6 +54,19 @@ class PartForm(Protocol):
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
         """The numbers of the model, with replicates for the weights of the resampling."""
+
+
+def left_out(names: Iterable[str], where: str) -> frozenset[str]:
+    """The models of `RICHER` that are to be left out, by their names; `where` is the option or argument.
+
+    Raises:
+        InputError: One is not known.
+    """
+    chosen = frozenset(names)
+    unknown = sorted(chosen - set(RICHER))
+    if unknown:
+        raise InputError(where, [f"must be some of {', '.join(RICHER)} (got {', '.join(map(shown, unknown))})"])
+    return chosen
 
 
 def ratio(part: Array, whole: Array) -> Array:

@@ -25,6 +25,7 @@ from modsim3d.formats.reading.pair import read_pair
 from modsim3d.inputs.opening import inputs_noted
 from modsim3d.inputs.validation import Count, Number, Positive, Probability, Strict, describe, shown
 from modsim3d.learn import learn_detector as labelled_sets
+from modsim3d.learn.form import left_out
 from modsim3d.learn.learn_detector import LearnOptions
 from modsim3d.learn.learned import Settings
 from modsim3d.learn.page import page_text
@@ -152,6 +153,7 @@ class _Choices(Strict):
     confidence_scale: tuple[Number, Number] | None
     replicates: Annotated[int, Field(strict=True, ge=20)]
     seed: Count
+    without: tuple[str, ...]
     labels: tuple[str, ...]
     image_size_px: tuple[Positive, Positive] | None
     frame_rate_hz: Positive | None
@@ -171,6 +173,7 @@ def learn_detector(
     confidence_scale: tuple[float, float] | None = None,
     replicates: int = 300,
     seed: int = 0,
+    without: Sequence[str] = (),
     labels: Sequence[str] = (),
     image_size_px: tuple[float, float] | None = None,
     frame_rate_hz: float | None = None,
@@ -197,6 +200,7 @@ def learn_detector(
             0 to 1.
         replicates: Number of replicates of the bootstrap.
         seed: Seed of the bootstrap.
+        without: Models to leave out, whatever the data carry; docs/learn.md has their names.
         labels: Names of the classes, for MOT and YOLO.
         image_size_px: Width and height, for MOT without `seqinfo.ini` and YOLO without its images.
         frame_rate_hz: Frames in a second, where the files do not say.
@@ -214,6 +218,7 @@ def learn_detector(
         confidence_scale=confidence_scale,
         replicates=replicates,
         seed=seed,
+        without=without,
         labels=labels,
         image_size_px=image_size_px,
         frame_rate_hz=frame_rate_hz,
@@ -233,7 +238,9 @@ def learn_detector(
             labelled = _read(pairs, given)
     rule = Rule(given.match or usual_method(labelled), given.least_iou, given.most_distance_px)
     least = labelled_sets.least_confidence(labelled, given.confidence)
-    settings = Settings(rule, least, given.replicates, given.seed)
+    settings = Settings(
+        rule, least, given.replicates, given.seed, without=left_out(given.without, "learn_detector: without")
+    )
     options = LearnOptions(*wanted, interval_s=interval_s)
     truths, results = tuple(pair[1] for pair in pairs), tuple(pair[2] for pair in pairs)
     call = f"modsim3d.learn_detector({'run=…' if runs else 'truth=…, detections=…'}).write(…) from Python"
