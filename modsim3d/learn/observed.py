@@ -47,6 +47,11 @@ class Observed:
         return false[self.image_state[self.labelled.results.image[false]] >= 0]
 
     @cached_property
+    def false_positives(self) -> Indices:
+        """Rows of the false detections that are neither a second box nor a part of a vessel, shape (g,)."""
+        return self.false
+
+    @cached_property
     def image(self) -> Indices:
         """Image of each annotation, shape (n,)."""
         return self.labelled.annotations.image[self.rows]
