@@ -13,6 +13,7 @@ import typer
 from modsim3d.commands.labelled_options import (
     ConfidenceScaleOption,
     FrameRateOption,
+    HorizonOption,
     ImageSizeOption,
     SkipBadOption,
     read_options,
@@ -146,6 +147,7 @@ def learn_command(
     ] = None,
     image_size: ImageSizeOption = None,
     frame_rate: FrameRateOption = None,
+    horizon: HorizonOption = None,
     category_offset: Annotated[
         int, typer.Option(metavar="N", help="Number to add to the category IDs of COCO results.")
     ] = 0,
@@ -178,7 +180,7 @@ def learn_command(
     page = out_file(page, out.with_suffix(".html"))
     if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
-    options = read_options(labels, image_size, skip_bad, frame_rate, category_offset, confidence_scale)
+    options = read_options(labels, image_size, skip_bad, frame_rate, category_offset, confidence_scale, horizon)
     if match is None and truth and run:
         raise ModsimError(
             "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "
