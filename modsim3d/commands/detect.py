@@ -117,9 +117,9 @@ def _detect_run(run: Path, out: Path, seed: int | None, workers: WorkerCount, gi
 
 
 def _detect_truth(truth: Path, out: Path, seed: int, given: Mapping[str, Any], horizon: str | None) -> None:
+    from modsim3d.formats.horizon import parse_horizon
     from modsim3d.inputs.opening import inputs_noted
     from modsim3d.other_truth.detect_truth import detect_truth
-    from modsim3d.other_truth.horizon import parse_horizon
 
     line = None if horizon is None else parse_horizon(horizon)
     with inputs_noted() as read, timed("reading, detections and files"):

@@ -24,6 +24,10 @@ ConfidenceScaleOption = Annotated[
     str | None,
     typer.Option(metavar="LOW,HIGH", help="Confidences in the files that stand for 0 and for 1, such as 0,100."),
 ]
+HorizonOption = Annotated[
+    str | None,
+    typer.Option(metavar="ROW", help="Row of the horizon in images that do not say theirs, or X1,Y1,X2,Y2."),
+]
 SkipBadOption = Annotated[
     bool, typer.Option("--skip-bad", help="Leave out wrong entries of the files, and say how many.")
 ]
@@ -36,12 +40,14 @@ def read_options(
     frame_rate: float | None,
     category_offset: int = 0,
     confidence_scale: str | None = None,
+    horizon: str | None = None,
 ) -> ReadOptions:
     """What options say of labelled sets.
 
     Raises:
-        InputError: A size, a frame rate or a scale is none.
+        InputError: A size, a frame rate, a scale or a horizon is none.
     """
+    from modsim3d.formats.horizon import parse_horizon
     from modsim3d.formats.reading.builder import ReadOptions
 
     if frame_rate is not None and not 0 < frame_rate < math.inf:
@@ -49,7 +55,8 @@ def read_options(
     size_px = None if image_size is None else _size_px(image_size)
     names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
     scale = None if confidence_scale is None else _scale(confidence_scale)
-    return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset, scale)
+    line = None if horizon is None else parse_horizon(horizon)
+    return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset, scale, line)
 
 
 def _scale(text: str) -> tuple[float, float]:

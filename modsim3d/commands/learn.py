@@ -13,6 +13,7 @@ import typer
 from modsim3d.commands.labelled_options import (
     ConfidenceScaleOption,
     FrameRateOption,
+    HorizonOption,
     ImageSizeOption,
     SkipBadOption,
     read_options,
@@ -150,6 +151,7 @@ def learn_command(
     ] = None,
     image_size: ImageSizeOption = None,
     frame_rate: FrameRateOption = None,
+    horizon: HorizonOption = None,
     category_offset: Annotated[
         int, typer.Option(metavar="N", help="Number to add to the category IDs of COCO results.")
     ] = 0,
@@ -184,7 +186,7 @@ def learn_command(
     if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
     plain = left_out((name.strip() for name in without.split(",")) if without else (), "--without")
-    options = read_options(labels, image_size, skip_bad, frame_rate, category_offset, confidence_scale)
+    options = read_options(labels, image_size, skip_bad, frame_rate, category_offset, confidence_scale, horizon)
     if match is None and truth and run:
         raise ModsimError(
             "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "

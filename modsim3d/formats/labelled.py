@@ -26,6 +26,7 @@ class Images:
         source: Index of the data set that each came from: different ones are resampled separately, shape (I,).
         sequence: Images of equal number are consecutive frames of one camera, shape (I,).
         time_s: Time of each image within its sequence; NaN where images are not consecutive frames, shape (I,).
+        half_planes: (a, b, c) with a·x + b·y + c >= 0 on the sea side of the horizon, NaN where unknown, shape (I, 3).
     """
 
     names: tuple[str, ...]
@@ -34,6 +35,7 @@ class Images:
     source: Indices
     sequence: Indices
     time_s: Array
+    half_planes: Array
 
     def __len__(self) -> int:
         """Number of images."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modsim3d.arrays import Indices
+from modsim3d.arrays import Array, Indices
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
 from modsim3d.paths import StrPath
@@ -43,7 +43,17 @@ def _images(rows: RunRows, frames: Indices) -> Images:
         source=np.zeros(len(frames), dtype=np.int64),
         sequence=camera,
         time_s=np.asarray(rows.scene.times_s(0, rows.scene.steps))[step],
+        half_planes=_half_planes(rows, step, camera),
     )
+
+
+def _half_planes(rows: RunRows, step: Indices, camera: Indices) -> Array:
+    """The sea's side of the horizon in the frames of cameras at steps, shapes (n,); shape (n, 3)."""
+    result = np.empty((len(step), 3))
+    for index, each in enumerate(rows.scene.cameras):
+        ours = np.flatnonzero(camera == index)  # in order of step
+        result[ours] = rows.scene.sea_half_planes(each, step[ours])
+    return result
 
 
 def _truth(rows: RunRows, frames: Indices) -> Annotations:

@@ -19,6 +19,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.records import FALSE_KINDS, CameraFrames, Targets
 from modsim3d.errors import ModsimError
+from modsim3d.formats.horizon import EVERYWHERE
 from modsim3d.formats.labelled import NOBODY, LabelledSet, Results
 from modsim3d.formats.matching import match
 from modsim3d.learn.entries import Entry, entries_of, with_entries
@@ -71,7 +72,8 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
         identity = annotations.identity[rows]
         known = identity >= 0
         names, vessel = np.unique(np.where(known, identity, -1 - ordinal), return_inverse=True)
-        half_planes = np.tile([0.0, 0.0, 1.0], (len(ours), 1))  # no horizon is known: sea everywhere
+        given = images.half_planes[ours]
+        half_planes = np.where(np.isnan(given), EVERYWHERE, given)
         size = (int(key[1]), int(key[2]))
         yield Part(
             ours,

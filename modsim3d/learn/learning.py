@@ -157,6 +157,7 @@ class _Choices(Strict):
     labels: tuple[str, ...]
     image_size_px: tuple[Positive, Positive] | None
     frame_rate_hz: Positive | None
+    horizon: Number | tuple[Number, Number, Number, Number] | None
 
 
 def learn_detector(
@@ -177,6 +178,7 @@ def learn_detector(
     labels: Sequence[str] = (),
     image_size_px: tuple[float, float] | None = None,
     frame_rate_hz: float | None = None,
+    horizon: float | tuple[float, float, float, float] | None = None,
 ) -> LearnResult:
     """Learn a detector from its results on a labelled set, with intervals that say how well each number is known.
 
@@ -204,6 +206,7 @@ def learn_detector(
         labels: Names of the classes, for MOT and YOLO.
         image_size_px: Width and height, for MOT without `seqinfo.ini` and YOLO without its images.
         frame_rate_hz: Frames in a second, where the files do not say.
+        horizon: Row of the horizon in images that do not say theirs, or x and y of two of its points.
 
     Raises:
         ModsimError: A file cannot be read, an argument is wrong, or nothing can be learned from this.
@@ -222,6 +225,7 @@ def learn_detector(
         labels=labels,
         image_size_px=image_size_px,
         frame_rate_hz=frame_rate_hz,
+        horizon=horizon,
     )
     wanted, interval_s = _states(states), None
     runs: tuple[StoredRun, ...] = ()
@@ -279,7 +283,14 @@ def _read(pairs: Iterable[tuple[str, Path, Path]], given: _Choices) -> LabelledS
     scale = given.confidence_scale
     if scale and not scale[0] < scale[1]:
         raise InputError("learn_detector", [f"confidence_scale: must be two numbers that rise (got {shown(scale)})"])
-    options = ReadOptions(given.labels, given.image_size_px, frame_rate_hz=given.frame_rate_hz, confidence_scale=scale)
+    line = given.horizon
+    options = ReadOptions(
+        given.labels,
+        given.image_size_px,
+        frame_rate_hz=given.frame_rate_hz,
+        confidence_scale=scale,
+        horizon=(line,) if isinstance(line, float) else line,
+    )
     return joined([read_pair(*pair, options) for pair in pairs])
 
 

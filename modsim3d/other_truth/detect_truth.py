@@ -19,13 +19,13 @@ from modsim3d.detector.file.reading import content_of
 from modsim3d.detector.model import DetectorModel
 from modsim3d.display import key_table
 from modsim3d.errors import InputError, ModsimError, OutputError
+from modsim3d.formats.horizon import half_plane
 from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading.builder import ReadOptions, check_whole
 from modsim3d.formats.reading.pair import read_truth
 from modsim3d.inputs.opening import inputs_noted, open_input
 from modsim3d.other_truth.detecting import Part, count_part, detected_parts
 from modsim3d.other_truth.files import class_numbers, coco_results, mot_files, tracker_files
-from modsim3d.other_truth.horizon import half_plane
 from modsim3d.other_truth.labels import FileClasses, to_labels
 from modsim3d.other_truth.needs import check_needs
 from modsim3d.other_truth.sought import Sought, sought_in

@@ -14,14 +14,13 @@ from modsim3d.detector.chain import Detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock
 from modsim3d.detector.records import CameraFrames, Detections, Targets
+from modsim3d.formats.horizon import EVERYWHERE
 from modsim3d.other_truth.sought import Sought
 from modsim3d.other_truth.videos import Video
 from modsim3d.runs.counts import Counts, detection_counts
 
 BLOCK_BOXES, BLOCK_FRAMES = 8000, 2000
 """About so many boxes, and at most so many frames, are worked on at once; no result depends on it."""
-EVERYWHERE = np.array([0.0, 0.0, 1.0])
-"""The half-plane of a sea that fills the image."""
 
 
 @dataclass(frozen=True, eq=False)

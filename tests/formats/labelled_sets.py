@@ -12,11 +12,12 @@ def random_boxes(rng, count, extent=400.0):
     return np.concatenate([corner, corner + side], axis=1)
 
 
-def images(count, size_px=(600.0, 600.0), time_s=None):
+def images(count, size_px=(600.0, 600.0), time_s=None, half_planes=None):
     zeros = np.zeros(count, dtype=np.int64)
     names = tuple(f"image{k}" for k in range(count))
     times = np.full(count, np.nan) if time_s is None else time_s
-    return Images(names, np.tile(size_px, (count, 1)), zeros, zeros, zeros, times)
+    seas = np.full((count, 3), np.nan) if half_planes is None else half_planes
+    return Images(names, np.tile(size_px, (count, 1)), zeros, zeros, zeros, times, seas)
 
 
 def truth(image, label, boxes_px, ignored=None, crowd=None, identity=None, visible=None):

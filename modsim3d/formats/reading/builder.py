@@ -14,6 +14,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import from_top_left
 from modsim3d.errors import InputError
+from modsim3d.formats.horizon import UNKNOWN
 from modsim3d.formats.labelled import NOBODY, Annotations, FileIds, Images, LabelledSet, Results
 from modsim3d.inputs.budgets import MAX_PROBLEMS
 from modsim3d.inputs.validation import shown
@@ -37,6 +38,7 @@ class ReadOptions:
         frame_rate_hz: For MOT, and for COCO whose images have a `frame_id` alone.
         category_offset: Number to add to the category IDs of COCO results.
         confidence_scale: Confidences in the files that stand for 0 and for 1; None if they are from 0 to 1.
+        horizon: Of images without one of their own: its row, or x and y of two of its points.
     """
 
     labels: tuple[str, ...] = ()
@@ -45,6 +47,7 @@ class ReadOptions:
     frame_rate_hz: float | None = None
     category_offset: int = 0
     confidence_scale: tuple[float, float] | None = None
+    horizon: tuple[float, ...] | None = None
 
 
 NO_OPTIONS = ReadOptions()
@@ -219,9 +222,16 @@ class ImageRows:
     sequence: list[int] = field(default_factory=list)
     time_s: list[float] = field(default_factory=list)
     condition: list[str | None] = field(default_factory=list)
+    half_planes: list[Sequence[float]] = field(default_factory=list)
 
     def add(
-        self, name: str, size_px: Sequence[float], sequence: int = 0, time_s: float = math.nan, own: str | None = None
+        self,
+        name: str,
+        size_px: Sequence[float],
+        sequence: int = 0,
+        time_s: float = math.nan,
+        own: str | None = None,
+        sea: Sequence[float] = UNKNOWN,
     ) -> None:
         """Append an image, which may name a condition of its own."""
         self.names.append(name)
@@ -229,6 +239,7 @@ class ImageRows:
         self.sequence.append(sequence)
         self.time_s.append(time_s)
         self.condition.append(own)
+        self.half_planes.append(sea)
 
 
 def check_whole(names: Iterable[str], source: str) -> None:
@@ -270,6 +281,7 @@ def labelled_set(
         np.zeros(len(of_image), dtype=np.int64),
         np.array(images.sequence, dtype=np.int64),
         np.array(images.time_s, dtype=np.float64),
+        np.array(images.half_planes, dtype=np.float64).reshape(-1, 3),
     )
     return LabelledSet(
         tuple(labels), conditions, columns, annotations.annotations(), results.results(len(labels)), tuple(notes), ids

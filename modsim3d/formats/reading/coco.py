@@ -1,8 +1,9 @@
 """COCO ground truth and COCO results, as most detection libraries write them.
 
-Beyond COCO's own keys these are read where they are given: of an image `condition`, `sequence` (or `video_id`) and
-`time_s` or `frame_id`; of an annotation `ignore`, `track_id` (or `instance_id`), `visible_fraction` and `distance_m`;
-of a result `probabilities`, one for each category in their order. Boxes come from `bbox`; masks are ignored.
+Beyond COCO's own keys these are read where they are given: of an image `condition`, `sequence` (or `video_id`),
+`time_s` or `frame_id`, and `horizon`; of an annotation `ignore`, `track_id` (or `instance_id`), `visible_fraction` and
+`distance_m`; of a result `probabilities`, one for each category in their order. Boxes come from `bbox`; masks are
+ignored.
 
 `image_id` names the image of a result, or a `file_name` beside it does. Programs that know no IDs, such as
 ultralytics, write the name of the image's file without its ending as `image_id`, as a number if it is one.
@@ -21,6 +22,7 @@ from typing import Any, TypeGuard
 import orjson
 
 from modsim3d.errors import InputError
+from modsim3d.formats.horizon import read_horizon
 from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading.builder import (
     MOST_NUMBER,
@@ -246,10 +248,14 @@ def _image(
     if time_s is None:
         got = shown(entry.get("time_s", entry.get("frame_id")))
         problems.add(f"{where}: time_s and frame_id must be numbers (got {got})")
-    if time_s is None or problems.count > known:
+    sea = read_horizon(entry.get("horizon"), size_px[0] if size_px else math.nan)
+    if sea is None:
+        wanted = "a row, [left, right], its rows at both edges, or [x1, y1, x2, y2], in pixels"
+        problems.add(f"{where}: horizon must be {wanted} (got {shown(entry['horizon'])})")
+    if time_s is None or sea is None or problems.count > known:
         return False
     number = sequences.setdefault(sequence, len(sequences))
-    images.add(str(name), size_px, number, time_s, None if condition is None else str(condition))
+    images.add(str(name), size_px, number, time_s, None if condition is None else str(condition), sea)
     return True
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from modsim3d.errors import InputError
+from modsim3d.formats.horizon import with_horizon
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import NO_OPTIONS, ReadOptions
 from modsim3d.formats.reading.coco import read_coco
@@ -29,7 +30,7 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
             f"condition {condition}", [f"{truth} looks like {kinds[0]} and {detections} like {kinds[1]}: give one kind"]
         )
     read = {"COCO": read_coco, "MOT": read_mot, "YOLO": read_yolo}[kinds[0]]
-    return read(condition, truth, detections, options)
+    return with_horizon(read(condition, truth, detections, options), options.horizon)
 
 
 def read_truth(truth: StrPath, options: ReadOptions = NO_OPTIONS) -> tuple[LabelledSet, str]:

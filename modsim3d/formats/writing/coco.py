@@ -1,7 +1,7 @@
 """COCO ground truth and results out of a labelled set.
 
-Beside COCO's own keys an image has `condition`, `sequence` and `time_s`, and an annotation `track_id`,
-`visible_fraction` and `distance_m`, where they are known. Results name nobody.
+Beside COCO's own keys an image has `condition`, `sequence`, `time_s` and `horizon`, its rows at the left and the right
+edge, and an annotation `track_id`, `visible_fraction` and `distance_m`, where they are known. Results name nobody.
 
 Masks are in `coco_masks`.
 """
@@ -15,6 +15,7 @@ from typing import Any
 
 import orjson
 
+from modsim3d.formats.horizon import written_horizon
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco_masks import check_masks, mask_entries
@@ -70,6 +71,9 @@ def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
         entry["sequence"] = int(images.sequence[k])
         if math.isfinite(times[k]):
             entry["time_s"] = times[k]
+        horizon = written_horizon(images.half_planes[k].tolist(), sizes[k][0])
+        if horizon is not None:
+            entry["horizon"] = horizon
         entries.append(entry)
     boxes = rows.boxes_px.tolist()
     annotations = []

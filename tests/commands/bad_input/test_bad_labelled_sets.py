@@ -27,6 +27,7 @@ from tests.commands.bad_input.builders import Call, Inputs
 TRUTH: dict[str, Any] = {
     "images": [
         {"id": 1, "width": 640, "height": 480, "file_name": "a.png", "time_s": 0.5, "sequence": "s", "condition": "day"}
+        | {"horizon": [200, 210.5]}
     ],
     "categories": [{"id": 1, "name": "boat"}],
     "annotations": [

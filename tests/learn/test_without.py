@@ -1,0 +1,49 @@
+"""Models that learning is told to leave out."""
+
+from __future__ import annotations
+
+import pytest
+from typer.testing import CliRunner
+
+from modsim3d.cli import app
+from modsim3d.errors import InputError
+from modsim3d.learn.form import RICHER
+from modsim3d.learn.learning import learn_detector
+from tests.learn.round_trip import simulate
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run of Simulation 1 with three labels, two states and nearly every model that can be learned."""
+    return simulate("simulation_1", tmp_path_factory.mktemp("without"), 0, 600, 3)
+
+
+def test_without_all_of_them_the_model_is_the_thesis_s(run) -> None:
+    content = learn_detector(run=run, without=RICHER, replicates=20).content
+    assert not {"dropout", "persistence"} & set(content)
+    assert set(content["false_positives"]) == {"model"}
+    for state in content["states"].values():
+        assert state["box_error"].keys() == {"unit", "mean", "covariance"} and state["box_error"]["unit"] == "px"
+        assert state["confidence"].keys() == {"mean", "std"}
+
+
+def test_each_model_is_left_out_by_its_name(run) -> None:
+    whole = learn_detector(run=run, replicates=20).content
+    assert whole["dropout"] and whole["persistence"] and whole["false_positives"].keys() > {"model", "size", "density"}
+
+    def content(*names: str):
+        return learn_detector(run=run, without=names, replicates=20).content
+
+    assert "dropout" not in content("effects")
+    assert "persistence" not in content("persistence")
+    assert "size" not in content("sizes")["false_positives"]
+    assert "placement" not in content("places")["false_positives"]
+    assert "true" not in content("confidence")["states"]["clear"]["confidence"]
+
+
+def test_a_model_that_is_none_is_named(run, tmp_path) -> None:
+    words = ["learn", "--run", str(run), "--without", "effects,boxes", "--out", str(tmp_path / "d.yaml")]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2 and "(got 'boxes')" in result.output and "persistence" in result.output
+    with pytest.raises(InputError, match="without: must be some of relative"):
+        learn_detector(run=run, without=["boxes"])
