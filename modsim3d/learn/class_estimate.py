@@ -84,8 +84,9 @@ class LearnedClasses:
 def choose_classes(observed: Observed) -> ClassForm:
     """Which effects on misses, and whether their persistence, the data can carry."""
     notes: list[str] = []
-    effects, fit = _significant(observed, _candidates(observed, notes), notes)
-    class_s = _persistence_s(observed, effects, fit, notes)
+    candidates = () if "effects" in observed.without else _candidates(observed, notes)
+    effects, fit = _significant(observed, candidates, notes)
+    class_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, effects, fit, notes)
     return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)))
 
 
@@ -116,7 +117,7 @@ def _significant(
     observed: Observed, effects: tuple[Effect, ...], notes: list[str]
 ) -> tuple[tuple[Effect, ...], MissFit | None]:
     """Effects after the least certain ones were left out one by one, and the fit with those that remain."""
-    runs = resample(observed.labelled.images, _TRIALS, 0, _usual_run_s(observed)) if effects else None
+    runs = resample(observed.labelled.images, _TRIALS, 0, usual_run_s(observed)) if effects else None
     while effects and runs is not None:
         fit = fit_misses(observed, effects, runs)
         if fit is None:
@@ -135,7 +136,7 @@ def _significant(
     return (), None
 
 
-def _usual_run_s(observed: Observed) -> float:
+def usual_run_s(observed: Observed) -> float:
     """Length of runs of frames in which misses that persist look independent; 0 where frames are not consecutive."""
     times = observed.labelled.images.time_s
     if not len(observed.steps):

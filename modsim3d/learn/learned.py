@@ -13,7 +13,7 @@ from modsim3d.formats.matching import Rule
 from modsim3d.inputs.budgets import MAX_TABLE_CELLS
 from modsim3d.learn.box_error_estimate import BoxErrorForm, LearnedBoxErrors, choose_box_errors
 from modsim3d.learn.class_estimate import ClassForm, LearnedClasses, choose_classes
-from modsim3d.learn.confidence_estimate import ConfidenceForm, NoConfidenceForm, choose_confidence
+from modsim3d.learn.confidence_estimate import ConfidenceForm, NoConfidenceForm, OneConfidenceForm, choose_confidence
 from modsim3d.learn.entries import Interval, entries_of
 from modsim3d.learn.false_positive_estimate import FalsePositiveForm, LearnedFalsePositives, choose_false_positives
 from modsim3d.learn.form import LearnedPart, PartForm
@@ -62,7 +62,7 @@ class DetectorForm:
     classes: ClassForm
     box_errors: BoxErrorForm
     false_positives: FalsePositiveForm
-    confidence: ConfidenceForm | NoConfidenceForm
+    confidence: ConfidenceForm | OneConfidenceForm | NoConfidenceForm
 
     @property
     def notes(self) -> tuple[str, ...]:
