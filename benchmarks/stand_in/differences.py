@@ -1,0 +1,124 @@
+"""Paired differences of scores, simulated minus real, where the film is the unit, and what they show.
+
+The detector that looks at pixels has one output for a film, the simulated one has as many as seeds. So a film gives one
+difference: the mean over its seeds minus the real score. More seeds make that exact; only more films narrow the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy import special
+
+from modsim3d.arrays import Array
+
+LEVEL = 0.95
+Verdict = Literal["agrees", "differs", "not enough films to say"]
+AGREES: Verdict = "agrees"
+DIFFERS: Verdict = "differs"
+UNDECIDED: Verdict = "not enough films to say"
+LEAST_FILMS = 2
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The difference of a score over films.
+
+    Attributes:
+        films: Number of films in which both scores are defined.
+        real: Mean of the real scores; None without films.
+        simulated: Mean of the simulated ones.
+        mean: Mean difference, simulated minus real.
+        low: Lower end of its 95 % interval by Student's t over films; None of fewer than two films.
+        high: Upper end.
+        between: Standard deviation of the difference from film to film that would be left with any number of seeds.
+        within: Standard deviation of the score from seed to seed of one film; None with one seed.
+        margin: How far the two may lie apart.
+        p_value: Of the two one-sided tests: the chance of a mean so far inside the margin if the true difference were
+            at its edge; None of fewer than two films.
+        verdict: `agrees`: the whole interval lies inside the margin, which is two one-sided tests at 2.5 %; `differs`:
+            all of it lies outside; otherwise there are not enough films to say.
+    """
+
+    films: int
+    real: float | None
+    simulated: float | None
+    mean: float | None
+    low: float | None
+    high: float | None
+    between: float | None
+    within: float | None
+    margin: float | None
+    p_value: float | None
+    verdict: Verdict
+
+    def as_json(self) -> dict[str, Any]:
+        """The numbers as JSON has them."""
+        return asdict(self)
+
+
+def difference(real: Array, simulated: Array, margin: float) -> Difference:
+    """Compare scores of F films.
+
+    Args:
+        real: The score on each film, NaN where it is undefined, shape (F,).
+        simulated: The score with each of S seeds, NaN where it is undefined, shape (F, S).
+        margin: How far the two may lie apart.
+    """
+    known = ~np.isnan(real) & ~np.isnan(simulated).all(axis=1)
+    real, simulated = real[known], simulated[known]
+    films = len(real)
+    if films < LEAST_FILMS:
+        nothing = (None,) * 5
+        return Difference(
+            films, *(nothing[:2] if not films else _means(real, simulated)), *nothing, margin, None, UNDECIDED
+        )
+    apart = np.nanmean(simulated, axis=1) - real
+    mean, deviation = float(apart.mean()), float(apart.std(ddof=1))
+    error = deviation / np.sqrt(films)
+    half = float(special.stdtrit(films - 1, (1 + LEVEL) / 2)) * error
+    between, within = _split(deviation, simulated)
+    return Difference(
+        films,
+        *_means(real, simulated),
+        mean,
+        mean - half,
+        mean + half,
+        between,
+        within,
+        margin,
+        _p_value(mean, error, films, margin),
+        verdict(mean - half, mean + half, margin),
+    )
+
+
+def verdict(low: float, high: float, margin: float) -> Verdict:
+    """What an interval of a difference shows."""
+    if -margin <= low and high <= margin:
+        return AGREES
+    return DIFFERS if low > margin or high < -margin else UNDECIDED
+
+
+def _means(real: Array, simulated: Array) -> tuple[float, float]:
+    return float(real.mean()), float(np.nanmean(simulated, axis=1).mean())
+
+
+def _split(deviation: float, simulated: Array) -> tuple[float, float | None]:
+    """Standard deviation from film to film without that of the seeds, and that from seed to seed of a film."""
+    counts = (~np.isnan(simulated)).sum(axis=1)
+    several = counts > 1
+    if not several.any():
+        return deviation, None
+    variance = float(np.nanvar(simulated[several], axis=1, ddof=1).mean())
+    between = max(deviation**2 - variance * float((1 / counts).mean()), 0.0)
+    return float(np.sqrt(between)), float(np.sqrt(variance))
+
+
+def _p_value(mean: float, error: float, films: int, margin: float) -> float:
+    """The larger p-value of the two one-sided tests."""
+    inside = margin - abs(mean)
+    if error == 0:
+        return 0.0 if inside >= 0 else 1.0
+    return float(special.stdtr(films - 1, -inside / error))

@@ -1,0 +1,312 @@
+"""Measures each rung of the ladder on films: scores, differences, rankings and distributions, as JSON has them."""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.stand_in.differences import difference
+from benchmarks.stand_in.distributions import (
+    OF_DETECTIONS,
+    OF_TRACKS,
+    Samples,
+    compared,
+    holm,
+    of_detections,
+    of_tracks,
+)
+from benchmarks.stand_in.margins import SCORES
+from benchmarks.stand_in.ranking import ranking
+from benchmarks.stand_in.scores import (
+    BINS,
+    SETTINGS_OF,
+    TRACKERS,
+    OpenFilm,
+    found_vessels,
+    open_film,
+    real_detections,
+    recall_of_bins,
+    scored_tracks,
+    scores_of,
+    simulated_detections,
+)
+from modsim3d.arrays import Array, Mask
+from modsim3d.errors import ModsimError
+from modsim3d.runs.told import Told
+from modsim3d.tracking.trackers.registry import named_tracker
+
+if TYPE_CHECKING:
+    from benchmarks.stand_in.films import Film
+
+FORMAT = 1
+REAL = "real"
+BIN_MARGIN = 0.05
+"""Of recall and association in a part of the vessel-frames, which are fewer."""
+PACKAGES = ("modsim3d", "trackers", "trackeval", "numpy", "scipy")
+Numbers = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is known of one set of detections of a film.
+
+    Attributes:
+        scores: Tracker → score → value.
+        bins: Tracker → bin → `recall` and `association`.
+        detections: The values of each distribution of detections.
+        tracks: Tracker → the values of each distribution of tracks.
+    """
+
+    scores: dict[str, Numbers]
+    bins: dict[str, dict[str, Numbers]]
+    detections: Samples
+    tracks: dict[str, Samples]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A film and its outputs: `real` alone, and of each rung one for each seed."""
+
+    facts: dict[str, Any]
+    outputs: dict[str, list[Output]]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A film to measure; fields as the arguments of `measure`."""
+
+    film: Film
+    detectors: Mapping[str, Path]
+    seeds: Sequence[int]
+    trackers: Sequence[str]
+    threshold: float
+
+
+def measure(
+    films: Sequence[Film],
+    detectors: Mapping[str, Path],
+    seeds: Sequence[int],
+    trackers: Sequence[str] = TRACKERS,
+    threshold: float = 0.2,
+    *,
+    titles: Mapping[str, str] | None = None,
+    workers: int = 2,
+) -> dict[str, Any]:
+    """Compare simulated detections with real ones on films.
+
+    Args:
+        films: Films that no detector file was learned from.
+        detectors: A detector file for each rung of the ladder, the plain one first.
+        seeds: Seeds of the simulated detector.
+        trackers: Names of trackers.
+        threshold: The least confidence of a detection, real or simulated.
+        titles: What each rung adds, in words.
+        workers: Number of processes; no number depends on it.
+
+    Raises:
+        ModsimError: There are no films or no seeds, or a file cannot be read.
+    """
+    if not films or not seeds or not detectors:
+        raise ModsimError(
+            f"a comparison needs films, seeds and detector files (got {len(films)}, {len(seeds)}, {len(detectors)})"
+        )
+    jobs = [Job(film, detectors, seeds, trackers, threshold) for film in films]
+    measured = list(_told(_each(measured_film, jobs, workers), len(jobs)))
+    named = [{"name": name, "title": (titles or {}).get(name, name)} for name in detectors]
+    return rounded(
+        {
+            "format": FORMAT,
+            "rungs": named,
+            "trackers": list(trackers),
+            "seeds": len(seeds),
+            "threshold": threshold,
+            "settings": {place: _settings(trackers, place) for place in sorted({film.place for film in films})},
+            "versions": {name: version(name) for name in PACKAGES},
+            **results(measured, tuple(detectors), tuple(trackers)),
+        }
+    )
+
+
+def measured_film(job: Job) -> Measured:
+    """Score all trackers behind all detections of a film."""
+    opened = open_film(job.film)
+    real = real_detections(opened, job.threshold)
+    outputs = {REAL: [output(opened, real, job.trackers)]}
+    for name, file in job.detectors.items():
+        made = simulated_detections(opened, file, job.seeds, job.threshold)
+        outputs[name] = [output(opened, each, job.trackers) for each in made]
+    return Measured(facts_of(opened, real), outputs)
+
+
+def output(opened: OpenFilm, detections: Told, trackers: Sequence[str]) -> Output:
+    """Score the trackers behind one set of detections."""
+    scored = {name: scored_tracks(opened, detections, name) for name in trackers}
+    return Output(
+        {name: scores_of(opened, each) for name, each in scored.items()},
+        {name: recall_of_bins(opened, each) for name, each in scored.items()},
+        of_detections(opened, detections),
+        {name: of_tracks(opened, each) for name, each in scored.items()},
+    )
+
+
+def facts_of(opened: OpenFilm, real: Told) -> dict[str, Any]:
+    """What a film is, and what the detector that looks at pixels does in it."""
+    film, scored = opened.film, opened.truth.scored
+    found, row = found_vessels(opened, real)
+    judged = np.append(scored, True)[row]  # what is on a vessel that is not scored counts neither way
+    return {
+        "name": film.name,
+        "place": film.place,
+        "weather": film.weather,
+        "seed": film.seed,
+        "frames": len(opened.sequence.steps),
+        "vessel_frames": int(scored.sum()),
+        "hidden": int((opened.hidden & scored).sum()),
+        "found": int((found & scored).sum()),
+        "found_hidden": int((found & opened.hidden & scored).sum()),
+        "detections": int(judged.sum()),
+    }
+
+
+def results(measured: Sequence[Measured], rungs: Sequence[str], trackers: Sequence[str]) -> dict[str, Any]:
+    """What the page is made of, from the films' outputs."""
+    facts = [each.facts for each in measured]
+    every = {
+        name: np.array(
+            [[[_values(each.scores[t]) for t in trackers] for each in film.outputs[name]] for film in measured]
+        )
+        for name in (REAL, *rungs)
+    }  # of each rung: films, seeds, trackers, scores
+    groups = _groups(facts)
+    share = np.array([each["hidden"] / max(each["vessel_frames"], 1) for each in facts])
+    return {
+        "films": facts,
+        "hidden_share_of_groups": float(np.median(share)),
+        "scores": {
+            tracker: {
+                score.key: {name: np.nanmean(every[name][:, :, t, s], axis=1).tolist() for name in (REAL, *rungs)}
+                for s, score in enumerate(SCORES)
+            }
+            for t, tracker in enumerate(trackers)
+        },
+        "differences": {
+            name: {
+                tracker: {
+                    score.key: _difference(every, name, t, s, np.ones(len(facts), dtype=bool))
+                    for s, score in enumerate(SCORES)
+                }
+                for t, tracker in enumerate(trackers)
+            }
+            for name in rungs
+        },
+        "groups": {
+            name: {
+                tracker: {group: _difference(every, name, t, 0, films) for group, films in groups.items()}
+                for t, tracker in enumerate(trackers)
+            }
+            for name in rungs
+        },
+        "bins": {name: {tracker: _bins(measured, name, tracker) for tracker in trackers} for name in rungs},
+        "ranking": {
+            name: ranking(every[REAL][:, 0, :, 0], every[name][:, :, :, 0].transpose(0, 2, 1), tuple(trackers))
+            for name in rungs
+        },
+        "distributions": {name: _distributions(measured, name, trackers) for name in rungs},
+    }
+
+
+def _values(scores: Numbers) -> list[float]:
+    return [scores[score.key] for score in SCORES]
+
+
+def _groups(facts: Sequence[Mapping[str, Any]]) -> dict[str, Mask]:
+    """Films that have something in common, by its name: weather, place, and how much is hidden in them."""
+    share = np.array([each["hidden"] / max(each["vessel_frames"], 1) for each in facts])
+    groups = {
+        f"{kind}: {value}": np.array([each[kind] == value for each in facts])
+        for kind in ("weather", "place")
+        for value in dict.fromkeys(each[kind] for each in facts)
+    }
+    much = share > np.median(share)
+    return groups | {"occlusion: little": ~much, "occlusion: much": much}
+
+
+def _difference(every: Mapping[str, Array], rung: str, tracker: int, score: int, films: Mask) -> dict[str, Any]:
+    real, simulated = every[REAL][films, 0, tracker, score], every[rung][films, :, tracker, score]
+    known = real[~np.isnan(real)]
+    margin = SCORES[score].margin(float(known.mean()) if len(known) else 0.0)
+    return difference(real, simulated, margin).as_json()
+
+
+def _bins(measured: Sequence[Measured], rung: str, tracker: str) -> dict[str, Any]:
+    """Differences of recall and association in each of `BINS`."""
+
+    def of(name: str, bin_name: str, kind: str) -> Array:
+        return np.array([[each.bins[tracker][bin_name][kind] for each in film.outputs[name]] for film in measured])
+
+    return {
+        bin_name: {
+            kind: difference(of(REAL, bin_name, kind)[:, 0], of(rung, bin_name, kind), BIN_MARGIN).as_json()
+            for kind in ("recall", "association")
+        }
+        for bin_name, _ in BINS
+    }
+
+
+def _distributions(measured: Sequence[Measured], rung: str, trackers: Sequence[str]) -> list[dict[str, Any]]:
+    """Comparisons of all distributions at a rung, with p-values adjusted for their number."""
+    wanted: list[tuple[str, str | None]] = [(name, None) for name in OF_DETECTIONS]
+    wanted += [(name, tracker) for tracker in trackers for name in OF_TRACKS]
+
+    def values(output: Output, name: str, tracker: str | None) -> Array:
+        return (output.detections if tracker is None else output.tracks[tracker])[name]
+
+    found = [
+        {"name": name, "tracker": tracker}
+        | compared(
+            [values(film.outputs[REAL][0], name, tracker) for film in measured],
+            [[values(each, name, tracker) for each in film.outputs[rung]] for film in measured],
+        )
+        for name, tracker in wanted
+    ]
+    adjusted = holm([each["p_value"] for each in found])
+    return [each | {"adjusted_p": p} for each, p in zip(found, adjusted, strict=True)]
+
+
+def _settings(trackers: Sequence[str], place: str) -> dict[str, Any]:
+    """The settings of each tracker at a place."""
+    return {name: named_tracker(name, {}, SETTINGS_OF[place]).origin.settings for name in trackers}
+
+
+def _each(work: Callable[[Job], Measured], jobs: Sequence[Job], workers: int) -> Iterable[Measured]:
+    if workers == 1:
+        yield from map(work, jobs)
+        return
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(work, jobs)
+
+
+def _told(measured: Iterable[Measured], count: int) -> Iterable[Measured]:
+    """Say that a film is done."""
+    for done, each in enumerate(measured, 1):
+        print(f"{each.facts['name']} ({done} of {count})", file=sys.stderr, flush=True)
+        yield each
+
+
+def rounded(value: Any, digits: int = 6) -> Any:
+    """Numbers with so many significant digits, None for NaN, in lists and mappings of any depth."""
+    if isinstance(value, dict):
+        return {key: rounded(each, digits) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [rounded(each, digits) for each in value]
+    if isinstance(value, float):
+        return None if np.isnan(value) else float(f"{value:.{digits}g}")
+    return value
