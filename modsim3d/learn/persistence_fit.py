@@ -118,17 +118,21 @@ class Consecutive:
         gap = float(np.median(self.apart_s))
         grid = gap * np.geomspace(0.05, 1000, _GRID)
         left = np.ones(_GRID) if self.stretches is None else self.stretches.correlation_left(grid)
-        if np.ptp(self.apart_s) < 1e-6 * gap:
-            sums = resampling.sums(self.image, np.column_stack([self.products, self.expected]))
-            curve = sums[:, 1:] * (np.exp(-gap / grid) * left)
-        else:
-            decayed = self.expected[:, None] * np.exp(-self.apart_s[:, None] / grid) * left
-            sums = resampling.sums(self.image, np.column_stack([self.products, decayed]))
-            curve = sums[:, 1:]
-        curve, result = np.maximum.accumulate(curve, axis=1), np.zeros(len(sums))
-        for row in np.flatnonzero(sums[:, 0] > 0):
-            result[row] = np.exp(np.interp(sums[row, 0], curve[row], np.log(grid)))
+        products = resampling.sums(self.image, self.products)
+        curve = self._decayed(resampling, gap, grid) * left
+        curve, result = np.maximum.accumulate(curve, axis=1), np.zeros(len(products))
+        for row in np.flatnonzero(products > 0):
+            result[row] = np.exp(np.interp(products[row], curve[row], np.log(grid)))
         return result
+
+    def _decayed(self, resampling: Resampling, gap_s: float, grid_s: Array) -> Array:
+        """Sums of the expected products times e^(−Δt/τ), shape (rows, g), given the median Δt and some τ (g,)."""
+        apart, kind = np.unique(np.round(self.apart_s / gap_s, 6), return_inverse=True)
+        if len(apart) > _GRID:  # frames at any times
+            return resampling.sums(self.image, self.expected[:, None] * np.exp(-self.apart_s[:, None] / grid_s))
+        of_kind = resampling.counts(self.image, kind.ravel(), (len(apart),), self.expected)
+        decayed: Array = of_kind @ np.exp(-gap_s * apart[:, None] / grid_s)
+        return decayed
 
     def relative_error(self, time_s: float) -> float:
         """Relative standard error of a correlation time τ, from the deviation of each pair's product.

@@ -75,7 +75,7 @@ def test_the_correlation_time_of_errors_is_right_where_frames_last_only_a_few_ti
         (interval,) = [each for each in learned.intervals(0.95) if each.key.path == "persistence.box_s"]
         found.append((interval.estimate, interval.low <= asked_s <= interval.high))
     estimates, inside = np.array(found, dtype=float).T
-    assert np.log(estimates / asked_s).mean() == pytest.approx(0, abs=0.15)  # -0.5 if the mean error were known
+    assert np.log(estimates / asked_s).mean() == pytest.approx(0, abs=0.15)
     assert binom.cdf(inside.sum(), seeds, 0.95) > 0.001
 
 
