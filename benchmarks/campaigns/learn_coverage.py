@@ -1,8 +1,8 @@
 """learn_coverage: do the intervals of modsim3d learn hold what they claim? Simulated, exported, learned, by seeds.
 
-Simulation 1 and the harbour, their vessels relabelled, are run with tests/data/learn/round_trip.yaml (three labels, two
-states, relative errors, misses by size, persistence, confidence, a map of false positives), written as COCO and learned
-again, matched by IoU and by provenance. Of every number it is counted how often the asked one is inside its interval.
+A case is a shipped scene, its vessels relabelled, and a detector file of tests/data/learn. It is run with many seeds,
+written as COCO and learned again, matched by IoU or by provenance. Of every number of the file it is counted how often
+it lies inside its interval.
 """
 
 from __future__ import annotations
@@ -10,12 +10,15 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from collections import defaultdict
-from concurrent.futures import ProcessPoolExecutor
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
@@ -24,55 +27,98 @@ from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.states import each_its_own, transitions_of
-from tests.learn.round_trip import asked_of, simulate
+from tests.learn.round_trip import DETECTOR, asked_of, simulate
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
-SCENES = {"simulation_1": (0, 1500), "harbour": (2, 400)}  # annotation mode, steps
 METHODS = {"confidence": "IoU", "provenance": "provenance"}
 SEEDS_AT_ONCE = 20
 LEVELS = (0.95, 0.99)
 TOGETHER = 0.99
 
 
-def kind_of(path: str) -> str:
+@dataclass(frozen=True)
+class Case:
+    """What is simulated and learned again.
+
+    Attributes:
+        name: What it is called on the page and by `--case`.
+        scene: A shipped scene.
+        mode: Its annotation mode.
+        steps: Its steps.
+        detector: File in tests/data/learn.
+        methods: Ways of matching.
+        said: What is special about it.
+    """
+
+    name: str
+    scene: str
+    mode: int
+    steps: int
+    detector: str = DETECTOR.name
+    methods: tuple[str, ...] = ("confidence",)
+    said: str = ""
+
+    @property
+    def path(self) -> Path:
+        """The detector file."""
+        return DETECTOR.parent / self.detector
+
+
+CASES = (
+    Case("simulation_1", "simulation_1", 0, 1500, methods=tuple(METHODS), said="Another traffic with each seed."),
+    Case("harbour", "harbour", 2, 400, methods=tuple(METHODS), said="The same traffic with all seeds."),
+)
+
+
+def kind_of(path: str, states: Iterable[str]) -> str:
     """States of one kind of number together."""
-    return ".".join(part for part in path.split(".") if part not in ("states", "clear", "haze"))
+    return ".".join(part for part in path.split(".") if part not in ("states", *states))
 
 
-def one(scene: str, seed: int, method: str, folder: Path) -> dict[str, Any]:
-    """Simulate with a seed and learn: how many numbers of each kind are inside at each level."""
-    mode, steps = SCENES[scene]
-    run = folder / scene / str(seed) / "run"
-    if not run.is_dir():
-        simulate(scene, run.parent, mode, steps, seed)
+def learned_again(case: Case, seed: int) -> dict[str, Any]:
+    """Simulate a case with a seed, and learn by each way of matching: how many numbers are inside their intervals."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = simulate(case.scene, Path(folder), case.mode, case.steps, seed, case.path)
+        return {method: _inside(case, run, method, seed) for method in case.methods}
+
+
+def _inside(case: Case, run: Path, method: str, seed: int) -> dict[str, Any]:
+    """How many numbers of each kind are inside at each level."""
     labelled, _ = labelled_run(run)
     if method != "provenance":
         labelled = read_coco("all", *write_coco(labelled, run.parent / "coco"))
-    states = each_its_own(("clear", "haze"))
+    file = yaml.safe_load(case.path.read_text())
+    states = each_its_own(tuple(file["states"]))
     image_state = states.of_images(labelled.images, labelled.conditions)
-    transitions = transitions_of(labelled.images, image_state, 2, 1.0)
+    transitions = transitions_of(labelled.images, image_state, len(states.names), file["transition_interval_s"])
     settings = Settings(Rule(method), seed=seed)
     matched = match(labelled, settings.rule, settings.threshold)
     learned = learn(Observed(labelled, matched, states.names, image_state, settings.threshold), transitions, settings)
-    asked = asked_of()
+    asked = asked_of(case.path)
     total = sum(value.size for value in asked.values())
     result: dict[str, Any] = {"numbers": total}
     for level in (*LEVELS, 1 - (1 - TOGETHER) / total):
         inside: dict[str, list[int]] = defaultdict(lambda: [0, 0])
         intervals = {each.key.path: (each.low, each.high) for each in learned.intervals(level)}
         result["not_learned"] = [path for path in asked if path not in intervals]
+        result["not_asked"] = [path for path in intervals if path not in asked and _is_written(path)]
         for path, value in asked.items():
             if path not in intervals:
                 continue
             low, high = intervals[path]
             right = (value >= low - 1e-9) & (value <= high + 1e-9)
-            tally = inside[kind_of(path)]
+            tally = inside[kind_of(path, states.names)]
             tally[0], tally[1] = tally[0] + int(right.sum()), tally[1] + right.size
         result["all together" if level not in LEVELS else f"{level:g}"] = dict(inside)
     return result
 
 
-def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
+def _is_written(path: str) -> bool:
+    """Whether a learned number is in the file of a detector; both numbers of false positives are always learned."""
+    return not path.endswith(("false_discovery_rate", "false_positives_per_image"))
+
+
+def summary(case: Case, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Coverage over seeds."""
     found: dict[str, Any] = {"seeds": len(runs), "numbers": runs[0]["numbers"]}
     for level in LEVELS:
@@ -86,44 +132,52 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
         found[f"{level:g}"]["every number"] = float(every[0] / every[1])
     whole = [all(inside == of for inside, of in run["all together"].values()) for run in runs]
     found["all numbers inside their intervals of 99 % together"] = float(np.mean(whole))
-    found["not learned, of the seeds"] = {
-        path: sum(path in run["not_learned"] for run in runs) for run in runs for path in run["not_learned"]
-    }
+    for key in ("not_learned", "not_asked"):
+        found[f"{key.replace('_', ' ')}, of the seeds"] = dict(Counter(path for run in runs for path in run[key]))
     return found
 
 
-def text(results: dict[str, Any], seeds: int) -> str:
+def text(results: dict[str, dict[str, Any]]) -> str:
     """The page."""
     lines = [
         "# Coverage of learned intervals",
         "",
-        f"`script/campaign learn_coverage`, {seeds} seeds. Simulation 1 has another traffic with each, the "
-        "harbour this traffic only. Share of asked numbers inside their intervals:",
+        "`script/campaign learn_coverage` simulates a detector, learns it again and counts how often each number of "
+        "its file lies inside the interval of what was learned. Each case below is a shipped scene with a detector "
+        "file of `tests/data/learn`.",
         "",
     ]
-    names = list(results)
-    for level in LEVELS:
-        kinds = list(dict.fromkeys(kind for name in names for kind in results[name][f"{level:g}"]))
-        lines += [f"| intervals of {level:.0%} | {' | '.join(names)} |", f"|---|{'---|' * len(names)}"]
-        for kind in kinds:
-            cells = (results[name][f"{level:g}"].get(kind) for name in names)
-            lines.append(f"| {kind} | {' | '.join('–' if cell is None else f'{cell:.3f}' for cell in cells)} |")
-        lines.append("")
-    key = "all numbers inside their intervals of 99 % together"
-    lines += [f"| | {' | '.join(names)} |", f"|---|{'---|' * len(names)}"]
-    lines.append(f"| {key}, share of seeds | {' | '.join(f'{results[name][key]:.2f}' for name in names)} |")
-    lacking = [len(results[name]["not learned, of the seeds"]) for name in names]
-    most = [max(results[name]["not learned, of the seeds"].values(), default=0) for name in names]
-    lines.append(f"| numbers that some seed had too little for | {' | '.join(map(str, lacking))} |")
-    lines.append(f"| seeds without the one that failed most often | {' | '.join(map(str, most))} |")
-    lines += ["", "A number that a seed had too little data to learn is left simple, and not counted in that seed."]
+    for case in CASES:
+        if case.name in results:
+            lines += _section(case, results[case.name])
+    lines.append("A number that a seed had too little data to learn is left simple, and not counted in that seed.")
     return "\n".join(lines) + "\n"
 
 
-def both(scene: str, seed: int) -> list[dict[str, Any]]:
-    """One seed, by both ways of matching."""
-    with tempfile.TemporaryDirectory() as folder:
-        return [one(scene, seed, method, Path(folder)) for method in METHODS]
+def _section(case: Case, found: dict[str, Any]) -> list[str]:
+    """One case: the share inside of each kind of number, by way of matching and level."""
+    ways = [found[method] for method in case.methods]
+    heads = [f"{METHODS[method]}, {level:.0%}" for method in case.methods for level in LEVELS]
+    title = case.name.replace("_", " ").capitalize()
+    source = f"`tests/data/learn/{case.detector}` in {case.scene}, {case.steps:,} steps, {ways[0]['seeds']} seeds."
+    lines = [f"## {title}", "", f"{source} {case.said}".strip(), ""]
+    lines += [f"| inside | {' | '.join(heads)} |", f"|---|{'---|' * len(heads)}"]
+    kinds = dict.fromkeys(kind for way in ways for level in LEVELS for kind in way[f"{level:g}"])
+    for kind in sorted(kinds, key=lambda kind: (kind == "every number", kind)):
+        cells = (way[f"{level:g}"].get(kind) for way in ways for level in LEVELS)
+        lines.append(f"| {kind} | {' | '.join('–' if cell is None else f'{cell:.3f}' for cell in cells)} |")
+    lines += ["", f"| | {' | '.join(METHODS[method] for method in case.methods)} |", f"|---|{'---|' * len(ways)}"]
+    key = "all numbers inside their intervals of 99 % together"
+    lines.append(f"| {key}, share of seeds | {' | '.join(f'{way[key]:.2f}' for way in ways)} |")
+    for key, words in (("not learned", "numbers that some seed did not learn"),
+                       ("not asked", "numbers learned that the file does not have")):  # fmt: skip
+        lines.append(f"| {words}, with the seeds | {' | '.join(_seeds(way[f'{key}, of the seeds']) for way in ways)} |")
+    return [*lines, ""]
+
+
+def _seeds(counts: dict[str, int]) -> str:
+    """Paths with the number of seeds of each; `none` if there are none."""
+    return ", ".join(f"{path} {number}" for path, number in sorted(counts.items())) or "none"
 
 
 def main() -> None:
@@ -131,20 +185,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--case", action="append", choices=[case.name for case in CASES], help="this one alone")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder of the page and the numbers")
     asked = parser.parse_args()
-    runs: dict[str, list[dict[str, Any]]] = {f"{scene}, {name}": [] for scene in SCENES for name in METHODS.values()}
-    OUT.mkdir(parents=True, exist_ok=True)
+    cases = [case for case in CASES if not asked.case or case.name in asked.case]
+    page, numbers = asked.out / "learn_coverage.md", asked.out / "learn_coverage.json"
+    asked.out.mkdir(parents=True, exist_ok=True)
+    kept = json.loads(numbers.read_text(encoding="utf-8")) if asked.case and numbers.is_file() else {}
+    results = {name: kept[name] for name in (case.name for case in CASES) if name in kept}
+    runs: dict[str, list[dict[str, Any]]] = {case.name: [] for case in cases}
     with ProcessPoolExecutor(asked.workers) as pool:
         for first in range(0, asked.seeds, SEEDS_AT_ONCE):
             seeds = range(first, min(first + SEEDS_AT_ONCE, asked.seeds))
-            for scene in SCENES:
-                for pair in pool.map(both, [scene] * len(seeds), seeds):
-                    for name, run in zip(METHODS.values(), pair, strict=True):
-                        runs[f"{scene}, {name}"].append(run)
-            results = {name: summary(done) for name, done in runs.items()}
-            (OUT / "learn_coverage.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-            (OUT / "learn_coverage.md").write_text(text(results, seeds.stop), encoding="utf-8")
-    print(text(results, asked.seeds))
+            begun: dict[str, list[Future[dict[str, Any]]]] = {
+                case.name: [pool.submit(learned_again, case, seed) for seed in seeds] for case in cases
+            }
+            for case in cases:
+                runs[case.name] += [each.result() for each in begun[case.name]]
+                by_method = {method: [run[method] for run in runs[case.name]] for method in case.methods}
+                results[case.name] = {method: summary(case, done) for method, done in by_method.items()}
+            numbers.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+            page.write_text(text(results), encoding="utf-8")
+    print(text(results))
 
 
 if __name__ == "__main__":

@@ -11,15 +11,14 @@ from modsim3d.arrays import Array
 from modsim3d.learn.class_estimate import kept_share
 from modsim3d.learn.entries import Entry, Key, nested
 from modsim3d.learn.error_laws import LAWS, ErrorSample, LearnedLaw, heavy_tails
+from modsim3d.learn.error_persistence import WhiteErrors, compared
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.pairs import ErrorSource
-from modsim3d.learn.persistence_fit import Consecutive, steps_between
+from modsim3d.learn.persistence_fit import Consecutive
 from modsim3d.learn.resampling import Resampling
 
 ERRORS_NEEDED = 20
 """Pairs that the box error of a state needs."""
-_ROUNDS = 4
-"""Rounds in which a correlation time and what it leaves of the correlation settle."""
 
 
 @dataclass(frozen=True)
@@ -162,14 +161,5 @@ def consecutive_errors(observed: Observed, states: tuple[StateErrorForm, ...]) -
             continue
         white[chosen] = LAWS[form.law].whitened(pairs.errors(chosen, form.relative))
     kept = np.flatnonzero(np.isfinite(white[:, 0]))
-    steps = steps_between(observed.labelled, pairs.rows[kept])
-    a, b = kept[steps.earlier], kept[steps.later]
-    products, expected = (white[a] * white[b]).mean(axis=1), (white[a] ** 2).mean(axis=1)
-    found = Consecutive(products, expected, steps.apart_s, pairs.image[b])
-    if all(form.law == "normal" for form in states):
-        return found
-    for _ in range(_ROUNDS):
-        correlation = np.exp(-steps.apart_s / max(found.rough_time_s(), 1e-9))
-        left = np.stack([LAWS[form.law].correlation_left(correlation) for form in states])
-        found = replace(found, expected=expected * left[pairs.state[b], np.arange(len(b))])
-    return found
+    laws = tuple(form.law for form in states)
+    return compared(observed.labelled, WhiteErrors(pairs.rows[kept], white[kept], pairs.state[kept], laws))

@@ -9,11 +9,14 @@ from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.formats.labelled import LabelledSet
+from modsim3d.learn.mean_bias import Stretches
 from modsim3d.learn.resampling import Column, Resampling, widened
 
 LEVEL = 0.999
 """Level of the interval of a correlation that decides whether noise persists."""
 _GRID = 96
+_UNKNOWN = 50.0
+"""Relative error of a correlation time that the frames do not bound from above."""
 _ONCE = Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64))
 
 
@@ -60,12 +63,14 @@ class Consecutive:
         expected: Their expectation if the noise were the same in both, shape (m,).
         apart_s: Time between the two, shape (m,).
         image: Image of the later one, shape (m,).
+        stretches: The sightings whose mean was taken off, if their number is small enough to matter.
     """
 
     products: Array
     expected: Array
     apart_s: Array
     image: Indices
+    stretches: Stretches | None = None
 
     def __len__(self) -> int:
         """Number of pairs."""
@@ -112,17 +117,22 @@ class Consecutive:
         """
         gap = float(np.median(self.apart_s))
         grid = gap * np.geomspace(0.05, 1000, _GRID)
-        if np.ptp(self.apart_s) < 1e-6 * gap:
-            sums = resampling.sums(self.image, np.column_stack([self.products, self.expected]))
-            curve = sums[:, 1:] * np.exp(-gap / grid)
-        else:
-            decayed = self.expected[:, None] * np.exp(-self.apart_s[:, None] / grid)
-            sums = resampling.sums(self.image, np.column_stack([self.products, decayed]))
-            curve = sums[:, 1:]
-        result = np.zeros(len(sums))
-        for row in np.flatnonzero(sums[:, 0] > 0):
-            result[row] = np.exp(np.interp(sums[row, 0], curve[row], np.log(grid)))
+        left = np.ones(_GRID) if self.stretches is None else self.stretches.correlation_left(grid)
+        products = resampling.sums(self.image, self.products)
+        curve = self._decayed(resampling, gap, grid) * left
+        curve, result = np.maximum.accumulate(curve, axis=1), np.zeros(len(products))
+        for row in np.flatnonzero(products > 0):
+            result[row] = np.exp(np.interp(products[row], curve[row], np.log(grid)))
         return result
+
+    def _decayed(self, resampling: Resampling, gap_s: float, grid_s: Array) -> Array:
+        """Sums of the expected products times e^(−Δt/τ), shape (rows, g), given the median Δt and some τ (g,)."""
+        apart, kind = np.unique(np.round(self.apart_s / gap_s, 6), return_inverse=True)
+        if len(apart) > _GRID:  # frames at any times
+            return resampling.sums(self.image, self.expected[:, None] * np.exp(-self.apart_s[:, None] / grid_s))
+        of_kind = resampling.counts(self.image, kind.ravel(), (len(apart),), self.expected)
+        decayed: Array = of_kind @ np.exp(-gap_s * apart[:, None] / grid_s)
+        return decayed
 
     def relative_error(self, time_s: float) -> float:
         """Relative standard error of a correlation time τ, from the deviation of each pair's product.
@@ -130,10 +140,12 @@ class Consecutive:
         Given the earlier residual, a product is expected to be e^(−Δt/τ) times the residual's square. Deviations from
         that are independent of each other whatever persists, and there are many more pairs than runs of frames.
         """
-        gap = float(np.median(self.apart_s))
-        kept = float(np.exp(-gap / time_s))
-        stray = np.sqrt(((self.products - kept * self.expected) ** 2).sum()) / self.expected.sum()
-        return float(stray / kept * time_s / gap)
+        near = time_s * np.array([0.99, 1.0, 1.01])
+        left = np.ones(3) if self.stretches is None else self.stretches.correlation_left(near)
+        below, now, above = (self.expected * np.exp(-self.apart_s / t) * k for t, k in zip(near, left, strict=True))
+        growth = float((above - below).sum() / np.log(near[2] / near[0]))
+        stray = float(np.sqrt(((self.products - now) ** 2).sum()))
+        return min(stray / max(growth, 1e-12), _UNKNOWN)
 
 
 def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -14,14 +15,16 @@ from modsim3d.scene.reading import data_folder, load_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 DETECTOR = ROOT / "tests" / "data" / "learn" / "round_trip.yaml"
-LABELS = ("sailboat", "motorboat", "ferry")
+SETTINGS = {"reference", "merge_overlap", "split_aspect", "size_reference_px", "edges", "rate"}
+"""Numbers of a detector file that stand beside those that are learned."""
 
 
 def simulate(name: str, folder: Path, mode: int, steps: int | None = None, seed: int = 0, detector=DETECTOR) -> Path:
-    """Run a shipped scene with vessels of three labels and the detector; gives the run directory."""
+    """Run a shipped scene with vessels of the detector's labels and the detector; gives the run directory."""
     scene = yaml.safe_load((data_folder("scenes") / f"{name}.yaml").read_text())
+    labels = yaml.safe_load(Path(detector).read_text())["labels"]
     for number, vessel in enumerate(scene["vessels"].values()):
-        vessel["label"] = LABELS[number % 3]
+        vessel["label"] = labels[number % len(labels)]
     scene["detector"] = str(detector)
     scene["annotation"] = {"mode": mode, "source": "analytic"}
     scene["seed"] = seed
@@ -36,34 +39,43 @@ def simulate(name: str, folder: Path, mode: int, steps: int | None = None, seed:
 def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
     """The numbers of the detector file by the paths that learning gives them."""
     content = yaml.safe_load(path.read_text())
-    clutter = content["false_positives"]
-    density = np.array(clutter["density"], dtype=float)
-    asked = {
-        "transition_matrix": content["transition_matrix"],
-        "dropout.size_px.per_doubling": content["dropout"]["size_px"]["per_doubling"],
-        "persistence.class_s": content["persistence"]["class_s"],
-        "persistence.box_s": content["persistence"]["box_s"],
-        "false_positives.density": density / density.sum(),
-        "false_positives.size.px": clutter["size"]["px"],
-        "false_positives.size.log_std": clutter["size"]["log_std"],
-    }
+    asked = {"transition_matrix": content["transition_matrix"]}
+    for section in ("dropout", "persistence", "false_positives"):
+        asked |= _numbers_below(section, content.get(section, {}))
+    if "false_positives.density" in asked:
+        density = np.array(asked["false_positives.density"], dtype=float)
+        asked["false_positives.density"] = density / density.sum()
+    number = (
+        "false_positives_per_image" if content["false_positives"]["model"] == "per_image" else "false_discovery_rate"
+    )
     for name, state in content["states"].items():
         covariance = np.array(state["box_error"]["covariance"])
         std = np.sqrt(np.diag(covariance))
         asked |= {
             f"states.{name}.confusion": state["confusion"],
             f"states.{name}.false_positive_labels": state["false_positive_labels"],
-            f"states.{name}.false_discovery_rate": state["false_discovery_rate"],
+            f"states.{name}.{number}": state[number],
             f"states.{name}.box_error_mean": state["box_error"]["mean"],
             f"states.{name}.box_error_std": std,
             f"states.{name}.box_error_correlation": [covariance[i, j] / (std[i] * std[j]) for i, j in ERROR_PAIRS],
         }
-        if "degrees_of_freedom" in state["box_error"]:
-            asked[f"states.{name}.box_error_degrees_of_freedom"] = state["box_error"]["degrees_of_freedom"]
-        for kind, scores in state["confidence"].items():
-            for key, value in scores.items():
-                asked[f"states.{name}.confidence.{str(kind).lower()}.{key}"] = value
+        for key in ("degrees_of_freedom", "growth"):
+            if key in state["box_error"]:
+                asked[f"states.{name}.box_error_{key}"] = state["box_error"][key]
+        asked |= _numbers_below(f"states.{name}.confidence", state["confidence"])
     return {path: np.array(value, dtype=float) for path, value in asked.items()}
+
+
+def _numbers_below(path: str, section: dict[str, Any]) -> dict[str, Any]:
+    """Numbers and lists of numbers of a section by their paths, without those that are not learned."""
+    found = {}
+    for key, value in section.items():
+        below = f"{path}.{str(key).lower()}"  # YAML reads `true` as a truth value
+        if isinstance(value, dict):
+            found |= _numbers_below(below, value)
+        elif key not in SETTINGS and not isinstance(value, str):
+            found[below] = value
+    return found
 
 
 def outside(asked, intervals) -> dict[str, int]:

@@ -7,10 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
+from scipy.stats import binom
 
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.learned import Learned, Settings, learn
+from modsim3d.learn.mean_bias import Stretches
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.persistence_fit import Consecutive
 from modsim3d.learn.transitions import Transitions
@@ -61,6 +64,31 @@ def test_errors_and_misses_that_persist_in_few_frames_are_found():
     assert notes_on("persistence.box_s", learned) == []
     misses = learned_from(two_boats(90, rng.normal(size=(90, 2, 4)), luck < -0.3))
     assert misses.detector()["persistence"].keys() == {"class_s"}
+
+
+def test_the_correlation_time_of_errors_is_right_where_frames_last_only_a_few_times_as_long():
+    asked_s, seeds, found = 3.0, 40, []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        errors = 2 * chain(np.exp(-1 / RATE_HZ / asked_s), rng, 80, 2, 4)
+        learned = learned_from(two_boats(80, errors, rng.random((80, 2)) < 0.2))
+        (interval,) = [each for each in learned.intervals(0.95) if each.key.path == "persistence.box_s"]
+        found.append((interval.estimate, interval.low <= asked_s <= interval.high))
+    estimates, inside = np.array(found, dtype=float).T
+    assert np.log(estimates / asked_s).mean() == pytest.approx(0, abs=0.15)
+    assert binom.cdf(inside.sum(), seeds, 0.95) > 0.001
+
+
+def test_what_the_mean_takes_of_a_correlation_is_what_matrices_say():
+    counts, gap_s, times_s = (40, 30, 1), 0.2, np.array([0.3, 3.0, 30.0])
+    stretches = Stretches(np.array(counts, dtype=float), np.array([gap_s, gap_s, 0]), np.zeros(3, dtype=int))
+    centred = np.eye(71) - 1 / 71
+    earlier = np.r_[0:39, 40:69]
+    for time_s, left in zip(times_s, stretches.correlation_left(times_s), strict=True):
+        alone = (np.exp(-gap_s * np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / time_s) for n in counts)
+        covariance = centred @ block_diag(*alone) @ centred
+        asked = covariance[earlier, earlier + 1].sum() / covariance[earlier, earlier].sum()
+        assert left * np.exp(-gap_s / time_s) == pytest.approx(asked, rel=1e-9)
 
 
 def test_the_interval_that_includes_zero_is_the_reason():
