@@ -2,37 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from modsim3d.arrays import Array
 from modsim3d.learn.class_estimate import kept_share
 from modsim3d.learn.entries import Entry, Key, nested
-from modsim3d.learn.error_laws import LAWS, ErrorSample, LearnedLaw, heavy_tails
-from modsim3d.learn.error_persistence import WhiteErrors, compared
+from modsim3d.learn.error_choice import ChosenLaw, choose_law, plain_unit
+from modsim3d.learn.error_fits import ErrorFits
+from modsim3d.learn.error_laws import ErrorSample, LearnedErrors, learned_errors
+from modsim3d.learn.error_model import ErrorModel, Unit
+from modsim3d.learn.error_persistence import consecutive_errors
+from modsim3d.learn.error_usage import UsedMatches
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.pairs import ErrorSource
-from modsim3d.learn.persistence_fit import Consecutive
 from modsim3d.learn.resampling import Resampling
 
 ERRORS_NEEDED = 20
-"""Pairs that the box error of a state needs."""
+"""Pairs with all sides in the image that the box error of a state needs."""
 
 
 @dataclass(frozen=True)
 class StateErrorForm:
     """The unit of the box error in one state, the pairs it is learned from and the name in `LAWS` of its law."""
 
-    unit: Literal["px", "relative"]
+    unit: Unit
     source: ErrorSource = ErrorSource.OWN_STATE
     law: str = "normal"
-
-    @property
-    def relative(self) -> bool:
-        """Whether errors are in sides of the box."""
-        return self.unit == "relative"
 
 
 @dataclass(frozen=True)
@@ -46,29 +43,36 @@ class BoxErrorForm:
     @property
     def relative(self) -> bool:
         """Whether errors are in sides of the box in every state."""
-        return all(form.relative for form in self.states)
+        return all(form.unit == "relative" for form in self.states)
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedBoxErrors:
         """The law of each state and the correlation time of errors."""
+        fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
+        found = [each.fit(form.unit, form.law != "normal") for each, form in zip(fits, self.states, strict=True)]
         box_s = None
         if self.box_s > 0:
-            box_s = Entry(Key(("persistence", "box_s")), consecutive_errors(observed, self.states).column(resampling))
-        kept, pairs, learned = kept_share(observed, 0.0 if box_s is None else float(box_s.estimate)), observed.pairs, []
+            own = [form.source is ErrorSource.OWN_STATE for form in self.states]
+            models = [fit.model if fit and ours else None for fit, ours in zip(found, own, strict=True)]
+            box_s = Entry(Key(("persistence", "box_s")), consecutive_errors(observed, models).column(resampling))
+        kept, learned, used = kept_share(observed, 0.0 if box_s is None else float(box_s.estimate)), [], []
         for index, (name, form) in enumerate(zip(observed.states, self.states, strict=True)):
-            chosen = pairs.of_source(form.source, form.relative, index)
-            errors = pairs.errors(chosen, form.relative)
-            sample = ErrorSample(errors, pairs.image[chosen], kept, name, form.unit)
-            learned.append(LAWS[form.law].estimate(resampling, sample))
-        return LearnedBoxErrors(self, tuple(learned), box_s)
+            edges, fit = fits[index].edges, found[index]
+            errors = edges.errors_px / (edges.sides_px if form.unit == "relative" else 1.0)
+            learned.append(learned_errors(resampling, ErrorSample(errors, edges.image, kept, name, form.unit, fit)))
+            used.append(UsedMatches.of(name, observed.pairs, index, edges, fit))
+        return LearnedBoxErrors(tuple(learned), box_s, tuple(used))
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedBoxErrors:
-    """The law of the box error in each state, and the correlation time of errors, None if they do not persist."""
+    """The law of the box error in each state, the correlation time of errors, None if they do not persist.
 
-    form: BoxErrorForm
-    states: tuple[LearnedLaw, ...]
+    `used` says which matches count.
+    """
+
+    states: tuple[LearnedErrors, ...]
     box_s: Entry | None
+    used: tuple[UsedMatches, ...]
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """The persistence of errors."""
@@ -78,88 +82,74 @@ class LearnedBoxErrors:
 
     def state_section(self, state: int) -> dict[str, Any]:
         """Unit and law of the box error."""
-        return {"box_error": {"unit": self.form.states[state].unit, **self.states[state].section()}}
+        return {"box_error": self.states[state].section()}
 
 
 def choose_box_errors(observed: Observed) -> BoxErrorForm:
     """Unit, source and law of the box error of each state, and whether errors persist."""
     notes: list[str] = []
-    states = tuple(_state_form(observed, index, notes) for index in range(len(observed.states)))
-    box_s = _persistence_s(observed, states, notes)
-    states = tuple(_with_law(observed, index, form, box_s, notes) for index, form in enumerate(states))
-    return BoxErrorForm(states, box_s, tuple(notes))
+    sources = [_source(observed, index, notes) for index in range(len(observed.states))]
+    fits = [observed.pairs.fits(source, index) for index, source in enumerate(sources)]
+    box_s = _persistence_s(observed, sources, fits, notes)
+    kept, forms = kept_share(observed, box_s), []
+    for name, source, each in zip(observed.states, sources, fits, strict=True):
+        law = ChosenLaw(plain_unit(each, observed.without))
+        if source is ErrorSource.OWN_STATE:
+            law = choose_law(each, kept, observed.without)
+        kind = "student_t" if law.heavy else law.unit
+        notes += [f"states.{name}.box_error: {kind}, for {' and '.join(law.reasons)}"] if law.reasons else []
+        fit = each.fit(law.unit, law.heavy)
+        if fit is not None and not fit.settled:
+            notes.append(
+                f"states.{name}.box_error: as if matching cut off nothing; too many boxes fail the matching to tell "
+                "how far errors spread beyond it"
+            )
+        forms.append(StateErrorForm(law.unit, source, "student_t" if law.heavy else "normal"))
+    return BoxErrorForm(tuple(forms), box_s, tuple(notes))
 
 
-def _state_form(observed: Observed, state: int, notes: list[str]) -> StateErrorForm:
-    """Pixels or sides of the box, whichever makes the errors likelier as normal ones."""
-    numbers = []
-    for source in ErrorSource:
-        in_px, in_sides = (observed.pairs.of_source(source, relative, state) for relative in (False, True))
-        numbers.append(max(int(in_px.sum()), int(in_sides.sum())))
-        if numbers[-1] >= ERRORS_NEEDED:
-            break
-    if source is not ErrorSource.OWN_STATE:
-        edge = ", with boxes at the image's edge" if source is ErrorSource.ALL_PAIRS else ""
-        notes.append(
-            f"states.{observed.states[state]}.box_error: that of all states{edge}; had {numbers[0]} matches away from "
-            f"the image's edge, needs {ERRORS_NEEDED}"
-        )
+def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:
+    """The first source with enough pairs that have all sides in the image."""
     pairs = observed.pairs
-    relative = _likelihood(pairs.error_px[in_sides], pairs.sides_px[in_sides])
-    return StateErrorForm("relative" if relative > _likelihood(pairs.error_px[in_px], None) else "px", source)
+    whole = pairs.edges.whole
+    own, every = int(np.count_nonzero(whole & (pairs.state == state))), int(np.count_nonzero(whole))
+    name = observed.states[state]
+    if own >= ERRORS_NEEDED:
+        unused = int(np.count_nonzero(~pairs.edges.usable & (pairs.state == state)))
+        if unused:
+            matches = int(np.count_nonzero(pairs.state == state))
+            notes.append(
+                f"states.{name}.box_error: from {matches - unused:,} of {matches:,} matches; {unused:,} with all sides "
+                "cut by the image's edge"
+            )
+        return ErrorSource.OWN_STATE
+    source = ErrorSource.ALL_STATES if every >= ERRORS_NEEDED else ErrorSource.ALL_PAIRS
+    cut = ", with sides that the image's edge cuts" if source is ErrorSource.ALL_PAIRS else ""
+    notes.append(
+        f"states.{name}.box_error: that of all states{cut}; had {own} matches with all sides inside the image, needs "
+        f"{ERRORS_NEEDED}"
+    )
+    return source
 
 
-def _with_law(observed: Observed, state: int, form: StateErrorForm, box_s: float, notes: list[str]) -> StateErrorForm:
-    """The form with the law that errors of the state's own follow; normal where those of other states are taken."""
-    if form.source is not ErrorSource.OWN_STATE:
-        return form
-    errors = observed.pairs.errors(observed.pairs.of_source(form.source, form.relative, state), form.relative)
-    why = heavy_tails(errors, kept_share(observed, box_s))
-    if not why:
-        return form
-    notes.append(f"states.{observed.states[state]}.box_error: student_t, for {why}")
-    return replace(form, law="student_t")
-
-
-def _likelihood(errors_px: Array, sides_px: Array | None) -> float:
-    """Mean log-likelihood of errors (n, 4) as normal ones, in pixels or in sides (n, 4); −∞ from too few."""
-    if len(errors_px) < ERRORS_NEEDED:
-        return -np.inf
-    errors = errors_px if sides_px is None else errors_px / sides_px
-    sign, logarithm = np.linalg.slogdet(np.cov(errors.T) + 1e-12 * np.eye(4))
-    stretch = 0.0 if sides_px is None else float(np.log(sides_px).sum(axis=1).mean())
-    return float(-0.5 * logarithm - stretch) if sign > 0 else np.inf
-
-
-def _persistence_s(observed: Observed, states: tuple[StateErrorForm, ...], notes: list[str]) -> float:
+def _persistence_s(observed: Observed, sources: list[ErrorSource], fits: list[ErrorFits], notes: list[str]) -> float:
     """Rough correlation time of errors; 0 with a note if they do not persist, or that is not sure."""
-    if not len(observed.steps):
+    if not len(observed.steps) or "persistence" in observed.without:
         return 0.0  # which the note on misses says
-    consecutive = consecutive_errors(observed, states)
+    models: list[ErrorModel | None] = []
+    for source, each in zip(sources, fits, strict=True):
+        fit = each.fit(plain_unit(each, observed.without)) if source is ErrorSource.OWN_STATE else None
+        models.append(fit.model if fit else None)
+    consecutive = consecutive_errors(observed, models)
     found = consecutive.correlation()
     if found.persists:
         return consecutive.rough_time_s()
-    notes.append(f"persistence.box_s: 0; {found.doubt if len(consecutive) else _why_none(observed, states)}")
+    notes.append(f"persistence.box_s: 0; {found.doubt if len(consecutive) else _why_none(sources)}")
     return 0.0
 
 
-def _why_none(observed: Observed, states: tuple[StateErrorForm, ...]) -> str:
+def _why_none(sources: list[ErrorSource]) -> str:
     """Why no two errors can be compared."""
-    away = (observed.pairs.of_source(ErrorSource.OWN_STATE, form.relative, k) for k, form in enumerate(states))
-    if max(int(chosen.sum()) for chosen in away) < ERRORS_NEEDED:
-        return f"no state has {ERRORS_NEEDED} matches away from the image's edge"
-    return "nothing has two matches away from the image's edge"
-
-
-def consecutive_errors(observed: Observed, states: tuple[StateErrorForm, ...]) -> Consecutive:
-    """Whitened box errors in consecutive frames; products are means over the four components."""
-    pairs = observed.pairs
-    white = np.full((len(pairs), 4), np.nan)
-    for index, form in enumerate(states):
-        chosen = pairs.of_source(ErrorSource.OWN_STATE, form.relative, index)
-        if chosen.sum() < ERRORS_NEEDED:
-            continue
-        white[chosen] = LAWS[form.law].whitened(pairs.errors(chosen, form.relative))
-    kept = np.flatnonzero(np.isfinite(white[:, 0]))
-    laws = tuple(form.law for form in states)
-    return compared(observed.labelled, WhiteErrors(pairs.rows[kept], white[kept], pairs.state[kept], laws))
+    if ErrorSource.OWN_STATE not in sources:
+        return f"no state has {ERRORS_NEEDED} matches with all sides inside the image"
+    return "nothing has two matches with the same side far inside the image"

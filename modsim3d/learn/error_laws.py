@@ -1,213 +1,152 @@
-"""The distributions that box errors may have, and how the numbers of each are estimated."""
+"""The numbers of a distribution of box errors as a detector file has them, with their replicates."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.learn.entries import Entry, Key, nested
+from modsim3d.learn.error_choice import excess
+from modsim3d.learn.error_fit import ErrorFit
+from modsim3d.learn.error_model import Unit
 from modsim3d.learn.error_moments import ErrorMoments, covariance
-from modsim3d.learn.form import SIGNIFICANT
 from modsim3d.learn.resampling import Column, Kind, Resampling, from_scale, to_scale, widened
-from modsim3d.learn.student_t_fit import MOST_DEGREES, StudentTFit, fit_student_t, gain_over_normal
 
-T_NEEDED = 100
-"""Errors of a state that a choice between distributions needs."""
+LAWS = ("normal", "student_t")
+"""Distributions of box errors that can be learned, by the name that `box_error.law` has in a detector file."""
 _PAIR_NAMES = tuple(f"{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}" for i, j in ERROR_PAIRS)
 _LARGEST_STEP = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorSample:
-    """The errors that the distribution of one state is learned from.
+    """What the distribution of one state is learned from.
 
     Attributes:
-        errors: e_x, e_y, e_w, e_h in the unit, shape (n, 4).
+        errors: e_x, e_y, e_w, e_h in the unit as measured, shape (n, 4).
         image: Image of each, shape (n,).
         kept: Correlation of an error with that of the same vessel one frame before.
         state: Name of the state.
-        unit: `px` or `relative`.
+        unit: What standard deviations follow.
+        fit: The likeliest distribution; None where the errors determine none.
     """
 
     errors: Array
     image: Indices
     kept: float
     state: str
-    unit: str
+    unit: Unit
+    fit: ErrorFit | None
 
-    def key(self, name: str, *axes: tuple[str, ...], remark: str = "") -> Key:
-        """Where a number of the distribution stands."""
-        return Key((f"box_error_{name}",), self.state, axes, remark)
+    def entry(self, name: str, column: Column, *axes: tuple[str, ...]) -> Entry:
+        """A number of the distribution."""
+        remark = {"mean": self.in_words, "std": self.in_words, "growth": "px/px"}.get(name, "")
+        return Entry(Key((f"box_error_{name}",), self.state, axes, remark), column)
+
+    @property
+    def in_words(self) -> str:
+        """The unit of the mean."""
+        return "relative" if self.unit == "relative" else "px"
 
     def spread_of_means(self, power: int) -> float:
         """Standard error of the mean of powers of a standard normal error, which persist like it to that power."""
         return float(np.sqrt(excess(self.kept**power)) / np.sqrt(max(len(self.errors), 1)))
 
 
-def excess(kept: float) -> float:
-    """Variance of a sum of numbers of which a share is kept from one to the next, over that of independent ones."""
-    return (1 + kept) / (1 - kept)
-
-
-class LearnedLaw(Protocol):
-    """A distribution of box errors in one state; its fields hold `Entry` objects."""
-
-    def section(self) -> dict[str, Any]:
-        """What it writes into `box_error` of the detector file, but for the unit."""
-
-
-class ErrorLaw(Protocol):
-    """How the numbers of a distribution of box errors are estimated."""
-
-    def estimate(self, resampling: Resampling, sample: ErrorSample) -> LearnedLaw:
-        """The numbers of one state, with replicates that spread at least as theory has it for errors that persist."""
-
-    def whitened(self, errors: Array) -> Array:
-        """Errors (n, 4) as uncorrelated numbers with mean zero and variance one, shape (n, 4)."""
-
-    def correlation_left(self, correlation: Array) -> Array:
-        """Correlation of whitened errors, over that of the normal numbers that errors are made from, shape (n,)."""
-
-
 @dataclass(frozen=True, eq=False)
-class LearnedNormal:
-    """A normal distribution: mean (4,), standard deviation (4,) and correlation of the `ERROR_PAIRS` (6,)."""
+class LearnedErrors:
+    """The distribution of the box errors of a state.
 
+    Attributes:
+        unit: What standard deviations follow.
+        mean: Shape (4,).
+        std: Standard deviation; of mixed errors its fixed part, shape (4,).
+        correlation: Of the `ERROR_PAIRS`, shape (6,).
+        growth: By how much standard deviations grow with the side, shape (4,); None unless mixed.
+        degrees_of_freedom: Of Student's t law; None if normal.
+    """
+
+    unit: Unit
     mean: Entry
     std: Entry
     correlation: Entry
+    growth: Entry | None = None
+    degrees_of_freedom: Entry | None = None
 
     def section(self) -> dict[str, Any]:
-        """Mean and covariance."""
+        """The section `box_error` of a detector file."""
+        section: dict[str, Any] = {"unit": self.unit}
+        if self.degrees_of_freedom is not None:
+            section |= {"law": "student_t", "degrees_of_freedom": nested(self.degrees_of_freedom.estimate)}
         mean, std, correlation = (np.nan_to_num(each.estimate) for each in (self.mean, self.std, self.correlation))
-        return {"mean": nested(mean), "covariance": nested(_positive(covariance(std, correlation)))}
-
-    @classmethod
-    def of(cls, sample: ErrorSample, mean: Column, std: Column, correlation: Column) -> LearnedNormal:
-        """Entries of the columns."""
-        return cls(
-            Entry(sample.key("mean", ERROR_COMPONENTS, remark=sample.unit), mean),
-            Entry(sample.key("std", ERROR_COMPONENTS, remark=sample.unit), std),
-            Entry(sample.key("correlation", _PAIR_NAMES), correlation),
-        )
+        section |= {"mean": nested(mean), "covariance": nested(_positive(covariance(std, correlation)))}
+        if self.growth is not None:
+            section["growth"] = nested(np.maximum(self.growth.estimate, 0.0))
+        return section
 
 
-class NormalErrors:
-    """Normal box errors."""
-
-    def estimate(self, resampling: Resampling, sample: ErrorSample) -> LearnedNormal:
-        """Moments of the errors."""
-        moments = ErrorMoments.of(resampling, sample.image, sample.errors)
-        mean, std, correlation = moments.mean, moments.std, moments.correlation
-        of_sums, of_squares = sample.spread_of_means(1), sample.spread_of_means(2)
-        least = (1 - correlation.estimate**2) * of_squares
-        return LearnedNormal.of(
-            sample,
-            _wide(mean, std.estimate * of_sums),
-            _wide(std, std.estimate * of_squares / np.sqrt(2)),
-            _wide(correlation, least),
-        )
-
-    def whitened(self, errors: Array) -> Array:
-        """Errors (n, 4) with mean zero and the identity as covariance, shape (n, 4)."""
-        values, vectors = np.linalg.eigh(np.cov(errors.T))
-        root = (vectors / np.sqrt(np.maximum(values, 1e-9 * max(values[-1], 1e-12)))) @ vectors.T
-        white: Array = (errors - errors.mean(axis=0)) @ root
-        return white
-
-    def correlation_left(self, correlation: Array) -> Array:
-        """All of it: ones, shape (n,)."""
-        return np.ones_like(correlation)
+def learned_errors(resampling: Resampling, sample: ErrorSample) -> LearnedErrors:
+    """The numbers of one state, with replicates that spread at least as theory has it for errors that persist."""
+    if sample.fit is None or (sample.fit.plain and not sample.fit.model.heavy and sample.unit != "mixed"):
+        return _moments(resampling, sample)
+    return _likeliest(resampling, sample, sample.fit)
 
 
-@dataclass(frozen=True, eq=False)
-class LearnedStudentT:
-    """A t distribution: moments of the distribution itself, as a detector file has them, and degrees of freedom."""
-
-    moments: LearnedNormal
-    degrees_of_freedom: Entry
-
-    def section(self) -> dict[str, Any]:
-        """Law, degrees of freedom, mean and covariance."""
-        nu = nested(self.degrees_of_freedom.estimate)
-        return {"law": "student_t", "degrees_of_freedom": nu, **self.moments.section()}
-
-
-class StudentTErrors:
-    """Student's t box errors."""
-
-    def estimate(self, resampling: Resampling, sample: ErrorSample) -> LearnedStudentT:
-        """Maximum likelihood; replicates by one Newton step from the estimate."""
-        fit = _fitted(sample.errors)
-        scores = fit.scores(sample.errors)
-        inverse = np.linalg.inv(scores.T @ scores)
-        steps = resampling.sums(sample.image, scores) @ inverse
-        steps = np.clip(steps - steps[0], -_LARGEST_STEP, _LARGEST_STEP)
-        std = np.sqrt(np.diag(fit.covariance))
-        correlation = np.array([fit.covariance[i, j] / (std[i] * std[j]) for i, j in ERROR_PAIRS])
-        numbers = (fit.mean, std, correlation, np.array(fit.degrees_of_freedom))
-        kinds: tuple[Kind, ...] = ("mean", "positive", "correlation", "above_two")
-        # What follows the common scale of a vessel's errors persists like that scale does, correlations like squares.
-        power, columns, place = (1, 1, 2, 1), [], 0
-        for number, kind, each in zip(numbers, kinds, power, strict=True):
-            ours = slice(place, place := place + number.size)
-            scaled = to_scale(number, kind) + steps[:, ours].reshape(-1, *number.shape)
-            error = np.sqrt(np.diag(inverse)[ours] * excess(sample.kept**each)).reshape(number.shape)
-            values = from_scale(widened(scaled, error), kind)
-            columns.append(Column(values, kind, np.full(number.shape, float(len(sample.errors)))))
-        *moments, degrees = columns
-        return LearnedStudentT(LearnedNormal.of(sample, *moments), Entry(sample.key("degrees_of_freedom"), degrees))
-
-    def whitened(self, errors: Array) -> Array:
-        """Directions of the errors, shapes (n, 4): lengths would hide how the normal numbers behind them persist."""
-        fit = _fitted(errors)
-        values, vectors = np.linalg.eigh(fit.covariance)
-        white: Array = (errors - fit.mean) @ (vectors / np.sqrt(values)) @ vectors.T
-        white *= 2 / np.maximum(np.linalg.norm(white, axis=1, keepdims=True), 1e-300)
-        return white
-
-    def correlation_left(self, correlation: Array) -> Array:
-        """Mean cosine between two normal vectors of four numbers, over their correlation, shape (n,)."""
-        left: Array = 9 * np.pi / 32 * special.hyp2f1(0.5, 0.5, 3, correlation**2)
-        return left
+def _moments(resampling: Resampling, sample: ErrorSample) -> LearnedErrors:
+    """Moments of errors of which nothing is cut off."""
+    moments = ErrorMoments.of(resampling, sample.image, sample.errors)
+    mean, std, correlation = moments.mean, moments.std, moments.correlation
+    of_sums, of_squares = sample.spread_of_means(1), sample.spread_of_means(2)
+    least = (1 - correlation.estimate**2) * of_squares
+    return LearnedErrors(
+        sample.unit,
+        sample.entry("mean", _wide(mean, std.estimate * of_sums), ERROR_COMPONENTS),
+        sample.entry("std", _wide(std, std.estimate * of_squares / np.sqrt(2)), ERROR_COMPONENTS),
+        sample.entry("correlation", _wide(correlation, least), _PAIR_NAMES),
+    )
 
 
-LAWS: Mapping[str, ErrorLaw] = {"normal": NormalErrors(), "student_t": StudentTErrors()}
-"""Distributions of box errors that can be learned, by the name that `box_error.law` has in a detector file."""
-
-
-def heavy_tails(errors: Array, kept: float) -> str:
-    """Why Student's t law describes errors, shape (n, 4), better than the normal one; empty if it does not.
-
-    Twice the gain in log-likelihood, over the number of errors that count as one because they persist, must pass the
-    Bayesian information criterion and the square of `SIGNIFICANT`. The gain follows fourth powers of the errors.
-    `kept` is the correlation of an error with that of the same vessel one frame before.
-    """
-    if len(errors) < T_NEEDED:
-        return ""
-    alike = excess(kept**4)
-    gain, needed = gain_over_normal(errors) / alike, max(np.log(len(errors) / alike), SIGNIFICANT**2) / 2
-    if gain <= needed:
-        return ""
-    return f"tails are heavier than normal ones (log-likelihood {gain:.1f} larger, needs {needed:.1f})"
-
-
-def _fitted(errors: Array) -> StudentTFit:
-    """The t distribution of errors (n, 4), or one near the normal where a new sample determines none."""
-    fit = fit_student_t(errors)
-    if fit is None:
-        return StudentTFit(errors.mean(axis=0), np.cov(errors.T) + 1e-12 * np.eye(4), MOST_DEGREES)
-    return fit
+def _likeliest(resampling: Resampling, sample: ErrorSample, fit: ErrorFit) -> LearnedErrors:
+    """Maximum likelihood; replicates by one Newton step from the estimate."""
+    model, count, replicates = fit.model, len(fit.edges), len(resampling.weights) - 1
+    inverse: Array = np.zeros((len(model.places), len(model.places)))
+    steps: Array = np.zeros((1, len(model.places)))
+    if replicates:
+        inverse = np.asarray(np.linalg.inv(fit.information()), dtype=np.float64)
+        steps = resampling.sums(fit.edges.image, fit.slopes().scores) @ inverse
+        steps -= steps[0].copy()
+        steps[:, 4:] = np.clip(steps[:, 4:], -_LARGEST_STEP, _LARGEST_STEP)
+    freed = 1.0 if model.heavy else np.sqrt(count / max(count - 1, 1))
+    i, j = np.array(ERROR_PAIRS).T
+    # What follows the common scale of a vessel's errors persists like that scale does, other spreads like squares.
+    of_spread = 1 if model.heavy else 2
+    numbers: dict[str, tuple[Array, Kind, int]] = {
+        "mean": (model.mean, "mean", 1),
+        "std": (freed * model.std, "positive", of_spread),
+        "correlation": (model.correlation[i, j], "correlation", 2),
+    }
+    if model.unit == "mixed":
+        numbers["growth"] = (freed * model.growth, "mean", of_spread)
+    if model.heavy:
+        numbers["degrees_of_freedom"] = (np.array(model.freedom), "above_two", 1)
+    axes = {"correlation": (_PAIR_NAMES,), "degrees_of_freedom": ()}
+    entries, place = {}, 0
+    for name, (number, kind, power) in numbers.items():
+        ours = slice(place, place := place + number.size)
+        scaled = to_scale(number, kind) + steps[:, ours].reshape(-1, *number.shape)
+        error = np.sqrt(np.maximum(np.diag(inverse)[ours], 0) * excess(sample.kept**power)).reshape(number.shape)
+        values = from_scale(widened(scaled, error), kind)
+        column = Column(values, kind, np.full(number.shape, float(count)))
+        entries[name] = sample.entry(name, column, *axes.get(name, (ERROR_COMPONENTS,)))
+    return LearnedErrors(model.unit, **entries)
 
 
 def _wide(column: Column, least: Array) -> Column:
-    return Column(widened(column.values, least), column.kind, column.counts)
+    return replace(column, values=widened(column.values, least))
 
 
 def _positive(matrix: Array) -> Array:

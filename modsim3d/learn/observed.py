@@ -98,4 +98,5 @@ class Observed:
             box_px,
             errors_between(results.boxes_px[detection], box_px),
             self.labelled.images.sizes_px[image],
+            self.matched.rule,
         )

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import sizes
-
-_LEAST_SPREADS = 4.5
-"""A box counts for its error if its sides and its distance to the image's edge are so many standard deviations."""
+from modsim3d.boxes import move, sizes
+from modsim3d.formats.matching import Rule
+from modsim3d.learn.error_fits import ErrorFits
+from modsim3d.learn.matched_edges import MatchedEdges
 
 
 class ErrorSource(Enum):
-    """Which pairs the box error of a state is learned from: the first that has enough."""
+    """Which pairs the box error of a state is learned from: the first that has enough with all sides in the image."""
 
-    OWN_STATE = "pairs of the state away from the image's edge"
-    ALL_STATES = "pairs of all states away from the image's edge"
-    ALL_PAIRS = "all pairs, those at the image's edge included"
+    OWN_STATE = "pairs of the state"
+    ALL_STATES = "pairs of all states"
+    ALL_PAIRS = "pairs of all states, with sides that the image's edge cuts as they were measured"
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,7 @@ class Pairs:
         annotated_px: The annotated box, x_min, y_min, x_max, y_max, shape (m, 4).
         error_px: e_x, e_y, e_w, e_h of the detected box, shape (m, 4).
         image_px: Width and height of the image, NaN where unknown, shape (m, 2).
+        rule: The rule by which they match.
     """
 
     rows: Indices
@@ -40,6 +41,8 @@ class Pairs:
     annotated_px: Array
     error_px: Array
     image_px: Array
+    rule: Rule
+    _fits: dict[tuple[ErrorSource, int], ErrorFits] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -50,44 +53,26 @@ class Pairs:
         """Width, height, width, height, at least a pixel: what relative errors are relative to; shape (m, 4)."""
         return np.tile(np.maximum(sizes(self.annotated_px), 1.0), 2)
 
+    @cached_property
+    def edges(self) -> MatchedEdges:
+        """What each edge of the boxes says about their errors."""
+        found = move(self.annotated_px, self.error_px)
+        return MatchedEdges.of(self.annotated_px, found, self.image_px, self.image, self.rule)
+
     def errors(self, chosen: Mask, relative: bool) -> Array:
         """Errors of some rows in pixels, or in sides of the box, shape (chosen, 4)."""
         result: Array = self.error_px[chosen] / (self.sides_px[chosen] if relative else 1.0)
         return result
 
-    def of_source(self, source: ErrorSource, relative: bool, state: int) -> Mask:
-        """Rows that the box error of a state is learned from, shape (m,)."""
+    def fits(self, source: ErrorSource, state: int) -> ErrorFits:
+        """Distributions of the errors that those of a state are learned from."""
+        key = (source, state if source is ErrorSource.OWN_STATE else -1)
+        if key not in self._fits:
+            self._fits[key] = ErrorFits(self._edges_of(source, state))
+        return self._fits[key]
+
+    def _edges_of(self, source: ErrorSource, state: int) -> MatchedEdges:
         if source is ErrorSource.ALL_PAIRS:
-            return np.ones(len(self), dtype=bool)
-        unclipped = self.unclipped(relative)
-        return unclipped if source is ErrorSource.ALL_STATES else unclipped & (self.state == state)
-
-    def unclipped(self, relative: bool) -> Mask:
-        """Rows whose errors the image's edge or a least side of a pixel can hardly have cut, shape (m,).
-
-        The annotated box alone decides: leaving rows out by what was detected would itself cut errors.
-        """
-        return self._unclipped_by_unit[relative]
-
-    @cached_property
-    def _unclipped_by_unit(self) -> tuple[Mask, Mask]:
-        return self._unclipped(np.ones_like(self.sides_px)), self._unclipped(self.sides_px)
-
-    def _unclipped(self, unit_px: Array) -> Mask:
-        low, high, size = self.annotated_px[:, :2], self.annotated_px[:, 2:], self.image_px
-        unknown = np.isnan(size[:, 0])
-        inner = np.all((low > 2) & (high < size - 2), axis=1) | unknown
-        inner &= np.all(self.sides_px > 1, axis=1)
-        chosen: Mask = inner
-        if inner.sum() < 2:
-            return chosen
-        for _ in range(3):
-            errors = self.error_px[chosen] / unit_px[chosen]
-            reach = (np.abs(errors.mean(axis=0)) + _LEAST_SPREADS * errors.std(axis=0)) * unit_px
-            along = reach[:, :2] + reach[:, 2:] / 2
-            clear = np.all((low >= along) & (high <= size - along), axis=1)
-            large = np.all(self.sides_px[:, :2] - reach[:, 2:] >= 1, axis=1)
-            chosen = inner & (clear | unknown) & large
-            if chosen.sum() < 2:
-                break
-        return chosen
+            return self.edges.as_measured()
+        ours = self.edges.usable
+        return self.edges[ours & (self.state == state) if source is ErrorSource.OWN_STATE else ours]

@@ -10,6 +10,7 @@ import numpy as np
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
+from modsim3d.learn import error_usage
 from modsim3d.learn.error_moments import CELLS, ErrorMoments
 from modsim3d.learn.error_shares import ErrorShares
 from modsim3d.learn.figures import AveragePrecisions, Figures, Rates
@@ -147,7 +148,7 @@ def tables(report: Report, every: bool = False) -> list[Table]:
     detailed = groups if every else report.states
     several = len(report.labelled.labels) > 1
     found = [_state_table(report)] if report.states_differ else []
-    found += [_rates(report, groups), _errors(report, groups), _correlations(report, groups)]
+    found += [_rates(report, groups), _errors(report, groups), _correlations(report, groups), _used(report)]
     found += [_covariances(report, groups)] if every else []
     found += _curves(report, groups)
     found += [_labels(report, figures) for figures in detailed if several]
@@ -314,6 +315,11 @@ def _bias(bias: Bias) -> Table:
     return Table(title, header, tuple(row for _, row in rows[:40]) or (("none is sure", "", "", "", ""),))
 
 
+def _used(report: Report) -> Table:
+    rows = tuple(each.cells for each in report.learned.numbers.box_errors.used)
+    return Table(error_usage.TITLE, error_usage.HEADER, rows)
+
+
 def _models() -> Table:
     rows = tuple(
         (part, name, "not learned" if learner is None else "learned") for part, name, learner in models_and_learners()
@@ -323,7 +329,7 @@ def _models() -> Table:
 
 NEVER_LEARNED = (
     "Never learned: duplicates, merged and split boxes (they count as false or missed), false positives that persist, "
-    "box errors with both a fixed and a growing part, confidence as a precision-recall curve or that follows size or "
+    "confidence as a precision-recall curve or that follows size or "
     "visibility."
 )
 

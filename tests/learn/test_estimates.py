@@ -306,9 +306,9 @@ def at_the_edge(inner, outer, seed=2):
 @pytest.mark.parametrize(
     ("inner", "source", "whose"),
     [(30, ErrorSource.OWN_STATE, None), (2, ErrorSource.ALL_STATES, "that of all states; had 2 matches"),
-     (0, ErrorSource.ALL_PAIRS, "that of all states, with boxes at the image's edge; had 0 matches")],
+     (0, ErrorSource.ALL_PAIRS, "that of all states, with sides that the image's edge cuts; had 0 matches")],
 )  # fmt: skip
-def test_box_errors_are_learned_from_boxes_that_the_edge_has_not_cut_as_far_as_there_are_any(inner, source, whose):
+def test_box_errors_are_learned_from_sides_that_the_edge_has_not_cut_as_far_as_there_are_enough(inner, source, whose):
     labelled = at_the_edge(inner, 40)
     state = np.zeros(len(labelled.images), dtype=np.int64)
     names = ("usual",)

@@ -109,7 +109,7 @@ def test_the_interval_that_includes_zero_is_the_reason():
         ("identities", "persistence", "none; annotations have no identities"),
         ("one frame each", "persistence", "none; nothing is annotated in two frames with times"),
         ("all found", "persistence.class_s", "0; of each label in each state either everything or nothing was missed"),
-        ("few", "persistence.box_s", "0; no state has 20 matches away from the image's edge"),
+        ("few", "persistence.box_s", "0; no state has 20 matches with all sides inside the image"),
     ],
 )
 def test_the_reason_is_what_is_missing(change, key, reason):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +11,25 @@ import yaml
 from scipy import optimize, stats
 from typer.testing import CliRunner
 
+from modsim3d.boxes import move
 from modsim3d.cli import app
 from modsim3d.detector import load_detector
 from modsim3d.detector.box_error_law import StudentT, standardised
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule
-from modsim3d.learn.error_laws import LAWS, ErrorSample, heavy_tails
+from modsim3d.learn.error_choice import heavy_tails
+from modsim3d.learn.error_fit import ErrorFit, slopes
+from modsim3d.learn.error_fits import ErrorFits
+from modsim3d.learn.error_laws import ErrorSample, learned_errors
+from modsim3d.learn.error_model import LEAST_DEGREES, ErrorModel, Unit
+from modsim3d.learn.error_persistence import correlation_left
 from modsim3d.learn.gate_bias import bias_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings
+from modsim3d.learn.matched_edges import MatchedEdges
 from modsim3d.learn.report import Report
 from modsim3d.learn.resampling import resample
-from modsim3d.learn.student_t_fit import LEAST_DEGREES, StudentTFit, fit_student_t
+from modsim3d.learn.student_t_fit import fit_student_t
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verification import verify_run
 from tests.formats.labelled_sets import images
@@ -47,9 +54,16 @@ def persistent(kept: float, vessels: int, frames: int, seed: int) -> np.ndarray:
     return numbers
 
 
-def fitted(errors: np.ndarray) -> StudentTFit:
-    fit = fit_student_t(errors)
-    assert fit is not None
+def at_sea(errors: np.ndarray) -> ErrorFits:
+    """Errors of large boxes in images without an edge, matched by provenance."""
+    truth = np.tile([0.0, 0, 1000, 1000], (len(errors), 1))
+    nowhere, image = np.full((len(errors), 2), np.nan), np.arange(len(errors))
+    return ErrorFits(MatchedEdges.of(truth, move(truth, errors), nowhere, image, Rule("provenance")))
+
+
+def fitted(errors: np.ndarray) -> ErrorFit:
+    fit = at_sea(errors).fit("px", heavy=True)
+    assert fit is not None and fit.settled
     return fit
 
 
@@ -57,19 +71,34 @@ def fitted(errors: np.ndarray) -> StudentTFit:
 def test_the_fit_is_where_the_density_of_scipy_is_largest(nu: float) -> None:
     errors = t_errors(800, nu)
     fit = fitted(errors)
-    scatter = fit.covariance * (fit.degrees_of_freedom - 2) / fit.degrees_of_freedom
+    model = fit.model
+    scatter = model.covariance * (model.freedom - 2) / model.freedom
 
-    def log_likelihood(shift: float = 0.0, scale: float = 1.0, degrees: float = fit.degrees_of_freedom) -> float:
-        law = stats.multivariate_t(fit.mean + shift, scatter * scale, df=degrees)
+    def log_likelihood(shift: float = 0.0, scale: float = 1.0, degrees: float = model.freedom) -> float:
+        law = stats.multivariate_t(model.mean + shift, scatter * scale, df=degrees)
         return float(law.logpdf(errors).sum())
 
     best = log_likelihood()
-    assert fit.log_likelihood(errors) == pytest.approx(best)
+    assert fit.value == pytest.approx(best)
     for changes in ({"shift": 0.1}, {"shift": -0.1}, {"scale": 1.03}, {"scale": 0.97}):
         assert log_likelihood(**changes) < best
     likeliest = optimize.minimize_scalar(lambda nu: -log_likelihood(degrees=nu), bounds=(2.1, 30), method="bounded")
-    assert fit.degrees_of_freedom == pytest.approx(likeliest.x, rel=1e-3)
-    assert np.abs(fit.scores(errors).sum(axis=0)).max() < 0.05  # their standard deviations are about 28
+    assert model.freedom == pytest.approx(likeliest.x, rel=1e-3)
+    assert np.abs(fit.slopes().scores[:, 4:].sum(axis=0)).max() < 0.05  # their standard deviations are about 28
+
+
+@pytest.mark.parametrize("freedom", [np.inf, 4.0])
+@pytest.mark.parametrize("unit", ["px", "relative", "mixed"])
+def test_scores_are_slopes_of_the_log_likelihood(unit: Unit, freedom: float) -> None:
+    edges = at_sea(t_errors(20, 4.0)).edges
+    scale = 1e-3 if unit == "relative" else 1.0
+    model = ErrorModel.of_moments(scale * MEAN, scale**2 * COVARIANCE, unit, freedom)
+    model = replace(model, growth=np.full(4, 0.01)) if unit == "mixed" else model
+    numbers, scores = model.numbers(), slopes(model, edges, None).scores.sum(axis=0)
+    for place in range(len(numbers)):
+        step = 1e-5 * scale * np.eye(len(numbers))[place]
+        low, high = (slopes(model.with_numbers(numbers + side * step), edges, None).value for side in (-1, 1))
+        assert scores[place] == pytest.approx((high - low) / (2e-5 * scale), rel=1e-3, abs=1e-2)
 
 
 @pytest.mark.parametrize("nu", [4.0, 6.0])
@@ -77,9 +106,11 @@ def test_estimates_stray_as_far_as_their_replicates_and_lie_around_the_truth(nu:
     asked = np.concatenate([MEAN, np.sqrt(np.diag(COVARIANCE)), [nu]])
     z = []
     for seed in range(40):
-        sample = ErrorSample(t_errors(600, nu, seed), np.arange(600), 0.0, "clear", "px")
-        learned = LAWS["student_t"].estimate(resample(images(600), 100, seed), sample)
-        columns = [entry.column for entry in (learned.moments.mean, learned.moments.std, learned.degrees_of_freedom)]
+        errors = t_errors(600, nu, seed)
+        sample = ErrorSample(errors, np.arange(600), 0.0, "clear", "px", fitted(errors))
+        learned = learned_errors(resample(images(600), 100, seed), sample)
+        entries = (learned.mean, learned.std, learned.degrees_of_freedom)
+        columns = [entry.column for entry in entries if entry is not None]
         values = np.concatenate([np.atleast_2d(column.values.T).T for column in columns], axis=1)
         z.append((values[0] - asked) / values[1:].std(axis=0))
     assert np.abs(np.mean(z, axis=0)).max() < 4 / np.sqrt(40)
@@ -90,30 +121,32 @@ def test_estimates_stray_as_far_as_their_replicates_and_lie_around_the_truth(nu:
 def test_normal_errors_stay_normal_and_heavy_ones_do_not(kept: float) -> None:
     for seed in range(40):
         normal = persistent(kept, 20, 50, seed)[..., :4].reshape(-1, 4) @ ROOT.T
-        assert not heavy_tails(normal, kept)
+        assert not heavy_tails(at_sea(normal), "px", kept)
     heavy = standardised(StudentT(6.0), persistent(kept, 20, 150, 7)).reshape(-1, 4) @ ROOT.T
-    assert "tails are heavier" in heavy_tails(heavy, kept)
-    assert not heavy_tails(t_errors(99, 3.0), 0.0)
+    assert "tails are heavier" in heavy_tails(at_sea(heavy), "px", kept)
+    assert not heavy_tails(at_sea(t_errors(99, 3.0)), "px", 0.0)
 
 
 def test_errors_without_a_likeliest_t_law_stay_normal() -> None:
     many_right = t_errors(400, 3.0)
     many_right[:250] = 0  # annotated by the detector itself
-    assert fit_student_t(many_right) is None and not heavy_tails(many_right, 0.0)
+    assert fit_student_t(many_right) is None and not heavy_tails(at_sea(many_right), "px", 0.0)
     flat = t_errors(400, 3.0)
     flat[:, 3] = flat[:, 2]
-    assert not heavy_tails(flat, 0.0)
-    assert fitted(np.random.default_rng(1).standard_cauchy((400, 4))).degrees_of_freedom < LEAST_DEGREES + 0.01
+    assert not heavy_tails(at_sea(flat), "px", 0.0)
+    assert fitted(np.random.default_rng(1).standard_cauchy((400, 4))).model.freedom < LEAST_DEGREES + 0.01
 
 
 def test_directions_show_how_the_normal_numbers_behind_t_errors_persist() -> None:
-    errors = standardised(StudentT(4.0), persistent(KEPT, 60, 1000, 2)) @ ROOT.T
-    law = LAWS["student_t"]
-    white = law.whitened(errors.reshape(-1, 4)).reshape(errors.shape)
-    cosine = (white[1:] * white[:-1]).mean()
-    assert cosine == pytest.approx(KEPT * float(law.correlation_left(np.array(KEPT))), abs=0.004)
-    assert cosine < KEPT - 0.02
-    assert float(law.correlation_left(np.array(1.0))) == pytest.approx(1)
+    normal = persistent(KEPT, 60, 1000, 2)
+    errors = standardised(StudentT(4.0), normal)
+    for numbers in (4, 2):
+        direction = errors[..., :numbers] / np.linalg.norm(errors[..., :numbers], axis=-1, keepdims=True)
+        cosine = (direction[1:] * direction[:-1]).sum(axis=-1).mean()
+        left = float(correlation_left(np.array(KEPT), np.array(numbers)))
+        assert cosine == pytest.approx(KEPT * left, abs=0.004)
+        assert cosine < KEPT - 0.02
+        assert float(correlation_left(np.array(1.0), np.array(numbers))) == pytest.approx(1)
 
 
 @dataclass(frozen=True)

@@ -137,6 +137,8 @@ def _written(values: dict[str, Array], threshold: float) -> dict[str, Any]:
             written["box_error.covariance"] = nested(_covariance(value, values["box_error_correlation"]))
         elif name == "box_error_mean":
             written["box_error.mean"] = nested(value)
+        elif name == "box_error_growth":
+            written["box_error.growth"] = nested(np.maximum(value, 0.0))
         elif name == "box_error_degrees_of_freedom":
             written["box_error.degrees_of_freedom"] = nested(np.clip(value, LEAST_DEGREES, MOST_DEGREES))
         elif name == "density":

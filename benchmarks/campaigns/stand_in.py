@@ -1,0 +1,56 @@
+"""stand_in: do trackers score on simulated detections as on those of a detector that looks at pixels?
+
+Films of three places in three weathers are drawn in light and shade and shown to a pretrained detector. Detector files are
+learned from some of them, each with more models than the last, and trackers are scored on the others behind real and
+simulated detections. The weights are fetched, and films that the work folder has are not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from benchmarks.processes import say
+from benchmarks.stand_in.films import WORK, all_films, make_films
+from benchmarks.stand_in.measure import measure
+from benchmarks.stand_in.page import write_page
+from benchmarks.stand_in.rungs import LEAST_CONFIDENCE, RUNGS, learned_files
+from benchmarks.stand_in.tell_apart import told_apart
+from modsim3d.errors import ModsimError
+
+RESULTS = Path(__file__).resolve().parents[2] / "docs" / "campaigns" / "stand_in.json"
+
+
+def main() -> None:
+    """Make films, learn, measure, and write the results and the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, default=WORK, metavar="DIR", help="where the films and the weights are")
+    parser.add_argument("--films", type=int, metavar="N", help="only the first N films")
+    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds of the simulated detector on a film")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes (2 unless given)")
+    given = parser.parse_args()
+    try:
+        run(given.work, given.films, given.seeds, given.workers)
+    except ModsimError as error:
+        sys.exit(f"error: {error}")
+
+
+def run(work: Path, films: int | None, seeds: int, workers: int) -> None:
+    """The campaign; see `main` for the arguments."""
+    chosen = all_films(work)[:films]
+    make_films(work, chosen, workers)
+    seen, unseen = ([film for film in chosen if film.role == role] for role in ("learn", "compare"))
+    say(f"learning from {len(seen)} films")
+    detectors = learned_files(seen, work / "detectors")
+    titles = {rung.name: rung.title for rung in RUNGS}
+    results = measure(
+        unseen, detectors, range(1, seeds + 1), threshold=LEAST_CONFIDENCE, titles=titles, workers=workers
+    )
+    RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    write_page(results)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,166 @@
+"""The likeliest distribution of box errors, given what the edges of matched boxes say and what matching cut off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modsim3d.arrays import Array, Mask
+from modsim3d.learn.edge_completion import completed, standard_errors
+from modsim3d.learn.error_model import ErrorModel
+from modsim3d.learn.gate_passing import Gate, drawn, normal_points
+from modsim3d.learn.matched_edges import MatchedEdges
+
+_STEPS, _ENOUGH = 40, 0.01
+_LONGEST_STEP, _MOST_TIMES = 0.5, 4.0
+_DIFFERENCE = 0.25
+_MANY_MORE = 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Log-likelihood of a distribution with its slopes, box by box.
+
+    Attributes:
+        value: Log-likelihood of all boxes.
+        scores: Slopes by the numbers of the distribution, shape (n, p).
+    """
+
+    value: float
+    scores: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorFit:
+    """A distribution that was fitted.
+
+    Attributes:
+        gate: What matching cuts off; None where it cuts off nothing.
+        value: Its log-likelihood.
+        settled: Whether the likelihood has a maximum that was found.
+    """
+
+    model: ErrorModel
+    edges: MatchedEdges
+    gate: Gate | None
+    value: float
+    settled: bool
+
+    @property
+    def plain(self) -> bool:
+        """Whether every edge is known and matching cuts off nothing."""
+        return self.gate is None and bool(self.edges.known.all())
+
+    def slopes(self) -> Slopes:
+        """Slopes at the fitted numbers."""
+        return slopes(self.model, self.edges, self.gate)
+
+    def information(self) -> Array:
+        """Minus the second derivatives of the log-likelihood, shape (p, p), by differences of its slopes."""
+        start = self.model.numbers()
+        usual = _expected_information(self.model, self.edges)
+        step = _DIFFERENCE / np.sqrt(np.diag(usual))
+        found = np.empty_like(usual)
+        for place, width in enumerate(step):
+            ends = []
+            for side in (-1, 1):
+                moved = start.copy()
+                moved[place] += side * width
+                model = self.model.with_numbers(moved)
+                ends.append((model.numbers()[place], slopes(model, self.edges, self.gate).scores.sum(axis=0)))
+            found[place] = (ends[0][1] - ends[1][1]) / max(ends[1][0] - ends[0][0], 1e-300)
+        found = (found + found.T) / 2
+        scale = np.sqrt(np.diag(usual))
+        if not np.isfinite(found).all() or np.linalg.eigvalsh(found / np.outer(scale, scale))[0] < 1e-3:
+            return usual
+        return found
+
+
+def slopes(model: ErrorModel, edges: MatchedEdges, gate: Gate | None) -> Slopes:
+    """Log-likelihood and slopes of a distribution, given boxes and what matching cuts off."""
+    statistics, value = np.empty((len(edges), 14 + model.heavy)), 0.0
+    for part in completed(model, edges):
+        found = model.statistics(standard_errors(model, edges.sides_px[part.rows], part.outward_px))
+        statistics[part.rows] = np.einsum("mp,mps->ms", part.weights, found)
+        value += float(part.log_likelihood.sum())
+    if gate is not None:
+        passing, lost = gate.passing(model)
+        statistics += lost
+        value -= float(passing.sum())
+    return Slopes(value, statistics[:, model.places] * model.gains(edges.sides_px))
+
+
+def fit_errors(start: ErrorModel, edges: MatchedEdges) -> ErrorFit:
+    """Newton's steps from a distribution to the likeliest of its kind (Broyden's method for the derivatives)."""
+    gate = Gate.of(edges, start)
+    fit = _fit(start, edges, gate)
+    again = None if gate is None else Gate.of(edges, fit.model)
+    if again is not None and gate is not None and again.boxes > _MANY_MORE * gate.boxes:
+        fit = _fit(fit.model, edges, again)  # more boxes may fail than it seemed
+    if fit.settled or gate is None:
+        return fit
+    return replace(_fit(start, edges, None), settled=False)
+
+
+def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None) -> ErrorFit:
+    model, settled = start, False
+    information = _expected_information(start, edges)
+    unit: Array = 1 / np.sqrt(np.diag(information))  # all numbers in standard errors, so that they are alike
+    inverse: Array = np.asarray(np.linalg.inv(information * np.outer(unit, unit)), dtype=np.float64)
+    numbers, score = start.numbers(), slopes(start, edges, gate).scores.sum(axis=0)
+    for _ in range(_STEPS):
+        step = _step(inverse, score * unit, model.held(score)) * unit
+        if np.all(np.abs(step) <= _ENOUGH * unit):
+            settled = True
+            break
+        size = _size(step, model)
+        if size > _LONGEST_STEP:
+            step *= _LONGEST_STEP / size
+        model = model.with_numbers(numbers + step)
+        if np.any(model.std > _MOST_TIMES * start.std) or not np.isfinite(model.numbers()).all():
+            break
+        moved, after = model.numbers() - numbers, slopes(model, edges, gate).scores.sum(axis=0)
+        inverse = _broyden(inverse, moved / unit, (score - after) * unit)
+        numbers, score = numbers + moved, after
+    return ErrorFit(model, edges, gate, slopes(model, edges, gate).value, settled)
+
+
+def _step(inverse: Array, score: Array, held: Mask) -> Array:
+    """Newton's step of the numbers that are not held, shape (p,), given the inverse of the derivatives (p, p)."""
+    if not held.any():
+        step: Array = inverse @ score
+        return step
+    step, free = np.zeros(len(score)), np.flatnonzero(~held)
+    step[free] = np.linalg.solve(np.linalg.inv(inverse)[np.ix_(free, free)], score[free])
+    return step
+
+
+def _size(step: Array, model: ErrorModel) -> float:
+    """The longest step of any number, of means in standard deviations."""
+    scaled = step.copy()
+    scaled[:4] /= model.std
+    if model.unit == "mixed":
+        scaled[14:18] = 0
+    return float(np.abs(scaled).max())
+
+
+def _broyden(inverse: Array, moved: Array, change: Array) -> Array:
+    """Broyden's rank-one change of an inverse derivative (p, p), given a step and what it changed, shapes (p,)."""
+    predicted = inverse @ change
+    whole = float(moved @ predicted)
+    if abs(whole) < 1e-3 * float(moved @ moved):
+        return inverse
+    result: Array = inverse + np.outer(moved - predicted, moved @ inverse) / whole
+    return result
+
+
+def _expected_information(model: ErrorModel, edges: MatchedEdges) -> Array:
+    """Information that boxes would carry if all edges were known and matching cut off nothing, shape (p, p)."""
+    statistics = model.statistics(drawn(model, normal_points(1, 1024)[0]))
+    covariance = statistics.T @ statistics / len(statistics)
+    gains, places = model.gains(edges.sides_px), model.places
+    information = covariance[np.ix_(places, places)] * (gains.T @ gains)
+    scale = np.sqrt(np.diag(information))
+    result: Array = information + 1e-6 * np.diag(scale**2)
+    return result

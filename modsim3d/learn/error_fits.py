@@ -1,0 +1,88 @@
+"""The likeliest distribution of each kind for the box errors of a state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import optimize
+
+from modsim3d.arrays import Array
+from modsim3d.learn.error_fit import ErrorFit, fit_errors
+from modsim3d.learn.error_model import ErrorModel, Unit
+from modsim3d.learn.matched_edges import MatchedEdges
+from modsim3d.learn.student_t_fit import fit_student_t
+
+_WHOLE_NEEDED = 10
+_REGULAR = 1e-8
+_LEAST_SHARE, _MEAN_TO_STD = 0.05, np.sqrt(np.pi / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorFits:
+    """Distributions of the box errors of some boxes, each fitted when it is first asked for."""
+
+    edges: MatchedEdges
+    _found: dict[tuple[Unit, bool], ErrorFit | None] = field(default_factory=dict)
+
+    def fit(self, unit: Unit, heavy: bool = False) -> ErrorFit | None:
+        """The likeliest distribution of a kind; None where the errors determine none."""
+        if (unit, heavy) not in self._found:
+            start = self._start(unit, heavy) if len(self.edges) else None
+            self._found[unit, heavy] = None if start is None else fit_errors(start, self.edges)
+        return self._found[unit, heavy]
+
+    def value(self, unit: Unit, heavy: bool = False) -> float:
+        """Log-likelihood of the likeliest distribution of a kind, −∞ where there is none."""
+        found = self.fit(unit, heavy)
+        return -np.inf if found is None or not found.settled else found.value
+
+    def unclipped(self, relative: bool) -> Array:
+        """Errors of the boxes of which all edges are known, else of all, in pixels or sides, shape (m, 4)."""
+        edges = self.edges
+        chosen = edges.whole & edges.known.all(axis=1)
+        if chosen.sum() < _WHOLE_NEEDED:
+            chosen = edges.whole if edges.whole.any() else np.ones(len(edges), dtype=bool)
+        errors: Array = edges.errors_px[chosen] / (edges.sides_px[chosen] if relative else 1.0)
+        return errors
+
+    def _start(self, unit: Unit, heavy: bool) -> ErrorModel | None:
+        """A distribution near the likeliest one; None where errors are too few or determine each other."""
+        if unit == "mixed":
+            return self._start_of_mixed(heavy)
+        errors = self.unclipped(unit == "relative")
+        if not _regular(errors):
+            return None
+        if not heavy:
+            return ErrorModel.of_moments(errors.mean(axis=0), np.cov(errors.T, bias=True), unit)
+        found = fit_student_t(errors)
+        return (
+            None
+            if found is None
+            else ErrorModel.of_moments(found.mean, found.covariance, unit, found.degrees_of_freedom)
+        )
+
+    def _start_of_mixed(self, heavy: bool) -> ErrorModel | None:
+        """From that in pixels, with standard deviations that follow the mean size of errors over the sides."""
+        plain = self.fit("px", heavy)
+        if plain is None:
+            return None
+        edges, model = self.edges, plain.model
+        chosen = edges.whole
+        std, growth = np.empty(4), np.empty(4)
+        for k in range(4):
+            sides = np.column_stack([np.ones(chosen.sum()), edges.sides_px[chosen, k]])
+            found, _ = optimize.nnls(sides, _MEAN_TO_STD * np.abs(edges.errors_px[chosen, k] - model.mean[k]))
+            std[k], growth[k] = max(found[0], _LEAST_SHARE * model.std[k]), found[1]
+        return replace(model, std=std, growth=growth, unit="mixed")
+
+
+def _regular(errors: Array) -> bool:
+    """Whether errors (n, 4) have a covariance that is not singular."""
+    if len(errors) < 2:
+        return False
+    matrix = np.cov(errors.T)
+    std = np.sqrt(np.diag(matrix))
+    if not np.all(std > 0):
+        return False
+    return bool(np.linalg.eigvalsh(matrix / np.outer(std, std))[0] > _REGULAR)
