@@ -92,8 +92,9 @@ def believed(
         larger, smaller, box = kinds.merged
         detection[smaller], detection[larger] = NOBODY, box
         swallowed[smaller] = True
-        one_vessel[box] = one_vessel[kinds.one_box[2]] = False
-        swallowed[_probably_merged(kinds, detection, trials["merges"])] = True
+        near = kinds.one_box_overlap >= thresholds["merges"]
+        one_vessel[box] = one_vessel[kinds.one_box[2, near]] = False
+        swallowed[_probably_merged(kinds, detection, _share(trials["merges"]), thresholds["merges"])] = True
     if "duplicates" in trials:
         of_vessel.append(kinds.doubled)
     owned = detection[detection >= 0]
@@ -103,22 +104,24 @@ def believed(
     return Believed(detection, swallowed, false, free, one_vessel, thresholds, trials, tuple(notes))
 
 
-def _probably_merged(kinds: Kinds, detection: Indices, trials: Trials) -> Indices:
+def _probably_merged(kinds: Kinds, detection: Indices, rate: float, least: float) -> Indices:
     """Rows of some missed vessels of pairs whose boxes do not tell, as many as the rate of the other pairs asks for.
 
-    In so many pairs both vessels have a box; of all pairs of detected vessels that is the share that is not merged.
+    A vessel that overlaps k others has a box of its own with probability (1 − rate)^k, so those that have one say how
+    many have none for that reason. Some of these were recognized.
     """
-    larger, smaller = kinds.unclear
-    rate = min(_share(trials), 0.95)
-    both, one = (
-        (detection[smaller] >= 0) & (detection[larger] >= 0),
-        (detection[smaller] < 0) & (detection[larger] >= 0),
-    )
-    missed = np.unique(smaller[one])
-    if not len(missed) or rate <= 0:
-        return missed[:0]
-    wanted = float(both.sum()) * rate / (1 - rate) / len(missed)
-    return missed[np.random.default_rng(_SEED).random(len(missed)) < wanted]
+    chosen = kinds.unclear_overlap >= least
+    larger, smaller = kinds.unclear[:, chosen]
+    partner = np.full(len(detection), NOBODY)
+    partner[kinds.merged[0]], partner[kinds.merged[1]] = kinds.merged[1], kinds.merged[0]
+    free = (partner[larger] == NOBODY) | (partner[larger] == smaller)
+    vessels, number = np.unique(smaller[free], return_counts=True)
+    in_a_box = np.isin(vessels, kinds.merged[1])
+    own = (1 - min(rate, 0.95)) ** number[(detection[vessels] >= 0) & (partner[vessels] == NOBODY)]
+    missed = vessels[(detection[vessels] < 0) & ~in_a_box]
+    wanted = float(((1 - own) / own).sum()) - int(in_a_box.sum())
+    taken: Indices = missed[np.random.default_rng(_SEED).random(len(missed)) < wanted / max(len(missed), 1)]
+    return taken
 
 
 def _share(trials: Trials) -> float:

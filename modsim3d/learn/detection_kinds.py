@@ -72,7 +72,9 @@ class Kinds:
         fragments: The smaller parts, shape (f,).
         merged: Two annotations and the box around both, shape (3, m).
         one_box: Two annotations of which one alone has a match, which may be around both, and that match, shape (3, b).
+        one_box_overlap: Share of the smaller of the two in the larger, shape (b,).
         unclear: Pairs of annotations whose boxes do not tell whether a box is around both, shape (2, u).
+        unclear_overlap: Share of the smaller of the two in the larger, shape (u,).
         trials: By the name in `form.RICHER`.
     """
 
@@ -81,7 +83,9 @@ class Kinds:
     fragments: Indices
     merged: Indices
     one_box: Indices
+    one_box_overlap: Array
     unclear: Indices
+    unclear_overlap: Array
     trials: dict[str, Trials]
 
 
@@ -114,11 +118,9 @@ def _as_the_run_says(labelled: LabelledSet, sought: Sought, rows: Indices, false
     is_merged = np.isin(keys, _unordered(merged, smaller, len(rows)))
     single, split = own & (kind_of_match != MERGED), np.flatnonzero(kind_of_match == SPLIT)
     doubled = false[kind[false] == DUPLICATE]
-    nothing = np.zeros(len(rows))
+    nothing, none = np.zeros(len(rows)), np.zeros(len(pairs), dtype=bool)
     trials = {
-        "merges": _pair_trials(
-            sought, pairs, is_merged, np.where(is_merged, 1.0, 0.0), np.ones(len(pairs), dtype=bool)
-        ),
+        "merges": _pair_trials(sought, pairs, is_merged, 1.0 * is_merged, np.zeros(len(pairs)), ~none, none),
         "splits": _vessel_trials(sought, _long(sought, single), split, nothing),
         "duplicates": _vessel_trials(sought, single, split[:0], nothing, results.image[doubled]),
     }
@@ -128,7 +130,9 @@ def _as_the_run_says(labelled: LabelledSet, sought: Sought, rows: Indices, false
         fragments=false[kind[false] == FRAGMENT],
         merged=np.stack([rows[merged], rows[smaller], sought.row[merged]]),
         one_box=np.empty((3, 0), dtype=np.int64),
+        one_box_overlap=np.empty(0),
         unclear=np.empty((2, 0), dtype=np.int64),
+        unclear_overlap=np.empty(0),
         trials=trials,
     )
 
@@ -167,8 +171,8 @@ def _as_boxes_look(images: Images, sought: Sought, rows: Indices, loose: Loose, 
     owner_alike = np.where(sought.found[pairs.larger], alike[0], alike[1])
     by_error = np.where(common.one_box, owner_alike, 0.0)
     probable = np.where(common.one_box, (is_merged - by_error) / np.maximum(told - by_error, 0.5), 1.0 * is_merged)
-    merges = _pair_trials(detected, pairs, is_merged, probable - by_pair, clear, common.one_box, by_error + by_pair)
-    in_larger = ~clear & ~is_merged & sought.found[pairs.larger] & whole[pairs.smaller]
+    merges = _pair_trials(detected, pairs, is_merged, probable - by_pair, by_error + by_pair, clear, common.one_box)
+    in_larger = ~clear & sought.found[pairs.larger] & whole[pairs.larger]
     one = np.flatnonzero(common.one_box)
     owner = np.where(sought.found[pairs.larger[one]], pairs.larger[one], pairs.smaller[one])
     return Kinds(
@@ -177,7 +181,9 @@ def _as_boxes_look(images: Images, sought: Sought, rows: Indices, loose: Loose, 
         fragments=parts.smaller,
         merged=np.stack([rows[pairs.larger[common.pair]], rows[pairs.smaller[common.pair]], common.row]),
         one_box=np.stack([rows[pairs.larger[one]], rows[pairs.smaller[one]], sought.row[owner]]),
+        one_box_overlap=pairs.share[one],
         unclear=np.stack([rows[pairs.larger[in_larger]], rows[pairs.smaller[in_larger]]]),
+        unclear_overlap=pairs.share[in_larger],
         trials={
             "merges": merges,
             "splits": _vessel_trials(sought, _long(sought, single), parts.place, chance["splits"]),
@@ -214,27 +220,33 @@ def _pair_trials(
     pairs: Overlapping,
     is_merged: Mask,
     hits: Array,
+    chance: Array,
     clear: Mask,
-    one_box: Mask | None = None,
-    chance: Array | None = None,
+    one_box: Mask,
 ) -> Trials:
     """Pairs of detected vessels, and pairs with one box that may be around both.
 
     Of pairs with a vessel in common the one that overlaps most comes first, so another that came out as one box says
-    that it did not, and after it the others had no chance.
+    that it did not, and after it the others had no chance. After one that perhaps did, the others tell nothing.
     """
-    taken = np.zeros(len(sought))
-    np.maximum.at(taken, pairs.larger[is_merged], pairs.share[is_merged])
-    np.maximum.at(taken, pairs.smaller[is_merged], pairs.share[is_merged])
-    detected = sought.found | (taken > 0)
-    free = pairs.share > np.maximum(taken[pairs.larger], taken[pairs.smaller])
+    free = pairs.share > _most(sought, pairs, is_merged)
+    told = pairs.share > _most(sought, pairs, one_box & ~clear)
+    detected = sought.found.copy()
+    detected[pairs.larger[is_merged]] = detected[pairs.smaller[is_merged]] = True
     both = detected[pairs.larger] & detected[pairs.smaller] & free & ~is_merged
-    single = np.zeros(len(pairs), dtype=bool) if one_box is None else one_box & free & ~both & ~is_merged
-    chosen = clear & (is_merged | both | single)
+    single = one_box & free & ~both & ~is_merged
+    chosen = clear & told & (is_merged | both | single)
     hits = np.where(both, 0.0, hits)
-    chance = np.zeros(len(pairs)) if chance is None else np.where(both, 0.0, chance)
     weight = np.where(both, 1.0, hits)
-    return Trials(sought.image[pairs.larger], pairs.share, hits, weight, chance).where(chosen)
+    return Trials(sought.image[pairs.larger], pairs.share, hits, weight, np.where(both, 0.0, chance)).where(chosen)
+
+
+def _most(sought: Sought, pairs: Overlapping, chosen: Mask) -> Array:
+    """The largest overlap of either vessel of each pair in chosen pairs, 0 without one, shape (p,)."""
+    most = np.zeros(len(sought))
+    for each in (pairs.larger, pairs.smaller):
+        np.maximum.at(most, each[chosen], pairs.share[chosen])
+    return np.maximum(most[pairs.larger], most[pairs.smaller])
 
 
 def _unordered(a: Indices, b: Indices, number: int) -> Indices:
