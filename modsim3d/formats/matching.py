@@ -88,13 +88,13 @@ class Matched:
         annotation: Row of the annotation that each detection matches, −1 for none, shape (D,).
         counts: Whether a detection counts: it took part, and does not match something ignored, shape (D,).
         sought: Whether an annotation is to be detected, shape (T,).
-        rule: The rule that made them.
+        rule: How they were matched.
     """
 
     annotation: Indices
     counts: Mask
     sought: Mask
-    rule: Rule
+    rule: Rule = Rule()
 
     @cached_property
     def pairs(self) -> tuple[Indices, Indices]:

@@ -42,7 +42,7 @@ class FalsePositiveForm:
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedFalsePositives:
         """Rates and labels of each state, and the sizes and the map that all states share."""
         results, sizes_px = observed.labelled.results, observed.labelled.images.sizes_px
-        image, boxes_px = results.image[observed.false], results.boxes_px[observed.false]
+        image, boxes_px = results.image[observed.false_positives], results.boxes_px[observed.false_positives]
         return LearnedFalsePositives(
             self,
             _of_states(observed, self.model, resampling),
@@ -106,7 +106,7 @@ class LearnedFalsePositives:
 def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePositiveForm:
     """The model of false positives that the data can carry; `auto` leaves the model of their number to them."""
     notes: list[str] = []
-    false, needed = len(observed.false), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
+    false, needed = len(observed.false_positives), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
     if false < FALSE_NEEDED:
         notes.append(f"false_positives.size: that of vessels; had {false} false detections, needs {FALSE_NEEDED}")
     known = bool(np.isfinite(observed.labelled.images.sizes_px).all())
@@ -122,7 +122,7 @@ def _likelier(observed: Observed, notes: list[str]) -> str:
     """Whether the number of false detections follows that of the true ones, or is the same in every image."""
     images = len(observed.labelled.images)
     false = np.bincount(observed.labelled.results.image[observed.false], minlength=images).astype(np.float64)
-    true = np.bincount(observed.image[~observed.missed], minlength=images).astype(np.float64)
+    true = np.bincount(observed.image[observed.true], minlength=images).astype(np.float64)
     with_true, even = 0.0, 0.0
     for state in range(len(observed.states)):
         ours = observed.image_state == state
@@ -146,27 +146,29 @@ def _likelier(observed: Observed, notes: list[str]) -> str:
 def _of_states(observed: Observed, model: str, resampling: Resampling) -> tuple[StateFalsePositives, ...]:
     results, names = observed.labelled.results, observed.labelled.labels
     states, k = len(observed.states), len(names)
-    image, label = results.image[observed.false], results.label[observed.false]
+    image, label = results.image[observed.false_positives], results.label[observed.false_positives]
     labels = resampling.counts(image, observed.image_state[image] * k + label, (states, k))
-    false, seen = labels.sum(axis=2), ~observed.missed
-    true = resampling.counts(observed.image[seen], observed.state[seen], (states,))
+    alone, found = labels.sum(axis=2), observed.true
+    every = results.image[observed.false]
+    false = resampling.counts(every, observed.image_state[every], (states,))
+    true = resampling.counts(observed.image[found], observed.state[found], (states,))
     chosen = np.flatnonzero(observed.image_state >= 0)
     images = resampling.counts(chosen, observed.image_state[chosen], (states,))
-    overall = ratio(labels.sum(axis=1), false.sum(axis=1, keepdims=True))
+    overall = ratio(labels.sum(axis=1), alone.sum(axis=1, keepdims=True))
     overall = np.where(np.isfinite(overall), overall, 1 / k)
     learned = []
     for index, name in enumerate(observed.states):
-        number = false[:, index]
-        table = ratio(labels[:, index], number[:, None])
+        number, lonely = false[:, index], alone[:, index]
+        table = ratio(labels[:, index], lonely[:, None])
         table = np.where(np.isfinite(table), table, overall)
         share = np.nan_to_num(ratio(number, number + true[:, index]))
-        rate = np.nan_to_num(ratio(number, images[:, index]))
+        rate = np.nan_to_num(ratio(lonely, images[:, index]))
         remark = "" if model == "per_image" else NOT_WRITTEN
         learned.append(
             StateFalsePositives(
                 Entry(
                     Key(("false_positive_labels",), name, (names,), own_table=True),
-                    Column(table, "share", np.full(k, number[0])),
+                    Column(table, "share", np.full(k, lonely[0])),
                 ),
                 Entry(Key(("false_discovery_rate",), name), Column(share, "share", number[0] + true[0, index])),
                 Entry(Key(("false_positives_per_image",), name, remark=remark), Column(rate, "rate", images[0, index])),
