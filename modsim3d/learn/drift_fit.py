@@ -1,0 +1,82 @@
+"""How fast false positives that stay drift along the horizon."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.learn.false_sightings import FalseSightings
+from modsim3d.learn.lasting_pairs import Lag
+from modsim3d.learn.resampling import Column, Resampling, widened
+
+_LEAST_SEEN = 4
+_LEAST_ERROR = 0.005
+_ROBUST = float(np.pi / 2)
+"""Variance of a median of normal numbers over that of their mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Speeds of the s false positives that were seen in at least four frames on end.
+
+    Attributes:
+        image: Image in which each was first seen, shape (s,).
+        square: Squared speed along the horizon less its error, px²/s², shape (s,).
+        frames: In how many frames it was seen, shape (s,).
+    """
+
+    image: Indices
+    square: Array
+    frames: Array
+
+    @classmethod
+    def of(cls, sightings: FalseSightings, times_s: Array, next_frame: Lag) -> Drift:
+        """From links between consecutive frames; `times_s` are the times of all images."""
+        track = _tracks(len(sightings), next_frame)
+        whole = ~sightings.cut[:, [0, 2]].any(axis=1)  # the edge moves the centre of what it cuts
+        rows = np.flatnonzero(whole & (track >= 0))
+        rows = rows[np.argsort(track[rows], kind="stable")]
+        found: list[tuple[int, float, int]] = []
+        for ours in np.split(rows, np.flatnonzero(np.diff(track[rows])) + 1):
+            if len(ours) < _LEAST_SEEN:
+                continue
+            time_s, along = times_s[sightings.image[ours]], sightings.along_px[ours]
+            half = len(ours) // 2
+            speeds = (along[half:] - along[:-half]) / (time_s[half:] - time_s[:-half])
+            error = _ROBUST * float(speeds.var(ddof=1)) / len(speeds)
+            found.append((int(sightings.image[ours[0]]), float(np.median(speeds)) ** 2 - error, len(ours)))
+        image, square, frames = zip(*found, strict=True) if found else ((), (), ())
+        return cls(np.array(image, dtype=np.int64), np.array(square, dtype=float), np.array(frames, dtype=float))
+
+    def rough_px_s(self, errors: float) -> float:
+        """The root of the mean square; 0 where it is not so many standard errors above 0."""
+        total = float((self.frames * self.square).sum())
+        error = float(np.sqrt(((self.frames * self.square) ** 2).sum()))
+        return float(np.sqrt(total / self.frames.sum())) if len(self.frames) and total > errors * error else 0.0
+
+    def column(self, resampling: Resampling) -> Column:
+        """The root of the mean square speed."""
+        sums = resampling.sums(self.image, np.column_stack([self.frames * self.square, self.frames]))
+        square = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
+        values = np.sqrt(np.maximum(square, 1e-12))
+        return Column(widened(values, values[0] * _LEAST_ERROR), "positive", np.array(float(len(self.frames))))
+
+
+def _tracks(count: int, lag: Lag) -> Indices:
+    """The number of the track of each of so many sightings, linked from frame to frame; −1 for one alone, (n,)."""
+    moves = lag.moves
+    close = np.flatnonzero(moves.near(0.0))
+    order = close[np.argsort(moves.along_px[close] / moves.near_px[close], kind="stable")]
+    track, follows = np.full(count, -1, dtype=np.int64), np.full(count, -1, dtype=np.int64)
+    taken = np.zeros(count, dtype=bool)
+    for first, second in lag.rows[:, order].T.tolist():
+        if follows[first] < 0 and not taken[second]:
+            follows[first], taken[second] = second, True
+    for start in np.flatnonzero((follows >= 0) & ~taken).tolist():
+        at = start
+        while at >= 0:
+            track[at] = start
+            at = int(follows[at])
+    return track
