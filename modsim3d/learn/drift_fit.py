@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.learn.false_sightings import FalseSightings
 from modsim3d.learn.lasting_pairs import Lag
+from modsim3d.learn.persistence_fit import LEVEL
 from modsim3d.learn.resampling import Column, Resampling, widened
 
+LEAST_TRACKS = 5
+"""False positives seen in frames on end that a speed needs."""
 _LEAST_SEEN = 4
 _LEAST_ERROR = 0.005
 _ROBUST = float(np.pi / 2)
@@ -45,16 +50,29 @@ class Drift:
             time_s, along = times_s[sightings.image[ours]], sightings.along_px[ours]
             half = len(ours) // 2
             speeds = (along[half:] - along[:-half]) / (time_s[half:] - time_s[:-half])
-            error = _ROBUST * float(speeds.var(ddof=1)) / len(speeds)
+            stray = _ROBUST * float(speeds.var(ddof=1)) / len(speeds)
             found.append((int(sightings.image[ours[0]]), float(np.median(speeds)) ** 2 - error, len(ours)))
         image, square, frames = zip(*found, strict=True) if found else ((), (), ())
         return cls(np.array(image, dtype=np.int64), np.array(square, dtype=float), np.array(frames, dtype=float))
 
-    def rough_px_s(self, errors: float) -> float:
-        """The root of the mean square; 0 where it is not so many standard errors above 0."""
-        total = float((self.frames * self.square).sum())
-        error = float(np.sqrt(((self.frames * self.square) ** 2).sum()))
-        return float(np.sqrt(total / self.frames.sum())) if len(self.frames) and total > errors * error else 0.0
+    @cached_property
+    def rough_px_s(self) -> float:
+        """The root of the mean square; 0 where that is not above 0, or none was seen for long enough."""
+        return float(np.sqrt(max(self._mean_square, 0.0)))
+
+    @property
+    def sure(self) -> bool:
+        """Whether the speed is surely above 0: the interval of the mean square says so."""
+        count = len(self.frames)
+        if count < LEAST_TRACKS:
+            return False
+        stray = self.frames * (self.square - self._mean_square)
+        error = float(np.sqrt((stray**2).sum() * count / (count - 1)) / self.frames.sum())
+        return self._mean_square > float(special.stdtrit(count - 1, (1 + LEVEL) / 2)) * error
+
+    @property
+    def _mean_square(self) -> float:
+        return float((self.frames * self.square).sum() / self.frames.sum()) if len(self.frames) else 0.0
 
     def column(self, resampling: Resampling) -> Column:
         """The root of the mean square speed."""

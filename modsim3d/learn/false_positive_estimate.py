@@ -51,7 +51,7 @@ class FalsePositiveForm:
         return LearnedFalsePositives(
             self,
             _of_states(observed, self.model, resampling, lasting.inflation if lasting else 1.0),
-            _size(sightings, resampling, lasting.repeats if lasting else 1.0) if self.sizes else None,
+            _size(sightings, resampling, lasting.inflation if lasting else 1.0) if self.sizes else None,
             _place(sightings, self.placing, resampling, lasting),
             _persistence(lasting, self.drifts, resampling) if lasting else None,
         )
@@ -148,16 +148,16 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
         if isinstance(lasting, NotLasting):
             notes.append(f"false_positives.persistence: none; {lasting.why}")
     if isinstance(lasting, NotLasting):
-        placing = _placing(observed, sightings, 1.0, notes)
+        placing = _placing(observed, sightings, (1.0, 1.0), notes)
         return FalsePositiveForm(chosen, sized, placing, tuple(notes))
-    placing = _placing(observed, sightings, lasting.repeats, notes)
-    if not lasting.drift_px_s:
+    placing = _placing(observed, sightings, lasting.worth, notes)
+    if not lasting.drifts:
         notes.append("false_positives.persistence.drift_px_s: 0; no speed along the horizon can be told from 0")
-    return FalsePositiveForm(chosen, sized, placing, tuple(notes), lasting.lifetime_s, lasting.drift_px_s > 0)
+    return FalsePositiveForm(chosen, sized, placing, tuple(notes), lasting.lifetime_s, lasting.drifts)
 
 
-def _placing(observed: Observed, sightings: FalseSightings, repeats: float, notes: list[str]) -> Placing:
-    """Where false positives are, as far as the data carry it; `repeats` of them are worth one."""
+def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, float], notes: list[str]) -> Placing:
+    """Where false positives are, as far as the data carry it; see `Lasting.worth`."""
     if "places" in observed.without:
         return "uniform"
     false, needed = len(sightings), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
@@ -177,7 +177,7 @@ def _placing(observed: Observed, sightings: FalseSightings, repeats: float, note
             return "uniform"
         notes.append(f"{where} a map; {said}")
         return "density"
-    placing, gain = PlaceFit(sightings, repeats).choose()
+    placing, gain = PlaceFit(sightings, *worth).choose()
     deep = np.quantile(sightings.depth_px, 0.9)
     above = float((sightings.depth_px < 0).mean())
     lie = f"{above:.1%} of {false:,} false detections lie above the horizon, and 90 % less than {deep:.3g} px below it"
@@ -273,18 +273,17 @@ def _place(
     sightings: FalseSightings, placing: Placing, resampling: Resampling, lasting: Lasting | None
 ) -> Entry | None:
     """The parameter of the placement; of a map the share of the false positives whose centres are in each cell."""
-    repeats = lasting.repeats if lasting else 1.0
+    worth = lasting.worth if lasting else (1.0, 1.0)
     if placing == "horizon_band":
-        return Entry(Key(("false_positives", "band_px")), PlaceFit(sightings, repeats).band_px(resampling))
+        return Entry(Key(("false_positives", "band_px")), PlaceFit(sightings, *worth).band_px(resampling))
     if placing == "far_half_px":
-        return Entry(Key(("false_positives", "far_half_px")), PlaceFit(sightings, repeats).far_half_px(resampling))
+        return Entry(Key(("false_positives", "far_half_px")), PlaceFit(sightings, *worth).far_half_px(resampling))
     if placing == "uniform":
         return None
     column, row = cells_of(sightings.centres_px, sightings.image_px)
     counts = resampling.counts(sightings.image, row * GRID[1] + column, GRID)
     total = counts.sum(axis=(1, 2), keepdims=True)
-    inflation = lasting.inflation if lasting else 1.0
-    shares = Column(ratio(counts, total), "share", np.full(GRID, total[0, 0, 0]), inflation)
+    shares = Column(ratio(counts, total), "share", np.full(GRID, total[0, 0, 0]), worth[0])
     return Entry(Key(("false_positives", "density")), shares)
 
 
@@ -298,8 +297,8 @@ def _persistence(lasting: Lasting, drifts: bool, resampling: Resampling) -> Lear
     )
 
 
-def _size(sightings: FalseSightings, resampling: Resampling, repeats: float) -> LearnedSize:
-    """One shape, scaled by a number whose logarithm is normal; `repeats` false positives are worth one.
+def _size(sightings: FalseSightings, resampling: Resampling, inflation: float) -> LearnedSize:
+    """One shape, scaled by a number whose logarithm is normal.
 
     The image's edge cuts boxes, so only those count whose centres are farther from it than half of almost any box.
     """
@@ -316,7 +315,7 @@ def _size(sightings: FalseSightings, resampling: Resampling, repeats: float) -> 
     px = np.exp(sums[:, 1:3] / number[:, None])
     variance = (sums[:, 4] - sums[:, 3] ** 2 / number) / np.maximum(number - 1, 1)
     std = np.sqrt(np.maximum(variance, 0))
-    count = float(len(sides)) / repeats
+    count = float(len(sides)) / inflation
     root = np.sqrt(count)
     return LearnedSize(
         Entry(

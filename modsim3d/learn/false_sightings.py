@@ -89,6 +89,16 @@ class FalseSightings:
         return np.concatenate([near, far], axis=1)
 
     @cached_property
+    def whole(self) -> Mask:
+        """Whether no edge cuts the box, nor its level below the horizon between the left and the right edge, (n,)."""
+        (a, b, _), (x, y) = self.half_planes.T, self.centres_px.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left, right = y + a / b * x, y + a / b * (x - self.image_px[:, 0])
+            outside = (np.minimum(left, right) < 0) | (np.maximum(left, right) > self.image_px[:, 1])
+        inside: Mask = ~outside & ~self.cut.any(axis=1)
+        return inside
+
+    @cached_property
     def levels(self) -> tuple[Array, Array, Indices]:
         """Depths and widths of the sea in each distinct image, shapes (k, nodes), and which is that of each row (n,).
 

@@ -17,7 +17,6 @@ from scipy import special
 from modsim3d.arrays import Array
 from modsim3d.learn.drift_fit import Drift
 from modsim3d.learn.false_sightings import FalseSightings
-from modsim3d.learn.form import SIGNIFICANT
 from modsim3d.learn.lasting_pairs import Beat, Displacements, Lag, far_pairs, lags_of
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Column, Resampling, widened
@@ -113,18 +112,15 @@ class Lasting:
     Attributes:
         counted: Pairs at lags up to a few lifetimes.
         drift: Speeds.
-        lifetime_s, share, drift_px_s: The estimates; the speed is 0 where none can be told from 0.
+        lifetime_s, share: The estimates.
         frame_s: Time between frames.
-        longest_s: Length of the longest sequence.
     """
 
     counted: Counted
     drift: Drift
     lifetime_s: float
     share: float
-    drift_px_s: float
     frame_s: float
-    longest_s: float
 
     @cached_property
     def inflation(self) -> float:
@@ -132,14 +128,15 @@ class Lasting:
         return 1 + self.share * self._repeats
 
     @property
-    def repeats(self) -> float:
-        """How many false positives are worth one at a place of its own."""
-        return float(self.counted.false.sum()) / self.different
+    def drifts(self) -> bool:
+        """Whether they surely move, and at least a pixel in a lifetime."""
+        return self.drift.sure and self.drift.rough_px_s * self.lifetime_s >= 1
 
     @property
-    def different(self) -> float:
-        """Expected number of different ones: those that stay once each, and the others."""
-        return self.tracks + (1 - self.share) * float(self.counted.false.sum())
+    def worth(self) -> tuple[float, float]:
+        """The inflation, and how many false positives are seen of each different one."""
+        false = float(self.counted.false.sum())
+        return self.inflation, false / (self.tracks + (1 - self.share) * false)
 
     @property
     def _repeats(self) -> float:
@@ -190,8 +187,7 @@ def find_lasting(observed: Observed, sightings: FalseSightings, expected: Array)
             "by chance"
         )
     drift = Drift.of(sightings, observed.labelled.images.time_s, lags[0])
-    speed = drift.rough_px_s(SIGNIFICANT)
-    counted = _count(observed, sightings, expected, lags, far, speed)
+    counted = _count(observed, sightings, expected, lags, far, drift.rough_px_s)
     grid = np.geomspace(0.3 * beat.gap_s, 10 * beat.span_s, _GRID)
     every = np.ones((1, len(counted.false)))
     most_s = np.inf
@@ -200,9 +196,7 @@ def find_lasting(observed: Observed, sightings: FalseSightings, expected: Array)
         life, share = used.fit(every, grid)
         most_s = _LIFETIMES * float(life[0])
     lifetime = float(life[0])
-    if speed * lifetime < 1:
-        speed = 0.0
-    return Lasting(used, drift, lifetime, min(float(share[0]), 1.0), speed, beat.gap_s, beat.span_s)
+    return Lasting(used, drift, lifetime, min(float(share[0]), 1.0), beat.gap_s)
 
 
 _NONE = "no two frames of a sequence have times"

@@ -39,16 +39,13 @@ class PlaceFit:
 
     Attributes:
         sightings: The false positives.
-        repeats: How many of them are worth one: those that stay lie at one place again and again.
+        inflation: Factor by which those that stay raise the variance of a mean over all.
+        repeats: How many are seen of each different one.
     """
 
     sightings: FalseSightings
+    inflation: float = 1.0
     repeats: float = 1.0
-
-    @cached_property
-    def independent(self) -> float:
-        """How many false positives at places of their own they are worth."""
-        return max(len(self.sightings) / self.repeats, 1.0)
 
     def choose(self) -> tuple[Placing, float]:
         """The likeliest placement, uniform unless another is clearly likelier, and its gain in log-likelihood.
@@ -63,7 +60,8 @@ class PlaceFit:
         ]
         if len(self.sightings) >= FALSE_FOR_EACH_CELL * cells:
             found.append(("density", cells - 1, self._likelihood(self._map()) - level))
-        worth = [2 * gain / self.repeats - k * np.log(self.independent) for _, k, gain in found]
+        independent = max(len(self.sightings) / self.inflation, 1.0)
+        worth = [2 * gain / self.inflation - k * np.log(independent) for _, k, gain in found]
         best = int(np.argmax(worth))
         return (found[best][0], found[best][2]) if worth[best] > SIGNIFICANT**2 else ("uniform", 0.0)
 
@@ -91,7 +89,7 @@ class PlaceFit:
         step = float(np.log(scales[1] / scales[0]))
         shift = np.clip(0.5 * (left - right) / bend, -0.5, 0.5)
         values = scales[tops] * np.exp(shift * step)
-        least = step / np.sqrt(-bend[0]) * np.sqrt(self.repeats)
+        least = step / np.sqrt(-bend[0]) * np.sqrt(self.inflation)
         column = np.exp(widened(np.log(values), least))
         return Column(column, "positive", np.array(float(len(self.sightings))))
 
@@ -156,14 +154,19 @@ class PlaceFit:
 
     def _area_above(self, level: Array) -> Array:
         """Area of the sea above a level of each distinct image, shapes (k,)."""
-        depth, width, _ = self.sightings.levels
-        pieces = (width[:, 1:] + width[:, :-1]) / 2 * np.diff(depth, axis=1)
-        areas = np.concatenate([np.zeros((len(depth), 1)), np.cumsum(pieces, axis=1)], axis=1)
+        (depth, _, _), areas = self.sightings.levels, self._areas
         node = np.maximum((depth <= level[:, None]).sum(axis=1) - 1, 0)
         rows, after = np.arange(len(depth)), np.minimum(node + 1, depth.shape[1] - 1)
         share = (level - depth[rows, node]) / np.maximum(depth[rows, after] - depth[rows, node], 1e-9)
         result: Array = areas[rows, node] + np.clip(share, 0, 1) * (areas[rows, after] - areas[rows, node])
         return result
+
+    @cached_property
+    def _areas(self) -> Array:
+        """Area of the sea above each level of each distinct image, shape (k, nodes)."""
+        depth, width, _ = self.sightings.levels
+        pieces = (width[:, 1:] + width[:, :-1]) / 2 * np.diff(depth, axis=1)
+        return np.concatenate([np.zeros((len(depth), 1)), np.cumsum(pieces, axis=1)], axis=1)
 
     def _map(self) -> Array:
         """The same of a map of the image in cells, shape (n,)."""
