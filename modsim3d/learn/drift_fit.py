@@ -18,6 +18,7 @@ LEAST_TRACKS = 5
 """False positives seen in frames on end that a speed needs."""
 _LEAST_SEEN = 4
 _LEAST_ERROR = 0.005
+_MOST_TIMES = 9.0
 _ROBUST = float(np.pi / 2)
 """Variance of a median of normal numbers over that of their mean."""
 
@@ -40,10 +41,9 @@ class Drift:
     def of(cls, sightings: FalseSightings, times_s: Array, next_frame: Lag) -> Drift:
         """From links between consecutive frames; `times_s` are the times of all images."""
         track = _tracks(len(sightings), next_frame)
-        whole = ~sightings.cut[:, [0, 2]].any(axis=1)  # the edge moves the centre of what it cuts
-        rows = np.flatnonzero(whole & (track >= 0))
+        rows = np.flatnonzero(sightings.whole & (track >= 0))  # the edge moves the centre of what it cuts
         rows = rows[np.argsort(track[rows], kind="stable")]
-        found: list[tuple[int, float, int]] = []
+        found: list[tuple[int, float, float, int]] = []
         for ours in np.split(rows, np.flatnonzero(np.diff(track[rows])) + 1):
             if len(ours) < _LEAST_SEEN:
                 continue
@@ -51,9 +51,12 @@ class Drift:
             half = len(ours) // 2
             speeds = (along[half:] - along[:-half]) / (time_s[half:] - time_s[:-half])
             stray = _ROBUST * float(speeds.var(ddof=1)) / len(speeds)
-            found.append((int(sightings.image[ours[0]]), float(np.median(speeds)) ** 2 - error, len(ours)))
-        image, square, frames = zip(*found, strict=True) if found else ((), (), ())
-        return cls(np.array(image, dtype=np.int64), np.array(square, dtype=float), np.array(frames, dtype=float))
+            found.append((int(sightings.image[ours[0]]), float(np.median(speeds)) ** 2, stray, len(ours)))
+        if not found:
+            return cls(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+        image, square, error, frames = map(np.array, zip(*found, strict=True))
+        usual = square <= _MOST_TIMES * np.median(square)  # two that passed close by each other may have been linked
+        return cls(image[usual], (square - error)[usual], frames[usual].astype(np.float64))
 
     @cached_property
     def rough_px_s(self) -> float:
