@@ -93,6 +93,8 @@ class Results:
         probabilities: Of the k labels, NaN where not given, shape (D, k); None if given nowhere.
         origin: Row of the annotation that each is the one detection of, −1 for a false detection, shape (D,); None
             where unknown.
+        kind: Index into `detector.records.KINDS`, shape (D,); None where unknown.
+        partner: Row of the smaller of two annotations in a merged box, else −1, shape (D,); None where unknown.
     """
 
     image: Indices
@@ -101,6 +103,8 @@ class Results:
     confidence: Array
     probabilities: Array | None = None
     origin: Indices | None = None
+    kind: Indices | None = None
+    partner: Indices | None = None
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -181,7 +185,11 @@ def _moved(part: LabelledSet, offset: Sequence[int], labels: Sequence[str], cond
     to_label = np.array([label_of[name] for name in part.labels], dtype=np.int64)
     to_condition = np.array([condition_of[name] for name in part.conditions], dtype=np.int64)
     images, annotations, results = part.images, part.annotations, part.results
-    origin, probabilities = results.origin, None
+    probabilities = None
+
+    def moved_rows(rows: Indices | None) -> Indices | None:
+        return None if rows is None else np.where(rows >= 0, rows + first_annotation, rows)
+
     if results.probabilities is not None:
         probabilities = np.zeros((len(results), len(labels)))
         probabilities[:, to_label] = results.probabilities
@@ -204,7 +212,8 @@ def _moved(part: LabelledSet, offset: Sequence[int], labels: Sequence[str], cond
             image=results.image + first_image,
             label=to_label[results.label],
             probabilities=probabilities,
-            origin=None if origin is None else np.where(origin >= 0, origin + first_annotation, origin),
+            origin=moved_rows(results.origin),
+            partner=moved_rows(results.partner),
         ),
     )
 
@@ -216,7 +225,7 @@ def _by_image(columns: dict[str, Any]) -> dict[str, Any]:
 
 
 def _stacked(parts: Sequence[Images] | Sequence[Annotations] | Sequence[Results]) -> dict[str, Any]:
-    """Columns one below the other. What some parts do not give is NaN for probabilities, and None for an origin."""
+    """Columns one below the other. What some parts do not give is NaN for probabilities, else None."""
     return {name: _column(name, [vars(part)[name] for part in parts], list(map(len, parts))) for name in vars(parts[0])}
 
 

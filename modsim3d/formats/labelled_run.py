@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.detector.records import FALSE_KINDS, KINDS
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import iou, unions
+from modsim3d.detector.records import FALSE_KINDS, KINDS, MERGED
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
+from modsim3d.formats.matching import image_pairs
 from modsim3d.paths import StrPath
 from modsim3d.runs.files.columns import NOBODY, indices, numbers, positions
 from modsim3d.runs.run_rows import RunRows
@@ -75,9 +78,10 @@ def _truth(rows: RunRows, frames: Indices) -> Annotations:
 def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
     """The detections of all images; a detection has the origin that it is the box of, a second box has none."""
     image, vessels = positions(frames, rows.detection_frame), len(rows.scene.vessels)
-    own = ~np.isin(indices(rows.detections, "kind", KINDS), FALSE_KINDS) & (rows.detection_vessel >= 0)
+    kind = indices(rows.detections, "kind", KINDS)
+    own = ~np.isin(kind, FALSE_KINDS) & (rows.detection_vessel >= 0)
     kept = np.flatnonzero(image >= 0)
-    return Results(
+    results = Results(
         image=image[kept],
         label=indices(rows.detections, "label", rows.scene.detector.labels)[kept],
         boxes_px=rows.detection_boxes_px()[kept],
@@ -85,4 +89,42 @@ def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
         origin=positions(
             truth.image * vessels + truth.identity, np.where(own, image * vessels + rows.detection_vessel, NOBODY)[kept]
         ),
+        kind=kind[kept],
     ).by_image()
+    truth_image = positions(frames, rows.truth_frame)
+    found = (truth_image * vessels + rows.truth_vessel)[rows.detected & (truth_image >= 0)]
+    return replace(results, partner=_partners(results, truth, np.isin(truth.image * vessels + truth.identity, found)))
+
+
+def _partners(results: Results, truth: Annotations, detected: Mask) -> Indices:
+    """Row of the smaller vessel of each merged box, else −1, shape (D,).
+
+    Smaller ones are detected (T,) and have no box of their own. The tables do not say whose box each is in, so of those
+    in the image the pair whose common box fits best comes first.
+    """
+    partner, origin = np.full(len(results), NOBODY), results.origin
+    merged = np.flatnonzero(results.kind == MERGED)
+    if origin is None or not len(merged):
+        return partner
+    boxless = detected.copy()
+    boxless[origin[origin >= 0]] = False
+    rows = np.flatnonzero(boxless)
+    first, second = (np.concatenate(each) for each in zip(*_same_image(results, merged, truth, rows), strict=True))
+    both_px = unions(truth.boxes_px[origin[first]], truth.boxes_px[second])
+    taken = set[int]()
+    for place in np.argsort(-iou(results.boxes_px[first], both_px), kind="stable").tolist():
+        box, vessel = int(first[place]), int(second[place])
+        if partner[box] < 0 and vessel not in taken:
+            partner[box] = vessel
+            taken.add(vessel)
+    return partner
+
+
+def _same_image(
+    results: Results, merged: Indices, truth: Annotations, rows: Indices
+) -> Iterator[tuple[Indices, Indices]]:
+    """Pairs of some detections and some annotations in the same image, as rows."""
+    yield merged[:0], rows[:0]
+    images = int(max(results.image.max(initial=0), truth.image.max(initial=0))) + 1
+    for first, second in image_pairs(results.image[merged], truth.image[rows], images):
+        yield merged[first], rows[second]

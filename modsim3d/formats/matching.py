@@ -88,11 +88,13 @@ class Matched:
         annotation: Row of the annotation that each detection matches, −1 for none, shape (D,).
         counts: Whether a detection counts: it took part, and does not match something ignored, shape (D,).
         sought: Whether an annotation is to be detected, shape (T,).
+        rule: How they were matched.
     """
 
     annotation: Indices
     counts: Mask
     sought: Mask
+    rule: Rule = Rule()
 
     @cached_property
     def pairs(self) -> tuple[Indices, Indices]:
@@ -173,7 +175,7 @@ def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> M
         assign = _optimal if rule.method == "optimal" else _greedy
         matches = assign(labelled, _candidates(labelled, takes_part, rule))
     ignored = np.append(labelled.annotations.ignored, False)[matches]
-    return Matched(np.where(ignored, NOBODY, matches), takes_part & ~ignored, ~labelled.annotations.ignored)
+    return Matched(np.where(ignored, NOBODY, matches), takes_part & ~ignored, ~labelled.annotations.ignored, rule)
 
 
 def _by_provenance(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Indices:

@@ -212,8 +212,12 @@ def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, 
     """Confusion matrix of each state; where effects were fitted, misses have the rates that the effects leave."""
     labels = observed.labelled.labels
     k, states = len(labels), len(observed.states)
-    cell = (observed.state * (k + 1) + observed.seen_as) * k + observed.label
-    counts = resampling.counts(observed.image, cell, (states, k + 1, k))
+    cell = (observed.state * (k + 2) + observed.seen_as) * k + observed.label
+    every = resampling.counts(observed.image, cell, (states, k + 2, k))
+    counts, swallowed = every[:, :, : k + 1], every[:, :, k + 1]
+    # A vessel in the box of another one has no label of its own: it takes the shares of those that have one.
+    own = counts[:, :, :k].sum(axis=2)
+    counts[:, :, :k] *= np.where(own > 0, 1 + swallowed / np.maximum(own, 1), 1.0)[:, :, None]
     whole = counts.sum(axis=2, keepdims=True)
     rates = ratio(counts, whole)
     if fit is not None:

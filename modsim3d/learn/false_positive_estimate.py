@@ -195,7 +195,7 @@ def _expected(observed: Observed, model: str) -> Array:
     false = np.bincount(rows, minlength=images).astype(np.float64)
     follows = np.ones(images)
     if model != "per_image":
-        follows = np.bincount(observed.image[~observed.missed], minlength=images).astype(np.float64)
+        follows = np.bincount(observed.image[observed.true], minlength=images).astype(np.float64)
     expected = np.zeros(images)
     for state in range(len(observed.states)):
         ours = observed.image_state == state
@@ -207,7 +207,7 @@ def _likelier(observed: Observed, notes: list[str]) -> str:
     """Whether the number of false detections follows that of the true ones, or is the same in every image."""
     images = len(observed.labelled.images)
     false = np.bincount(observed.labelled.results.image[observed.false], minlength=images).astype(np.float64)
-    true = np.bincount(observed.image[~observed.missed], minlength=images).astype(np.float64)
+    true = np.bincount(observed.image[observed.true], minlength=images).astype(np.float64)
     with_true, even = 0.0, 0.0
     for state in range(len(observed.states)):
         ours = observed.image_state == state
@@ -235,27 +235,27 @@ def _of_states(
     states, k = len(observed.states), len(names)
     image, label = results.image[observed.false_positives], results.label[observed.false_positives]
     labels = resampling.counts(image, observed.image_state[image] * k + label, (states, k))
-    of_nothing, seen = labels.sum(axis=2), ~observed.missed
-    image = results.image[observed.false]
-    false = resampling.counts(image, observed.image_state[image], (states,))
-    true = resampling.counts(observed.image[seen], observed.state[seen], (states,))
+    alone, found = labels.sum(axis=2), observed.true
+    every = results.image[observed.false]
+    false = resampling.counts(every, observed.image_state[every], (states,))
+    true = resampling.counts(observed.image[found], observed.state[found], (states,))
     chosen = np.flatnonzero(observed.image_state >= 0)
     images = resampling.counts(chosen, observed.image_state[chosen], (states,))
-    overall = ratio(labels.sum(axis=1), of_nothing.sum(axis=1, keepdims=True))
+    overall = ratio(labels.sum(axis=1), alone.sum(axis=1, keepdims=True))
     overall = np.where(np.isfinite(overall), overall, 1 / k)
     learned = []
     for index, name in enumerate(observed.states):
-        number, alone = false[:, index], of_nothing[:, index]
-        table = ratio(labels[:, index], alone[:, None])
+        number, lonely = false[:, index], alone[:, index]
+        table = ratio(labels[:, index], lonely[:, None])
         table = np.where(np.isfinite(table), table, overall)
         share = np.nan_to_num(ratio(number, number + true[:, index]))
-        rate = np.nan_to_num(ratio(alone, images[:, index]))
+        rate = np.nan_to_num(ratio(lonely, images[:, index]))
         remark = "" if model == "per_image" else NOT_WRITTEN
         learned.append(
             StateFalsePositives(
                 Entry(
                     Key(("false_positive_labels",), name, (names,), own_table=True),
-                    Column(table, "share", np.full(k, alone[0]), inflation),
+                    Column(table, "share", np.full(k, lonely[0]), inflation),
                 ),
                 Entry(
                     Key(("false_discovery_rate",), name), Column(share, "share", number[0] + true[0, index], inflation)

@@ -115,9 +115,11 @@ def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel,
                 boxes_px=drawn.boxes_px,
                 confidence=drawn.confidence,
                 origin=np.where(own, np.append(part.rows, NOBODY)[drawn.target], NOBODY),
+                kind=drawn.kind,
+                partner=np.append(part.rows, NOBODY)[drawn.partner],
             )
         )
-    names = ("image", "label", "boxes_px", "confidence", "origin")
+    names = ("image", "label", "boxes_px", "confidence", "origin", "kind", "partner")
     whole = Results(**{name: np.concatenate([getattr(part, name) for part in columns]) for name in names})
     return replace(labelled, results=whole.by_image())
 

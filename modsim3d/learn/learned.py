@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from modsim3d.learn.confidence_estimate import ConfidenceForm, NoConfidenceForm,
 from modsim3d.learn.entries import Interval, entries_of
 from modsim3d.learn.false_positive_estimate import FalsePositiveForm, LearnedFalsePositives, choose_false_positives
 from modsim3d.learn.form import LearnedPart, PartForm
+from modsim3d.learn.multiple_box_estimate import LearnedMultipleBoxes, MultipleBoxForm, choose_multiple_boxes
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling, resample
 from modsim3d.learn.transitions import Transitions
@@ -63,11 +64,18 @@ class DetectorForm:
     box_errors: BoxErrorForm
     false_positives: FalsePositiveForm
     confidence: ConfidenceForm | NoConfidenceForm
+    multiple_boxes: MultipleBoxForm
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Why the models are not richer ones."""
-        parts: tuple[PartForm, ...] = (self.classes, self.box_errors, self.false_positives, self.confidence)
+        parts: tuple[PartForm, ...] = (
+            self.classes,
+            self.box_errors,
+            self.false_positives,
+            self.confidence,
+            self.multiple_boxes,
+        )
         return tuple(note for part in parts for note in part.notes)
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedDetector:
@@ -77,6 +85,7 @@ class DetectorForm:
             self.box_errors.estimate(observed, resampling),
             self.false_positives.estimate(observed, resampling),
             self.confidence.estimate(observed, resampling),
+            self.multiple_boxes.estimate(observed, resampling),
         )
 
 
@@ -87,6 +96,7 @@ def choose_form(observed: Observed, clutter: str = "auto") -> DetectorForm:
         choose_box_errors(observed),
         choose_false_positives(observed, clutter),
         choose_confidence(observed),
+        choose_multiple_boxes(observed),
     )
 
 
@@ -98,11 +108,12 @@ class LearnedDetector:
     box_errors: LearnedBoxErrors
     false_positives: LearnedFalsePositives
     confidence: LearnedPart
+    multiple_boxes: LearnedMultipleBoxes
 
     @property
     def parts(self) -> tuple[LearnedPart, ...]:
         """All parts."""
-        return self.classes, self.box_errors, self.false_positives, self.confidence
+        return self.classes, self.box_errors, self.false_positives, self.confidence, self.multiple_boxes
 
     def sections(self) -> dict[str, Any]:
         """What the parts write outside the states, in the order of a detector file."""
@@ -198,6 +209,7 @@ def check_size(classes: int, states: int, replicates: int) -> None:
 
 def learn_again(learned: Learned, observed: Observed) -> LearnedDetector:
     """The same numbers from other data, with the same models and without replicates."""
+    observed = replace(observed, shown=dict(learned.form.multiple_boxes.shown))
     return learned.form.estimate(observed, resample(observed.labelled.images, 0, 0))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +12,7 @@ from modsim3d.arrays import Indices, Mask
 from modsim3d.boxes import errors_between
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
+from modsim3d.learn.believed_kinds import Believed, believed
 from modsim3d.learn.pairs import Pairs
 from modsim3d.learn.persistence_fit import Steps, steps_between
 
@@ -20,7 +22,8 @@ class Observed:
     """Annotations that are to be detected, and what became of each at a least confidence.
 
     Each image has the index of a state, −1 where it takes no part, shape (I,). `without` are the models of
-    `form.RICHER` that are left out whatever the data carry.
+    `form.RICHER` that are left out whatever the data carry. `shown` are the kinds of `believed_kinds.NAMES` that are
+    there, with their thresholds, where that is known; else the data decide.
     """
 
     labelled: LabelledSet
@@ -29,6 +32,12 @@ class Observed:
     image_state: Indices
     threshold: float
     without: frozenset[str] = frozenset()
+    shown: Mapping[str, float | None] | None = None
+
+    @cached_property
+    def kinds(self) -> Believed:
+        """What each detection counts as: second boxes, parts of vessels and boxes around two are told from others."""
+        return believed(self.labelled, self.matched, self.image_state >= 0, self.without, self.shown)
 
     @cached_property
     def rows(self) -> Indices:
@@ -37,19 +46,28 @@ class Observed:
 
     @cached_property
     def detection(self) -> Indices:
-        """Row of the result that detects each annotation, −1 where missed, shape (n,)."""
-        return self.matched.detection[self.rows]
+        """Row of the result that detects each annotation, −1 where none does, shape (n,)."""
+        return self.kinds.detection[self.rows]
+
+    @cached_property
+    def swallowed(self) -> Mask:
+        """Whether each annotation is in the box of another one, so that it counts as detected, shape (n,)."""
+        return self.kinds.swallowed[self.rows]
 
     @cached_property
     def false(self) -> Indices:
-        """Rows of the results that are false detections, shape (f,)."""
-        false = self.matched.false
-        return false[self.image_state[self.labelled.results.image[false]] >= 0]
+        """Rows of the results that are false detections, second boxes and parts of vessels included, shape (f,)."""
+        return self.kinds.false
 
     @cached_property
     def false_positives(self) -> Indices:
         """Rows of the false detections that are neither a second box nor a part of a vessel, shape (g,)."""
-        return self.false
+        return self.kinds.false_positives
+
+    @cached_property
+    def true(self) -> Indices:
+        """Places of the annotations that have a detection of their own; two in one box are one, shape (m,)."""
+        return np.flatnonzero(self.detection >= 0)
 
     @cached_property
     def image(self) -> Indices:
@@ -69,14 +87,14 @@ class Observed:
     @cached_property
     def missed(self) -> Mask:
         """Whether each annotation was missed, shape (n,)."""
-        return self.detection < 0
+        return (self.detection < 0) & ~self.swallowed
 
     @cached_property
     def seen_as(self) -> Indices:
-        """Label that each annotation was detected as, k where missed, shape (n,)."""
-        found = self.labelled.results.label
+        """Label that each annotation was detected as, k where missed, k + 1 in the box of another, shape (n,)."""
+        found, k = self.labelled.results.label, len(self.labelled.labels)
         label = found[self.detection] if len(found) else np.zeros(len(self.rows), dtype=np.int64)
-        return np.where(self.missed, len(self.labelled.labels), label)
+        return np.where(self.missed, k, np.where(self.swallowed, k + 1, label))
 
     @cached_property
     def steps(self) -> Steps:
@@ -85,8 +103,8 @@ class Observed:
 
     @cached_property
     def pairs(self) -> Pairs:
-        """Annotations that were detected, with the errors of the detected boxes."""
-        place = np.flatnonzero(~self.missed)
+        """Annotations that were detected by a box of their own, with the errors of the detected boxes."""
+        place = self.true[self.kinds.one_vessel[self.detection[self.true]]]
         rows, detection = self.rows[place], self.detection[place]
         annotations, results = self.labelled.annotations, self.labelled.results
         image, box_px = annotations.image[rows], annotations.boxes_px[rows]

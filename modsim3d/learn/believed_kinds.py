@@ -1,0 +1,201 @@
+"""Whether the data show second boxes, vessels in two parts and two vessels in one box, and what counts as what then."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.detector.merges_and_splits import MergesAndSplits
+from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
+from modsim3d.formats.matching import Matched
+from modsim3d.learn.detection_kinds import Kinds, Trials, kinds_of
+from modsim3d.learn.resampling import Resampling, resample, spread
+
+NAMES = ("duplicates", "merges", "splits")
+"""The keys of the detector file, in its order."""
+_WHAT = {"duplicates": "second boxes", "merges": "boxes around two vessels", "splits": "vessels in two parts"}
+THRESHOLDS = {
+    "merges": ("merge_overlap", MergesAndSplits.merge_overlap, np.arange(2, 19) * 0.05),
+    "splits": ("split_aspect", MergesAndSplits.split_aspect, np.arange(6, 33) * 0.25),
+}
+"""Key of the threshold, its default and the other values that are tried."""
+_SURE = 3.3
+"""Standard errors from 0, see `form.SIGNIFICANT`."""
+_STRAY = 0.002
+"""Share of hits below a threshold that are a mistake of the rules."""
+_TRIALS, _RUNS = 200, 24
+_SEED = 11
+
+
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """What each detection counts as: kinds that the data do not clearly show count as if they did not exist.
+
+    Attributes:
+        detection: Row of the result that detects each annotation, −1 where none does, shape (T,).
+        swallowed: Whether an annotation is in the box of another one, and so detected, shape (T,).
+        false: Rows of false detections, second boxes and smaller parts included, shape (f,).
+        false_positives: Rows of those that are neither, shape (g,).
+        one_vessel: Whether a detection is surely one whole box of one vessel if it detects one, shape (D,).
+        thresholds: The threshold of each kind that is shown and has one.
+        trials: Of the kinds that are shown, above their threshold.
+    """
+
+    detection: Indices
+    swallowed: Mask
+    false: Indices
+    false_positives: Indices
+    one_vessel: Mask
+    thresholds: dict[str, float]
+    trials: dict[str, Trials]
+    notes: tuple[str, ...]
+
+
+def believed(
+    labelled: LabelledSet,
+    matched: Matched,
+    used: Mask,
+    without: frozenset[str] = frozenset(),
+    shown: Mapping[str, float | None] | None = None,
+) -> Believed:
+    """What the detections of the images that are used (I,) count as.
+
+    Args:
+        labelled: The set.
+        matched: Its matches.
+        used: Which images take part, shape (I,).
+        without: Kinds that are left out.
+        shown: The kinds that are there, with their thresholds, where that is known; else the data decide.
+    """
+    false = matched.false[used[labelled.results.image[matched.false]]]
+    one_vessel, swallowed = np.ones(len(labelled.results), dtype=bool), np.zeros(len(labelled.annotations), dtype=bool)
+    wanted = [name for name in NAMES if name not in without]
+    if not wanted:
+        return Believed(matched.detection, swallowed, false, false, one_vessel, {}, {}, ())
+    kinds, notes = kinds_of(labelled, matched, used), list[str]()
+    thresholds, trials = dict[str, float](), dict[str, Trials]()
+    if shown is None:
+        shown = _shown(kinds, wanted, labelled.images, notes)
+    for name, least in shown.items():
+        trials[name] = _above(kinds.trials[name], least)
+        if least is not None:
+            thresholds[name] = least
+    detection, of_vessel = matched.detection.copy(), [false[:0]]
+    if "splits" in trials:
+        detection[kinds.split[0]] = kinds.split[1]
+        one_vessel[kinds.split[1]] = False
+        of_vessel.append(kinds.fragments)
+    if "merges" in trials:
+        larger, smaller, box = kinds.merged
+        detection[smaller], detection[larger] = NOBODY, box
+        swallowed[smaller] = True
+        one_vessel[box] = one_vessel[kinds.one_box[2]] = False
+        swallowed[_probably_merged(kinds, detection, trials["merges"])] = True
+    if "duplicates" in trials:
+        of_vessel.append(kinds.doubled)
+    owned = detection[detection >= 0]
+    counted = np.flatnonzero(matched.counts & used[labelled.results.image])
+    false = np.setdiff1d(counted, owned)
+    free = np.setdiff1d(false, np.concatenate(of_vessel))
+    return Believed(detection, swallowed, false, free, one_vessel, thresholds, trials, tuple(notes))
+
+
+def _probably_merged(kinds: Kinds, detection: Indices, trials: Trials) -> Indices:
+    """Rows of some missed vessels of pairs whose boxes do not tell, as many as the rate of the other pairs asks for.
+
+    In so many pairs both vessels have a box; of all pairs of detected vessels that is the share that is not merged.
+    """
+    larger, smaller = kinds.unclear
+    rate = min(_share(trials), 0.95)
+    both, one = (
+        (detection[smaller] >= 0) & (detection[larger] >= 0),
+        (detection[smaller] < 0) & (detection[larger] >= 0),
+    )
+    missed = np.unique(smaller[one])
+    if not len(missed) or rate <= 0:
+        return missed[:0]
+    wanted = float(both.sum()) * rate / (1 - rate) / len(missed)
+    return missed[np.random.default_rng(_SEED).random(len(missed)) < wanted]
+
+
+def _share(trials: Trials) -> float:
+    whole = float(trials.weight.sum())
+    return float(np.clip(trials.hits.sum() / whole, 0, 1)) if whole > 0 else 0.0
+
+
+def _shown(kinds: Kinds, wanted: list[str], images: Images, notes: list[str]) -> dict[str, float | None]:
+    """The kinds that the data clearly show, with their thresholds; notes on the others."""
+    shown = dict[str, float | None]()
+    for name in wanted:
+        trials = kinds.trials[name]
+        least, remark = _least(name, trials)
+        above = _above(trials, least)
+        seen, chance = float((above.hits + above.chance).sum()), float(above.chance.sum())
+        needed, strength = _needed(chance), 0.0
+        if seen >= needed:
+            strength = _strength(above, images)
+        if strength >= _SURE:
+            shown[name] = least
+            notes += remark
+        elif seen >= needed:
+            why = f"{strength:.1f} standard errors from 0 in {len(above.image)} cases, needs {_SURE}"
+            notes.append(f"false_positives.{name}: none; {why}")
+        else:
+            by_chance = f", of which {chance:.1f} by chance" if chance >= 0.05 else ""
+            notes.append(f"false_positives.{name}: none; had {seen:.0f} {_WHAT[name]}{by_chance}, needs {needed}")
+    return shown
+
+
+def _least(name: str, trials: Trials) -> tuple[float | None, list[str]]:
+    """The threshold of a kind, its default unless another is clearly likelier, with a remark; None without one."""
+    if name not in THRESHOLDS:
+        return None, []
+    key, default, others = THRESHOLDS[name]
+    best = max([default, *others.tolist()], key=lambda value: _likelihood(trials, value))
+    gain = 2 * (_likelihood(trials, best) - _likelihood(trials, default))
+    if gain <= _SURE**2:
+        return default, []
+    return float(f"{best:.4g}"), [f"false_positives.{key}: {best:.4g}, clearly likelier than {default:g}"]
+
+
+def _above(trials: Trials, least: float | None) -> Trials:
+    return trials if least is None else trials.where(trials.value >= least - 1e-9)
+
+
+def _needed(chance: float) -> int:
+    """How many are surely more than a number that chance makes."""
+    square = _SURE**2
+    return int(np.ceil(chance + (square + np.sqrt(square**2 + 8 * chance * square)) / 2))
+
+
+def _strength(trials: Trials, images: Images) -> float:
+    """Standard errors from 0 of the share, from runs of frames."""
+    times = images.time_s
+    timed = bool(np.isfinite(times).any())
+    run_s = float(np.nanmax(times) - np.nanmin(times)) / _RUNS if timed else 0.0
+    sums = hits_and_trials(trials, resample(images, _TRIALS, 0, run_s))
+    error = float(spread(sums[1:, 0]))
+    return float(sums[0, 0]) / error if error > 0 else 0.0
+
+
+def hits_and_trials(trials: Trials, resampling: Resampling) -> Array:
+    """Number of hits and of trials, the sums of the data first, shape (1 + replicates, 2)."""
+    return resampling.sums(trials.image, np.column_stack([trials.hits, trials.weight]))
+
+
+def _likelihood(trials: Trials, least: float) -> float:
+    """Log-likelihood with a share above a threshold and hardly any hits below it, besides those of chance."""
+    above = trials.value >= least - 1e-9
+    total = 0.0
+    for chosen, at_least in ((above, 0.0), (~above, 1.0)):
+        part = trials.where(chosen)
+        whole = float(part.weight.sum())
+        if whole <= 0:
+            continue
+        hits = float(np.clip(part.hits.sum(), 0, whole))
+        share = _STRAY if at_least else float(np.clip(hits / whole, _STRAY, 1 - _STRAY))
+        total += hits * np.log(share) + (whole - hits) * np.log(1 - share)
+    return total
