@@ -114,12 +114,9 @@ class Placement:
 
         A place follows the horizon smoothly as it moves, which one chosen by area does not.
         """
-        polygons = sea_polygons(half_planes, image_size_px)
         down, along = _axes(half_planes)
         offset = half_planes[:, 2] / _length(half_planes)
-        # Below the horizon, (m, 8). On the grid: rounding must not decide whether an edge lies along a level.
-        depth = on_grid((polygons * down[:, None]).sum(axis=2) + offset[:, None])
-        across = on_grid((polygons * along[:, None]).sum(axis=2))
+        depth, across = _corners(half_planes, image_size_px)
         level = _inverse(self._level_weights(depth, across), self._levels(depth), uniforms[:, 0])
         low, high = _slice(depth, across, level)
         width = np.maximum(high - low, 1e-9)
@@ -147,6 +144,33 @@ class Placement:
         levels = least[:, None] + (most - least)[:, None] * np.linspace(0, 1, _NODES) ** 2
         inside: Array = np.minimum(levels, most[:, None])
         return inside
+
+
+def sea_levels(half_planes: Array, image_size_px: tuple[int, int]) -> tuple[Array, Array]:
+    """Depths below the horizon that share out the sea in each image, and the sea's width at each, in pixels.
+
+    Half-planes have shape (m, 3), both results (m, nodes).
+    """
+    depth, across = _corners(half_planes, image_size_px)
+    everywhere = Placement()
+    return everywhere._levels(depth), everywhere._level_weights(depth, across)
+
+
+def depths_px(half_planes: Array, points_px: Array) -> Array:
+    """How far points (m, 2) lie below the horizons of half-planes (m, 3), negative above them, shape (m,)."""
+    down, _ = _axes(half_planes)
+    result: Array = (points_px * down).sum(axis=1) + half_planes[:, 2] / _length(half_planes)
+    return result
+
+
+def _corners(half_planes: Array, image_size_px: tuple[int, int]) -> tuple[Array, Array]:
+    """Depth below the horizon and place along it of the corners of the sea in each image, shapes (m, 8)."""
+    polygons = sea_polygons(half_planes, image_size_px)
+    down, along = _axes(half_planes)
+    offset = half_planes[:, 2] / _length(half_planes)
+    # On the grid: rounding must not decide whether an edge lies along a level.
+    depth = on_grid((polygons * down[:, None]).sum(axis=2) + offset[:, None])
+    return depth, on_grid((polygons * along[:, None]).sum(axis=2))
 
 
 def _length(half_planes: Array) -> Array:

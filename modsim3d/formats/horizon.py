@@ -22,7 +22,7 @@ UNKNOWN = (math.nan, math.nan, math.nan)
 """The half-plane of an image whose horizon is not known."""
 EVERYWHERE = np.array([0.0, 0.0, 1.0])
 """The half-plane of a sea that fills the image."""
-_DECIMALS = 3
+_DECIMALS, _LEAST_PX = 3, 1e-3
 
 
 def parse_horizon(text: str) -> tuple[float, ...]:
@@ -98,7 +98,7 @@ def read_horizon(value: Any, width_px: float) -> tuple[float, float, float] | No
     if len(numbers) not in (1, 2, 4) or not all(-MOST_PX <= each <= MOST_PX for each in numbers):
         return None
     if len(numbers) == 4:
-        return None if numbers[0] == numbers[2] else _below(*numbers)
+        return None if abs(numbers[0] - numbers[2]) < _LEAST_PX else _below(*numbers)
     return _below(0.0, numbers[0], width_px, numbers[-1])
 
 

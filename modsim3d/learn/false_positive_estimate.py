@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array
 from modsim3d.boxes import centres, sizes
 from modsim3d.learn.entries import Entry, Key, columns_of_one, digits, nested
+from modsim3d.learn.false_sightings import FalseSightings
 from modsim3d.learn.form import ratio
+from modsim3d.learn.lasting_fit import Lasting, NotLasting, find_lasting
 from modsim3d.learn.observed import Observed
+from modsim3d.learn.place_fit import FALSE_FOR_EACH_CELL, GRID, PlaceFit, Placing, cells_of
 from modsim3d.learn.resampling import Column, Resampling, widened
 
 FALSE_NEEDED = 30
 """False detections that a distribution of sizes needs."""
-GRID = (3, 4)
-"""Rows and columns of the map of where false detections are."""
-FALSE_FOR_EACH_CELL = 10
 NOT_WRITTEN = "not written"
 """Remark on a number that is reported and does not stand in the detector file."""
 _ASTRAY = 0.02
@@ -31,23 +31,29 @@ class FalsePositiveForm:
 
     Attributes:
         sizes: Whether they have sizes of their own; those of vessels if not.
-        grid: Rows and columns of the map of where they are; None where they are anywhere below the horizon.
+        placing: Where they are.
+        lifetime_s: Mean lifetime of those that stay; 0 where none do.
+        drifts: Whether those drift.
     """
 
     model: str
     sizes: bool
-    grid: tuple[int, int] | None
+    placing: Placing
     notes: tuple[str, ...]
+    lifetime_s: float = 0.0
+    drifts: bool = False
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedFalsePositives:
-        """Rates and labels of each state, and the sizes and the map that all states share."""
-        results, sizes_px = observed.labelled.results, observed.labelled.images.sizes_px
-        image, boxes_px = results.image[observed.false_positives], results.boxes_px[observed.false_positives]
+        """Rates and labels of each state, and the sizes, places and persistence that all states share."""
+        sightings = FalseSightings.of(observed)
+        found = find_lasting(observed, sightings, _expected(observed, self.model)) if self.lifetime_s else None
+        lasting = found if isinstance(found, Lasting) else None
         return LearnedFalsePositives(
             self,
-            _of_states(observed, self.model, resampling),
-            _size(image, boxes_px, sizes_px[image], resampling) if self.sizes else None,
-            _density(image, boxes_px, sizes_px[image], self.grid, resampling) if self.grid else None,
+            _of_states(observed, self.model, resampling, lasting.inflation if lasting else 1.0),
+            _size(sightings, resampling, lasting.inflation if lasting else 1.0) if self.sizes else None,
+            _place(sightings, self.placing, resampling, lasting),
+            _persistence(lasting, self.drifts, resampling) if lasting else None,
         )
 
 
@@ -69,26 +75,50 @@ class StateFalsePositives:
 
 
 @dataclass(frozen=True, eq=False)
-class LearnedFalsePositives:
-    """Numbers of false positives: rates and labels of each state, sizes (None for those of vessels) and a map.
+class LearnedPersistence:
+    """Lifetime, speed (None where they do not drift) and share of those that stay."""
 
-    The map has the share of each cell, in the grid's shape; None where there is none.
+    lifetime_s: Entry
+    drift_px_s: Entry | None
+    share: Entry
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedFalsePositives:
+    """Numbers of false positives.
+
+    Attributes:
+        states: Rates and labels of each state.
+        size: None for the sizes of vessels.
+        place: Parameter of the placement; of a map the share of each cell, in the grid's shape; None without any.
+        persistence: None where none stay.
     """
 
     form: FalsePositiveForm
     states: tuple[StateFalsePositives, ...]
     size: LearnedSize | None
-    density: Entry | None
+    place: Entry | None
+    persistence: LearnedPersistence | None
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """Model, map and sizes."""
         section: dict[str, Any] = {"model": self.form.model}
-        if self.density is not None:
-            density = self.density.estimate
-            section |= {"placement": "density", "density": nested(density / density.max())}
+        if self.place is not None:
+            value = self.place.estimate
+            if self.form.placing == "density":
+                section |= {"placement": "density", "density": nested(value / value.max())}
+            elif self.form.placing == "horizon_band":
+                section |= {"placement": "horizon_band", "band_px": digits(value)}
+            else:
+                section["far_half_px"] = digits(value)
         if self.size is not None:
             px, log_std = nested(self.size.px.estimate), digits(self.size.log_std.estimate)
             section["size"] = {"model": "lognormal", "px": px, "log_std": log_std}
+        if self.persistence is not None:
+            stays = self.persistence
+            drift = {} if stays.drift_px_s is None else {"drift_px_s": digits(stays.drift_px_s.estimate)}
+            share = digits(stays.share.estimate)
+            section["persistence"] = {"lifetime_s": digits(stays.lifetime_s.estimate), **drift, "share": share}
         return {"false_positives": section}
 
     def state_section(self, state: int) -> dict[str, Any]:
@@ -106,16 +136,71 @@ class LearnedFalsePositives:
 def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePositiveForm:
     """The model of false positives that the data can carry; `auto` leaves the model of their number to them."""
     notes: list[str] = []
-    false, needed = len(observed.false_positives), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
+    sightings = FalseSightings.of(observed)
+    false = len(sightings)
+    sized = false >= FALSE_NEEDED and "sizes" not in observed.without
     if false < FALSE_NEEDED:
         notes.append(f"false_positives.size: that of vessels; had {false} false detections, needs {FALSE_NEEDED}")
-    known = bool(np.isfinite(observed.labelled.images.sizes_px).all())
-    mapped = false >= needed and known
-    if not mapped:
-        why = f"had {false} false detections, needs {needed}" if known else "the size of some images is not known"
-        notes.append(f"false_positives.placement: uniform below the horizon; {why}")
     chosen = _likelier(observed, notes) if model == "auto" else model
-    return FalsePositiveForm(chosen, false >= FALSE_NEEDED, GRID if mapped else None, tuple(notes))
+    lasting: Lasting | NotLasting = NotLasting("left out")
+    if "lasting" not in observed.without:
+        lasting = find_lasting(observed, sightings, _expected(observed, chosen))
+        if isinstance(lasting, NotLasting):
+            notes.append(f"false_positives.persistence: none; {lasting.why}")
+    if isinstance(lasting, NotLasting):
+        placing = _placing(observed, sightings, (1.0, 1.0), notes)
+        return FalsePositiveForm(chosen, sized, placing, tuple(notes))
+    placing = _placing(observed, sightings, lasting.worth, notes)
+    if not lasting.drifts:
+        notes.append("false_positives.persistence.drift_px_s: 0; no speed along the horizon can be told from 0")
+    return FalsePositiveForm(chosen, sized, placing, tuple(notes), lasting.lifetime_s, lasting.drifts)
+
+
+def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, float], notes: list[str]) -> Placing:
+    """Where false positives are, as far as the data carry it; see `Lasting.worth`."""
+    if "places" in observed.without:
+        return "uniform"
+    false, needed = len(sightings), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
+    where = "false_positives.placement:"
+    if not np.isfinite(observed.labelled.images.sizes_px).all():
+        notes.append(f"{where} uniform below the horizon; the size of some images is not known")
+        return "uniform"
+    if false < FALSE_NEEDED:
+        notes.append(f"{where} uniform below the horizon; had {false} false detections, needs {FALSE_NEEDED}")
+        return "uniform"
+    if not sightings.known.all():
+        said = "the horizon of some images is not known (--horizon)"
+        if false < needed:
+            notes.append(
+                f"{where} uniform below the horizon; {said}, and a map needs {needed} false detections, had {false}"
+            )
+            return "uniform"
+        notes.append(f"{where} a map; {said}")
+        return "density"
+    placing, gain = PlaceFit(sightings, *worth).choose()
+    deep = np.quantile(sightings.depth_px, 0.9)
+    above = float((sightings.depth_px < 0).mean())
+    lie = f"{above:.1%} of {false:,} false detections lie above the horizon, and 90 % less than {deep:.3g} px below it"
+    if placing == "uniform":
+        notes.append(f"{where} uniform below the horizon; no other is clearly likelier; {lie}")
+    elif placing != "density":
+        notes.append(f"{where} {placing}, for it is likelier than uniform (log-likelihood {gain:.1f} higher); {lie}")
+    return placing
+
+
+def _expected(observed: Observed, model: str) -> Array:
+    """Mean number of false positives in each image under a model of their number, shape (I,)."""
+    images = len(observed.labelled.images)
+    rows = observed.labelled.results.image[observed.false_positives]
+    false = np.bincount(rows, minlength=images).astype(np.float64)
+    follows = np.ones(images)
+    if model != "per_image":
+        follows = np.bincount(observed.image[observed.true], minlength=images).astype(np.float64)
+    expected = np.zeros(images)
+    for state in range(len(observed.states)):
+        ours = observed.image_state == state
+        expected[ours] = follows[ours] * false[ours].sum() / max(follows[ours].sum(), 1.0)
+    return expected
 
 
 def _likelier(observed: Observed, notes: list[str]) -> str:
@@ -143,7 +228,9 @@ def _likelier(observed: Observed, notes: list[str]) -> str:
     return "per_image"
 
 
-def _of_states(observed: Observed, model: str, resampling: Resampling) -> tuple[StateFalsePositives, ...]:
+def _of_states(
+    observed: Observed, model: str, resampling: Resampling, inflation: float
+) -> tuple[StateFalsePositives, ...]:
     results, names = observed.labelled.results, observed.labelled.labels
     states, k = len(observed.states), len(names)
     image, label = results.image[observed.false_positives], results.label[observed.false_positives]
@@ -168,30 +255,54 @@ def _of_states(observed: Observed, model: str, resampling: Resampling) -> tuple[
             StateFalsePositives(
                 Entry(
                     Key(("false_positive_labels",), name, (names,), own_table=True),
-                    Column(table, "share", np.full(k, lonely[0])),
+                    Column(table, "share", np.full(k, lonely[0]), inflation),
                 ),
-                Entry(Key(("false_discovery_rate",), name), Column(share, "share", number[0] + true[0, index])),
-                Entry(Key(("false_positives_per_image",), name, remark=remark), Column(rate, "rate", images[0, index])),
+                Entry(
+                    Key(("false_discovery_rate",), name), Column(share, "share", number[0] + true[0, index], inflation)
+                ),
+                Entry(
+                    Key(("false_positives_per_image",), name, remark=remark),
+                    Column(rate, "rate", images[0, index], inflation),
+                ),
             )
         )
     return tuple(learned)
 
 
-def _density(image: Indices, boxes_px: Array, sizes_px: Array, grid: tuple[int, int], resampling: Resampling) -> Entry:
-    """Share of the boxes (n, 4) whose centres are in each cell of images of such sizes (n, 2)."""
-    rows, across = grid
-    place = np.clip(np.floor(centres(boxes_px) / sizes_px * [across, rows]), 0, [across - 1, rows - 1]).astype(np.int64)
-    counts = resampling.counts(image, place[:, 1] * across + place[:, 0], grid)
+def _place(
+    sightings: FalseSightings, placing: Placing, resampling: Resampling, lasting: Lasting | None
+) -> Entry | None:
+    """The parameter of the placement; of a map the share of the false positives whose centres are in each cell."""
+    worth = lasting.worth if lasting else (1.0, 1.0)
+    if placing == "horizon_band":
+        return Entry(Key(("false_positives", "band_px")), PlaceFit(sightings, *worth).band_px(resampling))
+    if placing == "far_half_px":
+        return Entry(Key(("false_positives", "far_half_px")), PlaceFit(sightings, *worth).far_half_px(resampling))
+    if placing == "uniform":
+        return None
+    column, row = cells_of(sightings.centres_px, sightings.image_px)
+    counts = resampling.counts(sightings.image, row * GRID[1] + column, GRID)
     total = counts.sum(axis=(1, 2), keepdims=True)
-    column = Column(ratio(counts, total), "share", np.full(grid, total[0, 0, 0]))
-    return Entry(Key(("false_positives", "density")), column)
+    shares = Column(ratio(counts, total), "share", np.full(GRID, total[0, 0, 0]), worth[0])
+    return Entry(Key(("false_positives", "density")), shares)
 
 
-def _size(image: Indices, boxes_px: Array, sizes_px: Array, resampling: Resampling) -> LearnedSize:
-    """One shape, scaled by a number whose logarithm is normal; of boxes (n, 4) in images (n,) of such sizes (n, 2).
+def _persistence(lasting: Lasting, drifts: bool, resampling: Resampling) -> LearnedPersistence:
+    lifetime, share = lasting.columns(resampling)
+    section = ("false_positives", "persistence")
+    return LearnedPersistence(
+        Entry(Key((*section, "lifetime_s")), lifetime),
+        Entry(Key((*section, "drift_px_s")), lasting.drift.column(resampling)) if drifts else None,
+        Entry(Key((*section, "share")), share),
+    )
+
+
+def _size(sightings: FalseSightings, resampling: Resampling, inflation: float) -> LearnedSize:
+    """One shape, scaled by a number whose logarithm is normal.
 
     The image's edge cuts boxes, so only those count whose centres are farther from it than half of almost any box.
     """
+    image, boxes_px, sizes_px = sightings.image, sightings.boxes_px, sightings.image_px
     half = np.quantile(sizes(boxes_px), _ALMOST_ANY, axis=0) / 2
     centre = centres(boxes_px)
     inner = np.all((centre > half) & ((centre < sizes_px - half) | np.isnan(sizes_px)), axis=1)
@@ -204,7 +315,7 @@ def _size(image: Indices, boxes_px: Array, sizes_px: Array, resampling: Resampli
     px = np.exp(sums[:, 1:3] / number[:, None])
     variance = (sums[:, 4] - sums[:, 3] ** 2 / number) / np.maximum(number - 1, 1)
     std = np.sqrt(np.maximum(variance, 0))
-    count = float(len(sides))
+    count = float(len(sides)) / inflation
     root = np.sqrt(count)
     return LearnedSize(
         Entry(

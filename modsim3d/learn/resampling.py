@@ -19,9 +19,9 @@ from modsim3d.formats.labelled import Images
 
 _LEAST_SPREAD = 1e-12
 
-Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "above_two"]
+Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "above_two", "capped"]
 """A `share` of a number of trials, another `fraction` from 0 to 1, a `mean`, a `positive` number, a `correlation`, a
-`rate` of a Poisson number, or a number `above_two`."""
+`rate` of a Poisson number, a number `above_two`, or a part from 0 to 1 whose ends are usual, `capped` there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +129,8 @@ class Column:
         # Replicates of a single unit are all equal and do not tell how well the number is known.
         reach = wide * spread(to_scale(self.values[1:], self.kind)) if units > 1 else np.full(centre.shape, np.inf)
         low, high = from_scale(centre - reach, self.kind), from_scale(centre + reach, self.kind)
+        if self.kind == "capped":
+            low, high = np.clip(low, 0, 1), np.clip(high, 0, 1)
         if self.kind == "fraction":  # nor do they where everything or nothing is right
             at_end = (self.estimate <= 0) | (self.estimate >= 1)
             counted_low, counted_high = self._counted(widen, tail)
@@ -181,6 +183,7 @@ _SCALES: dict[Kind, Scale] = {
     "share": _LOGIT,
     "fraction": _LOGIT,
     "mean": _PLAIN,
+    "capped": _PLAIN,
     "positive": _LOGARITHM,
     "rate": _LOGARITHM,
     "above_two": (lambda x: np.log(np.maximum(x - 2, 1e-12)), lambda x: 2 + np.exp(x)),
