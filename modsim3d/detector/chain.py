@@ -163,7 +163,7 @@ class Detector:
         boxes[events.split], _ = halves(boxes[events.split], events.cut)
         kind[events.split] = SPLIT
         errors = np.where((kind == TRUE)[:, None], placed.errors_px, np.nan)
-        uniforms = self._score_uniforms(frames, detected.targets, Purpose.CONFIDENCE)
+        uniforms = self._noise.score_uniforms(frames, detected.targets)
         return detected.unscored(slice(None), kind, boxes, errors, placed.redrawn, uniforms)
 
     def _duplicates(

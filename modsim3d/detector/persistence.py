@@ -1,8 +1,8 @@
 """Noise that stays with a vessel for a while.
 
-Both kinds run over all steps of the scene from its first, whatever a camera saw: a vessel that was hidden comes back
+Each kind runs over all steps of the scene from its first, whatever a camera saw: a vessel that was hidden comes back
 with the noise that it would have had. Fresh numbers are those that a detector without persistence would use, so with a
-vanishing correlation time the output is the same.
+vanishing correlation time the output is the same (confidence to its rounding).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.box_error_law import ERROR_NORMALS
@@ -23,16 +24,18 @@ from modsim3d.random_streams import Purpose, Streams, grid_normals, on_grid
 
 Clock = Callable[[int, int], Array]
 """Times of steps first to stop − 1 in seconds since the scene's first, shape (stop − first,)."""
+_UNIFORM_STEP = 2.0**-40
 _DECAY_STEP = 2.0**-40  # finer than the grid of drawn numbers: a decay close to one must stay what it is
 _MOST_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the memory
 
 
 @dataclass(frozen=True)
 class Persistence:
-    """Correlation times of misses and confusions, and of box errors; 0 means independent draws."""
+    """Correlation times of misses and confusions, of box errors and of confidence; 0 means independent draws."""
 
     class_s: float = 0.0
     box_s: float = 0.0
+    confidence_s: float = 0.0
 
 
 class Process(Protocol):
@@ -95,6 +98,17 @@ class Autoregressive:
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
         """Mix old and new numbers, shape (vessels, width)."""
         return decay * values + math.sqrt(1 - decay * decay) * fresh
+
+
+@dataclass(frozen=True)
+class AutoregressiveScore(Autoregressive):
+    """The normal number behind the confidence of a vessel's detection: an autoregressive process of width 1."""
+
+    width: int = 1
+
+    def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
+        """Independent standard normal numbers, shape (count, 1)."""
+        return grid_normals(streams.uniforms(Purpose.CONFIDENCE, camera, vessel, first=first, count=count)[:, :1])
 
 
 class Walk:
@@ -163,6 +177,15 @@ class VesselNoise:
         if not self._persistence.box_s:
             return latent_normals(self._streams, BOX_ERROR_STREAMS, frames, targets, extra)
         return self._walked(Autoregressive(self._persistence.box_s, ERROR_NORMALS + extra), frames, targets)
+
+    def score_uniforms(self, frames: CameraFrames, targets: Targets) -> Array:
+        """Uniform numbers for confidence and order, shape (n, 2)."""
+        uniforms = target_uniforms(self._streams, Purpose.CONFIDENCE, frames, targets)
+        if self._persistence.confidence_s:
+            normals = self._walked(AutoregressiveScore(self._persistence.confidence_s), frames, targets)[:, 0]
+            level = on_grid(special.ndtr(normals), _UNIFORM_STEP)
+            uniforms[:, 0] = np.clip(level, _UNIFORM_STEP, 1 - _UNIFORM_STEP)
+        return uniforms
 
     def _walked(self, process: Process, frames: CameraFrames, targets: Targets) -> Array:
         key = (type(process), frames.camera, targets.vessel_ids)

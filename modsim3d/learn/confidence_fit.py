@@ -63,10 +63,11 @@ class SlopeFit:
     def shift(self, scores: Scores, row: int = 0) -> Array:
         """By how much the slopes lower each confidence, shape (n,)."""
         found = dict(zip(self.form.names, self.slopes[row].tolist(), strict=True))
-        return _shift(scores, found, self.form)
+        return shift_of(scores, found, self.form)
 
 
-def _shift(scores: Scores, slopes: dict[str, float], form: SlopeForm) -> Array:
+def shift_of(scores: Scores, slopes: dict[str, float], form: SlopeForm) -> Array:
+    """By how much slopes lower each confidence, shape (n,); the reference size is a logarithm."""
     reference = slopes.get("size_reference_px", form.log_reference)
     shift = slopes.get("visibility_slope", 0.0) * scores.hidden
     halvings: Array = np.maximum(reference - scores.log_size, 0)
@@ -169,7 +170,7 @@ class _Point:
         size, kinds, found = len(self.values), len(self.samples), []
         for k, (scores, quantiles) in enumerate(zip(self.samples, self.quantiles, strict=True)):
             mean, std = self.values[2 * k : 2 * k + 2]
-            shift = _shift(scores, self.slopes, self.form)
+            shift = shift_of(scores, self.slopes, self.form)
             if quantiles:
                 terms = _quantile_terms(scores, mean - shift, shift, std, self.threshold)
             else:
@@ -200,7 +201,7 @@ class _Point:
         total = 0.0
         for k, scores in enumerate(self.samples):
             mean, std = self.values[2 * k : 2 * k + 2]
-            means, y = mean - _shift(scores, self.slopes, self.form), scores.values
+            means, y = mean - shift_of(scores, self.slopes, self.form), scores.values
             inside = -(((y - means) / std) ** 2) / 2 - np.log(std * np.sqrt(2 * np.pi))
             low, high = special.log_ndtr((self.threshold - means) / std), special.log_ndtr((means - 1) / std)
             total += float(np.where(y <= self.threshold, low, np.where(y >= 1, high, inside)).sum())

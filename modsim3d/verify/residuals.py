@@ -15,6 +15,7 @@ from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.confidence import SCORES
+from modsim3d.detector.confidence_levels import LEVELS, drawn_levels
 from modsim3d.detector.draws import poisson_quantile
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import model_name
@@ -22,7 +23,6 @@ from modsim3d.detector.records import FALSE_POSITIVE
 from modsim3d.verify.class_checks import expected_outcomes
 from modsim3d.verify.clutter_checks import RATE_CHECKS, expected_clutter
 from modsim3d.verify.confidence_checks import scored
-from modsim3d.verify.confidence_levels import LEVELS, drawn_levels
 from modsim3d.verify.error_fit import StateFit
 from modsim3d.verify.evidence import Evidence, max_detections_note
 

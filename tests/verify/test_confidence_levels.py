@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from modsim3d.detector.confidence import NormalScores, QuantileScores, Scores
-from modsim3d.verify.confidence_levels import LEVELS, drawn_levels
+from modsim3d.detector.confidence_levels import LEVELS, drawn_levels
 
 LAWS: dict[str, Scores] = {
     "normal": NormalScores(0.6, 0.3),

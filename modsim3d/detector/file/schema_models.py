@@ -98,6 +98,7 @@ class PersistenceSection(Strict):
 
     class_s: NotNegative = 0.0
     box_s: NotNegative = 0.0
+    confidence_s: NotNegative = 0.0
 
 
 class SizeSection(Strict):

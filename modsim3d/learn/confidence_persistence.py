@@ -1,0 +1,138 @@
+"""How long the confidence of a vessel's detections persists.
+
+A confidence has a level in the distribution of its state, and the level a normal number. Clipped confidences leave that
+number open beyond a bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from modsim3d.arrays import Array
+from modsim3d.detector.confidence import SCORES
+from modsim3d.detector.confidence import Scores as Law
+from modsim3d.detector.confidence_levels import LEVELS
+from modsim3d.detector.confidence_pairs import pair_likelihood
+from modsim3d.detector.parts import model_name
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.persistence_fit import Consecutive, Steps, steps_between
+from modsim3d.learn.resampling import Column, Resampling, widened
+from modsim3d.learn.scores import Scores
+
+_STEP = 1e-4
+"""Levels that a single confidence may have, above which its number counts as open between them."""
+_GRID, _NEAR = 40, 0.02
+_SHORTEST, _LONGEST = 0.05, 1000.0
+"""Correlation times are sought between these multiples of the usual time between sightings."""
+
+
+@dataclass(frozen=True, eq=False)
+class LatentScores:
+    """Bounds of the normal numbers behind confidences, equal where known, NaN without a law; shapes (n,)."""
+
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, scores: Scores, law: Law, shift: Array, threshold: float) -> LatentScores:
+        """From a distribution that is shifted by (n,) before it is clipped."""
+        check = LEVELS.get(model_name(SCORES, law))
+        levels = None if check is None else check(law, scores.values, shift)
+        if levels is None:
+            return cls(np.full(len(scores), np.nan), np.full(len(scores), np.nan))
+        middle, least = (levels[0] + levels[1]) / 2, 0.5 / max(len(scores), 1)
+        wide = levels[1] - levels[0] > _STEP
+        known = special.ndtri(np.clip(middle, least, 1 - least))
+        low = np.where(wide, special.ndtri(np.clip(levels[0], 0, 1 - least)), known)
+        high = np.where(wide, special.ndtri(np.clip(levels[1], least, 1)), known)
+        return cls(np.where(scores.values <= threshold, -np.inf, low), np.where(scores.values >= 1, np.inf, high))
+
+    @property
+    def known(self) -> Array:
+        """Which numbers are known, shape (n,)."""
+        found: Array = self.low == self.high
+        return found
+
+    @property
+    def expected(self) -> Array:
+        """The numbers; those that are open by their expectation, shape (n,)."""
+        chance = np.maximum(special.ndtr(self.high) - special.ndtr(self.low), 1e-12)
+        density = [np.exp(-(edge**2) / 2) / np.sqrt(2 * np.pi) for edge in (self.low, self.high)]
+        found: Array = np.where(self.known, self.low, (density[0] - density[1]) / chance)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class ConsecutiveScores:
+    """Numbers behind the confidences of the same thing in consecutive sightings."""
+
+    latent: LatentScores
+    steps: Steps
+    scores: Scores
+
+    @classmethod
+    def of(cls, observed: Observed, scores: Scores, latent: LatentScores) -> ConsecutiveScores:
+        """Of true detections in the order of `observed.pairs`."""
+        usable = np.flatnonzero(~np.isnan(latent.low))
+        steps = steps_between(observed.labelled, observed.pairs.rows[usable])
+        return cls(latent, Steps(usable[steps.earlier], usable[steps.later], steps.apart_s), scores)
+
+    def products(self) -> Consecutive:
+        """For the decision whether confidence persists."""
+        expected, (a, b) = self.latent.expected, (self.steps.earlier, self.steps.later)
+        return Consecutive(expected[a] * expected[b], expected[a] ** 2, self.steps.apart_s, self.scores.image[b])
+
+    @property
+    def _known_before(self) -> Steps:
+        known = self.latent.known[self.steps.earlier]
+        return Steps(self.steps.earlier[known], self.steps.later[known], self.steps.apart_s[known])
+
+    def _likelihood(self, steps: Steps, log_time: float) -> Array:
+        """Log-likelihood of each later sighting given the earlier one, shape (m,)."""
+        b = steps.later
+        correlation = np.minimum(np.exp(-steps.apart_s / np.exp(log_time)), 1 - 1e-9)
+        return pair_likelihood(self.latent.low[steps.earlier], self.latent.low[b], self.latent.high[b], correlation)
+
+    def time_s(self) -> float:
+        """The likeliest correlation time; 0 where no earlier number is known."""
+        steps = self._known_before
+        if not len(steps):
+            return 0.0
+        low, high = np.log(float(np.median(steps.apart_s)) * np.array([_SHORTEST, _LONGEST]))
+        grid = np.linspace(low, high, _GRID)
+        for _ in range(3):  # finer and finer
+            best = int(np.argmax([self._likelihood(steps, at).sum() for at in grid.tolist()]))
+            grid = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], 11)
+        return float(np.exp(grid[len(grid) // 2]))
+
+    def column(self, resampling: Resampling) -> Column:
+        """The correlation time; replicates by one Newton step of its logarithm."""
+        time_s, steps = self.time_s(), self._known_before
+        if time_s <= 0:
+            return Column(np.zeros(len(resampling.weights)), "positive", np.array(0.0))
+        at = np.log(time_s)
+        below, middle, above = (self._likelihood(steps, at + move) for move in (-_NEAR, 0.0, _NEAR))
+        slope, bend = (above - below) / (2 * _NEAR), (2 * middle - above - below) / _NEAR**2
+        sums = resampling.sums(self.scores.image[steps.later], np.column_stack([slope, bend]))
+        whole = max(float(sums[0, 1]), 1e-12)
+        moves = sums[:, 0] / np.maximum(sums[:, 1], whole / 10)
+        moves[0] = 0.0
+        spread = np.array(np.sqrt((slope**2).sum()) / whole)
+        return Column(time_s * np.exp(widened(np.clip(moves, -2, 2), spread)), "positive", np.array(float(len(steps))))
+
+
+def inflation(steps: Steps, count: int, correlation_s: float) -> float:
+    """Variance of the mean of so many numbers with a correlation time, over that of independent ones.
+
+    The steps are in order of time within each track.
+    """
+    if correlation_s <= 0 or count == 0:
+        return 1.0
+    kept, held, total = np.exp(-steps.apart_s / correlation_s).tolist(), dict[int, float](), 0.0
+    for earlier, later, share in zip(steps.earlier.tolist(), steps.later.tolist(), kept, strict=True):
+        held[later] = share * (held.get(earlier, 0.0) + 1)
+        total += held[later]
+    return 1 + 2 * total / count
