@@ -40,6 +40,8 @@ WORK = ROOT / "runs" / "stand_in"
 RATE_HZ = 4.0
 TO_LEARN_FROM, TO_COMPARE_ON = 7, 8
 """Films of each place."""
+ROLES = ("compare", "learn")
+"""They take turns."""
 FIRST_SEED = 101
 """Of the first film; each film has a seed of its own."""
 ON_BOARD = (1, 3, 5)
@@ -105,9 +107,9 @@ def all_films(work: Path) -> list[Film]:
 
     The two roles share no seed, so what is compared on is traffic that no learning saw.
     """
-    turns = [("compare", k) if turn % 2 == 0 else ("learn", k) for turn in range(16) for k in [turn // 2]]
-    films = []
-    for role, k in turns[: TO_LEARN_FROM + TO_COMPARE_ON]:
+    films: list[Film] = []
+    for turn in range(TO_LEARN_FROM + TO_COMPARE_ON):
+        role, k = ROLES[turn % 2], turn // 2
         for p, place in enumerate(PLACES):
             seed = FIRST_SEED + len(films)
             weather = WEATHERS[(k + p) % len(WEATHERS)]
@@ -189,8 +191,9 @@ def make_films(work: Path, films: Sequence[Film], workers: int = 2) -> None:
 
 
 def _made(film: Film, weights: Path) -> str:
-    """In a process of its own."""
-    make_film(film, PixelDetector(open_session(weights)))
+    """In a process of its own; another one that works on the same films may have made it by now."""
+    if not film.description.is_file():
+        make_film(film, PixelDetector(open_session(weights)))
     return film.name
 
 

@@ -173,7 +173,7 @@ def open_session(weights: Path) -> Session:
         ModsimError: onnxruntime is not installed, or the file is no such network.
     """
     try:
-        import onnxruntime
+        import onnxruntime  # type: ignore[import-untyped]
     except ImportError:
         raise ModsimError("the detector that looks at pixels needs onnxruntime: pip install '.[stand_in]'") from None
     options = onnxruntime.SessionOptions()

