@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from benchmarks.stand_in import prose
 from benchmarks.stand_in.differences import AGREES, DIFFERS, UNDECIDED
 from benchmarks.stand_in.distributions import TITLES
+from benchmarks.stand_in.ladder import draw_ladder
 from benchmarks.stand_in.margins import BY_KEY, REASONS, SCORES, Score
 from benchmarks.stand_in.measure import BIN_MARGIN
 from benchmarks.stand_in.prose import filled
@@ -16,8 +18,15 @@ from benchmarks.stand_in.words import cell, films_in_words, headline, interval, 
 
 Results = Mapping[str, Any]
 Lines = Iterator[str]
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 LEVEL_OF_TESTS = 0.05
 HOTA_MARGIN = BY_KEY["hota"].least
+
+
+def write_page(results: Results, docs: Path = DOCS) -> None:
+    """Write the page and its picture into the folder of the documents."""
+    (docs / "stand_in.md").write_text(page(results), encoding="utf-8")
+    draw_ladder(results, docs / "stand_in.png")
 
 
 def page(results: Results) -> str:
@@ -222,13 +231,21 @@ def _classifier(results: Results) -> Lines:
     titles = {rung["name"]: rung["title"] for rung in results["rungs"]}
     yield from ("## Can a classifier tell them apart?", "", filled(prose.CLASSIFIER))
     yield from table(
-        ["", "Learned", "Frames", "Tracks"],
-        [[name, titles[name], *(_auc(each.get(kind)) for kind in ("frames", "tracks"))] for name, each in told.items()],
+        ["", "Learned", "Frames", "told by", "Tracks", "told by"],
+        [
+            [name, titles[name], *(text for kind in ("frames", "tracks") for text in _auc(each.get(kind)))]
+            for name, each in told.items()
+        ],
     )
 
 
-def _auc(found: Results | None) -> str:
-    return f"{found['auc']:.2f} ({found['low']:.2f} to {found['high']:.2f})" if found else "–"
+def _auc(found: Results | None) -> tuple[str, str]:
+    """An area with its interval, and the groups of features that reach most alone."""
+    if not found:
+        return "–", "–"
+    groups = sorted(found.get("groups", {}).items(), key=lambda each: -each[1]["alone"])[:2]
+    by = ", ".join(f"{name} ({each['alone']:.2f})" for name, each in groups) or "–"
+    return f"{found['auc']:.2f} ({found['low']:.2f} to {found['high']:.2f})", by
 
 
 def _limits(results: Results) -> Lines:

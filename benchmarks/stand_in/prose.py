@@ -61,7 +61,8 @@ HOTA of groups of films, simulated minus real, with the margin {margin:g}. Films
 """
 CLASSIFIER = """
 The area under the ROC curve of a gradient-boosted classifier that is shown frames, or tracks of vessels, of films that
-it was not trained on, with its 95 % interval over films. 0.5 is guessing, 1 is certainty; the goal is at most 0.6.
+it was not trained on, with its 95 % interval over films. 0.5 is guessing, 1 is certainty; the goal is at
+most 0.6. *Told by* names the features that reach most alone, with their area.
 """
 LIMITS = (
     "Rendered pictures are no sea. The detector is real; what it looks at is not. It errs otherwise on photographs.",

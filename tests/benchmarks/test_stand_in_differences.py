@@ -85,6 +85,13 @@ def test_a_ranking_that_one_film_decides_is_not_sure() -> None:
     assert ranking(real, np.repeat(real[:, :, None], 2, axis=2), ("a", "b"))["same_order"] == 1
 
 
+def test_the_best_may_stay_where_others_change_places() -> None:
+    real = np.tile([[0.6, 0.4, 0.5]], (5, 1))
+    found = ranking(real, real[:, [0, 2, 1], None], ("a", "b", "c"))
+    assert (found["same_order"], found["same_best"], found["simulated"]) == (0, 1, ["a", "b", "c"])
+    assert found["tau"] == pytest.approx(1 / 3) and found["tau_of_seeds"] is None
+
+
 def test_gaps_lie_between_sightings_and_unscored_frames_break_nothing() -> None:
     identity = np.array([0] * 8 + [1] * 3)
     frame = np.array([*range(8), 0, 1, 2])

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.stand_in.ladder import draw_ladder
 from benchmarks.stand_in.measure import measure
-from benchmarks.stand_in.page import page
+from benchmarks.stand_in.page import page, write_page
 from benchmarks.stand_in.scores import (
     bins_of,
     found_vessels,
@@ -117,14 +116,15 @@ def test_the_page_is_made_of_the_results_alone(results: dict) -> None:
     assert "HOTA agrees for `sort` and `reference`." in text
     assert "classifier" not in text and "nan" not in text and "None" not in text
     assert "- HOTA (± 0.020) of `sort` and `reference`" in text.splitlines()
-    area = {"auc": 0.55, "low": 0.5, "high": 0.6}
-    told = page({**results, "told_apart": {"b": {"frames": area, "tracks": area}}})
-    assert "| b | b | 0.55 (0.50 to 0.60) | 0.55 (0.50 to 0.60) |" in told.splitlines()
+    area = {"auc": 0.55, "low": 0.5, "high": 0.6, "groups": {"misses": {"alone": 0.51}, "errors": {"alone": 0.54}}}
+    told = page({**results, "told_apart": {"b": {"frames": area}}})
+    assert "| b | b | 0.55 (0.50 to 0.60) | errors (0.54), misses (0.51) | – | – |" in told.splitlines()
 
 
 def test_the_picture_shows_something_for_each_tracker(results: dict, tmp_path: Path) -> None:
-    draw_ladder(results, tmp_path / "ladder.png")
-    with Image.open(tmp_path / "ladder.png") as picture:
+    write_page(results, tmp_path)
+    assert (tmp_path / "stand_in.md").read_text(encoding="utf-8") == page(results)
+    with Image.open(tmp_path / "stand_in.png") as picture:
         pixels = np.asarray(picture.convert("RGB"))
     halves = pixels[:, : pixels.shape[1] // 2], pixels[:, pixels.shape[1] // 2 :]
     assert all((half == (0, 0x72, 0xB2)).all(axis=2).sum() > 100 for half in halves)  # the colour of agreement
