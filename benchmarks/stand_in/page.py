@@ -1,0 +1,291 @@
+"""The page docs/stand_in.md, from the results of a comparison alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.stand_in import prose
+from benchmarks.stand_in.differences import AGREES, DIFFERS, UNDECIDED
+from benchmarks.stand_in.distributions import TITLES
+from benchmarks.stand_in.ladder import draw_ladder
+from benchmarks.stand_in.margins import BY_KEY, REASONS, SCORES, Score
+from benchmarks.stand_in.measure import BIN_MARGIN
+from benchmarks.stand_in.prose import filled
+from benchmarks.stand_in.scores import BINS, RULES
+from benchmarks.stand_in.words import cell, films_in_words, headline, interval, kinder, listed, plain
+
+Results = Mapping[str, Any]
+Lines = Iterator[str]
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+LEVEL_OF_TESTS = 0.05
+HOTA_MARGIN = BY_KEY["hota"].least
+
+
+def write_page(results: Results, docs: Path = DOCS) -> None:
+    """Write the page and its picture into the folder of the documents."""
+    (docs / "stand_in.md").write_text(page(results), encoding="utf-8")
+    draw_ladder(results, docs / "stand_in.png")
+
+
+def page(results: Results) -> str:
+    """The page."""
+    parts = _opening, _ladder, _scores, _meaning, _order, _distributions, _parts_of_films, _classifier, _limits, _how
+    return "\n".join(line for part in parts for line in part(results)) + "\n"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table in Markdown, with an empty line before and after."""
+    return ["", *(f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *rows)), ""]
+
+
+def _top(results: Results) -> str:
+    """Name of the last rung."""
+    return str(results["rungs"][-1]["name"])
+
+
+def _code(names: Sequence[str]) -> list[str]:
+    return [f"`{name}`" for name in names]
+
+
+def _opening(results: Results) -> Lines:
+    films, trackers = results["films"], results["trackers"]
+    total = {
+        key: sum(film[key] for film in films)
+        for key in ("vessel_frames", "hidden", "found", "found_hidden", "detections")
+    }
+    found = {name: results["differences"][_top(results)][name]["hota"] for name in trackers}
+    yield from ("# Is it a good stand-in?", "", headline(results), "")
+    yield filled(
+        prose.DONE,
+        films=len(films),
+        trackers=_count(len(trackers)),
+        clear=(total["found"] - total["found_hidden"]) / max(total["vessel_frames"] - total["hidden"], 1),
+        hidden=total["found_hidden"] / max(total["hidden"], 1),
+        precision=total["found"] / max(total["detections"], 1),
+    )
+    verdicts = " ".join(
+        _of_hota(verdict, _code(names))
+        for verdict in (AGREES, DIFFERS, UNDECIDED)
+        if (names := [name for name, each in found.items() if each["verdict"] == verdict])
+    )
+    yield from ("", filled(prose.WITHIN, margin=HOTA_MARGIN, verdicts=verdicts), "")
+
+
+def _count(number: int) -> str:
+    words = ("No", "One", "Two", "Three", "Four", "Five", "Six")
+    return words[number] if number < len(words) else str(number)
+
+
+def _of_hota(verdict: str, names: Sequence[str]) -> str:
+    """What a verdict on HOTA says of trackers."""
+    return {
+        AGREES: f"HOTA agrees for {listed(names)}.",
+        DIFFERS: f"HOTA differs by more than that for {listed(names)}.",
+        UNDECIDED: f"For {listed(names)} these films do not say.",
+    }[verdict]
+
+
+def _ladder(results: Results) -> Lines:
+    yield "![Simulated minus real scores at each rung of the ladder, a panel for each score and tracker](stand_in.png)"
+    yield from ("", "## The ladder", "", filled(prose.LADDER))
+    trackers, found = results["trackers"], results["differences"]
+    yield from table(
+        ["", "Learned", *_code(trackers)],
+        [
+            [
+                rung["name"],
+                f"{'+ ' if at else ''}{rung['title']}",
+                *(cell(found[rung["name"]][name]["hota"], 3) for name in trackers),
+            ]
+            for at, rung in enumerate(results["rungs"])
+        ],
+    )
+
+
+def _scores(results: Results) -> Lines:
+    trackers, found = results["trackers"], results["differences"][_top(results)]
+
+    def told(each: Results, decimals: int) -> str:
+        return f"{plain(each['real'], decimals)}: {cell(each, decimals)}"
+
+    yield from ("## All scores at the last rung", "", filled(prose.SCORES_BEGIN))
+    yield from table(
+        ["Score", *_code(trackers)],
+        [[score.title, *(told(found[name][score.key], score.decimals) for name in trackers)] for score in SCORES],
+    )
+
+
+def _meaning(results: Results) -> Lines:
+    yield from ("## What it means for someone who certifies", "")
+    found = results["differences"][_top(results)]
+    told = {AGREES: (prose.HOLD, _holds), DIFFERS: (prose.HOLD_NOT, _holds_not), UNDECIDED: (prose.OPEN, _open)}
+    for verdict, (introduction, line) in told.items():
+        lines = []
+        for score in SCORES:
+            each = {name: by_score[score.key] for name, by_score in found.items()}
+            if chosen := {name: one for name, one in each.items() if one["verdict"] == verdict}:
+                lines.append(f"- {score.title} {line(score, chosen)}")
+        if lines:
+            yield from (filled(introduction), "", *lines, "")
+    yield from (prose.BESIDE, "", *_other_statements(results), "", filled(prose.USE), "")
+
+
+def _holds(score: Score, found: Mapping[str, Results]) -> str:
+    margins = sorted({plain(each["margin"], score.decimals) for each in found.values()})
+    return f"(± {listed(margins, 'or')}) of {listed(_code(list(found)))}"
+
+
+def _holds_not(score: Score, found: Mapping[str, Results]) -> str:
+    return "of " + "; ".join(
+        f"`{name}`: {interval(each, score.decimals)}{kinder(score, each)}" for name, each in found.items()
+    )
+
+
+def _open(score: Score, found: Mapping[str, Results]) -> str:
+    return "of " + ", ".join(f"`{name}` ({films_in_words(each)})" for name, each in found.items())
+
+
+def _other_statements(results: Results) -> Lines:
+    """What the comparison says beside the scores."""
+    top = _top(results)
+    order = results["ranking"][top]
+    if order["films"]:
+        best = [order[name][0] for name in ("real", "simulated")]
+        same = (
+            f"is the same, `{best[0]}`," if best[0] == best[1] else f"is `{best[1]}` in place of `{best[0]}`, the same"
+        )
+        yield f"- The best tracker by HOTA {same} in {order['same_best']:.0%} of draws of films."
+    found = [each for each in results["distributions"][top] if each["adjusted_p"] is not None]
+    differ = [_distribution_name(each) for each in found if each["adjusted_p"] < LEVEL_OF_TESTS]
+    named = f"{len(differ)} differ: {'; '.join(differ)}" if differ else "none was found to differ"
+    yield f"- Of {len(found)} distributions, {named}."
+    for key, title in BINS:
+        recall = {name: each[key]["recall"]["verdict"] for name, each in results["bins"][top].items()}
+        told = [
+            f"{word} for {listed(_code(names))}"
+            for verdict, word in ((AGREES, "agrees"), (DIFFERS, "differs"), (UNDECIDED, "is open"))
+            if (names := [name for name, each in recall.items() if each == verdict])
+        ]
+        yield f"- Share followed, {title}: {', '.join(told)}."
+
+
+def _order(results: Results) -> Lines:
+    yield from ("## Does the ranking of the trackers come out the same?", "", filled(prose.ORDER))
+    rows = []
+    for rung in results["rungs"]:
+        found = results["ranking"][rung["name"]]
+        if not found["films"]:
+            continue
+        orders = [" > ".join(found[name]) for name in ("real", "simulated")]
+        numbers = [plain(found["tau"], 2), plain(found["tau_of_seeds"], 2)]
+        rows.append([rung["name"], *orders, *numbers, *(f"{found[name]:.0%}" for name in ("same_order", "same_best"))])
+    yield from table(["", "Real", "Simulated", "Tau", "Among seeds", "Same order", "Same best"], rows)
+
+
+def _distributions(results: Results) -> Lines:
+    yield from ("## Lengths and confidence as distributions", "", filled(prose.DISTRIBUTIONS))
+    yield from table(
+        ["", "Mean, real", "simulated", "Median, real", "simulated", "Distance", "To move", "p"],
+        [_distribution(each) for each in results["distributions"][_top(results)]],
+    )
+
+
+def _distribution(found: Results) -> list[str]:
+    """A line of the table."""
+    sides = found["real"], found["simulated"]
+    medians = [None if side["quartiles"] is None else side["quartiles"][1] for side in sides]
+    numbers = [*(side["mean"] for side in sides), *medians, found["ks"], found["wasserstein"]]
+    p = plain(found["adjusted_p"], 3)
+    differs = found["adjusted_p"] is not None and found["adjusted_p"] < LEVEL_OF_TESTS
+    return [_distribution_name(found), *(plain(number, 2) for number in numbers), f"**{p}**" if differs else p]
+
+
+def _distribution_name(found: Results) -> str:
+    return TITLES[found["name"]] + ("" if found["tracker"] is None else f", `{found['tracker']}`")
+
+
+def _parts_of_films(results: Results) -> Lines:
+    trackers, top = results["trackers"], _top(results)
+    bins, groups = results["bins"][top], results["groups"][top]
+    yield from ("## By occlusion, range and weather", "", filled(prose.BINS_BEGIN, margin=BIN_MARGIN))
+    yield from table(
+        ["Vessel-frames", *_code(trackers)],
+        [[title, *(cell(bins[name][key]["recall"], 3) for name in trackers)] for key, title in BINS],
+    )
+    yield filled(prose.GROUPS, margin=HOTA_MARGIN, share=results["hidden_share_of_groups"])
+    yield from table(
+        ["Films", "Number", *_code(trackers)],
+        [
+            [name, str(first["films"]), *(cell(groups[tracker][name], 3) for tracker in trackers)]
+            for name, first in groups[trackers[0]].items()
+        ],
+    )
+
+
+def _classifier(results: Results) -> Lines:
+    told = results.get("told_apart")
+    if not told:
+        return
+    titles = {rung["name"]: rung["title"] for rung in results["rungs"]}
+    yield from ("## Can a classifier tell them apart?", "", filled(prose.CLASSIFIER))
+    yield from table(
+        ["", "Learned", "Frames", "told by", "Tracks", "told by"],
+        [
+            [name, titles[name], *(text for kind in ("frames", "tracks") for text in _auc(each.get(kind)))]
+            for name, each in told.items()
+        ],
+    )
+
+
+def _auc(found: Results | None) -> tuple[str, str]:
+    """An area with its interval, and the groups of features that reach most alone."""
+    if not found:
+        return "–", "–"
+    groups = sorted(found.get("groups", {}).items(), key=lambda each: -each[1]["alone"])[:2]
+    by = ", ".join(f"{name} ({each['alone']:.2f})" for name, each in groups) or "–"
+    return f"{found['auc']:.2f} ({found['low']:.2f} to {found['high']:.2f})", by
+
+
+def _limits(results: Results) -> Lines:
+    counts = sorted({film["frames"] for film in results["films"]})
+    frames = " to ".join(dict.fromkeys(str(count) for count in (counts[0], counts[-1])))
+    yield from ("## Limits", "")
+    yield from (f"- {filled(text, frames=frames, least=RULES.similarity.least)}" for text in prose.LIMITS)
+    yield ""
+
+
+def _how(results: Results) -> Lines:
+    tracker, films = results["trackers"][0], results["films"]
+    yield from ("## How it was measured", "")
+    yield filled(
+        prose.METHOD,
+        films=len(films),
+        seeds=results["seeds"],
+        threshold=results["threshold"],
+        split=_split(tracker, results["differences"][_top(results)][tracker]["hota"]),
+    ).strip()
+    yield from ("", filled(prose.MARGINS))
+    yield from table(["Score", "Margin", "Why"], REASONS)
+    yield filled(prose.TESTS)
+    yield from table(
+        ["Film", "Place", "Weather", "Vessel-frames", "Under half visible", "Detected"],
+        [
+            [
+                *(str(film[name]) for name in ("name", "place", "weather", "vessel_frames")),
+                *(f"{film[name] / max(film['vessel_frames'], 1):.0%}" for name in ("hidden", "found")),
+            ]
+            for film in films
+        ],
+    )
+    if detector := results.get("detector"):
+        yield f"The detector is {detector['name']} from {detector['source']}; its weights have the SHA-256"
+        yield f"`{detector['sha256']}`."
+    yield "With " + ", ".join(f"{name} {number}" for name, number in results["versions"].items()) + "."
+
+
+def _split(tracker: str, found: Results) -> str:
+    if found["within"] is None or found["between"] is None:
+        return ""
+    return filled(prose.SPLIT, tracker=tracker, within=found["within"], between=found["between"])

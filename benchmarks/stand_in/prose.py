@@ -1,0 +1,93 @@
+"""The text of the page docs/stand_in.md that no result changes; what stands in braces is filled in."""
+
+from __future__ import annotations
+
+
+def filled(text: str, **values: object) -> str:
+    """A text as one line, with its values."""
+    return " ".join(text.split()).format(**values)
+
+
+DONE = """
+A detector that was trained on photographs looked at {films} films of this program's own scenes, drawn in light and
+shade. From other films a detector file was learned (`modsim3d learn`) and simulated over the same {films}. {trackers}
+trackers were scored behind both. The detector found {clear:.0%} of the vessels that were at least half visible and
+{hidden:.0%} of the others. {precision:.0%} of its detections were of vessels.
+"""
+WITHIN = """
+"Within" is the farthest end of the trackers' 95 % intervals. A mean gap is the mean size of the trackers' differences.
+The margin was fixed beforehand: {margin:g}. {verdicts}
+"""
+LADDER = """
+Each rung is a detector file learned from the same films, with all models of the rungs before it and one group more.
+The numbers are HOTA, simulated minus real: the mean over films and its 95 % interval. ✓ agrees: the whole interval lies
+within the margin. ✗ differs: all of it lies outside. ? these films do not say.
+"""
+SCORES_BEGIN = """
+First the real score, then simulated minus real. [Scores](scores.md) says what each means.
+"""
+HOLD = "These values hold on simulated detections, within the margin:"
+HOLD_NOT = "These do not hold. Simulation gives another value:"
+OPEN = """
+Of these the films do not say whether they hold. In brackets stands about how many films would show that they do if the
+mean stayed, or that the mean lies outside the margin:
+"""
+BESIDE = "Beside the scores:"
+USE = """
+A score that holds may stand for the real one in an argument about this detector, in films like these. Where the films
+do not say, nothing is shown: neither that the values agree nor that they differ.
+"""
+ORDER = """
+By HOTA. The orders are those of the means over films, the best first. Kendall's tau is 1 where all pairs of trackers
+stand in the same order within a film, and −1 where all are reversed. *Among seeds* is the tau of one simulated output
+against another, which no simulation of this detector can exceed by much. The last two columns are shares of 4,000
+draws of films, with replacement, in which the whole order, and the best tracker, are the same on real and simulated
+detections.
+"""
+DISTRIBUTIONS = """
+At the last rung. *Distance* is the largest one between the two distribution functions (Kolmogorov and Smirnov). *To
+move* is how far values must be moved on average to make one distribution of the other. The p-value is the share of
+exchanges of real and simulated outputs within films that have at least this distance, adjusted for the number of lines
+by Holm's method. Below 0.05, in bold, the two differ. Above it no difference was found, which is no proof that there is
+none.
+"""
+BINS_BEGIN = """
+At the last rung: the share of vessel-frames that a track follows, simulated minus real. A part has fewer vessel-frames
+than the whole, so the margin is {margin:g}.
+"""
+GROUPS = """
+HOTA of groups of films, simulated minus real, with the margin {margin:g}. Films with *much* occlusion have more than
+{share:.1%} of vessel-frames with less than half of the vessel visible.
+"""
+CLASSIFIER = """
+The area under the ROC curve of a gradient-boosted classifier that is shown frames, or tracks of vessels, of films that
+it was not trained on, with its 95 % interval over films. 0.5 is guessing, 1 is certainty; the goal is at
+most 0.6. *Told by* names the features that reach most alone, with their area.
+"""
+LIMITS = (
+    "Rendered pictures are no sea. The detector is real; what it looks at is not. It errs otherwise on photographs.",
+    "It is one detector. Another one may need models that this one does not.",
+    """The films are short: {frames} frames each. Rare events, such as long occlusions, have little weight, and each
+    film begins without tracks.""",
+    """Scores depend on how tracks are matched with vessels: here by an intersection over union of at least {least:g}
+    with the boxes of what is visible. HOTA takes the mean over many thresholds, the others have this one.""",
+    """The trackers have the settings that were chosen for the shipped scenes, behind other detectors. They are the same
+    for real and simulated detections, but not the best for this detector.""",
+    """The detector file is learned once. The intervals are over films, and leave out what learning from other films
+    would have changed.""",
+    "Each interval has 95 % by itself. Of many intervals, a few miss the truth.",
+)
+METHOD = """
+`script/campaign stand_in` writes this page, and `campaigns/stand_in.json` with all its figures. There are {films} films
+that no learning saw, {seeds} seeds of the simulated detector on each, and detections of a confidence of at least
+{threshold:g}. A film gives one difference: the mean over seeds minus the real score. The interval is Student's t over
+films. {split}
+"""
+SPLIT = """
+For HOTA of `{tracker}`, the standard deviation is {within:.3f} from seed to seed of a film and {between:.3f} from film
+to film beside that.
+"""
+MARGINS = "Margins were fixed before any film was scored:"
+TESTS = """
+Agreement is two one-sided tests at 2.5 % each, which is to say that the whole 95 % interval lies within the margin.
+"""

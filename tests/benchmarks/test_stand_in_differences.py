@@ -1,0 +1,160 @@
+"""Differences over films, rankings and distributions, on made-up numbers with known answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.stand_in.differences import AGREES, DIFFERS, UNDECIDED, difference, verdict
+from benchmarks.stand_in.distributions import compared, gaps_and_runs, holm, wasserstein
+from benchmarks.stand_in.margins import BY_KEY
+from benchmarks.stand_in.ranking import ranking, tau
+from benchmarks.stand_in.words import causes, farthest, films_needed, headline, upwards
+
+
+def test_a_difference_of_three_films_by_hand() -> None:
+    """0.01, 0.02, 0.03: standard deviation 0.01; the 97.5 % quantile of t with 2 degrees of freedom is 4.302653."""
+    found = difference(np.array([0.5, 0.6, 0.7]), np.array([[0.51], [0.62], [0.73]]), 0.05)
+    half = 4.302653 * 0.01 / np.sqrt(3)
+    assert (found.films, found.within) == (3, None)
+    assert [found.mean, found.low, found.high] == pytest.approx([0.02, 0.02 - half, 0.02 + half], rel=1e-5)
+    assert found.verdict == AGREES
+    # t = (0.05 - 0.02) / (0.01 / sqrt(3)) = 5.196; for 2 degrees of freedom P(T > t) = 1/2 - t / (2 sqrt(2 + t^2)).
+    t = 0.03 / (0.01 / np.sqrt(3))
+    assert found.p_value == pytest.approx(0.5 - t / (2 * np.sqrt(2 + t**2)))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (-0.02, 0.02, AGREES),
+        (0.001, 0.015, AGREES),  # not 0, but within the margin
+        (0.021, 0.1, DIFFERS),
+        (-0.1, -0.021, DIFFERS),
+        (0.01, 0.03, UNDECIDED),
+        (-0.3, 0.3, UNDECIDED),  # a wide interval is no agreement
+    ],
+)
+def test_a_verdict_is_where_the_interval_lies(low: float, high: float, expected: str) -> None:
+    assert verdict(low, high, 0.02) == expected
+
+
+def test_one_film_says_nothing() -> None:
+    found = difference(np.array([0.5, np.nan]), np.array([[0.5], [0.7]]), 0.02)
+    assert (found.films, found.mean, found.verdict, found.real) == (1, None, UNDECIDED, 0.5)
+
+
+def test_intervals_hold_what_they_claim_and_agreement_is_rarely_wrong() -> None:
+    """Films have differences of their own, and seeds scatter within them; the true difference is the margin itself."""
+    random, margin, trials = np.random.default_rng(7), 0.02, 1500
+    inside = agree = 0
+    for _ in range(trials):
+        real = random.normal(0.5, 0.1, 12)
+        film = random.normal(margin, 0.03, 12)
+        found = difference(real, (real + film)[:, None] + random.normal(0, 0.04, (12, 4)), margin)
+        inside += found.low <= margin <= found.high
+        agree += found.verdict == AGREES
+    assert inside / trials == pytest.approx(0.95, abs=0.02)
+    assert agree / trials < 0.04
+
+
+def test_the_scatter_of_seeds_is_told_from_that_of_films() -> None:
+    random = np.random.default_rng(8)
+    film = random.normal(0, 0.03, 4000)
+    found = difference(np.zeros(4000), film[:, None] + random.normal(0, 0.06, (4000, 5)), 0.02)
+    assert [found.between, found.within] == pytest.approx([0.03, 0.06], rel=0.05)
+
+
+def test_margins_of_counts_are_shares_but_for_small_ones() -> None:
+    assert [BY_KEY["false_tracks"].margin(real) for real in (0.3, 30)] == [0.5, 3]
+    assert BY_KEY["gospa"].margin(100) == 5 and BY_KEY["hota"].margin(0.4) == 0.02
+
+
+def test_tau_of_equal_and_of_reversed_orders() -> None:
+    scores = np.array([[0.1, 0.2, 0.3], [0.6, 0.4, 0.5]])
+    assert (tau(scores, scores), tau(scores, -scores)) == (1, -1)
+
+
+def test_a_ranking_that_one_film_decides_is_not_sure() -> None:
+    real = np.array([[0.5, 0.4]] * 9 + [[0.5, 0.6]])
+    simulated = np.repeat(real[:, ::-1, None], 2, axis=2)
+    found = ranking(real, simulated, ("a", "b"))
+    assert (found["real"], found["simulated"]) == (["a", "b"], ["b", "a"])
+    assert found["tau"] == -1 and found["tau_of_seeds"] == 1
+    assert found["same_order"] < 0.05
+    assert ranking(real, np.repeat(real[:, :, None], 2, axis=2), ("a", "b"))["same_order"] == 1
+
+
+def test_the_best_may_stay_where_others_change_places() -> None:
+    real = np.tile([[0.6, 0.4, 0.5]], (5, 1))
+    found = ranking(real, real[:, [0, 2, 1], None], ("a", "b", "c"))
+    assert (found["same_order"], found["same_best"], found["simulated"]) == (0, 1, ["a", "b", "c"])
+    assert found["tau"] == pytest.approx(1 / 3) and found["tau_of_seeds"] is None
+
+
+def test_gaps_lie_between_sightings_and_unscored_frames_break_nothing() -> None:
+    identity = np.array([0] * 8 + [1] * 3)
+    frame = np.array([*range(8), 0, 1, 2])
+    #                 0: miss, hit hit, miss, unscored, miss, hit, miss; 1: miss, hit, miss
+    found = np.array([0, 1, 1, 0, 0, 0, 1, 0, 0, 1, 0], dtype=bool)
+    scored = np.array([1, 1, 1, 1, 0, 1, 1, 1, 1, 1, 1], dtype=bool)
+    order = np.random.default_rng(1).permutation(11)
+    gaps, runs = gaps_and_runs(identity[order], frame[order], scored[order], found[order])
+    assert gaps.tolist() == [2] and runs.tolist() == [2, 1, 1]
+
+
+def test_the_wasserstein_distance_of_shifted_values_is_the_shift() -> None:
+    assert wasserstein(np.array([0.0, 1.0, 3.0]), np.array([3.5, 0.5, 1.5, 3.5, 0.5, 1.5])) == pytest.approx(1 / 2)
+
+
+def test_films_that_differ_from_each_other_are_no_difference_of_real_and_simulated() -> None:
+    """Every value of a film is alike, so that a test of single values would see differences everywhere."""
+    random, low = np.random.default_rng(5), 0
+    for _ in range(30):
+        outputs = random.normal(0, 1, (8, 4, 1)) + random.normal(0, 0.3, (8, 4, 30))
+        low += compared([each[0] for each in outputs], [list(each[1:]) for each in outputs])["p_value"] < 0.05
+    assert low <= 5
+
+
+def test_a_shift_of_all_films_is_found() -> None:
+    outputs = np.random.default_rng(5).normal(0, 1, (8, 4, 30))
+    outputs[:, 0] += 1
+    found = compared([each[0] for each in outputs], [list(each[1:]) for each in outputs])
+    assert found["p_value"] == 0.001 and found["wasserstein"] == pytest.approx(1, abs=0.15)
+
+
+def test_nothing_on_one_side_cannot_be_compared() -> None:
+    found = compared([np.empty(0)], [[np.ones(3)]])
+    assert found["p_value"] is None and found["simulated"]["values"] == 3
+
+
+def test_holm_s_method_by_hand() -> None:
+    assert holm([0.01, None, 0.04, 0.03]) == pytest.approx([0.03, None, 0.06, 0.06])
+
+
+def _results(*means: float) -> dict:
+    """Results of two trackers whose differences have these means, rung by rung, ± 0.01."""
+    each = [{"hota": {"mean": mean, "low": mean - 0.01, "high": mean + 0.01}} for mean in means]
+    return {
+        "rungs": [{"name": str(k), "title": f"model {k}"} for k in range(len(means))],
+        "differences": {str(k): {"sort": one, "ocsort": one} for k, one in enumerate(each)},
+    }
+
+
+def test_the_headline_names_what_brought_the_scores_closer() -> None:
+    assert headline(_results(0.1, 0.03, 0.028, -0.0021)) == (
+        "On this detector, HOTA from simulation was within 0.013 of the real one, because of *model 1* (mean gap 0.100 "
+        "before, 0.030 after) and *model 3* (mean gap 0.028 before, 0.002 after), and here is the evidence."
+    )
+    assert "no model beyond the plainest" in headline(_results(0.01, 0.01)) and causes(_results(0.01, 0.2)) == []
+
+
+def test_a_bound_is_rounded_away_from_0_and_needs_all_intervals() -> None:
+    assert upwards(0.0121) == "0.013" and upwards(0.012) == "0.012"
+    assert farthest([{"low": -0.03, "high": 0.02}, {"low": 0.0, "high": 0.01}]) == 0.03
+    assert farthest([{"low": None, "high": None}]) is None
+
+
+def test_films_needed_grow_with_the_square_of_the_interval() -> None:
+    assert films_needed({"low": -0.03, "high": 0.05, "mean": 0.01, "margin": 0.02, "films": 10}) == 160
+    assert films_needed({"low": 0.0, "high": 0.06, "mean": 0.03, "margin": 0.02, "films": 10}) is None

@@ -1,0 +1,143 @@
+"""Scores on a small film whose real detections are those of a known detector and seed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks.stand_in.measure import measure
+from benchmarks.stand_in.page import page, write_page
+from benchmarks.stand_in.scores import (
+    bins_of,
+    found_vessels,
+    open_film,
+    real_detections,
+    recall_of_bins,
+    scored_tracks,
+    scores_of,
+    simulated_detections,
+)
+from modsim3d.errors import ModsimError
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.writing.coco import write_coco
+from modsim3d.inputs.shipped import data_folder
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from modsim3d.tracking.scores.scoring import score_tracks
+
+SEED, STATE = 4, "good"
+DETECTOR = data_folder("scenes") / "detectors" / "thesis.yaml"
+
+
+@dataclass(frozen=True)
+class Film:
+    name: str
+    run: Path
+    truth: Path
+    real: Path
+    place: str = "harbour"
+    weather: str = STATE
+    seed: int = 1
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Film:
+    folder = tmp_path_factory.mktemp("film")
+    scene = load_scene("harbour", steps=24, source="analytic", detector=DETECTOR, detector_seed=SEED, state=STATE)
+    run_scene(scene, folder / "run")
+    return Film("small", folder / "run", *write_coco(labelled_run(folder / "run")[0], folder / "coco"))
+
+
+@pytest.fixture(scope="module")
+def results(film: Film) -> dict:
+    films = [film, replace(film, name="again")]
+    return measure(films, {"a": DETECTOR, "b": DETECTOR}, [SEED], ("sort", "reference"), 0.25, workers=1)
+
+
+def test_the_same_detector_and_seed_give_the_real_detections(film: Film) -> None:
+    opened = open_film(film)
+    real, simulated = real_detections(opened, 0.3), simulated_detections(opened, DETECTOR, [SEED, SEED + 1], 0.3)
+    for name, column in vars(real).items():
+        # COCO has corner and size, so a corner may differ in its last digit.
+        np.testing.assert_allclose(column, getattr(simulated[0], name), atol=0.0011)
+    assert len(real) and real.confidence.min() >= 0.3
+    assert not np.array_equal(real.confidence, simulated[1].confidence)
+
+
+def test_scores_are_those_of_the_command_score(film: Film) -> None:
+    opened = open_film(film)
+    scored = scored_tracks(opened, real_detections(opened, 0.25), "sort")
+    whole = score_tracks(opened.rows, scored.following.tracks, scored.rules).flat()
+    found = scores_of(opened, scored)
+    assert found["track_s"] > 0 and found["tracks"] > 2
+    for key in ("hota", "deta", "assa", "idf1", "mota", "gospa", "id_switches", "false_tracks"):
+        assert found[key] == whole[key], key
+    again = scored_tracks(opened, real_detections(opened, 0.25), "sort")
+    assert scores_of(opened, again) == found
+
+
+def test_recall_of_all_bins_together_is_that_of_the_film(film: Film) -> None:
+    opened = open_film(film)
+    scored = scored_tracks(opened, real_detections(opened, 0.25), "sort")
+    bins, recall = bins_of(opened, scored.truth), recall_of_bins(opened, scored)
+    for names in (("visible", "hidden"), ("near", "middle", "far")):
+        assert np.sum([bins[name] for name in names], axis=0).tolist() == [1] * len(scored.truth)
+        followed = sum(recall[name]["recall"] * bins[name].sum() for name in names if bins[name].any())
+        assert followed == pytest.approx(len(scored.pairs[0]))
+    assert bins["hidden"].any()
+
+
+def test_detections_on_vessels_are_matched_one_to_one(film: Film) -> None:
+    opened = open_film(film)
+    found, row = found_vessels(opened, real_detections(opened, 0.25))
+    on_vessels = row[row >= 0]
+    assert len(np.unique(on_vessels)) == len(on_vessels) == found.sum() > 20
+    assert (row < 0).any()
+
+
+def test_real_detections_as_the_simulated_ones_differ_in_nothing(results: dict) -> None:
+    for rung in ("a", "b"):
+        for scores in results["differences"][rung].values():
+            # The last digits of the file's boxes may move GOSPA.
+            assert all(abs(each["mean"]) < 1e-3 and each["verdict"] == "agrees" for each in scores.values())
+        assert results["ranking"][rung]["tau"] == 1 == results["ranking"][rung]["same_order"]
+        assert all(each["p_value"] in (None, 1) for each in results["distributions"][rung])
+    assert json.loads(json.dumps(results, allow_nan=False)) == results
+
+
+def test_the_page_is_made_of_the_results_alone(results: dict) -> None:
+    text = page(results)
+    assert text.splitlines()[2].startswith("On this detector, HOTA from simulation was within 0.00")
+    assert "HOTA agrees for `sort` and `reference`." in text
+    assert "classifier" not in text and "nan" not in text and "None" not in text
+    assert "- HOTA (± 0.020) of `sort` and `reference`" in text.splitlines()
+    area = {"auc": 0.55, "low": 0.5, "high": 0.6, "groups": {"misses": {"alone": 0.51}, "errors": {"alone": 0.54}}}
+    told = page({**results, "told_apart": {"b": {"frames": area}}})
+    assert "| b | b | 0.55 (0.50 to 0.60) | errors (0.54), misses (0.51) | – | – |" in told.splitlines()
+
+
+def test_the_picture_shows_something_for_each_tracker(results: dict, tmp_path: Path) -> None:
+    write_page(results, tmp_path)
+    assert (tmp_path / "stand_in.md").read_text(encoding="utf-8") == page(results)
+    with Image.open(tmp_path / "stand_in.png") as picture:
+        pixels = np.asarray(picture.convert("RGB"))
+    halves = pixels[:, : pixels.shape[1] // 2], pixels[:, pixels.shape[1] // 2 :]
+    assert all((half == (0, 0x72, 0xB2)).all(axis=2).sum() > 100 for half in halves)  # the colour of agreement
+
+
+def test_a_truth_of_other_frames_is_refused(film: Film, tmp_path: Path) -> None:
+    content = json.loads(film.truth.read_text(encoding="utf-8"))
+    short = tmp_path / "truth.json"
+    short.write_text(json.dumps({**content, "images": content["images"][:-1]}), encoding="utf-8")
+    with pytest.raises(ModsimError, match="has 23 images, and the run"):
+        real_detections(open_film(replace(film, truth=short)), 0.2)
+
+
+def test_a_comparison_needs_films() -> None:
+    with pytest.raises(ModsimError, match="needs films, seeds and detector files"):
+        measure([], {"a": DETECTOR}, [1])
