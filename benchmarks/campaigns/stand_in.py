@@ -17,7 +17,6 @@ from benchmarks.stand_in.films import WORK, all_films, make_films
 from benchmarks.stand_in.measure import measure
 from benchmarks.stand_in.page import write_page
 from benchmarks.stand_in.rungs import LEAST_CONFIDENCE, RUNGS, learned_files
-from benchmarks.stand_in.tell_apart import told_apart
 from modsim3d.errors import ModsimError
 
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "campaigns" / "stand_in.json"

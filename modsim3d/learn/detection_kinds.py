@@ -120,7 +120,9 @@ def _as_the_run_says(labelled: LabelledSet, sought: Sought, rows: Indices, false
     doubled = false[kind[false] == DUPLICATE]
     nothing, none = np.zeros(len(rows)), np.zeros(len(pairs), dtype=bool)
     trials = {
-        "merges": _pair_trials(sought, pairs, is_merged, 1.0 * is_merged, np.zeros(len(pairs)), ~none, none),
+        "merges": _pair_trials(
+            sought, pairs, is_merged, is_merged.astype(np.float64), np.zeros(len(pairs)), ~none, none
+        ),
         "splits": _vessel_trials(sought, _long(sought, single), split, nothing),
         "duplicates": _vessel_trials(sought, single, split[:0], nothing, results.image[doubled]),
     }

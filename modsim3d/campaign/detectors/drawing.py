@@ -10,6 +10,7 @@ added to a column (Perks's prior; one of each kind for the transition matrix, as
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -131,22 +132,28 @@ def _written(values: dict[str, Array], threshold: float) -> dict[str, Any]:
     written: dict[str, Any] = {}
     for key, value in values.items():
         name = key.rpartition(".")[2]
-        if name in ("confusion", "false_positive_labels"):
-            written[key] = columns_of_one(value)
-        elif name == "box_error_std":
-            written["box_error.covariance"] = nested(_covariance(value, values["box_error_correlation"]))
-        elif name == "box_error_mean":
-            written["box_error.mean"] = nested(value)
-        elif name == "box_error_growth":
-            written["box_error.growth"] = nested(np.maximum(value, 0.0))
-        elif name == "box_error_degrees_of_freedom":
-            written["box_error.degrees_of_freedom"] = nested(np.clip(value, LEAST_DEGREES, MOST_DEGREES))
-        elif name == "density":
-            written[key] = nested(np.round(value / value.max(), 6))
+        if name == "box_error_std":
+            value = _covariance(value, values["box_error_correlation"])
         elif name == "quantiles":
-            written[key] = nested(np.maximum.accumulate(np.clip(value, threshold, 1)))
-        elif name == "false_discovery_rate":
-            written[key] = nested(np.minimum(value, GREATEST_FALSE_DISCOVERY_RATE))
-        elif name != "box_error_correlation":
-            written[key] = nested(value)
+            value = np.clip(value, threshold, 1)
+        if name != "box_error_correlation":
+            written[_BOX_ERROR_KEYS.get(name, key)] = _WRITERS.get(name, nested)(value)
     return written
+
+
+_BOX_ERROR_KEYS = {
+    "box_error_mean": "box_error.mean",
+    "box_error_std": "box_error.covariance",
+    "box_error_growth": "box_error.growth",
+    "box_error_degrees_of_freedom": "box_error.degrees_of_freedom",
+}
+_WRITERS: dict[str, Callable[[Array], Any]] = {
+    "confusion": columns_of_one,
+    "false_positive_labels": columns_of_one,
+    "box_error_growth": lambda value: nested(np.maximum(value, 0.0)),
+    "box_error_degrees_of_freedom": lambda value: nested(np.clip(value, LEAST_DEGREES, MOST_DEGREES)),
+    "density": lambda value: nested(np.round(value / value.max(), 6)),
+    "quantiles": lambda value: nested(np.maximum.accumulate(value)),
+    "false_discovery_rate": lambda value: nested(np.minimum(value, GREATEST_FALSE_DISCOVERY_RATE)),
+}
+"""How numbers are written that a draw may have moved beyond what a file may have."""
