@@ -1,8 +1,8 @@
 """stand_in: do trackers score on simulated detections as on those of a detector that looks at pixels?
 
-Films of three places in three weathers are drawn in light and shade and shown to a pretrained detector. Detector files are
-learned from some of them, each with more models than the last, and trackers are scored on the others behind real and
-simulated detections. The weights are fetched, and films that the work folder has are not made again.
+Films of three places in three weathers are drawn in light and shade and shown to a pretrained detector. Detector files
+are learned from some of them, each with more models than the last, and trackers are scored on the others behind real
+and simulated detections. The weights are fetched, and films that the work folder has are not made again.
 """
 
 from __future__ import annotations
@@ -14,9 +14,11 @@ from pathlib import Path
 
 from benchmarks.processes import say
 from benchmarks.stand_in.films import WORK, all_films, make_films
-from benchmarks.stand_in.measure import measure
+from benchmarks.stand_in.measure import measure, rounded
 from benchmarks.stand_in.page import write_page
 from benchmarks.stand_in.rungs import LEAST_CONFIDENCE, RUNGS, learned_files
+from benchmarks.stand_in.tell_apart import told_apart
+from benchmarks.stand_in.weights import PACKAGE, SHA256
 from modsim3d.errors import ModsimError
 
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "campaigns" / "stand_in.json"
@@ -44,9 +46,11 @@ def run(work: Path, films: int | None, seeds: int, workers: int) -> None:
     say(f"learning from {len(seen)} films")
     detectors = learned_files(seen, work / "detectors")
     titles = {rung.name: rung.title for rung in RUNGS}
-    results = measure(
-        unseen, detectors, range(1, seeds + 1), threshold=LEAST_CONFIDENCE, titles=titles, workers=workers
-    )
+    numbers = range(1, seeds + 1)
+    results = measure(unseen, detectors, numbers, threshold=LEAST_CONFIDENCE, titles=titles, workers=workers)
+    say("training classifiers")
+    results["told_apart"] = rounded(told_apart(unseen, detectors, numbers, LEAST_CONFIDENCE))
+    results["detector"] = {"name": "YOLOv8n", "source": f"the npm package {PACKAGE}", "sha256": SHA256}
     RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     write_page(results)
 
