@@ -59,10 +59,9 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
                 Parameter(f"{path}.{entry}", Part.CONFIDENCE, measure, asked, state=state.name).unless(note)
                 for entry, asked, measure in _measures(law, scores, found, threshold, model.persistence.confidence_s)
             ]
-    if model.persistence.confidence_s > 0:
-        persistence = None if note else score_persistence(model, evidence)
-        about = note or correlation_note(persistence)
-        parameters.append(Parameter("persistence.confidence_s", Part.CONFIDENCE, persistence, note=about))
+    persistence = None if note else score_persistence(model, evidence)
+    about = note or correlation_note(persistence)
+    parameters.append(Parameter("persistence.confidence_s", Part.CONFIDENCE, persistence, note=about))
     every = np.concatenate([evidence.true_detections.confidence, evidence.false_detections.confidence])
     outside = int(((every < threshold) | (every > 1)).sum())
     return [*parameters, Parameter("confidence_threshold", Part.CONFIDENCE, Exact(outside, len(every)))]

@@ -20,6 +20,7 @@ from modsim3d.verify.pairs import lag_pairs, turn_before
 
 LEAST_PAIRS = 100
 _STEP, _LEAST_LEVEL = 1e-4, 1e-12
+_HARDLY_ANY = 0.02
 _MOST_CORRELATION = 1 - 1e-9
 
 
@@ -76,6 +77,10 @@ def latent_bounds(model: DetectorModel, evidence: Evidence) -> tuple[Array, Arra
         wide = above - below > _STEP
         low[rows] = np.where(wide, special.ndtri(below), middle)
         high[rows] = np.where(wide, special.ndtri(above), middle)
+        clipped = (found.scores <= model.confidence_threshold) | (found.scores >= 1)
+        if len(rows) and clipped.mean() < _HARDLY_ANY:  # a wrong mean or spread would look like a correlation
+            own = middle[~clipped]
+            low[rows], high[rows] = ((part[rows] - own.mean()) / max(own.std(), _STEP) for part in (low, high))
         low[rows[found.scores <= model.confidence_threshold]] = -np.inf
         high[rows[found.scores >= 1]] = np.inf
     return low, high
@@ -98,7 +103,8 @@ def score_persistence(model: DetectorModel, evidence: Evidence) -> Estimate | No
     if len(now) < LEAST_PAIRS:
         return None
     times_s = evidence.instances.time_s[evidence.true_detections.instance]
-    kept = np.exp(-(times_s[now] - times_s[before]) / model.persistence.confidence_s)
+    tau = model.persistence.confidence_s
+    kept = np.exp(-(times_s[now] - times_s[before]) / tau) if tau > 0 else np.zeros(len(now))
     score = pair_score(low[before], low[now], high[now], np.minimum(kept, _MOST_CORRELATION))
     information, asked = float((score**2).sum()), float(kept.mean())
     if information <= 0:
