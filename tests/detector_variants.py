@@ -82,6 +82,7 @@ CHANGES: dict[str, Callable[[Data], None]] = {
     "persistence of box errors, 1 s": _with(persistence={"box_s": 1.0}),
     "persistence of misses and box errors, 10 s": _with(persistence={"class_s": 10.0, "box_s": 10.0}),
     "misses and box errors that never change": _with(persistence={"class_s": 1e9, "box_s": 1e9}),
+    "persistence of confidence, 1 s": _with(persistence={"confidence_s": 1.0}),
     "relative box errors": _every_state(_relative),
     "mixed box errors": _every_state(_mixed),
     "Student's t box errors": _every_state(_heavy_tails),

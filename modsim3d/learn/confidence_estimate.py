@@ -91,7 +91,7 @@ class ConfidenceForm:
         """Of means by confidence that persists; deviations from a standard deviation persist half as long."""
         if self.confidence_s <= 0:
             return Inflation()
-        steps, count = steps_between(observed.labelled, observed.pairs.rows), len(observed.pairs)
+        steps, count = steps_between(observed.labelled, observed.rows[observed.true]), len(observed.true)
         return Inflation(*(inflation(steps, count, self.confidence_s / part) for part in (1, 2)))
 
 
@@ -179,6 +179,8 @@ def _persistence_s(observed: Observed, form: ConfidenceForm, notes: list[str]) -
     """Rough correlation time of confidence; 0 with a note if it does not persist, or that is not sure."""
     if not len(observed.steps):
         return 0.0  # which the note on misses says
+    given = tuple(slopes and replace(slopes, reference_fitted=False) for slopes in form.slopes)
+    form = replace(form, slopes=given)  # the likeliest reference changes little here, and takes a while to find
     consecutive = consecutive_scores(observed, form.laws(observed, resample(observed.labelled.images, 0, 0)))
     products = consecutive.products()
     found = products.correlation()
@@ -190,9 +192,10 @@ def _persistence_s(observed: Observed, form: ConfidenceForm, notes: list[str]) -
 
 
 def _normal_fit(samples: Mapping[Kind, Scores], form: SlopeForm | None, observed: Observed) -> SlopeFit | None:
-    """The slopes with normal distributions, without replicates; None without slopes."""
+    """The slopes with normal distributions and a given reference, without replicates; None without slopes."""
     if form is None:
         return None
+    form = replace(form, reference_fitted=False)
     sloped, once = list(with_enough(samples).values()), resample(observed.labelled.images, 0, 0)
     return fit_slopes(sloped, [False] * len(sloped), form, observed.threshold, once)
 

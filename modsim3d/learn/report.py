@@ -327,11 +327,7 @@ def _models() -> Table:
     return Table("Models that are learned", ("part", "model", "estimate"), rows)
 
 
-NEVER_LEARNED = (
-    "Never learned: duplicates, merged and split boxes (they count as false or missed), false positives that persist, "
-    "confidence as a precision-recall curve or that follows size or "
-    "visibility."
-)
+NEVER_LEARNED = "Never learned: gates, which are hard limits, and confidence as a precision-recall curve."
 
 
 def lead(report: Report) -> str:

@@ -9,21 +9,28 @@ import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.detector.clipped_normal import clipped_law, clipped_score
+from modsim3d.verify.kept_scores import KeptScores
 from modsim3d.verify.measures import Estimate
 
 _FAR, _STEPS = 4.5, 8  # an estimate farther off than this is refined by so many Newton steps
 _SINGULAR = 1e10
+LEAST_DETECTIONS = 50
+"""Independent detections that a number needs."""
 _LEVELS = 100
 """Means at which the integrals are computed; those between are interpolated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clipped:
-    """Numbers (n,) clipped to [threshold, 1], whose means before clipping are the design (n, k) times coefficients."""
+    """Numbers (n,) clipped to [threshold, 1], whose means before clipping are the design (n, k) times coefficients.
+
+    `kept` says which of them have kept a part of their deviation from one another; none have if None.
+    """
 
     scores: Array
     design: Array
     threshold: float
+    kept: KeptScores | None = None
 
     def measures(self, coefficients: Array, std: float) -> Sequence[Estimate | None]:
         """Estimates of the first coefficient, the standard deviation, and the other coefficients, shape (k,) in all.
@@ -34,16 +41,31 @@ class Clipped:
         step, covariance, third = self._step(coefficients, std)
         if step is None:
             return [None] * (len(coefficients) + 1)
-        errors = np.sqrt(np.diag(covariance))
+        inflation = self._inflation(coefficients, std, covariance)
+        errors = np.sqrt(np.diag(covariance) * inflation)
+        third = third * inflation**2
         z = step / errors
         asked = np.concatenate([coefficients[:1], [std], coefficients[1:]])
         found = asked + step
         if np.abs(z).max() > _FAR:
             found = self._fitted(asked)
+        counts = [len(self.scores) if self.kept is None else len(self.scores) / part for part in inflation.tolist()]
         return [
-            Estimate(found[k], asked[k], errors[k], len(self.scores), third[k] / errors[k] ** 3, z[k], grows=k == 1)
-            for k in range(len(asked))
+            Estimate(found[k], asked[k], errors[k], count, third[k] / errors[k] ** 3, z[k], grows=k == 1)
+            if self.kept is None or count >= LEAST_DETECTIONS
+            else None
+            for k, count in enumerate(counts)
         ]
+
+    def _inflation(self, coefficients: Array, std: float, covariance: Array) -> Array:
+        """Variance of each estimate over that from independent numbers, in the order of `measures`."""
+        if self.kept is None:
+            return np.ones(len(covariance))
+        information = self._information(self.design @ coefficients, std)
+        design = np.insert(self.design, 1, 0.0, axis=1)
+        of_mean = (design @ covariance) * np.sqrt(information[:, :1])
+        of_std = np.sqrt(information[:, 2:]) * covariance[1]
+        return self.kept.inflation(of_mean, of_std)
 
     def _fitted(self, value: Array) -> Array:
         for _ in range(_STEPS):

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from modsim3d.arrays import Array, Mask
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import sizes
 from modsim3d.detector.confidence import SCORES, NormalScores, QuantileScores, Scores, StateConfidence
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part, model_name
-from modsim3d.verify.clipped_checks import Clipped
+from modsim3d.verify.class_checks import correlation_note
+from modsim3d.verify.clipped_checks import LEAST_DETECTIONS, Clipped
 from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, max_detections_note
+from modsim3d.verify.kept_scores import KeptScores, score_persistence
 from modsim3d.verify.law_measures import Law
 from modsim3d.verify.measures import Exact, Measure
 from modsim3d.verify.parameters import Parameter
-
-LEAST_DETECTIONS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +26,15 @@ class Scored:
     """Detections of a state with their confidence and what it may depend on; shapes (n,).
 
     `hidden` is the share of the vessel that is hidden, 0 where there is none; `halvings` says how often the reference
-    size must be halved to give that of the box.
+    size must be halved to give that of the box. Confidence persists among equal rows of `tracks`, shape (n, 2), which
+    are those of a vessel in a camera or of a single false detection, at `times_s`.
     """
 
     scores: Array
     hidden: Array
     halvings: Array
+    tracks: Indices
+    times_s: Array
 
     def __add__(self, other: Scored) -> Scored:
         """The detections of both."""
@@ -54,8 +57,11 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
             path = f"states.{state.name}.confidence{name}"
             parameters += [
                 Parameter(f"{path}.{entry}", Part.CONFIDENCE, measure, asked, state=state.name).unless(note)
-                for entry, asked, measure in _measures(law, scores, found, threshold)
+                for entry, asked, measure in _measures(law, scores, found, threshold, model.persistence.confidence_s)
             ]
+    persistence = None if note else score_persistence(model, evidence)
+    about = note or correlation_note(persistence)
+    parameters.append(Parameter("persistence.confidence_s", Part.CONFIDENCE, persistence, note=about))
     every = np.concatenate([evidence.true_detections.confidence, evidence.false_detections.confidence])
     outside = int(((every < threshold) | (every > 1)).sum())
     return [*parameters, Parameter("confidence_threshold", Part.CONFIDENCE, Exact(outside, len(every)))]
@@ -70,7 +76,13 @@ def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Sc
         visible = seen[found.instance[ours]]
         width, height = sizes(found.boxes_px[ours]).T
         smaller = np.minimum(np.sqrt(width * height) / law.size_reference_px, 1.0)
-        return Scored(found.confidence[ours], np.where(np.isnan(visible), 0, 1 - visible), -np.log2(smaller))
+        if isinstance(found, TrueDetections):
+            tracks, times_s = instances.tracks(found.instance[ours])
+        else:
+            tracks, times_s = np.full((int(ours.sum()), 2), -1), evidence.frames.time_s[found.frame_row[ours]]
+            tracks[:, 1] = np.arange(len(tracks))
+        hidden = np.where(np.isnan(visible), 0, 1 - visible)
+        return Scored(found.confidence[ours], hidden, -np.log2(smaller), tracks, times_s)
 
     return of_rows(true, instances.state[true.instance] == s), of_rows(false, false.state == s)
 
@@ -81,23 +93,31 @@ Number = tuple[str, float, Measure | None]
 """Name, asked value and measure of one of a law's numbers."""
 
 
-def _measures(law: StateConfidence, scores: Scores, found: Scored, threshold: float) -> list[Number]:
+def _measures(
+    law: StateConfidence, scores: Scores, found: Scored, threshold: float, correlation_s: float
+) -> list[Number]:
     slopes = [
         ("visibility_slope", law.visibility_slope, -found.hidden),
         ("size_slope", law.size_slope, -found.halvings),
     ]
     check = SCORE_CHECKS.get(model_name(SCORES, scores))
-    return [] if check is None else check(scores, [slope for slope in slopes if slope[1]], found, threshold)
+    kept = KeptScores(found.tracks, found.times_s, correlation_s) if correlation_s > 0 else None
+    return [] if check is None else check(scores, [slope for slope in slopes if slope[1]], found, threshold, kept)
 
 
-def _quantiles(scores: QuantileScores, slopes: list[Slope], found: Scored, threshold: float) -> list[Number]:
-    if slopes or len(found.scores) < LEAST_DETECTIONS:
+def _quantiles(
+    scores: QuantileScores, slopes: list[Slope], found: Scored, threshold: float, kept: KeptScores | None
+) -> list[Number]:
+    independent = len(found.scores) / (1.0 if kept is None else kept.of_shares)
+    if slopes or independent < LEAST_DETECTIONS:
         return [("law", 0.0, None)]
-    inside = scores.quantiles.clip(threshold, 1)
-    return [("law", 0.0, Law.of(found.scores, inside))]
+    law = Law.of(found.scores, scores.quantiles.clip(threshold, 1))
+    return [("law", 0.0, law if kept is None else replace(law, count=independent))]
 
 
-def _normal(scores: NormalScores, slopes: list[Slope], found: Scored, threshold: float) -> list[Number]:
+def _normal(
+    scores: NormalScores, slopes: list[Slope], found: Scored, threshold: float, kept: KeptScores | None
+) -> list[Number]:
     count, own = len(found.scores), [slope for _, slope, _ in slopes]
     names = ["mean", "std", *(name for name, _, _ in slopes)]
     measures: Sequence[Measure | None] = [None] * len(names)
@@ -107,7 +127,7 @@ def _normal(scores: NormalScores, slopes: list[Slope], found: Scored, threshold:
         return [("std", 0.0, Exact(wrong, count))]
     if count >= LEAST_DETECTIONS:
         design = np.column_stack([np.ones(count), *(amount for _, _, amount in slopes)])
-        measures = Clipped(found.scores, design, threshold).measures(np.array([scores.mean, *own]), scores.std)
+        measures = Clipped(found.scores, design, threshold, kept).measures(np.array([scores.mean, *own]), scores.std)
     return list(zip(names, [scores.mean, scores.std, *own], measures, strict=True))
 
 

@@ -191,7 +191,8 @@ def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
     if not parts:
         return none_of(Draw.CONFIDENCE, "")
     image, vessel, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return _standardised(Draw.CONFIDENCE, evidence, image, vessel, values[:, None], 0.0)
+    kept_s = model.persistence.confidence_s
+    return _standardised(Draw.CONFIDENCE, evidence, image, vessel, values[:, None], kept_s)
 
 
 def _standardised(

@@ -157,6 +157,46 @@ def test_a_vessel_that_was_hidden_comes_back_with_the_noise_it_would_have_had() 
     assert np.array_equal(gap.boxes_px[gap.frame >= 120], late)
 
 
+def confidences(found: Detections, frames: int) -> np.ndarray:
+    """Confidence of each vessel at each frame, NaN where it was missed."""
+    values = np.full(frames * VESSELS, np.nan)
+    true = found.kind == TRUE
+    values[found.target[true]] = found.confidence[true]
+    return values.reshape(frames, VESSELS)
+
+
+def test_confidence_keeps_its_distribution_and_has_the_correlation_time_asked_for(step_s: float) -> None:
+    quantiles = [0.3, 0.5, 0.8, 0.95, 0.97, 0.98]
+    scores = {"true": {"quantiles": quantiles}, "false": {"quantiles": quantiles}}
+    data = one_state_data(confidence=scores) | {"persistence": {"confidence_s": TAU_S}}
+    values = confidences(detect(data, all_seen(3000), 3000, step_s), 3000)
+    kept = np.exp(-step_s / TAU_S)
+    levels = np.interp(values, quantiles, np.linspace(0, 1, 6))
+    worth = np.isfinite(levels).sum() * (1 - kept) / (1 + kept)
+    for at in (0.1, 0.5, 0.9):
+        assert abs(np.mean(levels[np.isfinite(levels)] < at) - at) < 4 * np.sqrt(at * (1 - at) / worth)
+    normal = stats.norm.ppf(levels)
+    for lag in (1, 3, 6):
+        assert abs(np.nanmean(normal[lag:] * normal[:-lag]) - np.exp(-lag * step_s / TAU_S)) < 0.04
+
+
+def test_confidence_that_persists_changes_no_confidence_of_a_false_positive_and_nothing_else() -> None:
+    plain, targets = one_state_data(), all_seen(200)
+    without = detect(plain, targets, 200, 0.1)
+    with_it = detect(plain | {"persistence": {"confidence_s": 2.0}}, targets, 200, 0.1)
+    true = without.kind == TRUE
+    assert (with_it.confidence[true] != without.confidence[true]).mean() > 0.9
+    assert np.array_equal(with_it.confidence[~true], without.confidence[~true]) and (~true).sum() > 100
+    columns = all_bytes(with_it).keys() - {"confidence"}
+    assert all(all_bytes(with_it)[name] == all_bytes(without)[name] for name in columns)
+
+
+def test_confidence_with_a_vanishing_correlation_time_is_the_plain_one_to_its_rounding() -> None:
+    plain, targets = one_state_data(), all_seen(200)
+    brief = detect(plain | {"persistence": {"confidence_s": 1e-4}}, targets, 200, 0.1)
+    np.testing.assert_allclose(brief.confidence, detect(plain, targets, 200, 0.1).confidence, atol=1e-6)
+
+
 def test_a_redraw_leaves_the_latent_numbers_alone() -> None:
     data = one_state_data(false_discovery_rate=0, confusion=[[1, 0], [0, 1], [0, 0]]) | {"persistence": {"box_s": 2}}
     boxes = same_boxes(300, 1, centred(600, 600))
@@ -176,7 +216,7 @@ def test_a_vanishing_correlation_time_gives_the_plain_chains_bytes() -> None:
 
 @pytest.mark.parametrize("borders", [[0, 1, 513, 514, 1200], [0, 700, 1200]])
 def test_chunk_borders_change_nothing_in_what_persists(borders: list[int]) -> None:
-    data = detector_data(persistence={"class_s": 3, "box_s": 0.7})
+    data = detector_data(persistence={"class_s": 3, "box_s": 0.7, "confidence_s": 2})
     targets, frames = make_targets(same_boxes(1200, 4, centred(300, 200))), make_frames(1200)
     whole = Detector(parse_detector(data), 1, TargetCensus(), clock(0.1)).detect(frames, targets)
     split = detect_in_chunks(Detector(parse_detector(data), 1, TargetCensus(), clock(0.1)), frames, targets, borders)
@@ -190,7 +230,8 @@ def test_a_detector_cannot_be_made_without_a_clock() -> None:
 
 @pytest.mark.parametrize("first", [1, 2, 40])
 def test_detector_that_begins_at_a_later_step_detects_what_one_from_the_start_does(first: int) -> None:
-    data = one_state_data(false_discovery_rate=0) | {"persistence": {"class_s": TAU_S, "box_s": TAU_S}}
+    times = {"class_s": TAU_S, "box_s": TAU_S, "confidence_s": TAU_S}
+    data = one_state_data(false_discovery_rate=0) | {"persistence": times}
     frames, targets = make_frames(45), make_targets(same_boxes(45, 3, centred(600, 600)))
     whole = Detector(parse_detector(data), 1, TargetCensus(), clock()).detect(frames, targets)
     part, part_targets, _ = chunk(frames, targets, first, 45)
@@ -198,3 +239,4 @@ def test_detector_that_begins_at_a_later_step_detects_what_one_from_the_start_do
     rows = whole.frame >= first
     np.testing.assert_array_equal(later.boxes_px, whole.boxes_px[rows])
     np.testing.assert_array_equal(later.label, whole.label[rows])
+    np.testing.assert_array_equal(later.confidence, whole.confidence[rows])

@@ -123,6 +123,7 @@ def test_a_run_of_every_model_obeys_its_file(many, name):
     [
         ("persistence of misses, 1 s", "persistence.class_s"),
         ("persistence of box errors, 1 s", "persistence.box_s"),
+        ("persistence of confidence, 1 s", "persistence.confidence_s"),
         ("doubled, split and merged boxes", "false_positives.duplicates"),
         ("persistent false positives", "false_positives.persistence.share"),
     ],

@@ -31,6 +31,7 @@ _INDEPENDENT = 0.01
 """Share of the identity in the matrix of correlations, whose entries are rounded."""
 _ROUNDING = 1e-5
 """Least eigenvalue of a covariance over its greatest."""
+NOT_NEGATIVE = ("visibility_slope", "size_slope")
 _MOST_FACTOR = 10.0
 """A positive number is drawn within this factor of its estimate; of a few things `learn` knows no bound at all."""
 
@@ -90,7 +91,8 @@ def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generat
     estimate = number.values
     if number.kind not in ("share", "rate"):
         spread = np.array(number.spread, dtype=np.float64)
-        drawn = from_scale(to_scale(estimate, number.kind) + np.sqrt(widen) * spread * z, number.kind)
+        drawn: Array = from_scale(to_scale(estimate, number.kind) + np.sqrt(widen) * spread * z, number.kind)
+        drawn = np.maximum(drawn, 0) if number.name in NOT_NEGATIVE else drawn
         return np.clip(drawn, estimate / _MOST_FACTOR, estimate * _MOST_FACTOR) if number.kind == "positive" else drawn
     trials = np.array(number.observations, dtype=np.float64) / widen
     if number.kind == "rate":

@@ -1,0 +1,163 @@
+"""Slopes of confidence, and how long it persists: what was asked of a detector is what is learned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.campaign.detectors.drawing import drawn_detector
+from modsim3d.campaign.detectors.learned_file import LearnedUncertainty
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.learn.confidence_fit import SlopeForm, _Point, product_limit
+from modsim3d.learn.learned import Learned
+from modsim3d.learn.scores import Scores
+from modsim3d.learn.uncertainty import uncertainty_text
+from tests.learn.scored_sets import detected, detector, learned_from, truth_of
+
+SLOPES = {"visibility_slope": 0.4, "size_slope": 0.06, "size_reference_px": 64}
+NORMAL = {"true": {"mean": 0.8, "std": 0.1}, "false": {"mean": 0.45, "std": 0.12}}
+CLIPPED = {"true": {"mean": 1.0, "std": 0.15}, "false": {"mean": 0.45, "std": 0.12}}
+SKEW = {"true": {"quantiles": [0.3, 0.5, 0.8, 0.95, 0.97, 0.98]}, "false": {"mean": 0.45, "std": 0.12}}
+
+
+def outside(learned: Learned, asked: dict[str, Any]) -> list[str]:
+    """Which asked numbers of confidence lie outside their intervals of 99.9 %, or have none."""
+    intervals = {each.key.path.removeprefix("states.usual.confidence."): each for each in learned.intervals(0.999)}
+    flat = {key: value for key, value in asked.items() if not isinstance(value, dict)}
+    flat |= {f"{kind}.{key}": asked[kind][key] for kind in ("true", "false") for key in asked[kind]}
+    wrong = []
+    for key, value in flat.items():
+        if key.endswith("quantiles"):
+            value = np.interp(np.linspace(0, 1, 21), np.linspace(0, 1, len(value)), value)[2:-2]
+            low, high = (intervals[key].low[2:-2], intervals[key].high[2:-2])
+        elif key in intervals:
+            low, high = intervals[key].low, intervals[key].high
+        else:
+            wrong.append(f"{key}: not learned")
+            continue
+        if np.any((value < low) | (value > high)):
+            wrong.append(f"{key}: {value} not in {low} to {high}")
+    return wrong
+
+
+@pytest.fixture(scope="module")
+def boats() -> LabelledSet:
+    return truth_of(500, 1)
+
+
+@pytest.fixture(scope="module")
+def sloped(boats: LabelledSet) -> LabelledSet:
+    return detected(boats, detector(NORMAL | SLOPES), 4)
+
+
+@pytest.mark.parametrize("method", ["provenance", "confidence"])
+def test_slopes_come_back_inside_their_intervals(sloped: LabelledSet, method: str) -> None:
+    learned = learned_from(sloped, method=method)
+    assert outside(learned, NORMAL | SLOPES) == []
+    section = learned.detector()["states"]["usual"]["confidence"]
+    assert section.keys() == {"true", "false", *SLOPES}
+    assert parse_detector(learned.detector()).states[0].confidence.visibility_slope == section["visibility_slope"]
+
+
+@pytest.mark.parametrize("scores", [CLIPPED, SKEW], ids=["many are 1", "quantiles"])
+def test_slopes_of_clipped_confidences_and_of_quantiles_come_back(boats: LabelledSet, scores: dict[str, Any]) -> None:
+    labelled = detected(boats, detector(scores | SLOPES), 4)
+    if scores is CLIPPED:
+        assert (labelled.results.confidence == 1).mean() > 0.15
+    assert outside(learned_from(labelled), scores | SLOPES) == []
+
+
+def test_slopes_that_are_none_are_not_learned(boats: LabelledSet) -> None:
+    learned = learned_from(detected(boats, detector(NORMAL), 4))
+    assert outside(learned, NORMAL) == []
+    assert learned.detector()["states"]["usual"]["confidence"].keys() == {"true", "false"}
+    for key in ("visibility_slope", "size_slope"):
+        (note,) = (note for note in learned.notes if note.startswith(f"states.usual.confidence.{key}: 0; "))
+        assert "standard errors above 0" in note and note.endswith("needs 3.3")
+
+
+def test_a_slope_needs_data_that_show_it() -> None:
+    unknown = learned_from(detected(truth_of(200, 1, hidden=False), detector(NORMAL | SLOPES), 4))
+    assert "states.usual.confidence.visibility_slope: 0; visibility is not given" in unknown.notes
+    assert unknown.detector()["states"]["usual"]["confidence"].keys() >= {"size_slope"}
+    few = learned_from(detected(truth_of(10, 1), detector(NORMAL | SLOPES), 4))
+    (note,) = (note for note in few.notes if "no slopes" in note)
+    assert note.endswith("true detections of different confidence, needs 50")
+
+
+def test_a_slope_below_zero_is_reported_and_left_out(sloped: LabelledSet) -> None:
+    risen = replace(sloped.results, confidence=np.maximum(1.1 - sloped.results.confidence, 0.21))
+    learned = learned_from(replace(sloped, results=risen))
+    assert learned.detector()["states"]["usual"]["confidence"].keys() == {"true", "false"}
+    assert sum("only slopes above 0 are simulated" in note for note in learned.notes) == 2
+
+
+def test_models_that_are_to_be_left_out_are(sloped: LabelledSet) -> None:
+    section = learned_from(sloped, without=("slopes",)).detector()["states"]["usual"]["confidence"]
+    assert section.keys() == {"true", "false"}
+    learned = learned_from(sloped, without=("confidence", "effects", "persistence"))
+    section = learned.detector()["states"]["usual"]["confidence"]
+    assert section["mean"] == pytest.approx(sloped.results.confidence.mean(), abs=0.03)
+    assert section.keys() == {"mean", "std"}
+    assert not learned.detector().keys() & {"dropout", "persistence"}
+    assert not any("dropout" in note or "persistence.class_s" in note for note in learned.notes)
+
+
+@pytest.mark.parametrize("scores", [NORMAL | SLOPES, CLIPPED, SKEW], ids=["normal", "many are 1", "quantiles"])
+def test_how_long_confidence_persists_comes_back(boats: LabelledSet, scores: dict[str, Any]) -> None:
+    labelled = detected(boats, detector(scores, persistence={"confidence_s": 1.0}), 4)
+    learned = learned_from(labelled)
+    (interval,) = (each for each in learned.intervals(0.999) if each.key.path == "persistence.confidence_s")
+    assert interval.low < 1.0 < interval.high < 2.0
+    assert learned.detector()["persistence"].keys() == {"confidence_s"}
+    assert learned.run_s > 3
+    assert outside(learned, scores) == []
+
+
+def test_confidence_that_does_not_persist_is_not_said_to(sloped: LabelledSet) -> None:
+    learned = learned_from(sloped)
+    assert "persistence" not in learned.detector()
+    (note,) = (note for note in learned.notes if note.startswith("persistence.confidence_s: 0; "))
+    assert note.endswith("includes 0")
+
+
+def test_a_campaign_draws_slopes_and_their_reference(boats: LabelledSet) -> None:
+    labelled = detected(boats, detector(NORMAL | SLOPES, persistence={"confidence_s": 1.0}), 4)
+    known = LearnedUncertainty.model_validate_json(uncertainty_text(learned_from(labelled), ""))
+    drawn = [drawn_detector(known, seed) for seed in range(3)]
+    for key in ("states.usual.confidence.visibility_slope", "states.usual.confidence.size_reference_px",
+                "persistence.confidence_s"):  # fmt: skip
+        values = [each[f"detector.{key}"] for each in drawn]
+        assert len(set(values)) == 3 and min(values) > 0
+
+
+def test_the_product_limit_is_the_mean_over_what_each_bound_leaves_open() -> None:
+    # Self-consistent (Efron (1967)): a bound counts as the part of the distribution below it.
+    rng = np.random.default_rng(2)
+    base, clipped, weights = rng.normal(size=60), rng.random(60) < 0.4, rng.integers(1, 4, 60).astype(float)
+    clipped[base.argmin()] = False
+    values, mass = product_limit(base, clipped, weights)
+    for at in np.linspace(-2, 2, 15):
+        parts = np.where(clipped, 0.0, base <= at)
+        for row in np.flatnonzero(clipped):
+            parts[row] = mass[values <= min(at, base[row])].sum() / mass[values <= base[row]].sum()
+        assert mass[values <= at].sum() == pytest.approx((weights * parts).sum() / weights.sum(), abs=1e-12)
+
+
+def test_the_curvature_of_the_fit_is_the_derivative_of_its_gradient() -> None:
+    rng = np.random.default_rng(3)
+    count = 40
+    scores = Scores(
+        np.clip(rng.normal(0.8, 0.3, count), 0.2, 1), np.arange(count), np.zeros(count, dtype=np.int64),
+        rng.uniform(0, 1, count), rng.uniform(3, 7, count),
+    )  # fmt: skip
+    point = _Point(np.array([0.8, 0.25, 0.3, 0.05]), (scores,), (False,), SlopeForm(True, True, 6.0), 0.2)
+    gradient, curvature = point.newton()
+    for k, move in enumerate(1e-5 * np.eye(4)):
+        ahead, behind = (replace(point, values=point.values + sign * move) for sign in (1, -1))
+        np.testing.assert_allclose(-(ahead.newton()[0] - behind.newton()[0]) / 2e-5, curvature[k], rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose((ahead.likelihood() - behind.likelihood()) / 2e-5, gradient[k], rtol=1e-5, atol=1e-4)
