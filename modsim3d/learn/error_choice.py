@@ -40,7 +40,7 @@ def plain_unit(fits: ErrorFits, without: frozenset[str]) -> Unit:
     in_px, in_sides = fits.fit("px"), fits.fit("relative")
     if in_px is None or in_sides is None:
         return "relative" if _rough_value(fits, True) > _rough_value(fits, False) else "px"
-    return "relative" if in_sides.value > in_px.value else "px"
+    return "relative" if (in_sides.settled, in_sides.value) > (in_px.settled, in_px.value) else "px"
 
 
 def choose_law(fits: ErrorFits, kept: float, without: frozenset[str]) -> ChosenLaw:
