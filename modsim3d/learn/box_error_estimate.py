@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ from modsim3d.learn.error_persistence import consecutive_errors
 from modsim3d.learn.error_usage import UsedMatches
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.pairs import ErrorSource
+from modsim3d.learn.persistence_fit import Consecutive
 from modsim3d.learn.resampling import Resampling
 
 ERRORS_NEEDED = 20
@@ -48,12 +50,10 @@ class BoxErrorForm:
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedBoxErrors:
         """The law of each state and the correlation time of errors."""
         fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
-        found = [each.fit(form.unit, form.law != "normal") for each, form in zip(fits, self.states, strict=True)]
+        found = [each.chosen(form.unit, form.law != "normal") for each, form in zip(fits, self.states, strict=True)]
         box_s = None
         if self.box_s > 0:
-            own = [form.source is ErrorSource.OWN_STATE for form in self.states]
-            models = [fit.model if fit and ours else None for fit, ours in zip(found, own, strict=True)]
-            box_s = Entry(Key(("persistence", "box_s")), consecutive_errors(observed, models).column(resampling))
+            box_s = Entry(Key(("persistence", "box_s")), self._consecutive(observed, fits).column(resampling))
         kept, learned, used = kept_share(observed, 0.0 if box_s is None else float(box_s.estimate)), [], []
         for index, (name, form) in enumerate(zip(observed.states, self.states, strict=True)):
             edges, fit = fits[index].edges, found[index]
@@ -61,6 +61,25 @@ class BoxErrorForm:
             learned.append(learned_errors(resampling, ErrorSample(errors, edges.image, kept, name, form.unit, fit)))
             used.append(UsedMatches.of(name, observed.pairs, index, edges, fit))
         return LearnedBoxErrors(tuple(learned), box_s, tuple(used))
+
+    def _consecutive(self, observed: Observed, fits: Sequence[ErrorFits]) -> Consecutive:
+        """Errors in consecutive frames by the law of each state, by the plain one if its tails leave nothing to use."""
+        heavy = [form.law != "normal" for form in self.states]
+        for tails in (heavy, [False] * len(heavy)):
+            models = [
+                _own_model(each, form.source, form.unit, tail)
+                for each, form, tail in zip(fits, self.states, tails, strict=True)
+            ]
+            found = consecutive_errors(observed, models)
+            if len(found):
+                break
+        return found
+
+
+def _own_model(fits: ErrorFits, source: ErrorSource, unit: Unit, heavy: bool = False) -> ErrorModel | None:
+    """The likeliest distribution of a state's own errors; None where it has too few."""
+    fit = fits.chosen(unit, heavy) if source is ErrorSource.OWN_STATE else None
+    return None if fit is None else fit.model
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +117,7 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
             law = choose_law(each, kept, observed.without)
         kind = "student_t" if law.heavy else law.unit
         notes += [f"states.{name}.box_error: {kind}, for {' and '.join(law.reasons)}"] if law.reasons else []
-        fit = each.fit(law.unit, law.heavy)
+        fit = each.chosen(law.unit, law.heavy)
         if fit is not None and not fit.settled:
             notes.append(
                 f"states.{name}.box_error: as if matching cut off nothing; too many boxes fail the matching to tell "
@@ -136,10 +155,9 @@ def _persistence_s(observed: Observed, sources: list[ErrorSource], fits: list[Er
     """Rough correlation time of errors; 0 with a note if they do not persist, or that is not sure."""
     if not len(observed.steps) or "persistence" in observed.without:
         return 0.0  # which the note on misses says
-    models: list[ErrorModel | None] = []
-    for source, each in zip(sources, fits, strict=True):
-        fit = each.fit(plain_unit(each, observed.without)) if source is ErrorSource.OWN_STATE else None
-        models.append(fit.model if fit else None)
+    models = [
+        _own_model(each, source, plain_unit(each, observed.without)) for source, each in zip(sources, fits, strict=True)
+    ]
     consecutive = consecutive_errors(observed, models)
     found = consecutive.correlation()
     if found.persists:

@@ -15,6 +15,7 @@ from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.learn.error_model import ErrorModel
+from modsim3d.learn.gate_passing import sobol
 from modsim3d.learn.matched_edges import ERRORS, OUTWARD, MatchedEdges
 
 _POINTS = 64
@@ -98,11 +99,8 @@ def _of_pattern(model: ErrorModel, edges: MatchedEdges, rows: Indices) -> Comple
 
 def _uniforms(count: int, width: int) -> Array:
     """Points of Sobol's sequence for each of so many boxes, shifted by an amount of its own, (count, p, width)."""
-    from scipy.stats import qmc  # slow to import
-
     points = max(8, min(_POINTS, 1 << int(np.log2(max(_POINTS_IN_ALL / count, 8)))))
-    sequence = qmc.Sobol(width, rng=np.random.default_rng(0)).random(points)
-    shifted: Array = (sequence + np.random.default_rng(1).random((count, 1, width))) % 1
+    shifted: Array = (sobol(points, width) + np.random.default_rng(1).random((count, 1, width))) % 1
     return np.clip(shifted, 1e-12, 1 - 1e-12)
 
 

@@ -16,7 +16,7 @@ T_NEEDED = MIXED_NEEDED = 100
 """Errors of a state that a choice between distributions needs."""
 _GROWTHS, _GROWTHS_SIGNIFICANT = 4, 18.5
 """Numbers that mixed errors have more, and what chi-square of so many exceeds once in a thousand times."""
-_MOST_ALIKE = 1.1
+_MOST_ALIKE, _ALIKE = 1.1, 0.1
 
 
 def excess(kept: float) -> float:
@@ -40,7 +40,9 @@ def plain_unit(fits: ErrorFits, without: frozenset[str]) -> Unit:
     in_px, in_sides = fits.fit("px"), fits.fit("relative")
     if in_px is None or in_sides is None:
         return "relative" if _rough_value(fits, True) > _rough_value(fits, False) else "px"
-    return "relative" if in_sides.value > in_px.value else "px"
+    if in_sides.settled != in_px.settled:
+        return "relative" if in_sides.settled else "px"
+    return "relative" if in_sides.value > in_px.value + _ALIKE else "px"  # boxes of one size tell no difference
 
 
 def choose_law(fits: ErrorFits, kept: float, without: frozenset[str]) -> ChosenLaw:

@@ -12,8 +12,8 @@ from modsim3d.learn.error_model import ErrorModel
 from modsim3d.learn.gate_passing import Gate, drawn, normal_points
 from modsim3d.learn.matched_edges import MatchedEdges
 
-_STEPS, _ENOUGH = 40, 0.01
-_LONGEST_STEP, _MOST_TIMES = 0.5, 4.0
+_STEPS, _ENOUGH = 30, 0.01
+_LONGEST_STEP, _MOST_TIMES, _WORSE = 0.5, 4.0, 1.5
 _DIFFERENCE = 0.25
 _MANY_MORE = 1.2
 
@@ -58,18 +58,16 @@ class ErrorFit:
 
     def information(self) -> Array:
         """Minus the second derivatives of the log-likelihood, shape (p, p), by differences of its slopes."""
-        start = self.model.numbers()
+        start, score = self.model.numbers(), self.slopes().scores.sum(axis=0)
         usual = _expected_information(self.model, self.edges)
         step = _DIFFERENCE / np.sqrt(np.diag(usual))
         found = np.empty_like(usual)
         for place, width in enumerate(step):
-            ends = []
-            for side in (-1, 1):
-                moved = start.copy()
-                moved[place] += side * width
-                model = self.model.with_numbers(moved)
-                ends.append((model.numbers()[place], slopes(model, self.edges, self.gate).scores.sum(axis=0)))
-            found[place] = (ends[0][1] - ends[1][1]) / max(ends[1][0] - ends[0][0], 1e-300)
+            moved = start.copy()
+            moved[place] += width
+            found[place] = (
+                score - slopes(self.model.with_numbers(moved), self.edges, self.gate).scores.sum(axis=0)
+            ) / width
         found = (found + found.T) / 2
         scale = np.sqrt(np.diag(usual))
         if not np.isfinite(found).all() or np.linalg.eigvalsh(found / np.outer(scale, scale))[0] < 1e-3:
@@ -98,8 +96,11 @@ def fit_errors(start: ErrorModel, edges: MatchedEdges) -> ErrorFit:
     again = None if gate is None else Gate.of(edges, fit.model)
     if again is not None and gate is not None and again.boxes > _MANY_MORE * gate.boxes:
         fit = _fit(fit.model, edges, again)  # more boxes may fail than it seemed
-    if fit.settled or gate is None:
-        return fit
+    return fit
+
+
+def fit_without_gate(start: ErrorModel, edges: MatchedEdges) -> ErrorFit:
+    """The same as if matching cut off nothing; it does not count as settled."""
     return replace(_fit(start, edges, None), settled=False)
 
 
@@ -107,7 +108,8 @@ def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None) -> ErrorFit:
     model, settled = start, False
     information = _expected_information(start, edges)
     unit: Array = 1 / np.sqrt(np.diag(information))  # all numbers in standard errors, so that they are alike
-    inverse: Array = np.asarray(np.linalg.inv(information * np.outer(unit, unit)), dtype=np.float64)
+    usual = np.asarray(np.linalg.inv(information * np.outer(unit, unit)), dtype=np.float64)
+    inverse, longest = usual, _LONGEST_STEP
     numbers, score = start.numbers(), slopes(start, edges, gate).scores.sum(axis=0)
     for _ in range(_STEPS):
         step = _step(inverse, score * unit, model.held(score)) * unit
@@ -115,13 +117,16 @@ def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None) -> ErrorFit:
             settled = True
             break
         size = _size(step, model)
-        if size > _LONGEST_STEP:
-            step *= _LONGEST_STEP / size
+        if size > longest:
+            step *= longest / size
         model = model.with_numbers(numbers + step)
         if np.any(model.std > _MOST_TIMES * start.std) or not np.isfinite(model.numbers()).all():
             break
         moved, after = model.numbers() - numbers, slopes(model, edges, gate).scores.sum(axis=0)
-        inverse = _broyden(inverse, moved / unit, (score - after) * unit)
+        if np.linalg.norm(after * unit) > _WORSE * np.linalg.norm(score * unit):
+            inverse, longest = usual, longest / 2
+        else:
+            inverse = _broyden(inverse, moved / unit, (score - after) * unit)
         numbers, score = numbers + moved, after
     return ErrorFit(model, edges, gate, slopes(model, edges, gate).value, settled)
 

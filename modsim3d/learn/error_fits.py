@@ -8,7 +8,7 @@ import numpy as np
 from scipy import optimize
 
 from modsim3d.arrays import Array
-from modsim3d.learn.error_fit import ErrorFit, fit_errors
+from modsim3d.learn.error_fit import ErrorFit, fit_errors, fit_without_gate
 from modsim3d.learn.error_model import ErrorModel, Unit
 from modsim3d.learn.matched_edges import MatchedEdges
 from modsim3d.learn.student_t_fit import fit_student_t
@@ -31,6 +31,16 @@ class ErrorFits:
             start = self._start(unit, heavy) if len(self.edges) else None
             self._found[unit, heavy] = None if start is None else fit_errors(start, self.edges)
         return self._found[unit, heavy]
+
+    def chosen(self, unit: Unit, heavy: bool = False) -> ErrorFit | None:
+        """The same; where so many boxes fail the matching that it has no maximum, as if matching cut off nothing."""
+        found = self.fit(unit, heavy)
+        if found is None or found.settled:
+            return found
+        start = self._start(unit, heavy)
+        if start is not None:
+            self._found[unit, heavy] = found = fit_without_gate(start, self.edges)
+        return found
 
     def value(self, unit: Unit, heavy: bool = False) -> float:
         """Log-likelihood of the likeliest distribution of a kind, −∞ where there is none."""
@@ -74,7 +84,7 @@ class ErrorFits:
             sides = np.column_stack([np.ones(chosen.sum()), edges.sides_px[chosen, k]])
             found, _ = optimize.nnls(sides, _MEAN_TO_STD * np.abs(edges.errors_px[chosen, k] - model.mean[k]))
             std[k], growth[k] = max(found[0], _LEAST_SHARE * model.std[k]), found[1]
-        return replace(model, std=std, growth=growth, unit="mixed")
+        return replace(model, std=std, growth=growth, unit="mixed", floor=_LEAST_SHARE * model.std)
 
 
 def _regular(errors: Array) -> bool:

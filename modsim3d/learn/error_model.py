@@ -30,6 +30,7 @@ class ErrorModel:
         unit: What standard deviations follow.
         growth: By how much mixed standard deviations grow with the side, shape (4,).
         freedom: Degrees of freedom ν; infinite for normal errors.
+        floor: Least standard deviation that a fit goes to, shape (4,).
     """
 
     mean: Array
@@ -38,6 +39,7 @@ class ErrorModel:
     unit: Unit = "px"
     growth: Array = field(default_factory=lambda: np.zeros(4))
     freedom: float = np.inf
+    floor: Array = field(default_factory=lambda: np.zeros(4))
 
     @classmethod
     def of_moments(cls, mean: Array, covariance: Array, unit: Unit, freedom: float = np.inf) -> ErrorModel:
@@ -112,6 +114,7 @@ class ErrorModel:
         """Which numbers are at a bound that the likelihood's slopes, shape (p,), push them against, shape (p,)."""
         held = np.zeros(len(score), dtype=bool)
         if self.unit == "mixed":
+            held[_STDS] = (self.std <= self.floor) & (score[_STDS] <= 0)
             held[14:18] = (self.growth <= 0) & (score[14:18] <= 0)
         if self.heavy:
             low, high = self.freedom <= LEAST_DEGREES * (1 + 1e-9), self.freedom >= MOST_DEGREES * (1 - 1e-9)
@@ -126,7 +129,7 @@ class ErrorModel:
         return replace(
             self,
             mean=numbers[_MEANS],
-            std=np.exp(numbers[_STDS]),
+            std=np.maximum(np.exp(numbers[_STDS]), self.floor),
             correlation=_definite(correlation),
             growth=np.maximum(numbers[14:18], 0.0) if self.unit == "mixed" else self.growth,
             freedom=float(np.clip(2 + np.exp(numbers[-1]), LEAST_DEGREES, MOST_DEGREES)) if self.heavy else np.inf,

@@ -25,7 +25,7 @@ _ROUNDS = 4
 _STEPS_NEEDED = 20
 """Steps within a state that its errors are whitened from, instead of from the distribution."""
 _LEAST_CHANGE = 1e-6
-_REACH = 4.5
+_REACH = 3.0
 """An edge counts if it is so many standard deviations inside the border; sides shrink by fewer to a pixel."""
 _EDGES = 2 ** np.arange(4)
 
@@ -130,6 +130,8 @@ def _clear_edges(pairs: Pairs, models: Sequence[ErrorModel | None]) -> Mask:
         if model is None or not len(rows):
             continue
         mean, std = model.at(edges.sides_px[rows])
+        if model.heavy:
+            std = std * np.sqrt((model.freedom - 2) / model.freedom)  # but for the tails
         scaled = OUTWARD * std[:, None]
         spread = np.sqrt(np.einsum("mij,jk,mik->mi", scaled, model.correlation, scaled))
         inside = mean @ OUTWARD.T + _REACH * spread <= edges.inward_px[rows]

@@ -8,6 +8,7 @@ Sobol's sequence for a sample of the boxes, each for those that are most like it
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy import special
@@ -83,12 +84,18 @@ class Gate:
         return np.append(np.log(chance), 0.0)[self.stands], np.vstack([lost, np.zeros(lost.shape[1])])[self.stands]
 
 
-def normal_points(boxes: int, number: int) -> Array:
-    """Normal numbers from Sobol's sequence, shifted for each box by an amount of its own, (boxes, number, 5)."""
+@cache
+def sobol(number: int, width: int) -> Array:
+    """Scrambled points of Sobol's sequence, a power of two of them, shape (number, width)."""
     from scipy.stats import qmc  # slow to import
 
-    sequence = qmc.Sobol(5, rng=np.random.default_rng(2)).random(number)
-    shifted = (sequence + np.random.default_rng(3).random((boxes, 1, 5))) % 1
+    points: Array = qmc.Sobol(width, rng=np.random.default_rng(0)).random(number)
+    return points
+
+
+def normal_points(boxes: int, number: int) -> Array:
+    """Normal numbers from Sobol's sequence, shifted for each box by an amount of its own, (boxes, number, 5)."""
+    shifted = (sobol(number, 5) + np.random.default_rng(3).random((boxes, 1, 5))) % 1
     return np.asarray(special.ndtri(np.clip(shifted, 1e-12, 1 - 1e-12)))
 
 

@@ -280,7 +280,6 @@ def test_one_step_of_correction_takes_most_of_the_gates_bias_away():
     values, corrected = estimates(learned), estimates(bias.corrected())
     for path, asked in (
         ("states.usual.confusion", [[0.85], [0.15]]),
-        ("states.usual.box_error_std", [8.0] * 4),
         ("states.usual.false_discovery_rate", 0.1),
     ):
         before = np.abs(values[path] - asked).mean()
@@ -288,6 +287,10 @@ def test_one_step_of_correction_takes_most_of_the_gates_bias_away():
         assert np.abs(corrected[path] - asked).mean() < 0.75 * before
     (confusion,) = (shift for shift in bias.shifts if shift.entry.key.names == ("confusion",))
     assert np.all(bias.significant(confusion))
+    # Box errors make up for what the gate cuts off.
+    of_boxes = [shift for shift in bias.shifts if shift.entry.key.names[0].startswith("box_error")]
+    assert len(of_boxes) == 3 and not any(np.any(bias.significant(shift)) for shift in of_boxes)
+    np.testing.assert_allclose(values["states.usual.box_error_std"], 8.0, atol=0.35)
 
 
 def test_without_a_gate_there_is_no_bias():

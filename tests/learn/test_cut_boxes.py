@@ -1,0 +1,139 @@
+"""Box errors of boats at the image's edge, and of boats that the matching rule lets match or not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.boxes import clip, inside_image, iou, move
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule
+from modsim3d.learn.edge_completion import completed
+from modsim3d.learn.error_choice import choose_law
+from modsim3d.learn.error_fit import slopes
+from modsim3d.learn.error_fits import ErrorFits
+from modsim3d.learn.error_model import ErrorModel
+from modsim3d.learn.error_usage import TITLE
+from modsim3d.learn.learn_detector import LearnOptions, learn_detector
+from modsim3d.learn.learned import Settings
+from modsim3d.learn.matched_edges import OUTWARD, MatchedEdges
+from modsim3d.learn.report import tables
+from tests.learn.cut_boxes import HEAVY, MIXED, PX, RELATIVE, SIZE, asked_of, boats, detected, learn_from
+from tests.learn.round_trip import outside
+
+
+def on_the_border(labelled: LabelledSet) -> LabelledSet:
+    """Sides of which the truth is cut are detected exactly on the border, as many real detectors do."""
+    results = labelled.results
+    assert results.origin is not None
+    true = labelled.annotations.boxes_px[results.origin]
+    cut = (true <= 0) | (true >= np.tile(SIZE, 2))
+    return replace(labelled, results=replace(results, boxes_px=np.where(cut, true, results.boxes_px)))
+
+
+@pytest.mark.parametrize(
+    ("law", "method", "real"),
+    [
+        (PX, "provenance", False),
+        (PX, "provenance", True),
+        (RELATIVE, "confidence", False),
+        (MIXED, "confidence", False),
+        (HEAVY, "provenance", False),
+    ],
+    ids=["edge", "on the border", "gate", "mixed", "tails"],
+)
+def test_errors_come_back_from_boats_that_the_edge_and_the_matching_cut(
+    law: dict[str, Any], method: str, real: bool
+) -> None:
+    labelled = detected(law, 800, 11)
+    learned = learn_from(on_the_border(labelled) if real else labelled, Rule(method), replicates=60)
+    (form,), (used,) = learned.form.box_errors.states, learned.numbers.box_errors.used
+    assert (form.unit, form.law) == (law["unit"], law.get("law", "normal"))
+    asked = asked_of(law)
+    assert outside(asked, learned.intervals(1 - 0.01 / sum(value.size for value in asked.values()))) == {}
+    intervals = {each.key.path: each for each in learned.intervals(0.95)}
+    std = intervals["states.usual.box_error_std"]
+    assert np.all(std.high / std.low < (3.0 if law is MIXED else 1.6))  # not because they are as wide as can be
+    assert used.used == used.matches > 700 and used.cut > 0.3 * used.used and used.censored > 0.01 * used.used
+    measured = learned.observed.pairs.edges.errors_px
+    if law is RELATIVE:
+        assert used.lost > 0.05
+        measured = measured / learned.observed.pairs.sides_px
+    if law in (PX, RELATIVE):  # where taking them as measured would be far off
+        assert np.any(np.abs(measured.std(axis=0) / law["std"] - 1) > 0.05)
+    written = parse_detector(learned.detector()).states[0].box_error
+    assert written.unit == law["unit"] and (written.growth > 0).any() == (law is MIXED)
+
+
+def test_models_that_are_left_out_are_not_learned() -> None:
+    labelled = detected(MIXED, 300, 1)
+    edges = learn_from(labelled, Rule("provenance"), replicates=0).observed.pairs.edges
+    fits = ErrorFits(edges[edges.usable])
+    assert choose_law(fits, 0.0, frozenset()).unit == "mixed"
+    assert choose_law(fits, 0.0, frozenset({"mixed"})).unit in ("px", "relative")
+    assert choose_law(fits, 0.0, frozenset({"mixed", "relative", "student_t"})) == choose_law(
+        ErrorFits(fits.edges), 0.99, frozenset({"relative", "student_t"})
+    )  # errors that hardly change say too little
+
+
+def test_the_report_says_how_many_matches_count() -> None:
+    labelled = detected(PX, 60, 1)
+    annotations = labelled.annotations
+    boxes = annotations.boxes_px.copy()
+    boxes[:5] = [0, 0, *SIZE]  # it fills the image
+    results = labelled.results
+    assert results.origin is not None
+    found = results.boxes_px.copy()
+    found[results.origin < 5] = [0, 0, *SIZE]
+    labelled = replace(
+        labelled,
+        annotations=replace(annotations, boxes_px=boxes),
+        results=replace(results, boxes_px=found),
+    )
+    report = learn_detector(labelled, Settings(Rule("provenance"), replicates=20), LearnOptions())
+    (table,) = (each for each in tables(report) if each.title == TITLE)
+    assert table.rows[0][:3] == ("usual", "60", "55")
+    note = "states.usual.box_error: from 55 of 60 matches; 5 with all sides cut by the image's edge"
+    assert note in report.learned.notes
+
+
+@pytest.mark.parametrize("rule", [Rule(), Rule("centre", most_distance_px=9.0), Rule("provenance")])
+def test_what_passes_is_what_matching_lets_match(rule: Rule) -> None:
+    rng = np.random.default_rng(0)
+    truth = boats(400, 3).annotations.boxes_px
+    size = np.tile(SIZE, (400, 1))
+    errors = rng.normal(0, 30, (400, 4))
+    edges = MatchedEdges.of(truth, truth, size, np.arange(400), rule)
+    found = clip(move(truth, errors), size)
+    right = inside_image(move(truth, errors), size)
+    if rule.method == "confidence":
+        right &= iou(found, truth) >= rule.least_iou
+    if rule.method == "centre":
+        right &= np.hypot(*((found - truth)[:, :2] + (found - truth)[:, 2:]).T / 2) <= rule.most_distance_px
+    passes = edges.passes((errors @ OUTWARD.T)[:, None])[:, 0]
+    assert 0 < right.sum() < 400 and np.array_equal(passes, right)
+
+
+@pytest.mark.parametrize("freedom", [np.inf, 5.0])
+def test_the_likelihood_of_a_censored_edge_is_the_probability_beyond_it(freedom: float) -> None:
+    truth = np.array([[40.0, 100, 140, 180]])
+    found = np.array([[0.0, 98, 143, 182]])  # the left edge lies on the border, 40 px beyond the true one
+    edges = MatchedEdges.of(truth, found, np.array([SIZE]), np.arange(1), Rule("provenance"))
+    assert edges.censored.tolist() == [[True, False, False, False]]
+    model = ErrorModel.of_moments(np.zeros(4), 400 * np.eye(4) + 100, "px", freedom)
+    beyond = np.linspace(39.5, 2500, 60_000)
+    many = MatchedEdges.of(
+        np.tile(truth, (len(beyond), 1)),
+        np.column_stack([40 - beyond, np.tile(found[:, 1:], (len(beyond), 1))]),
+        np.full((len(beyond), 2), np.nan),
+        np.arange(len(beyond)),
+        Rule("provenance"),
+    )
+    (part,) = completed(model, many)
+    density = np.exp(part.log_likelihood)
+    asked = np.log(np.trapezoid(density, beyond))
+    assert slopes(model, edges, None).value == pytest.approx(asked, abs=0.03)
