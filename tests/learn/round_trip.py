@@ -47,6 +47,9 @@ def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
         "false_positives.size.px": clutter["size"]["px"],
         "false_positives.size.log_std": clutter["size"]["log_std"],
     }
+    for key in ("duplicates", "merges", "splits"):
+        if key in clutter:
+            asked[f"false_positives.{key}"] = clutter[key]
     for name, state in content["states"].items():
         covariance = np.array(state["box_error"]["covariance"])
         std = np.sqrt(np.diag(covariance))
