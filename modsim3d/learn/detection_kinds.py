@@ -195,7 +195,7 @@ def _as_boxes_look(images: Images, sought: Sought, rows: Indices, loose: Loose, 
     one, owner = np.flatnonzero(common.one_box), np.where(sought.found[pairs.larger], pairs.larger, pairs.smaller)
     box = common.pair
     unclear = [
-        (np.flatnonzero(~clear & (share > _MOST_ALIKE) & sought.found[first] & whole[first]), first, second)
+        (np.flatnonzero(~clear & (share > _MOST_ALIKE) & detected.found[first]), first, second)
         for share, first, second in (
             (np.ones(len(pairs)), pairs.larger, pairs.smaller),
             (alike[1], pairs.smaller, pairs.larger),
@@ -215,7 +215,7 @@ def _as_boxes_look(images: Images, sought: Sought, rows: Indices, loose: Loose, 
         unclear=VesselPairs(
             np.concatenate([rows[first[pair]] for pair, first, _ in unclear]),
             np.concatenate([rows[second[pair]] for pair, _, second in unclear]),
-            np.concatenate([sought.row[first[pair]] for pair, first, _ in unclear]),
+            np.concatenate([detected.row[first[pair]] for pair, first, _ in unclear]),
             np.concatenate([pairs.share[pair] for pair, _, _ in unclear]),
         ),
         trials={
