@@ -27,7 +27,6 @@ _SURE = 3.3
 _STRAY = 0.002
 """Share of hits below a threshold that are a mistake of the rules."""
 _TRIALS, _RUNS = 200, 24
-_SEED = 11
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +36,8 @@ class Believed:
     Attributes:
         detection: Row of the result that detects each annotation, −1 where none does, shape (T,).
         swallowed: Whether an annotation is in the box of another one, and so detected, shape (T,).
+        unclear: Whether boxes do not tell if an annotation without a box of its own would be missed or in another's,
+            shape (T,).
         false: Rows of false detections, second boxes and smaller parts included, shape (f,).
         false_positives: Rows of those that are neither, shape (g,).
         one_vessel: Whether a detection is surely one whole box of one vessel if it detects one, shape (D,).
@@ -46,6 +47,7 @@ class Believed:
 
     detection: Indices
     swallowed: Mask
+    unclear: Mask
     false: Indices
     false_positives: Indices
     one_vessel: Mask
@@ -71,10 +73,11 @@ def believed(
         shown: The kinds that are there, with their thresholds, where that is known; else the data decide.
     """
     false = matched.false[used[labelled.results.image[matched.false]]]
-    one_vessel, swallowed = np.ones(len(labelled.results), dtype=bool), np.zeros(len(labelled.annotations), dtype=bool)
+    one_vessel = np.ones(len(labelled.results), dtype=bool)
+    swallowed, unclear = np.zeros((2, len(labelled.annotations)), dtype=bool)
     wanted = [name for name in NAMES if name not in without]
     if not wanted:
-        return Believed(matched.detection, swallowed, false, false, one_vessel, {}, {}, ())
+        return Believed(matched.detection, swallowed, unclear, false, false, one_vessel, {}, {}, ())
     kinds, notes = kinds_of(labelled, matched, used), list[str]()
     thresholds, trials = dict[str, float](), dict[str, Trials]()
     if shown is None:
@@ -89,44 +92,19 @@ def believed(
         one_vessel[kinds.split[1]] = False
         of_vessel.append(kinds.fragments)
     if "merges" in trials:
-        larger, smaller, box = kinds.merged
-        detection[smaller], detection[larger] = NOBODY, box
-        swallowed[smaller] = True
-        near = kinds.one_box_overlap >= thresholds["merges"]
-        one_vessel[box] = one_vessel[kinds.one_box[2, near]] = False
-        swallowed[_probably_merged(kinds, detection, _share(trials["merges"]), thresholds["merges"])] = True
+        least = thresholds["merges"]
+        merged = kinds.merged.at_least(least)
+        detection[merged.smaller], detection[merged.larger] = NOBODY, merged.box
+        swallowed[merged.smaller] = True
+        one_vessel[merged.box] = one_vessel[kinds.one_box.at_least(least).box] = False
+        unclear[kinds.unclear.at_least(least).smaller] = True
     if "duplicates" in trials:
         of_vessel.append(kinds.doubled)
     owned = detection[detection >= 0]
     counted = np.flatnonzero(matched.counts & used[labelled.results.image])
     false = np.setdiff1d(counted, owned)
     free = np.setdiff1d(false, np.concatenate(of_vessel))
-    return Believed(detection, swallowed, false, free, one_vessel, thresholds, trials, tuple(notes))
-
-
-def _probably_merged(kinds: Kinds, detection: Indices, rate: float, least: float) -> Indices:
-    """Rows of some missed vessels of pairs whose boxes do not tell, as many as the rate of the other pairs asks for.
-
-    A vessel that overlaps k others has a box of its own with probability (1 − rate)^k, so those that have one say how
-    many have none for that reason. Some of these were recognized.
-    """
-    chosen = kinds.unclear_overlap >= least
-    larger, smaller = kinds.unclear[:, chosen]
-    partner = np.full(len(detection), NOBODY)
-    partner[kinds.merged[0]], partner[kinds.merged[1]] = kinds.merged[1], kinds.merged[0]
-    free = (partner[larger] == NOBODY) | (partner[larger] == smaller)
-    vessels, number = np.unique(smaller[free], return_counts=True)
-    in_a_box = np.isin(vessels, kinds.merged[1])
-    own = (1 - min(rate, 0.95)) ** number[(detection[vessels] >= 0) & (partner[vessels] == NOBODY)]
-    missed = vessels[(detection[vessels] < 0) & ~in_a_box]
-    wanted = float(((1 - own) / own).sum()) - int(in_a_box.sum())
-    taken: Indices = missed[np.random.default_rng(_SEED).random(len(missed)) < wanted / max(len(missed), 1)]
-    return taken
-
-
-def _share(trials: Trials) -> float:
-    whole = float(trials.weight.sum())
-    return float(np.clip(trials.hits.sum() / whole, 0, 1)) if whole > 0 else 0.0
+    return Believed(detection, swallowed, unclear, false, free, one_vessel, thresholds, trials, tuple(notes))
 
 
 def _shown(kinds: Kinds, wanted: list[str], images: Images, notes: list[str]) -> dict[str, float | None]:

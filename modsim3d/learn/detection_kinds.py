@@ -63,30 +63,50 @@ class Trials:
 
 
 @dataclass(frozen=True, eq=False)
+class VesselPairs:
+    """Pairs of annotations, the larger and the smaller, and a box, as rows; shapes (p,).
+
+    Attributes:
+        overlap: Share of the smaller that lies in the larger, shape (p,).
+    """
+
+    larger: Indices
+    smaller: Indices
+    box: Indices
+    overlap: Array
+
+    def at_least(self, overlap: float) -> VesselPairs:
+        """Those that overlap so much."""
+        chosen = self.overlap >= overlap - 1e-9
+        return VesselPairs(**{name: column[chosen] for name, column in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
 class Kinds:
-    """What detections are, as rows of results and annotations; of pairs of annotations the larger comes first.
+    """What detections are, as rows of results and annotations.
 
     Attributes:
         doubled: Second boxes, shape (d,).
         split: Annotations in two parts, and the larger parts, shape (2, k).
         fragments: The smaller parts, shape (f,).
-        merged: Two annotations and the box around both, shape (3, m).
-        one_box: Two annotations of which one alone has a match, which may be around both, and that match, shape (3, b).
-        one_box_overlap: Share of the smaller of the two in the larger, shape (b,).
-        unclear: Pairs of annotations whose boxes do not tell whether a box is around both, shape (2, u).
-        unclear_overlap: Share of the smaller of the two in the larger, shape (u,).
+        merged: Pairs with one box around both.
+        one_box: Pairs of which one alone has a match, which may be around both.
+        unclear: Pairs whose boxes do not tell whether that of the larger is around both. Also the other way round,
+            where one is hardly larger.
         trials: By the name in `form.RICHER`.
     """
 
     doubled: Indices
     split: Indices
     fragments: Indices
-    merged: Indices
-    one_box: Indices
-    one_box_overlap: Array
-    unclear: Indices
-    unclear_overlap: Array
+    merged: VesselPairs
+    one_box: VesselPairs
+    unclear: VesselPairs
     trials: dict[str, Trials]
+
+
+_NO_ROWS = np.empty(0, dtype=np.int64)
+_NO_PAIRS = VesselPairs(_NO_ROWS, _NO_ROWS, _NO_ROWS, np.empty(0))
 
 
 def kinds_of(labelled: LabelledSet, matched: Matched, used: Mask) -> Kinds:
@@ -130,11 +150,9 @@ def _as_the_run_says(labelled: LabelledSet, sought: Sought, rows: Indices, false
         doubled=doubled,
         split=np.stack([rows[split], sought.row[split]]),
         fragments=false[kind[false] == FRAGMENT],
-        merged=np.stack([rows[merged], rows[smaller], sought.row[merged]]),
-        one_box=np.empty((3, 0), dtype=np.int64),
-        one_box_overlap=np.empty(0),
-        unclear=np.empty((2, 0), dtype=np.int64),
-        unclear_overlap=np.empty(0),
+        merged=VesselPairs(rows[merged], rows[smaller], sought.row[merged], np.ones(len(merged))),
+        one_box=_NO_PAIRS,
+        unclear=_NO_PAIRS,
         trials=trials,
     )
 
@@ -174,18 +192,32 @@ def _as_boxes_look(images: Images, sought: Sought, rows: Indices, loose: Loose, 
     by_error = np.where(common.one_box, owner_alike, 0.0)
     probable = np.where(common.one_box, (is_merged - by_error) / np.maximum(told - by_error, 0.5), 1.0 * is_merged)
     merges = _pair_trials(detected, pairs, is_merged, probable - by_pair, by_error + by_pair, clear, common.one_box)
-    in_larger = ~clear & sought.found[pairs.larger] & whole[pairs.larger]
-    one = np.flatnonzero(common.one_box)
-    owner = np.where(sought.found[pairs.larger[one]], pairs.larger[one], pairs.smaller[one])
+    one, owner = np.flatnonzero(common.one_box), np.where(sought.found[pairs.larger], pairs.larger, pairs.smaller)
+    box = common.pair
+    unclear = [
+        (np.flatnonzero(~clear & (share > _MOST_ALIKE) & detected.found[first]), first, second)
+        for share, first, second in (
+            (np.ones(len(pairs)), pairs.larger, pairs.smaller),
+            (alike[1], pairs.smaller, pairs.larger),
+        )
+    ]
+    # A vessel whose box may be around another one, too, is not surely single.
+    for pair, first, second in unclear:
+        single[first[pair[~detected.found[second[pair]]]]] = False
     return Kinds(
         doubled=doubled,
         split=np.stack([rows[parts.place], parts.larger]),
         fragments=parts.smaller,
-        merged=np.stack([rows[pairs.larger[common.pair]], rows[pairs.smaller[common.pair]], common.row]),
-        one_box=np.stack([rows[pairs.larger[one]], rows[pairs.smaller[one]], sought.row[owner]]),
-        one_box_overlap=pairs.share[one],
-        unclear=np.stack([rows[pairs.larger[in_larger]], rows[pairs.smaller[in_larger]]]),
-        unclear_overlap=pairs.share[in_larger],
+        merged=VesselPairs(rows[pairs.larger[box]], rows[pairs.smaller[box]], common.row, pairs.share[box]),
+        one_box=VesselPairs(
+            rows[pairs.larger[one]], rows[pairs.smaller[one]], sought.row[owner[one]], pairs.share[one]
+        ),
+        unclear=VesselPairs(
+            np.concatenate([rows[first[pair]] for pair, first, _ in unclear]),
+            np.concatenate([rows[second[pair]] for pair, _, second in unclear]),
+            np.concatenate([detected.row[first[pair]] for pair, first, _ in unclear]),
+            np.concatenate([pairs.share[pair] for pair, _, _ in unclear]),
+        ),
         trials={
             "merges": merges,
             "splits": _vessel_trials(sought, _long(sought, single), parts.place, chance["splits"]),
@@ -206,7 +238,7 @@ def _vessel_trials(
     """Trials of the vessels that are tried (n,), of which some were hit; hits of unknown vessels by their images."""
     hits = np.zeros(len(sought))
     hits[hit] = 1
-    extra = np.empty(0, dtype=np.int64) if extra_image is None else extra_image
+    extra = _NO_ROWS if extra_image is None else extra_image
     none = np.zeros(len(extra))
     return Trials(
         image=np.concatenate([sought.image[tried], extra]),
@@ -232,9 +264,9 @@ def _pair_trials(
     that it did not, and after it the others had no chance. After one that perhaps did, the others tell nothing.
     """
     free = pairs.share > _most(sought, pairs, is_merged)
-    told = pairs.share > _most(sought, pairs, one_box & ~clear)
     detected = sought.found.copy()
     detected[pairs.larger[is_merged]] = detected[pairs.smaller[is_merged]] = True
+    told = pairs.share > _most(sought, pairs, ~clear & (detected[pairs.larger] != detected[pairs.smaller]))
     both = detected[pairs.larger] & detected[pairs.smaller] & free & ~is_merged
     single = one_box & free & ~both & ~is_merged
     chosen = clear & told & (is_merged | both | single)

@@ -79,10 +79,11 @@ def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resa
     for column, effect in enumerate(effects):
         x[:, column] = effect.of(values[effect.attribute])
     group, missed = observed.state * k + observed.label, observed.missed.astype(np.float64)
-    number = np.bincount(group, minlength=states * k)
-    hits = np.bincount(group, weights=missed, minlength=states * k)
+    clear = observed.clear
+    number = np.bincount(group[clear], minlength=states * k)
+    hits = np.bincount(group[clear], weights=missed[clear], minlength=states * k)
     usable = (hits > 0) & (hits < number)  # the others have a rate of 0 or 1 whatever the attributes are
-    fitted, count = usable[group], int(usable.sum())
+    fitted, count = usable[group] & clear, int(usable.sum())
     if count == 0:
         return None
     group_fitted = (np.cumsum(usable) - 1)[group[fitted]]

@@ -207,7 +207,7 @@ def _likelier(observed: Observed, notes: list[str]) -> str:
     """Whether the number of false detections follows that of the true ones, or is the same in every image."""
     images = len(observed.labelled.images)
     false = np.bincount(observed.labelled.results.image[observed.false], minlength=images).astype(np.float64)
-    true = np.bincount(observed.image[observed.true], minlength=images).astype(np.float64)
+    true = np.bincount(observed.labelled.results.image[observed.true], minlength=images).astype(np.float64)
     with_true, even = 0.0, 0.0
     for state in range(len(observed.states)):
         ours = observed.image_state == state
@@ -235,10 +235,11 @@ def _of_states(
     states, k = len(observed.states), len(names)
     image, label = results.image[observed.false_positives], results.label[observed.false_positives]
     labels = resampling.counts(image, observed.image_state[image] * k + label, (states, k))
-    alone, found = labels.sum(axis=2), observed.true
-    every = results.image[observed.false]
-    false = resampling.counts(every, observed.image_state[every], (states,))
-    true = resampling.counts(observed.image[found], observed.state[found], (states,))
+    alone = labels.sum(axis=2)
+    false, true = (
+        resampling.counts(seen, observed.image_state[seen], (states,))
+        for seen in (results.image[observed.false], results.image[observed.true])
+    )
     chosen = np.flatnonzero(observed.image_state >= 0)
     images = resampling.counts(chosen, observed.image_state[chosen], (states,))
     overall = ratio(labels.sum(axis=1), alone.sum(axis=1, keepdims=True))

@@ -17,7 +17,13 @@ from modsim3d.learn.confidence_estimate import ConfidenceForm, NoConfidenceForm,
 from modsim3d.learn.entries import Interval, entries_of
 from modsim3d.learn.false_positive_estimate import FalsePositiveForm, LearnedFalsePositives, choose_false_positives
 from modsim3d.learn.form import LearnedPart, PartForm
-from modsim3d.learn.multiple_box_estimate import LearnedMultipleBoxes, MultipleBoxForm, choose_multiple_boxes
+from modsim3d.learn.multiple_box_estimate import (
+    NO_ROOM,
+    LearnedMultipleBoxes,
+    MultipleBoxForm,
+    choose_multiple_boxes,
+    leaves_room,
+)
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling, resample
 from modsim3d.learn.transitions import Transitions
@@ -91,12 +97,15 @@ class DetectorForm:
 
 def choose_form(observed: Observed, clutter: str = "auto") -> DetectorForm:
     """The models that the data can carry; see `Settings` for the clutter."""
+    multiple_boxes = choose_multiple_boxes(observed)
+    if clutter == "auto" and not leaves_room(observed):
+        clutter, multiple_boxes = "per_image", multiple_boxes.noting(NO_ROOM)
     return DetectorForm(
         choose_classes(observed),
         choose_box_errors(observed),
         choose_false_positives(observed, clutter),
         choose_confidence(observed),
-        choose_multiple_boxes(observed),
+        multiple_boxes,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,14 @@ from modsim3d.learn.form import ratio
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Column, Resampling
 
+NO_ROOM = (
+    "false_positives: per_image, for a rate of false detections that counts second boxes and parts of vessels must be "
+    "at least what these would make if every vessel were long"
+)
+_EXTRA = ("duplicates", "splits")
+_MARGIN = 1e-4
+"""More than what the digits in the file can change."""
+
 
 @dataclass(frozen=True)
 class MultipleBoxForm:
@@ -20,6 +28,10 @@ class MultipleBoxForm:
 
     shown: tuple[tuple[str, float | None], ...]
     notes: tuple[str, ...]
+
+    def noting(self, note: str) -> MultipleBoxForm:
+        """The same with another note."""
+        return replace(self, notes=(*self.notes, note))
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedMultipleBoxes:
         """The probability of each."""
@@ -56,3 +68,22 @@ def choose_multiple_boxes(observed: Observed) -> MultipleBoxForm:
     """Which kinds the data show."""
     kinds = observed.kinds
     return MultipleBoxForm(tuple((name, kinds.thresholds.get(name)) for name in kinds.trials), kinds.notes)
+
+
+def leaves_room(observed: Observed) -> bool:
+    """Whether each state has as many false detections as second boxes and parts alone may make.
+
+    A model whose false discovery rate counts them needs that, with every vessel long, see `detector.file.agreement`.
+    """
+    trials = observed.kinds.trials
+    extra = sum(_share(trials[name].hits.sum(), trials[name].weight.sum()) for name in _EXTRA if name in trials)
+    results = observed.labelled.results
+    false, true = (
+        np.bincount(observed.image_state[results.image[rows]], minlength=len(observed.states))
+        for rows in (observed.false, observed.true)
+    )
+    return bool(np.all(false >= (extra + _MARGIN) * true)) or extra == 0
+
+
+def _share(hits: float, trials: float) -> float:
+    return float(np.clip(hits / trials, 0, 1)) if trials > 0 else 0.0

@@ -66,8 +66,16 @@ class Observed:
 
     @cached_property
     def true(self) -> Indices:
-        """Places of the annotations that have a detection of their own; two in one box are one, shape (m,)."""
-        return np.flatnonzero(self.detection >= 0)
+        """Rows of the results that are the one detection of an annotation, or of two in one box, shape (m,)."""
+        return np.sort(self.detection[self.detection >= 0])
+
+    @cached_property
+    def clear(self) -> Mask:
+        """Whether each annotation would be known to be missed if it were, shape (n,).
+
+        One that overlaps a larger one may be in its box without a trace, where boxes merge.
+        """
+        return ~self.kinds.unclear[self.rows]
 
     @cached_property
     def image(self) -> Indices:
@@ -98,13 +106,16 @@ class Observed:
 
     @cached_property
     def steps(self) -> Steps:
-        """Consecutive annotations of the same thing, as places among `rows`."""
-        return steps_between(self.labelled, self.rows)
+        """Consecutive annotations of the same thing, of those that are clear, as places among `rows`."""
+        place = np.flatnonzero(self.clear)
+        steps = steps_between(self.labelled, self.rows[place])
+        return Steps(place[steps.earlier], place[steps.later], steps.apart_s)
 
     @cached_property
     def pairs(self) -> Pairs:
         """Annotations that were detected by a box of their own, with the errors of the detected boxes."""
-        place = self.true[self.kinds.one_vessel[self.detection[self.true]]]
+        place = np.flatnonzero(self.detection >= 0)
+        place = place[self.kinds.one_vessel[self.detection[place]]]
         rows, detection = self.rows[place], self.detection[place]
         annotations, results = self.labelled.annotations, self.labelled.results
         image, box_px = annotations.image[rows], annotations.boxes_px[rows]

@@ -32,6 +32,8 @@ _INDEPENDENT = 0.01
 _ROUNDING = 1e-5
 """Least eigenvalue of a covariance over its greatest."""
 NOT_NEGATIVE = ("visibility_slope", "size_slope")
+_DIGITS = 1e-5
+"""What the digits of the settings may change in proportion."""
 _MOST_FACTOR = 10.0
 """A positive number is drawn within this factor of its estimate; of a few things `learn` knows no bound at all."""
 
@@ -55,7 +57,20 @@ def drawn_detector(known: LearnedUncertainty, seed: int) -> dict[str, Any]:
     if known.transitions is not None:
         columns = [rng.dirichlet(column + 1) for column in np.array(known.transitions, dtype=np.float64).T]
         settings["detector.transition_matrix"] = columns_of_one(np.stack(columns, axis=1))
-    return settings
+    return settings | _second_boxes_with_room(settings)
+
+
+def _second_boxes_with_room(settings: dict[str, Any]) -> dict[str, Any]:
+    """Probabilities of second boxes and parts of vessels that all drawn false discovery rates leave room for.
+
+    They are lowered together where they are larger. With a rate for each image they only must not exceed one together.
+    """
+    keys = [key for name in ("duplicates", "splits") if (key := f"detector.false_positives.{name}") in settings]
+    rates = [rate for key, rate in settings.items() if key.endswith(".false_discovery_rate")]
+    counted = not any(key.endswith(".false_positives_per_image") for key in settings)
+    room = min((rate / (1 - rate) for rate in rates if counted), default=1.0)
+    lower = min((1 - _DIGITS) * room / max(sum(settings[key] for key in keys), _DIGITS), 1.0)
+    return {key: nested(np.array(lower * settings[key])) for key in keys}
 
 
 def _drawn_group(group: LearnedGroup, rng: np.random.Generator) -> dict[str, Array]:

@@ -1,0 +1,150 @@
+"""Second boxes, vessels in two parts and two vessels in one box."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modsim3d.campaign.detectors.drawing import drawn_detector
+from modsim3d.campaign.detectors.learned_file import LearnedUncertainty
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.matching import Rule, match
+from modsim3d.formats.reading.coco import read_coco
+from modsim3d.formats.writing.coco import write_coco
+from modsim3d.learn.believed_kinds import NAMES
+from modsim3d.learn.detection_kinds import kinds_of
+from modsim3d.learn.learned import Settings, learn
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.states import each_its_own, transitions_of
+from tests.formats.labelled_sets import found, images, truth
+from tests.learn.round_trip import ROOT, asked_of, outside, simulate
+
+DETECTOR = ROOT / "tests" / "data" / "learn" / "multiple_boxes.yaml"
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory):
+    return labelled_run(simulate("harbour", tmp_path_factory.mktemp("many"), 2, 250, 3, DETECTOR))[0]
+
+
+@pytest.fixture(scope="module")
+def none(tmp_path_factory):
+    return labelled_run(simulate("harbour", tmp_path_factory.mktemp("none"), 2, 120, 3))[0]
+
+
+def learned_from(labelled, method, without=frozenset()):
+    states = each_its_own(("clear", "haze"))
+    image_state = states.of_images(labelled.images, labelled.conditions)
+    settings = Settings(Rule(method), replicates=100, without=without)
+    matched = match(labelled, settings.rule, settings.threshold)
+    observed = Observed(labelled, matched, states.names, image_state, settings.threshold, without)
+    return learn(observed, transitions_of(labelled.images, image_state, 2, 1.0), settings)
+
+
+@pytest.mark.parametrize("method", ["provenance", "confidence"])
+def test_what_was_asked_for_is_learned_again(many, method, tmp_path):
+    labelled = many if method == "provenance" else read_coco("all", *write_coco(many, tmp_path))
+    learned = learned_from(labelled, method)
+    content = learned.detector()
+    assert set(NAMES) <= set(content["false_positives"])
+    assert not {"merge_overlap", "split_aspect"} & set(content["false_positives"])  # those of the simulator
+    parse_detector(content, "learned")
+    # The clear state lasts longest; of false positives as few are left as are made, with their own sizes and labels.
+    asked = {path: value for path, value in asked_of(DETECTOR).items() if "haze" not in path and "matrix" not in path}
+    assert outside(asked, learned.intervals(0.999)) == {}
+
+
+def test_nothing_is_learned_where_there_is_nothing(none):
+    for method in ("provenance", "confidence"):
+        learned = learned_from(none, method)
+        assert not set(NAMES) & set(learned.detector()["false_positives"])
+        assert [note.partition(":")[0] for note in learned.form.multiple_boxes.notes] == [
+            f"false_positives.{name}" for name in NAMES
+        ]
+        plain = learned_from(none, method, frozenset(NAMES))
+        assert plain.detector() == learned.detector()
+
+
+def test_what_is_left_out_counts_as_before(many):
+    observed = learned_from(many, "confidence", frozenset(NAMES)).observed
+    matched = observed.matched
+    np.testing.assert_array_equal(observed.detection, matched.detection[observed.rows])
+    np.testing.assert_array_equal(observed.false, matched.false)
+    np.testing.assert_array_equal(observed.false_positives, matched.false)
+    assert observed.clear.all() and not observed.swallowed.any()
+
+
+def test_a_run_and_its_boxes_tell_the_same(many):
+    says = kinds_of(many, match(many, Rule("provenance"), 0.2), np.ones(len(many.images), dtype=bool))
+    looks = kinds_of(many, match(many, Rule(), 0.2), np.ones(len(many.images), dtype=bool))
+    for name, share in (("doubled", 0.9), ("fragments", 0.95)):
+        real, seen = set(getattr(says, name).tolist()), set(getattr(looks, name).tolist())
+        assert len(real & seen) >= share * max(len(real), len(seen))
+    real, seen = (
+        set(zip(each.merged.smaller.tolist(), each.merged.box.tolist(), strict=True)) for each in (says, looks)
+    )
+    assert len(real & seen) >= 0.8 * max(len(real), len(seen))
+
+
+def kinds_of_boxes(truth_px, found_px):
+    """What boxes look like in the first of some images; a vessel of its own is found in all of them."""
+    far_px = [[500, 500, 560, 520]]
+    boxes, seen = far_px * 25 + list(truth_px), far_px * 25 + list(found_px)
+    labelled = LabelledSet(
+        ("boat",),
+        ("all",),
+        images(25),
+        truth([*range(25), *[0] * len(truth_px)], [0] * len(boxes), boxes).by_image(),
+        found([*range(25), *[0] * len(found_px)], [0] * len(seen), seen, np.linspace(0.9, 0.5, len(seen))).by_image(),
+    )
+    return kinds_of(labelled, match(labelled, Rule(), 0.2), np.ones(25, dtype=bool)), labelled.results.boxes_px
+
+
+def test_shapes():
+    kinds, px = kinds_of_boxes([[0, 100, 200, 140]], [[0, 101, 198, 140], [3, 99, 204, 141]])
+    assert px[kinds.doubled].tolist() == [[3, 99, 204, 141]]
+    kinds, px = kinds_of_boxes([[0, 100, 200, 140]], [[0, 101, 95, 140], [95, 101, 203, 140]])
+    assert px[kinds.split[1]].tolist() == [[95, 101, 203, 140]] and px[kinds.fragments].tolist() == [[0, 101, 95, 140]]
+    kinds, px = kinds_of_boxes([[0, 100, 200, 140], [150, 100, 300, 135]], [[1, 100, 301, 141]])
+    assert px[kinds.merged.box].tolist() == [[1, 100, 301, 141]]
+    kinds, px = kinds_of_boxes([[0, 100, 200, 140], [150, 100, 300, 135]], [[1, 100, 199, 141]])
+    assert not len(kinds.merged.box) and not len(kinds.doubled) and not len(kinds.fragments)
+
+
+def test_second_boxes_with_few_false_ones_ask_for_a_rate_of_their_own(many):
+    results = many.results
+    rare = (results.kind == 0) | (results.kind >= 3)  # no false positives of nothing
+    columns = {name: None if column is None else column[rare] for name, column in vars(results).items()}
+    learned = learned_from(replace(many, results=type(results)(**columns)), "provenance")
+    content = learned.detector()
+    assert content["false_positives"]["model"] == "per_image" and any(
+        "every vessel were long" in n for n in learned.notes
+    )
+    parse_detector(content, "learned")
+
+
+def test_drawn_second_boxes_leave_room():
+    share = {"kind": "share", "observations": 20.0}
+    numbers = [{"key": ["false_positives", name], "estimate": 0.2, **share} for name in ("duplicates", "splits")]
+    rate = {"key": ["false_discovery_rate"], "estimate": 0.29, **share}
+    known = LearnedUncertainty.model_validate(
+        {
+            "format": 1,
+            "detector_sha256": "",
+            "confidence_threshold": 0.2,
+            "transitions": None,
+            "groups": [
+                {"state": None, "units": 50, "numbers": numbers, "correlations": [[], [0.0]]},
+                {"state": "good", "units": 50, "numbers": [rate], "correlations": [[]]},
+            ],
+        }
+    )
+    for seed in range(20):
+        drawn = drawn_detector(known, seed)
+        rate_drawn = drawn["detector.states.good.false_discovery_rate"]
+        extra = drawn["detector.false_positives.duplicates"] + drawn["detector.false_positives.splits"]
+        assert 0 < extra <= rate_drawn / (1 - rate_drawn) + 1e-12
