@@ -168,8 +168,13 @@ class NotLasting:
     why: str
 
 
-def find_lasting(observed: Observed, sightings: FalseSightings, expected: Array) -> Lasting | NotLasting:
-    """Persistent false positives, given their mean number in each image, shape (I,)."""
+def find_lasting(
+    observed: Observed, sightings: FalseSightings, expected: Array, known: bool = False
+) -> Lasting | NotLasting:
+    """Persistent false positives, given their mean number in each image, shape (I,).
+
+    Where it is `known` that some stay, pairs need not be more than chance would bring.
+    """
     beat = Beat.of(observed)
     if beat is None:
         return NotLasting("frames have no times" if not np.isfinite(observed.labelled.images.time_s).any() else _NONE)
@@ -180,7 +185,7 @@ def find_lasting(observed: Observed, sightings: FalseSightings, expected: Array)
         return NotLasting(_NONE)
     far = far_pairs(observed, beat, sightings)
     at_rest = _count(observed, sightings, expected, lags, far, 0.0)
-    if not at_rest.beyond_chance:
+    if not known and not at_rest.beyond_chance:
         found, chance = at_rest.found[:, 0].sum(), at_rest.chance[:, 0].sum()
         return NotLasting(
             f"{found:,.0f} false detections have another near their place in the next frame, and {chance:,.3g} would "

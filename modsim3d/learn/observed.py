@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from modsim3d.formats.matching import Matched
 from modsim3d.learn.believed_kinds import Believed, believed
 from modsim3d.learn.pairs import Pairs
 from modsim3d.learn.persistence_fit import Steps, steps_between
+
+if TYPE_CHECKING:
+    from modsim3d.learn.false_sightings import FalseSightings
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +72,13 @@ class Observed:
     def true(self) -> Indices:
         """Places of the annotations that have a detection of their own; two in one box are one, shape (m,)."""
         return np.flatnonzero(self.detection >= 0)
+
+    @cached_property
+    def false_sightings(self) -> FalseSightings:
+        """The false positives with their places relative to the horizon."""
+        from modsim3d.learn.false_sightings import FalseSightings
+
+        return FalseSightings.of(self)
 
     @cached_property
     def image(self) -> Indices:

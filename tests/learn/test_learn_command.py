@@ -68,6 +68,8 @@ def test_exported_coco_is_the_run(run, exported):
         np.testing.assert_allclose(*true, atol=1e-6)
         np.testing.assert_allclose(getattr(again.results, column), getattr(found, column)[order], atol=1.1e-3)
     np.testing.assert_array_equal(again.images.time_s, first.images.time_s)
+    a, b, c = first.images.half_planes.T
+    np.testing.assert_allclose(again.images.half_planes.T, [a / b, b / b, c / b], atol=2e-3)
 
 
 @pytest.mark.parametrize("method", ["confidence", "optimal", "provenance"])

@@ -90,6 +90,8 @@ def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generat
     if number.kind not in ("share", "rate"):
         spread = np.array(number.spread, dtype=np.float64)
         drawn = from_scale(to_scale(estimate, number.kind) + np.sqrt(widen) * spread * z, number.kind)
+        if number.kind == "capped":
+            return np.clip(drawn, 0, 1)
         return np.clip(drawn, estimate / _MOST_FACTOR, estimate * _MOST_FACTOR) if number.kind == "positive" else drawn
     trials = np.array(number.observations, dtype=np.float64) / widen
     if number.kind == "rate":
