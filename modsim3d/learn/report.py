@@ -322,7 +322,7 @@ def _models() -> Table:
 
 
 NEVER_LEARNED = (
-    "Never learned: duplicates, merged and split boxes (they count as false or missed), false positives that persist, "
+    "Never learned: duplicates, merged and split boxes (they count as false or missed), "
     "box errors with both a fixed and a growing part, confidence as a precision-recall curve or that follows size or "
     "visibility."
 )

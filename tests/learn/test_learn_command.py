@@ -226,6 +226,10 @@ def test_what_does_not_fit_together_is_refused(tmp_path):
         command(*arguments, "--match", "provenance", *out)
     with pytest.raises(InputError, match=r"must be W,H in pixels"):
         command(*arguments, "--image-size", "big", *out)
+    with pytest.raises(InputError, match=r"--horizon:\n  must be ROW, or X1,Y1,X2,Y2, in pixels, as 400 \(got 'far'\)"):
+        command(*arguments, "--horizon", "far", *out)
+    with pytest.raises(InputError, match=r"--horizon:\n  lies below images"):
+        command(*arguments, "--horizon", "1e5", *out)
     assert command(*arguments, "--distance", -1, *out).exit_code == 2
     with pytest.raises(InputError, match="the page would be written over the detector file"):
         command(*arguments, "--out", tmp_path / "d.html")
