@@ -170,6 +170,8 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
         placing = _placing(observed, sightings, (1.0, 1.0), notes)
         return FalsePositiveForm(chosen, sized, placing, tuple(notes))
     placing = _placing(observed, sightings, lasting.worth, notes)
+    if lasting.lifetime_s > lasting.frame_s * lasting.frames:
+        notes.append("false_positives.persistence.lifetime_s: longer than any sequence lasts, so it is hardly known")
     if not lasting.drifts:
         notes.append("false_positives.persistence.drift_px_s: 0; no speed along the horizon can be told from 0")
     return FalsePositiveForm(chosen, sized, placing, tuple(notes), lasting.lifetime_s, lasting.drifts)
@@ -202,7 +204,7 @@ def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, 
     lie = f"{above:.1%} of {false:,} false detections lie above the horizon, and 90 % less than {deep:.3g} px below it"
     if placing == "uniform":
         notes.append(f"{where} uniform below the horizon; no other is clearly likelier; {lie}")
-    elif placing != "density":
+    else:
         notes.append(f"{where} {placing}, for it is likelier than uniform (log-likelihood {gain:.1f} higher); {lie}")
     return placing
 
