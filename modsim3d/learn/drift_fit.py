@@ -30,12 +30,12 @@ class Drift:
     Attributes:
         image: Image in which each was first seen, shape (s,).
         square: Squared speed along the horizon less its error, px²/s², shape (s,).
-        frames: In how many frames it was seen, shape (s,).
+        weight: In how many frames it was seen, less where its speed is not known well, shape (s,).
     """
 
     image: Indices
     square: Array
-    frames: Array
+    weight: Array
 
     @classmethod
     def of(cls, sightings: FalseSightings, times_s: Array, next_frame: Lag) -> Drift:
@@ -55,8 +55,11 @@ class Drift:
         if not found:
             return cls(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
         image, square, error, frames = map(np.array, zip(*found, strict=True))
-        usual = square <= _MOST_TIMES * np.median(square)  # two that passed close by each other may have been linked
-        return cls(image[usual], (square - error)[usual], frames[usual].astype(np.float64))
+        # Two that passed close by each other may have been linked: too fast, or of no one speed.
+        middle = float(np.median(square))
+        usual = square <= _MOST_TIMES * middle
+        weight = frames / (1 + _MOST_TIMES * error / max(middle, 1e-12))
+        return cls(image[usual], (square - error)[usual], weight[usual])
 
     @cached_property
     def rough_px_s(self) -> float:
@@ -66,23 +69,23 @@ class Drift:
     @property
     def sure(self) -> bool:
         """Whether the speed is surely above 0: the interval of the mean square says so."""
-        count = len(self.frames)
+        count = len(self.weight)
         if count < LEAST_TRACKS:
             return False
-        stray = self.frames * (self.square - self._mean_square)
-        error = float(np.sqrt((stray**2).sum() * count / (count - 1)) / self.frames.sum())
+        stray = self.weight * (self.square - self._mean_square)
+        error = float(np.sqrt((stray**2).sum() * count / (count - 1)) / self.weight.sum())
         return self._mean_square > float(special.stdtrit(count - 1, (1 + LEVEL) / 2)) * error
 
     @property
     def _mean_square(self) -> float:
-        return float((self.frames * self.square).sum() / self.frames.sum()) if len(self.frames) else 0.0
+        return float((self.weight * self.square).sum() / self.weight.sum()) if len(self.weight) else 0.0
 
     def column(self, resampling: Resampling) -> Column:
         """The root of the mean square speed."""
-        sums = resampling.sums(self.image, np.column_stack([self.frames * self.square, self.frames]))
+        sums = resampling.sums(self.image, np.column_stack([self.weight * self.square, self.weight]))
         square = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
         values = np.sqrt(np.maximum(square, 1e-12))
-        return Column(widened(values, values[0] * _LEAST_ERROR), "positive", np.array(float(len(self.frames))))
+        return Column(widened(values, values[0] * _LEAST_ERROR), "positive", np.array(float(len(self.weight))))
 
 
 def _tracks(count: int, lag: Lag) -> Indices:

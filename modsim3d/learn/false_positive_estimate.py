@@ -45,15 +45,34 @@ class FalsePositiveForm:
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedFalsePositives:
         """Rates and labels of each state, and the sizes, places and persistence that all states share."""
-        sightings = FalseSightings.of(observed)
-        found = find_lasting(observed, sightings, _expected(observed, self.model)) if self.lifetime_s else None
-        lasting = found if isinstance(found, Lasting) else None
+        sightings = observed.false_sightings
+        lasting = None
+        if self.lifetime_s:
+            found = find_lasting(observed, sightings, _expected(observed, self.model), known=True)
+            lasting = found if isinstance(found, Lasting) else None
         return LearnedFalsePositives(
             self,
             _of_states(observed, self.model, resampling, lasting.inflation if lasting else 1.0),
             _size(sightings, resampling, lasting.inflation if lasting else 1.0) if self.sizes else None,
             _place(sightings, self.placing, resampling, lasting),
-            _persistence(lasting, self.drifts, resampling) if lasting else None,
+            self._persistence(lasting, resampling) if self.lifetime_s else None,
+        )
+
+    def _persistence(self, lasting: Lasting | None, resampling: Resampling) -> LearnedPersistence:
+        """Lifetime, speed and share; of data without two frames, in which nothing can stay, a share of 0."""
+        rows = len(resampling.weights)
+        lifetime, share = (
+            Column(np.full(rows, self.lifetime_s), "positive", np.array(0.0)),
+            Column(np.zeros(rows), "capped", np.array(0.0)),
+        )
+        drift = Column(np.zeros(rows), "positive", np.array(0.0))
+        if lasting is not None:
+            (lifetime, share), drift = lasting.columns(resampling), lasting.drift.column(resampling)
+        section = ("false_positives", "persistence")
+        return LearnedPersistence(
+            Entry(Key((*section, "lifetime_s")), lifetime),
+            Entry(Key((*section, "drift_px_s")), drift) if self.drifts else None,
+            Entry(Key((*section, "share")), share),
         )
 
 
@@ -117,7 +136,7 @@ class LearnedFalsePositives:
         if self.persistence is not None:
             stays = self.persistence
             drift = {} if stays.drift_px_s is None else {"drift_px_s": digits(stays.drift_px_s.estimate)}
-            share = digits(stays.share.estimate)
+            share = digits(np.clip(stays.share.estimate, 0, 1))  # a corrected one may be above 1
             section["persistence"] = {"lifetime_s": digits(stays.lifetime_s.estimate), **drift, "share": share}
         return {"false_positives": section}
 
@@ -136,7 +155,7 @@ class LearnedFalsePositives:
 def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePositiveForm:
     """The model of false positives that the data can carry; `auto` leaves the model of their number to them."""
     notes: list[str] = []
-    sightings = FalseSightings.of(observed)
+    sightings = observed.false_sightings
     false = len(sightings)
     sized = false >= FALSE_NEEDED and "sizes" not in observed.without
     if false < FALSE_NEEDED:
@@ -151,6 +170,8 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
         placing = _placing(observed, sightings, (1.0, 1.0), notes)
         return FalsePositiveForm(chosen, sized, placing, tuple(notes))
     placing = _placing(observed, sightings, lasting.worth, notes)
+    if lasting.lifetime_s > lasting.frame_s * lasting.frames:
+        notes.append("false_positives.persistence.lifetime_s: longer than any sequence lasts, so it is hardly known")
     if not lasting.drifts:
         notes.append("false_positives.persistence.drift_px_s: 0; no speed along the horizon can be told from 0")
     return FalsePositiveForm(chosen, sized, placing, tuple(notes), lasting.lifetime_s, lasting.drifts)
@@ -183,7 +204,7 @@ def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, 
     lie = f"{above:.1%} of {false:,} false detections lie above the horizon, and 90 % less than {deep:.3g} px below it"
     if placing == "uniform":
         notes.append(f"{where} uniform below the horizon; no other is clearly likelier; {lie}")
-    elif placing != "density":
+    else:
         notes.append(f"{where} {placing}, for it is likelier than uniform (log-likelihood {gain:.1f} higher); {lie}")
     return placing
 
@@ -288,23 +309,13 @@ def _place(
     return Entry(Key(("false_positives", "density")), shares)
 
 
-def _persistence(lasting: Lasting, drifts: bool, resampling: Resampling) -> LearnedPersistence:
-    lifetime, share = lasting.columns(resampling)
-    section = ("false_positives", "persistence")
-    return LearnedPersistence(
-        Entry(Key((*section, "lifetime_s")), lifetime),
-        Entry(Key((*section, "drift_px_s")), lasting.drift.column(resampling)) if drifts else None,
-        Entry(Key((*section, "share")), share),
-    )
-
-
 def _size(sightings: FalseSightings, resampling: Resampling, inflation: float) -> LearnedSize:
     """One shape, scaled by a number whose logarithm is normal.
 
     The image's edge cuts boxes, so only those count whose centres are farther from it than half of almost any box.
     """
     image, boxes_px, sizes_px = sightings.image, sightings.boxes_px, sightings.image_px
-    half = np.quantile(sizes(boxes_px), _ALMOST_ANY, axis=0) / 2
+    half = np.quantile(sizes(boxes_px), _ALMOST_ANY, axis=0) / 2 if len(boxes_px) else np.zeros(2)
     centre = centres(boxes_px)
     inner = np.all((centre > half) & ((centre < sizes_px - half) | np.isnan(sizes_px)), axis=1)
     if inner.sum() >= FALSE_NEEDED:
@@ -313,10 +324,10 @@ def _size(sightings: FalseSightings, resampling: Resampling, inflation: float) -
     scale = sides.mean(axis=1)
     sums = resampling.sums(image, np.column_stack([np.ones(len(sides)), sides, scale, scale**2]))
     number = sums[:, 0]
-    px = np.exp(sums[:, 1:3] / number[:, None])
-    variance = (sums[:, 4] - sums[:, 3] ** 2 / number) / np.maximum(number - 1, 1)
+    px = np.exp(ratio(sums[:, 1:3], number[:, None]))
+    variance = (sums[:, 4] - ratio(sums[:, 3] ** 2, number)) / np.maximum(number - 1, 1)
     std = np.sqrt(np.maximum(variance, 0))
-    count = float(len(sides)) / inflation
+    count = max(float(len(sides)) / inflation, 1.0)
     root = np.sqrt(count)
     return LearnedSize(
         Entry(

@@ -114,6 +114,7 @@ class Lasting:
         drift: Speeds.
         lifetime_s, share: The estimates.
         frame_s: Time between frames.
+        frames: How many of them the longest sequence has.
     """
 
     counted: Counted
@@ -121,6 +122,7 @@ class Lasting:
     lifetime_s: float
     share: float
     frame_s: float
+    frames: int
 
     @cached_property
     def inflation(self) -> float:
@@ -140,14 +142,14 @@ class Lasting:
 
     @property
     def _repeats(self) -> float:
-        kept = float(np.exp(-self.frame_s / self.lifetime_s))
-        return 2 * kept / (1 - kept)
+        later = np.arange(1, max(self.frames, 2))
+        return 2 * float(((1 - later / self.frames) * np.exp(-later * self.frame_s / self.lifetime_s)).sum())
 
     @property
     def tracks(self) -> float:
         """Expected number of different ones that stay, of all that are seen."""
-        false = float(self.counted.false.sum())
-        return max(self.share * false * -float(np.expm1(-self.frame_s / self.lifetime_s)), 1.0)
+        false, ends = float(self.counted.false.sum()), -float(np.expm1(-self.frame_s / self.lifetime_s))
+        return max(self.share * false * min(ends + 1 / self.frames, 1.0), 1.0)
 
     def columns(self, resampling: Resampling) -> tuple[Column, Column]:
         """Lifetime and share."""
@@ -168,8 +170,13 @@ class NotLasting:
     why: str
 
 
-def find_lasting(observed: Observed, sightings: FalseSightings, expected: Array) -> Lasting | NotLasting:
-    """Persistent false positives, given their mean number in each image, shape (I,)."""
+def find_lasting(
+    observed: Observed, sightings: FalseSightings, expected: Array, known: bool = False
+) -> Lasting | NotLasting:
+    """Persistent false positives, given their mean number in each image, shape (I,).
+
+    Where it is `known` that some stay, pairs need not be more than chance would bring.
+    """
     beat = Beat.of(observed)
     if beat is None:
         return NotLasting("frames have no times" if not np.isfinite(observed.labelled.images.time_s).any() else _NONE)
@@ -180,7 +187,7 @@ def find_lasting(observed: Observed, sightings: FalseSightings, expected: Array)
         return NotLasting(_NONE)
     far = far_pairs(observed, beat, sightings)
     at_rest = _count(observed, sightings, expected, lags, far, 0.0)
-    if not at_rest.beyond_chance:
+    if not known and not at_rest.beyond_chance:
         found, chance = at_rest.found[:, 0].sum(), at_rest.chance[:, 0].sum()
         return NotLasting(
             f"{found:,.0f} false detections have another near their place in the next frame, and {chance:,.3g} would "
@@ -196,7 +203,7 @@ def find_lasting(observed: Observed, sightings: FalseSightings, expected: Array)
         life, share = used.fit(every, grid)
         most_s = _LIFETIMES * float(life[0])
     lifetime = float(life[0])
-    return Lasting(used, drift, lifetime, min(float(share[0]), 1.0), beat.gap_s)
+    return Lasting(used, drift, lifetime, min(float(share[0]), 1.0), beat.gap_s, round(beat.span_s / beat.gap_s) + 1)
 
 
 _NONE = "no two frames of a sequence have times"

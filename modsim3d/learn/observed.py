@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from modsim3d.formats.matching import Matched
 from modsim3d.learn.believed_kinds import Believed, believed
 from modsim3d.learn.pairs import Pairs
 from modsim3d.learn.persistence_fit import Steps, steps_between
+
+if TYPE_CHECKING:
+    from modsim3d.learn.false_sightings import FalseSightings
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +80,13 @@ class Observed:
         One that overlaps a larger one may be in its box without a trace, where boxes merge.
         """
         return ~self.kinds.unclear[self.rows]
+
+    @cached_property
+    def false_sightings(self) -> FalseSightings:
+        """The false positives with their places relative to the horizon."""
+        from modsim3d.learn.false_sightings import FalseSightings
+
+        return FalseSightings.of(self)
 
     @cached_property
     def image(self) -> Indices:

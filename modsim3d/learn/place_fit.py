@@ -25,7 +25,7 @@ Placing = Literal["uniform", "horizon_band", "far_half_px", "density"]
 """Placements, and `far_half_px` for a uniform one that thins out below the horizon."""
 _ASTRAY = 0.02
 _HALF_A_CASE = 0.5
-_BANDS, _SCALES = 200, 61
+_BANDS, _SCALES = 60, 61
 _LN_2 = float(np.log(2))
 _BAND_SPREAD = 1.4
 """Standard deviation of the logarithm of a band's width, times the false positives in it, as it is reported. The width
@@ -96,7 +96,7 @@ class PlaceFit:
     @cached_property
     def rough_far_half_px(self) -> float:
         """The likeliest such distance."""
-        most = float(self.sightings.image_px.max())
+        most = float(self.sightings.image_px.max(initial=1.0))
         scales = most * np.geomspace(0.003, 10, _SCALES)
         found = [self._likelihood(self._density(far_half_px=scale)) for scale in scales.tolist()]
         return float(scales[int(np.argmax(found))])
@@ -107,10 +107,14 @@ class PlaceFit:
         depths = np.unique(self._depths[0][self._depths[0] > 0])
         if not len(depths):
             return 1.0
-        some = np.unique(np.linspace(0, len(depths) - 1, _BANDS).astype(np.int64))
-        deepest = np.unique(np.concatenate([depths[some], depths[-_BANDS:]])) + _ROUNDING_PX / 2
-        found = [self._likelihood(self._density(band_px=depth)) for depth in deepest.tolist()]
-        return float(deepest[int(np.argmax(found))])
+        first, last = 0, len(depths) - 1
+        while True:  # ever closer around the best of some
+            some = np.unique(np.linspace(first, last, _BANDS).astype(np.int64))
+            deepest = depths[some] + _ROUNDING_PX / 2
+            best = int(np.argmax([self._likelihood(self._density(band_px=depth)) for depth in deepest.tolist()]))
+            if last - first < _BANDS:
+                return float(deepest[best])
+            first, last = int(some[max(best - 1, 0)]), int(some[min(best + 1, len(some) - 1)])
 
     def _likelihood(self, density: Array) -> float:
         return float(self._log(density).sum())
@@ -155,8 +159,10 @@ class PlaceFit:
     def _area_above(self, level: Array) -> Array:
         """Area of the sea above a level of each distinct image, shapes (k,)."""
         (depth, _, _), areas = self.sightings.levels, self._areas
-        node = np.maximum((depth <= level[:, None]).sum(axis=1) - 1, 0)
-        rows, after = np.arange(len(depth)), np.minimum(node + 1, depth.shape[1] - 1)
+        last = depth.shape[1] - 1
+        share = np.clip((level - depth[:, 0]) / np.maximum(depth[:, -1] - depth[:, 0], 1e-9), 0, 1)
+        node = np.minimum(np.sqrt(share) * last, last - 1).astype(np.int64)  # levels lie closer near the horizon
+        rows, after = np.arange(len(depth)), node + 1
         share = (level - depth[rows, node]) / np.maximum(depth[rows, after] - depth[rows, node], 1e-9)
         result: Array = areas[rows, node] + np.clip(share, 0, 1) * (areas[rows, after] - areas[rows, node])
         return result

@@ -97,6 +97,10 @@ BAD = [
     ),
     (changed(("images", 1), sequence=[1]), r"images\[1\]: sequence must be a whole number or text \(got \[1\]\)"),
     (changed(("images", 1), time_s="noon"), r"images\[1\]: time_s and frame_id must be numbers \(got 'noon'\)"),
+    (
+        changed(("images", 1), horizon=[1, 2, 3]),
+        r"images\[1\]: horizon must be a row, \[left, right\], its rows at both",
+    ),
     (changed(("annotations", 2), bbox=[0, 0, 1e200, 5]), r"annotations\[2\]: bbox must be in pixels, at most 1e\+07"),
     (changed(("categories", 1), name="ferry"), r"categories\[1\]: .* appears twice"),
     (changed(("categories", 1), name=""), r"categories\[1\]: must have an id, a whole number, and a name"),

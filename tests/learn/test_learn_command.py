@@ -68,6 +68,8 @@ def test_exported_coco_is_the_run(run, exported):
         np.testing.assert_allclose(*true, atol=1e-6)
         np.testing.assert_allclose(getattr(again.results, column), getattr(found, column)[order], atol=1.1e-3)
     np.testing.assert_array_equal(again.images.time_s, first.images.time_s)
+    a, b, c = first.images.half_planes.T
+    np.testing.assert_allclose(again.images.half_planes.T, [a / b, b / b, c / b], atol=2e-3)
 
 
 @pytest.mark.parametrize("method", ["confidence", "optimal", "provenance"])
@@ -224,6 +226,10 @@ def test_what_does_not_fit_together_is_refused(tmp_path):
         command(*arguments, "--match", "provenance", *out)
     with pytest.raises(InputError, match=r"must be W,H in pixels"):
         command(*arguments, "--image-size", "big", *out)
+    with pytest.raises(InputError, match=r"--horizon:\n  must be ROW, or X1,Y1,X2,Y2, in pixels, as 400 \(got 'far'\)"):
+        command(*arguments, "--horizon", "far", *out)
+    with pytest.raises(InputError, match=r"--horizon:\n  lies below images"):
+        command(*arguments, "--horizon", "1e5", *out)
     assert command(*arguments, "--distance", -1, *out).exit_code == 2
     with pytest.raises(InputError, match="the page would be written over the detector file"):
         command(*arguments, "--out", tmp_path / "d.html")

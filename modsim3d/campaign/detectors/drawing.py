@@ -108,6 +108,8 @@ def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generat
         spread = np.array(number.spread, dtype=np.float64)
         drawn: Array = from_scale(to_scale(estimate, number.kind) + np.sqrt(widen) * spread * z, number.kind)
         drawn = np.maximum(drawn, 0) if number.name in NOT_NEGATIVE else drawn
+        if number.kind == "capped":
+            return np.clip(drawn, 0, 1)
         return np.clip(drawn, estimate / _MOST_FACTOR, estimate * _MOST_FACTOR) if number.kind == "positive" else drawn
     trials = np.array(number.observations, dtype=np.float64) / widen
     if number.kind == "rate":

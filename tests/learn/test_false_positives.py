@@ -1,0 +1,152 @@
+"""False positives that stay, and where they lie relative to the horizon, are learned back from simulated ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.entries import entries_of
+from modsim3d.learn.gate_bias import bias_of, simulated
+from modsim3d.learn.learned import Settings, learn
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.resampling import resample
+from modsim3d.learn.transitions import Transitions
+from tests.formats.labelled_sets import found, images, truth
+
+FRAMES, RATE_HZ = 1200, 4.0
+SIZE = {"model": "lognormal", "px": [60, 30], "log_std": 0.3}
+STAYS = {"lifetime_s": 5.0, "drift_px_s": 8.0, "share": 0.6}
+BAND = {"placement": "horizon_band", "band_px": 60.0, "persistence": STAYS}
+PROVENANCE = Settings(Rule("provenance"), replicates=60)
+
+
+def on_a_rolling_camera(seed=0, **clutter):
+    """Two boats before a camera that rolls and pitches, and false positives as a detector file describes them."""
+    frame = np.arange(FRAMES)
+    roll, pitch = 0.05 * np.sin(frame / 17), 15 * np.sin(frame / 11)
+    half_planes = np.column_stack([np.sin(roll), np.cos(roll), -(300 + pitch)])
+    image = np.repeat(frame, 2)
+    boxes = np.tile([[100.0, 350, 200, 400], [1000, 350, 1100, 400]], (FRAMES, 1))
+    there = truth(image, 0 * image, boxes, identity=np.tile([0, 1], FRAMES))
+    shown = images(FRAMES, (1200.0, 900.0), frame / RATE_HZ, half_planes)
+    labelled = LabelledSet(("boat",), ("day",), shown, there, found([], [], [], []))
+    model = parse_detector(
+        {
+            "labels": ["boat"],
+            "confidence_threshold": 0.2,
+            "initial_state": "day",
+            "transition_matrix": [[1.0]],
+            "false_positives": {"model": "per_image", "rate": 1.2, "size": SIZE, **clutter},
+            "states": {
+                "day": {
+                    "confusion": [[0.9], [0.1]],
+                    "false_positive_labels": [1.0],
+                    "false_discovery_rate": 0.3,
+                    "box_error": {"unit": "relative", "mean": [0.0] * 4, "covariance": (4e-4 * np.eye(4)).tolist()},
+                    "confidence": {"mean": 0.6, "std": 0.1},
+                }
+            },
+        }
+    )
+    return simulated(labelled, np.zeros(FRAMES, dtype=np.int64), model, seed)
+
+
+def observed(labelled, without=frozenset()):
+    state = np.zeros(FRAMES, dtype=np.int64)
+    return Observed(labelled, match(labelled, PROVENANCE.rule, 0.2), ("day",), state, 0.2, without)
+
+
+def learned_from(labelled, without=frozenset()):
+    return learn(observed(labelled, without), Transitions(np.zeros((1, 1)), 0, None, ()), PROVENANCE)
+
+
+def inside(learned, **asked):
+    """Whether each number asked for is inside its interval of 99.9 %."""
+    intervals = {each.key.names[-1]: each for each in learned.intervals(0.999)}
+    return {name: bool(intervals[name].low <= value <= intervals[name].high) for name, value in asked.items()}
+
+
+@pytest.fixture(scope="module")
+def staying():
+    """False positives in a band below the horizon, most of which stay."""
+    return on_a_rolling_camera(**BAND)
+
+
+@pytest.fixture(scope="module")
+def learned_staying(staying):
+    return learned_from(staying)
+
+
+def check(learned, placing, **clutter):
+    form, stays = learned.form.false_positives, clutter["persistence"]
+    assert form.placing == placing and form.drifts == ("drift_px_s" in stays)
+    asked = {key: value for key, value in {**clutter, **stays}.items() if isinstance(value, float)}
+    assert all(inside(learned, **asked, false_positives_per_image=1.2, log_std=0.3).values())
+    assert learned.run_s == pytest.approx(FRAMES / RATE_HZ / 24, rel=0.01)  # as long as leaves enough runs
+    written = parse_detector(learned.detector()).clutter
+    assert written.lifetime_s == pytest.approx(5, rel=0.35)
+    assert written.persistent_share == pytest.approx(stays["share"], abs=0.12)
+    assert written.drift_px_s == pytest.approx(stays.get("drift_px_s", 0), rel=0.01)
+
+
+def test_false_positives_that_stay_in_a_band_come_back_inside_their_intervals(learned_staying):
+    check(learned_staying, "horizon_band", **BAND)
+
+
+def test_false_positives_that_all_stay_far_away_come_back_inside_their_intervals():
+    clutter = {"far_half_px": 80.0, "persistence": {"lifetime_s": 5.0, "share": 1.0}}
+    check(learned_from(on_a_rolling_camera(**clutter)), "far_half_px", **clutter)
+
+
+def test_neither_persistence_nor_a_placement_is_learned_where_there_is_none():
+    learned = learned_from(on_a_rolling_camera(rate=3.0))
+    form = learned.form.false_positives
+    assert (form.lifetime_s, form.placing, form.drifts) == (0, "uniform", False)
+    assert set(learned.detector()["false_positives"]) == {"model", "size"}
+    persistence, placement = (note for note in learned.notes if note.startswith("false_positives.p"))
+    assert "have another near their place in the next frame" in persistence
+    assert "no other is clearly likelier; 0.0% of" in placement and "above the horizon" in placement
+
+
+def test_boxes_that_jitter_from_frame_to_frame_still_stay(staying):
+    results, rng = staying.results, np.random.default_rng(1)
+    sides = np.tile(results.boxes_px[:, 2:] - results.boxes_px[:, :2], 2)
+    jittered = replace(results, boxes_px=results.boxes_px + rng.normal(0, 0.1, (len(results), 4)) * sides)
+    learned = learned_from(replace(staying, results=jittered))
+    assert all(inside(learned, **STAYS).values())
+
+
+def test_without_a_horizon_places_are_a_map_and_a_note_says_so(staying):
+    unknown = replace(staying.images, half_planes=np.full((FRAMES, 3), np.nan))
+    learned = learned_from(replace(staying, images=unknown))
+    assert learned.form.false_positives.placing == "density"
+    assert "false_positives.placement: a map; the horizon of some images is not known (--horizon)" in learned.notes
+
+
+def test_models_that_are_left_out_are_not_learned(staying):
+    left = {"lasting": "persistence", "places": "band_px", "sizes": "size"}
+    for name, key in left.items():
+        section = learned_from(staying, frozenset({name})).detector()["false_positives"]
+        assert set(left.values()) - set(section) == {key}
+
+
+def test_what_was_learned_is_learned_again_with_the_same_numbers(staying, learned_staying):
+    shifts = {each.entry.key.names[-1]: each for each in bias_of(learned_staying, PROVENANCE, repeats=2).shifts}
+    assert shifts["band_px"].again == pytest.approx(60, rel=0.03)
+    assert shifts["drift_px_s"].again == pytest.approx(8, rel=0.02)
+    assert shifts["lifetime_s"].again == pytest.approx(5, rel=0.5)
+
+
+def test_of_data_without_false_positives_the_same_numbers_are_learned(staying, learned_staying):
+    results = staying.results
+    true = results.origin >= 0
+    kept = {name: None if column is None else column[true] for name, column in vars(results).items()}
+    nothing = observed(replace(staying, results=type(results)(**kept)))
+    again = learned_staying.form.estimate(nothing, resample(staying.images, 0, 0))
+    assert again.false_positives.persistence.share.estimate == 0
+    assert len([*entries_of(again)]) == len([*entries_of(learned_staying.numbers)])
