@@ -184,6 +184,7 @@ def make_films(work: Path, films: Sequence[Film], workers: int = 2) -> None:
     if not missing:
         return
     weights = fetched_weights(work)
+    open_session(weights)  # an error comes before the work
     started = time.monotonic()
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         for k, name in enumerate(pool.map(_made, missing, [weights] * len(missing)), 1):
@@ -197,16 +198,24 @@ def _made(film: Film, weights: Path) -> str:
     return film.name
 
 
+def _count(text: str) -> int:
+    """A number of films or processes on the command line."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"needs a whole number from 1 on (got {text!r})")
+    return int(text)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, default=WORK, metavar="DIR", help="where the films and the weights are")
-    parser.add_argument("--films", type=int, metavar="N", help="only the first N")
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes (2 unless given)")
+    parser.add_argument("--films", type=_count, metavar="N", help="only the first N")
+    parser.add_argument("--workers", type=_count, default=2, metavar="N", help="processes (2 unless given)")
     given = parser.parse_args()
     try:
         make_films(given.work, all_films(given.work)[: given.films], given.workers)
     except ModsimError as error:
-        sys.exit(f"error: {error}")
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from PIL import Image, ImageDraw
 from benchmarks.stand_in.pixel_detector import (
     BOAT,
     INPUT_PX,
-    PADDING,
     PixelDetector,
     View,
     open_session,
@@ -58,8 +57,8 @@ def output_of(*boxes: tuple[float, float, float, float, float, int]) -> np.ndarr
 def test_an_image_that_is_not_square_has_grey_above_and_below():
     given = View(0, 0, *SIZE_PX).input(Image.new("RGB", SIZE_PX, (255, 0, 51)))
     assert given.shape == (1, 3, INPUT_PX, INPUT_PX)
-    np.testing.assert_allclose(given[0, :, 139], PADDING / 255, atol=1e-6)
-    np.testing.assert_allclose(given[0, :, 500], PADDING / 255, atol=1e-6)
+    np.testing.assert_allclose(given[0, :, 139], 114 / 255, atol=1e-6)
+    np.testing.assert_allclose(given[0, :, 500], 114 / 255, atol=1e-6)
     np.testing.assert_allclose(given[0, :, 140:500], np.broadcast_to([[[1]], [[0]], [[0.2]]], (3, 360, 640)), atol=1e-6)
 
 
@@ -104,6 +103,12 @@ def test_a_whole_box_wins_against_a_cut_one_that_is_surer():
     np.testing.assert_array_equal(found.boxes_px, boxes[:1])
     alone = without_repeats(boxes[1:], np.array([0.9]), np.array([True]))
     np.testing.assert_array_equal(alone.boxes_px, boxes[1:])
+
+
+def test_the_most_confident_box_comes_first_though_it_is_cut():
+    boxes = np.array([[100.0, 100, 300, 200], [500.0, 100, 600, 200]])
+    found = without_repeats(boxes, np.array([0.3, 0.9]), np.array([False, True]))
+    np.testing.assert_array_equal(found.boxes_px, boxes[::-1])
 
 
 def test_a_whole_box_in_front_of_a_larger_one_stays():
