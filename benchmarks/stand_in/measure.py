@@ -192,7 +192,7 @@ def results(measured: Sequence[Measured], rungs: Sequence[str], trackers: Sequen
         "hidden_share_of_groups": float(np.median(share)),
         "scores": {
             tracker: {
-                score.key: {name: np.nanmean(every[name][:, :, t, s], axis=1).tolist() for name in (REAL, *rungs)}
+                score.key: {name: _over_seeds(every[name][:, :, t, s]).tolist() for name in (REAL, *rungs)}
                 for s, score in enumerate(SCORES)
             }
             for t, tracker in enumerate(trackers)
@@ -225,6 +225,13 @@ def results(measured: Sequence[Measured], rungs: Sequence[str], trackers: Sequen
 
 def _values(scores: Numbers) -> list[float]:
     return [scores[score.key] for score in SCORES]
+
+
+def _over_seeds(values: Array) -> Array:
+    """The mean over seeds of each film, NaN where it is undefined with all of them; shapes (F, S) and (F,)."""
+    known = ~np.isnan(values)
+    count = known.sum(axis=1)
+    return np.where(count > 0, np.where(known, values, 0).sum(axis=1) / np.maximum(count, 1), np.nan)
 
 
 def _groups(facts: Sequence[Mapping[str, Any]]) -> dict[str, Mask]:
