@@ -48,16 +48,16 @@ class Difference:
     films: int
     real: float | None
     simulated: float | None
-    mean: float | None
-    low: float | None
-    high: float | None
-    between: float | None
-    within: float | None
-    scatter: float | None
-    scatter_p: float | None
-    margin: float | None
-    p_value: float | None
-    verdict: Verdict
+    mean: float | None = None
+    low: float | None = None
+    high: float | None = None
+    between: float | None = None
+    within: float | None = None
+    scatter: float | None = None
+    scatter_p: float | None = None
+    margin: float | None = None
+    p_value: float | None = None
+    verdict: Verdict = UNDECIDED
 
     def as_json(self) -> dict[str, Any]:
         """The numbers as JSON has them."""
@@ -76,10 +76,7 @@ def difference(real: Array, simulated: Array, margin: float) -> Difference:
     real, simulated = real[known], simulated[known]
     films = len(real)
     if films < LEAST_FILMS:
-        nothing = (None,) * 7
-        return Difference(
-            films, *(nothing[:2] if not films else _means(real, simulated)), *nothing, margin, None, UNDECIDED
-        )
+        return Difference(films, *_means(real, simulated), margin=margin)
     apart = np.nanmean(simulated, axis=1) - real
     mean, deviation = float(apart.mean()), float(apart.std(ddof=1))
     error = deviation / np.sqrt(films)
@@ -109,7 +106,9 @@ def verdict(low: float, high: float, margin: float) -> Verdict:
     return DIFFERS if low > margin or high < -margin else UNDECIDED
 
 
-def _means(real: Array, simulated: Array) -> tuple[float, float]:
+def _means(real: Array, simulated: Array) -> tuple[float | None, float | None]:
+    if not len(real):
+        return None, None
     return float(real.mean()), float(np.nanmean(simulated, axis=1).mean())
 
 

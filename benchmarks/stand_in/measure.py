@@ -121,7 +121,7 @@ def measure(
     jobs = [Job(film, detectors, seeds, trackers, threshold) for film in films]
     measured = list(_told(_each(measured_film, jobs, workers), len(jobs)))
     named = [{"name": name, "title": (titles or {}).get(name, name)} for name in detectors]
-    return rounded(
+    found: dict[str, Any] = rounded(
         {
             "format": FORMAT,
             "rungs": named,
@@ -133,6 +133,7 @@ def measure(
             **results(measured, tuple(detectors), tuple(trackers)),
         }
     )
+    return found
 
 
 def measured_film(job: Job) -> Measured:

@@ -52,7 +52,7 @@ def farthest(found: Sequence[Numbers]) -> float | None:
     """The largest difference that the intervals allow; None if any has no interval."""
     if any(each["low"] is None for each in found):
         return None
-    return max(max(abs(each["low"]), abs(each["high"])) for each in found)
+    return float(max(max(abs(each["low"]), abs(each["high"])) for each in found))
 
 
 def upwards(value: float, decimals: int = 3) -> str:
@@ -123,4 +123,4 @@ def films_needed(found: Numbers) -> int | None:
     if found["low"] is None or abs(found["mean"]) >= found["margin"]:
         return None
     half = found["high"] - found["mean"]
-    return math.ceil(found["films"] * (half / (found["margin"] - abs(found["mean"]))) ** 2)
+    return math.ceil(float(found["films"] * (half / (found["margin"] - abs(found["mean"]))) ** 2))
