@@ -35,6 +35,9 @@ class Difference:
         high: Upper end.
         between: Standard deviation of the difference from film to film that would be left with any number of seeds.
         within: Standard deviation of the score from seed to seed of one film; None with one seed.
+        scatter: Standard deviation of the difference over what it would be if the real output of a film were one like
+            the simulated ones; None where that is 0 or not known.
+        scatter_p: The chance of so large a one if it were, by an F-test; None where `scatter` is.
         margin: How far the two may lie apart.
         p_value: Of the two one-sided tests: the chance of a mean so far inside the margin if the true difference were
             at its edge; None of fewer than two films.
@@ -45,14 +48,16 @@ class Difference:
     films: int
     real: float | None
     simulated: float | None
-    mean: float | None
-    low: float | None
-    high: float | None
-    between: float | None
-    within: float | None
-    margin: float | None
-    p_value: float | None
-    verdict: Verdict
+    mean: float | None = None
+    low: float | None = None
+    high: float | None = None
+    between: float | None = None
+    within: float | None = None
+    scatter: float | None = None
+    scatter_p: float | None = None
+    margin: float | None = None
+    p_value: float | None = None
+    verdict: Verdict = UNDECIDED
 
     def as_json(self) -> dict[str, Any]:
         """The numbers as JSON has them."""
@@ -71,15 +76,13 @@ def difference(real: Array, simulated: Array, margin: float) -> Difference:
     real, simulated = real[known], simulated[known]
     films = len(real)
     if films < LEAST_FILMS:
-        nothing = (None,) * 5
-        return Difference(
-            films, *(nothing[:2] if not films else _means(real, simulated)), *nothing, margin, None, UNDECIDED
-        )
+        return Difference(films, *_means(real, simulated), margin=margin)
     apart = np.nanmean(simulated, axis=1) - real
     mean, deviation = float(apart.mean()), float(apart.std(ddof=1))
     error = deviation / np.sqrt(films)
     half = float(special.stdtrit(films - 1, (1 + LEVEL) / 2)) * error
     between, within = _split(deviation, simulated)
+    scatter, scatter_p = _scatter(deviation, within, simulated)
     return Difference(
         films,
         *_means(real, simulated),
@@ -88,6 +91,8 @@ def difference(real: Array, simulated: Array, margin: float) -> Difference:
         mean + half,
         between,
         within,
+        scatter,
+        scatter_p,
         margin,
         _p_value(mean, error, films, margin),
         verdict(mean - half, mean + half, margin),
@@ -101,7 +106,9 @@ def verdict(low: float, high: float, margin: float) -> Verdict:
     return DIFFERS if low > margin or high < -margin else UNDECIDED
 
 
-def _means(real: Array, simulated: Array) -> tuple[float, float]:
+def _means(real: Array, simulated: Array) -> tuple[float | None, float | None]:
+    if not len(real):
+        return None, None
     return float(real.mean()), float(np.nanmean(simulated, axis=1).mean())
 
 
@@ -114,6 +121,15 @@ def _split(deviation: float, simulated: Array) -> tuple[float, float | None]:
     variance = float(np.nanvar(simulated[several], axis=1, ddof=1).mean())
     between = max(deviation**2 - variance * float((1 / counts).mean()), 0.0)
     return float(np.sqrt(between)), float(np.sqrt(variance))
+
+
+def _scatter(deviation: float, within: float | None, simulated: Array) -> tuple[float | None, float | None]:
+    """How much more the difference scatters over films than one seed against the mean of the others would."""
+    counts = (~np.isnan(simulated)).sum(axis=1)
+    if not within:
+        return None, None
+    ratio = deviation**2 / (within**2 * (1 + float((1 / counts).mean())))
+    return float(np.sqrt(ratio)), float(special.fdtrc(len(counts) - 1, int((counts - 1).sum()), ratio))
 
 
 def _p_value(mean: float, error: float, films: int, margin: float) -> float:

@@ -121,7 +121,7 @@ def measure(
     jobs = [Job(film, detectors, seeds, trackers, threshold) for film in films]
     measured = list(_told(_each(measured_film, jobs, workers), len(jobs)))
     named = [{"name": name, "title": (titles or {}).get(name, name)} for name in detectors]
-    return rounded(
+    found: dict[str, Any] = rounded(
         {
             "format": FORMAT,
             "rungs": named,
@@ -133,6 +133,7 @@ def measure(
             **results(measured, tuple(detectors), tuple(trackers)),
         }
     )
+    return found
 
 
 def measured_film(job: Job) -> Measured:
@@ -192,7 +193,7 @@ def results(measured: Sequence[Measured], rungs: Sequence[str], trackers: Sequen
         "hidden_share_of_groups": float(np.median(share)),
         "scores": {
             tracker: {
-                score.key: {name: np.nanmean(every[name][:, :, t, s], axis=1).tolist() for name in (REAL, *rungs)}
+                score.key: {name: _over_seeds(every[name][:, :, t, s]).tolist() for name in (REAL, *rungs)}
                 for s, score in enumerate(SCORES)
             }
             for t, tracker in enumerate(trackers)
@@ -225,6 +226,13 @@ def results(measured: Sequence[Measured], rungs: Sequence[str], trackers: Sequen
 
 def _values(scores: Numbers) -> list[float]:
     return [scores[score.key] for score in SCORES]
+
+
+def _over_seeds(values: Array) -> Array:
+    """The mean over seeds of each film, NaN where it is undefined with all of them; shapes (F, S) and (F,)."""
+    known = ~np.isnan(values)
+    count = known.sum(axis=1)
+    return np.where(count > 0, np.where(known, values, 0).sum(axis=1) / np.maximum(count, 1), np.nan)
 
 
 def _groups(facts: Sequence[Mapping[str, Any]]) -> dict[str, Mask]:

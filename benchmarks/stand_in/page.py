@@ -31,7 +31,19 @@ def write_page(results: Results, docs: Path = DOCS) -> None:
 
 def page(results: Results) -> str:
     """The page."""
-    parts = _opening, _ladder, _scores, _meaning, _order, _distributions, _parts_of_films, _classifier, _limits, _how
+    parts = (
+        _opening,
+        _ladder,
+        _scores,
+        _meaning,
+        _order,
+        _scatter,
+        _distributions,
+        _parts_of_films,
+        _classifier,
+        _limits,
+        _how,
+    )
     return "\n".join(line for part in parts for line in part(results)) + "\n"
 
 
@@ -80,11 +92,12 @@ def _count(number: int) -> str:
 
 def _of_hota(verdict: str, names: Sequence[str]) -> str:
     """What a verdict on HOTA says of trackers."""
-    return {
+    told: dict[str, str] = {
         AGREES: f"HOTA agrees for {listed(names)}.",
         DIFFERS: f"HOTA differs by more than that for {listed(names)}.",
         UNDECIDED: f"For {listed(names)} these films do not say.",
-    }[verdict]
+    }
+    return told[verdict]
 
 
 def _ladder(results: Results) -> Lines:
@@ -138,9 +151,10 @@ def _holds(score: Score, found: Mapping[str, Results]) -> str:
 
 
 def _holds_not(score: Score, found: Mapping[str, Results]) -> str:
-    return "of " + "; ".join(
-        f"`{name}`: {interval(each, score.decimals)}{kinder(score, each)}" for name, each in found.items()
-    )
+    by_meaning: dict[str, list[str]] = {}
+    for name, each in found.items():
+        by_meaning.setdefault(kinder(score, each), []).append(f"`{name}` {interval(each, score.decimals)}")
+    return "of " + "; ".join(f"{', '.join(each)}: {meaning}" for meaning, each in by_meaning.items())
 
 
 def _open(score: Score, found: Mapping[str, Results]) -> str:
@@ -182,6 +196,20 @@ def _order(results: Results) -> Lines:
         numbers = [plain(found["tau"], 2), plain(found["tau_of_seeds"], 2)]
         rows.append([rung["name"], *orders, *numbers, *(f"{found[name]:.0%}" for name in ("same_order", "same_best"))])
     yield from table(["", "Real", "Simulated", "Tau", "Among seeds", "Same order", "Same best"], rows)
+
+
+def _scatter(results: Results) -> Lines:
+    yield from ("## Do single films come out as they should?", "", filled(prose.SCATTER))
+    trackers, found = results["trackers"], results["differences"]
+
+    def told(each: Results) -> str:
+        text = plain(each["scatter"], 1)
+        return f"**{text}**" if each["scatter_p"] is not None and each["scatter_p"] < LEVEL_OF_TESTS else text
+
+    yield from table(
+        ["", *_code(trackers)],
+        [[rung["name"], *(told(found[rung["name"]][name]["hota"]) for name in trackers)] for rung in results["rungs"]],
+    )
 
 
 def _distributions(results: Results) -> Lines:

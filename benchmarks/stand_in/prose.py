@@ -44,6 +44,12 @@ against another, which no simulation of this detector can exceed by much. The la
 draws of films, with replacement, in which the whole order, and the best tracker, are the same on real and simulated
 detections.
 """
+SCATTER = """
+How much HOTA, simulated minus real, scatters from film to film, over how much it would if the real output were one like
+the simulated seeds. At 1 the seeds of a simulation span what the detector does on a film. Above 1 films differ by
+something that the detector file does not have, and the spread over seeds says too little about a single film; in bold
+where an F-test finds it at the 5 % level.
+"""
 DISTRIBUTIONS = """
 At the last rung. *Distance* is the largest one between the two distribution functions (Kolmogorov and Smirnov). *To
 move* is how far values must be moved on average to make one distribution of the other. The p-value is the share of

@@ -187,7 +187,7 @@ def scores_of(opened: OpenFilm, scored: Scored) -> dict[str, float]:
 
 def track_lengths_s(opened: OpenFilm, tracks: Tracks) -> Array:
     """Time for which each track is reported, shape (k,)."""
-    return np.bincount(tracks.identity) * opened.period_s if len(tracks) else np.empty(0)
+    return np.asarray(np.bincount(tracks.identity), dtype=np.float64) * opened.period_s
 
 
 def recall_of_bins(opened: OpenFilm, scored: Scored) -> dict[str, dict[str, float]]:

@@ -38,6 +38,8 @@ def interval(found: Numbers, decimals: int) -> str:
 
 def cell(found: Numbers, decimals: int) -> str:
     """The same with the mark of its verdict, as a table has it."""
+    if found["low"] is None:
+        return "–"
     return f"{interval(found, decimals)} {MARKS.get(found['verdict'], '?')}"
 
 
@@ -50,7 +52,7 @@ def farthest(found: Sequence[Numbers]) -> float | None:
     """The largest difference that the intervals allow; None if any has no interval."""
     if any(each["low"] is None for each in found):
         return None
-    return max(max(abs(each["low"]), abs(each["high"])) for each in found)
+    return float(max(max(abs(each["low"]), abs(each["high"])) for each in found))
 
 
 def upwards(value: float, decimals: int = 3) -> str:
@@ -95,11 +97,11 @@ def headline(results: Numbers) -> str:
 
 
 def kinder(score: Score, found: Numbers) -> str:
-    """Whether a tracker looks better or worse on simulated detections."""
+    """What a difference means: whether a tracker looks better or worse on simulated detections."""
     if score.larger_is_better is None:
-        return ""
+        return "more or longer ones in simulation" if found["mean"] > 0 else "fewer or shorter ones in simulation"
     better = (found["mean"] > 0) == score.larger_is_better
-    return ": simulation flatters the tracker" if better else ": simulation is harder than the real detector"
+    return "simulation flatters the tracker" if better else "simulation is harder than the real detector"
 
 
 MANY_FILMS = 500
@@ -121,4 +123,4 @@ def films_needed(found: Numbers) -> int | None:
     if found["low"] is None or abs(found["mean"]) >= found["margin"]:
         return None
     half = found["high"] - found["mean"]
-    return math.ceil(found["films"] * (half / (found["margin"] - abs(found["mean"]))) ** 2)
+    return math.ceil(float(found["films"] * (half / (found["margin"] - abs(found["mean"]))) ** 2))

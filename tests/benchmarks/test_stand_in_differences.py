@@ -65,6 +65,18 @@ def test_the_scatter_of_seeds_is_told_from_that_of_films() -> None:
     assert [found.between, found.within] == pytest.approx([0.03, 0.06], rel=0.05)
 
 
+def test_real_outputs_like_the_simulated_ones_scatter_as_these() -> None:
+    random, low, ratios = np.random.default_rng(11), 0, []
+    for _ in range(400):
+        outputs = random.normal(0, 0.2, (15, 1)) + random.normal(0, 0.05, (15, 5))
+        found = difference(outputs[:, 0], outputs[:, 1:], 0.02)
+        ratios.append(found.scatter)
+        low += found.scatter_p < 0.05
+    assert np.mean(ratios) == pytest.approx(1, abs=0.03) and low / 400 == pytest.approx(0.05, abs=0.03)
+    of_films = difference(outputs[:, 0] + random.normal(0, 0.2, 15), outputs[:, 1:], 0.02)
+    assert of_films.scatter > 2 and of_films.scatter_p < 0.001
+
+
 def test_margins_of_counts_are_shares_but_for_small_ones() -> None:
     assert [BY_KEY["false_tracks"].margin(real) for real in (0.3, 30)] == [0.5, 3]
     assert BY_KEY["gospa"].margin(100) == 5 and BY_KEY["hota"].margin(0.4) == 0.02
