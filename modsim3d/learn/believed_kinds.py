@@ -89,7 +89,7 @@ def believed(
     detection, of_vessel = matched.detection.copy(), [false[:0]]
     if "splits" in trials:
         detection[kinds.split[0]] = kinds.split[1]
-        one_vessel[kinds.split[1]] = False
+        one_vessel[kinds.split[1]] = one_vessel[kinds.perhaps_parts] = False
         of_vessel.append(kinds.fragments)
     if "merges" in trials:
         least = thresholds["merges"]

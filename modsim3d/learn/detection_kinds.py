@@ -89,6 +89,7 @@ class Kinds:
         doubled: Second boxes, shape (d,).
         split: Annotations in two parts, and the larger parts, shape (2, k).
         fragments: The smaller parts, shape (f,).
+        perhaps_parts: Matches of other annotations that look like parts of one that has no whole box, shape (q,).
         merged: Pairs with one box around both.
         one_box: Pairs of which one alone has a match, which may be around both.
         unclear: Pairs whose boxes do not tell whether that of the larger is around both. Also the other way round,
@@ -99,6 +100,7 @@ class Kinds:
     doubled: Indices
     split: Indices
     fragments: Indices
+    perhaps_parts: Indices
     merged: VesselPairs
     one_box: VesselPairs
     unclear: VesselPairs
@@ -150,6 +152,7 @@ def _as_the_run_says(labelled: LabelledSet, sought: Sought, rows: Indices, false
         doubled=doubled,
         split=np.stack([rows[split], sought.row[split]]),
         fragments=false[kind[false] == FRAGMENT],
+        perhaps_parts=_NO_ROWS,
         merged=VesselPairs(rows[merged], rows[smaller], sought.row[merged], np.ones(len(merged))),
         one_box=_NO_PAIRS,
         unclear=_NO_PAIRS,
@@ -208,6 +211,7 @@ def _as_boxes_look(images: Images, sought: Sought, rows: Indices, loose: Loose, 
         doubled=doubled,
         split=np.stack([rows[parts.place], parts.larger]),
         fragments=parts.smaller,
+        perhaps_parts=_perhaps_parts(sought, loose),
         merged=VesselPairs(rows[pairs.larger[box]], rows[pairs.smaller[box]], common.row, pairs.share[box]),
         one_box=VesselPairs(
             rows[pairs.larger[one]], rows[pairs.smaller[one]], sought.row[owner[one]], pairs.share[one]
@@ -224,6 +228,21 @@ def _as_boxes_look(images: Images, sought: Sought, rows: Indices, loose: Loose, 
             "duplicates": _vessel_trials(sought, single, place, chance["duplicates"]),
         },
     )
+
+
+def _perhaps_parts(sought: Sought, loose: Loose) -> Indices:
+    """Rows of detections that look like the parts of an annotation which has no other match, whatever they match."""
+    own = np.flatnonzero(sought.found)
+    every = Loose(
+        np.concatenate([loose.row, sought.row[own]]),
+        np.concatenate([loose.image, sought.image[own]]),
+        np.concatenate([loose.boxes_px, sought.match_px[own]]),
+    )
+    order = np.argsort(every.image, kind="stable")
+    parts = two_parts(replace(sought, row=np.full(len(sought), NOBODY)), every.at(order))
+    match = sought.row[parts.place]
+    alone = (match < 0) | (match == parts.larger) | (match == parts.smaller)
+    return np.concatenate([parts.larger[alone], parts.smaller[alone]])
 
 
 def _long(sought: Sought, single: Mask) -> Mask:

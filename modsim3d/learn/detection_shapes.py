@@ -75,13 +75,13 @@ class Loose:
     image: Indices
     boxes_px: Array
 
-    def where(self, chosen: Mask) -> Loose:
-        """Some of them, shape (f,)."""
+    def at(self, chosen: Mask | Indices) -> Loose:
+        """Some of them, by a mask or their places."""
         return Loose(self.row[chosen], self.image[chosen], self.boxes_px[chosen])
 
     def without(self, rows: Indices) -> Loose:
         """All but those with some rows in the results."""
-        return self.where(~np.isin(self.row, rows))
+        return self.at(~np.isin(self.row, rows))
 
     def pairs(self, sought: Sought) -> tuple[Indices, Indices]:
         """Places of these and of annotations in the same image that overlap, shapes (m,)."""
