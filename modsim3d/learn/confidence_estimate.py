@@ -91,7 +91,7 @@ class ConfidenceForm:
         """Of means by confidence that persists; deviations from a standard deviation persist half as long."""
         if self.confidence_s <= 0:
             return Inflation()
-        steps, count = steps_between(observed.labelled, observed.rows[observed.true]), len(observed.true)
+        steps, count = steps_between(observed.labelled, observed.rows[observed.found]), len(observed.found)
         return Inflation(*(inflation(steps, count, self.confidence_s / part) for part in (1, 2)))
 
 

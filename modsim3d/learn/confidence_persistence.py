@@ -75,9 +75,9 @@ class ConsecutiveScores:
 
     @classmethod
     def of(cls, observed: Observed, scores: Scores, latent: LatentScores) -> ConsecutiveScores:
-        """Of true detections in the order of `observed.true`."""
+        """Of true detections in the order of `observed.found`."""
         usable = np.flatnonzero(~np.isnan(latent.low))
-        steps = steps_between(observed.labelled, observed.rows[observed.true[usable]])
+        steps = steps_between(observed.labelled, observed.rows[observed.found[usable]])
         return cls(latent, Steps(usable[steps.earlier], usable[steps.later], steps.apart_s), scores)
 
     def products(self) -> Consecutive:

@@ -216,7 +216,7 @@ def _expected(observed: Observed, model: str) -> Array:
     false = np.bincount(rows, minlength=images).astype(np.float64)
     follows = np.ones(images)
     if model != "per_image":
-        follows = np.bincount(observed.image[observed.true], minlength=images).astype(np.float64)
+        follows = np.bincount(observed.labelled.results.image[observed.true], minlength=images).astype(np.float64)
     expected = np.zeros(images)
     for state in range(len(observed.states)):
         ours = observed.image_state == state

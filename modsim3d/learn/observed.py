@@ -69,6 +69,11 @@ class Observed:
         return self.kinds.false_positives
 
     @cached_property
+    def found(self) -> Indices:
+        """Places of the annotations that have a detection of their own; of two in one box the larger, shape (m,)."""
+        return np.flatnonzero(self.detection >= 0)
+
+    @cached_property
     def true(self) -> Indices:
         """Rows of the results that are the one detection of an annotation, or of two in one box, shape (m,)."""
         return np.sort(self.detection[self.detection >= 0])
@@ -125,8 +130,7 @@ class Observed:
     @cached_property
     def pairs(self) -> Pairs:
         """Annotations that were detected by a box of their own, with the errors of the detected boxes."""
-        place = np.flatnonzero(self.detection >= 0)
-        place = place[self.kinds.one_vessel[self.detection[place]]]
+        place = self.found[self.kinds.one_vessel[self.detection[self.found]]]
         rows, detection = self.rows[place], self.detection[place]
         annotations, results = self.labelled.annotations, self.labelled.results
         image, box_px = annotations.image[rows], annotations.boxes_px[rows]

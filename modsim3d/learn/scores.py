@@ -34,10 +34,10 @@ class Scores:
     def of(cls, observed: Observed, kind: Kind) -> Scores:
         """Confidences of true or false detections."""
         results = observed.labelled.results
-        rows = observed.detection[observed.true] if kind == "true" else observed.false
+        rows = observed.detection[observed.found] if kind == "true" else observed.false
         visible = np.full(len(rows), np.nan)
         if kind == "true":
-            visible = observed.labelled.annotations.visible_fraction[observed.rows[observed.true]]
+            visible = observed.labelled.annotations.visible_fraction[observed.rows[observed.found]]
         image = results.image[rows]
         area = np.prod(np.maximum(sizes(results.boxes_px[rows]), 1e-6), axis=1)
         return cls(results.confidence[rows], image, observed.image_state[image], visible, np.log2(area) / 2)
