@@ -63,8 +63,10 @@ def test_errors_come_back_from_boats_that_the_edge_and_the_matching_cut(
     if law is RELATIVE:
         assert used.lost > 0.05
         measured = measured / learned.observed.pairs.sides_px
-    if law in (PX, RELATIVE):  # where taking them as measured would be far off
-        assert np.any(np.abs(measured.std(axis=0) / law["std"] - 1) > 0.05)
+    if law in (PX, RELATIVE):  # as measured they are off by several standard errors
+        of_mean = np.abs(measured.mean(axis=0) - law["mean"]) / law["std"] * np.sqrt(len(measured))
+        of_std = np.abs(measured.std(axis=0) / law["std"] - 1) * np.sqrt(2 * len(measured))
+        assert max(of_mean.max(), of_std.max()) > 3.4
     written = parse_detector(learned.detector()).states[0].box_error
     assert written.unit == law["unit"] and (written.growth > 0).any() == (law is MIXED)
 
