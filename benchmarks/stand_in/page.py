@@ -256,12 +256,15 @@ def _classifier(results: Results) -> Lines:
     told = results.get("told_apart")
     if not told:
         return
-    titles = {rung["name"]: rung["title"] for rung in results["rungs"]}
+    titles = {rung["name"]: [rung["name"], rung["title"]] for rung in results["rungs"]}
     yield from ("## Can a classifier tell them apart?", "", filled(prose.CLASSIFIER))
     yield from table(
         ["", "Learned", "Frames", "told by", "Tracks", "told by"],
         [
-            [name, titles[name], *(text for kind in ("frames", "tracks") for text in _auc(each.get(kind)))]
+            [
+                *titles.get(name, ("", prose.SEEDS_APART)),
+                *(text for kind in ("frames", "tracks") for text in _auc(each.get(kind))),
+            ]
             for name, each in told.items()
         ],
     )

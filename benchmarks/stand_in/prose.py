@@ -70,6 +70,7 @@ The area under the ROC curve of a gradient-boosted classifier that is shown fram
 it was not trained on, with its 95 % interval over films. 0.5 is guessing, 1 is certainty; the goal is at
 most 0.6. *Told by* names the features that reach most alone, with their area.
 """
+SEEDS_APART = "check: one seed of the last rung against its others"
 LIMITS = (
     "Rendered pictures are no sea. The detector is real; what it looks at is not. It errs otherwise on photographs.",
     "It is one detector. Another one may need models that this one does not.",
