@@ -38,13 +38,13 @@ from modsim3d.view.pictures.window import Window
 
 WORK = ROOT / "runs" / "stand_in"
 RATE_HZ = 4.0
-TO_LEARN_FROM, TO_COMPARE_ON = 7, 8
+TO_LEARN_FROM, TO_COMPARE_ON = 7, 16
 """Films of each place."""
 ROLES = ("compare", "learn")
 """They take turns."""
 FIRST_SEED = 101
 """Of the first film; each film has a seed of its own."""
-ON_BOARD = (1, 3, 5)
+ON_BOARD = (1, 3, 5, 9, 11, 13)
 """Of the films of a place and a role, those whose camera is on board: one in each weather."""
 
 
@@ -108,8 +108,8 @@ def all_films(work: Path) -> list[Film]:
     The two roles share no seed, so what is compared on is traffic that no learning saw.
     """
     films: list[Film] = []
-    for turn in range(TO_LEARN_FROM + TO_COMPARE_ON):
-        role, k = ROLES[turn % 2], turn // 2
+    turns = [(role, k) for k in range(TO_COMPARE_ON) for role in ROLES if role == "compare" or k < TO_LEARN_FROM]
+    for role, k in turns:
         for p, place in enumerate(PLACES):
             seed = FIRST_SEED + len(films)
             weather = WEATHERS[(k + p) % len(WEATHERS)]
