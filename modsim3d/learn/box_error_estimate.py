@@ -11,11 +11,13 @@ from modsim3d.arrays import Array
 from modsim3d.learn.class_estimate import kept_share
 from modsim3d.learn.entries import Entry, Key, nested
 from modsim3d.learn.error_laws import LAWS, ErrorSample, LearnedLaw, heavy_tails
-from modsim3d.learn.error_persistence import WhiteErrors, compared
+from modsim3d.learn.error_noise import error_lags, latent_share, with_things
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.pairs import ErrorSource
 from modsim3d.learn.persistence_fit import Consecutive
 from modsim3d.learn.resampling import Resampling
+from modsim3d.learn.vessel_noise import vessel_noise, why_none
+from modsim3d.learn.white_errors import WhiteErrors, compared
 
 ERRORS_NEEDED = 20
 """Pairs that the box error of a state needs."""
@@ -37,11 +39,15 @@ class StateErrorForm:
 
 @dataclass(frozen=True)
 class BoxErrorForm:
-    """The model of the box error in each state, and the rough correlation time of errors, 0 if they do not persist."""
+    """The model of the box error in each state, and the rough correlation time of errors, 0 if they do not persist.
+
+    `things_keep` says whether each thing keeps a share of the errors for as long as it is seen.
+    """
 
     states: tuple[StateErrorForm, ...]
     box_s: float
     notes: tuple[str, ...]
+    things_keep: bool = False
 
     @property
     def relative(self) -> bool:
@@ -50,16 +56,23 @@ class BoxErrorForm:
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedBoxErrors:
         """The law of each state and the correlation time of errors."""
-        box_s = None
-        if self.box_s > 0:
-            box_s = Entry(Key(("persistence", "box_s")), consecutive_errors(observed, self.states).column(resampling))
+        box_s, share, white = None, None, white_errors(observed, self.states)
+        if self.things_keep:
+            noise = vessel_noise(error_lags(observed.labelled, white), resampling, latent_share(white))
+            box_s = Entry(Key(("persistence", "box_s")), noise.time_s)
+            share = Entry(Key(("persistence", "box_vessel_share")), noise.share)
+        elif self.box_s > 0:
+            box_s = Entry(Key(("persistence", "box_s")), compared(observed.labelled, white).column(resampling))
         kept, pairs, learned = kept_share(observed, 0.0 if box_s is None else float(box_s.estimate)), observed.pairs, []
         for index, (name, form) in enumerate(zip(observed.states, self.states, strict=True)):
             chosen = pairs.of_source(form.source, form.relative, index)
             errors = pairs.errors(chosen, form.relative)
             sample = ErrorSample(errors, pairs.image[chosen], kept, name, form.unit)
             learned.append(LAWS[form.law].estimate(resampling, sample))
-        return LearnedBoxErrors(self, tuple(learned), box_s)
+        found = tuple(learned)
+        if share is not None:
+            found = with_things(found, observed.labelled, white, observed.states, float(share.estimate))
+        return LearnedBoxErrors(self, found, box_s, share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +82,16 @@ class LearnedBoxErrors:
     form: BoxErrorForm
     states: tuple[LearnedLaw, ...]
     box_s: Entry | None
+    box_vessel_share: Entry | None = None
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """The persistence of errors."""
         if self.box_s is None or self.box_s.estimate <= 0:
             return {}
-        return {"persistence": {"box_s": nested(self.box_s.estimate)}}
+        section = {"box_s": nested(self.box_s.estimate)}
+        if self.box_vessel_share is not None:
+            section["box_vessel_share"] = nested(self.box_vessel_share.estimate)
+        return {"persistence": section}
 
     def state_section(self, state: int) -> dict[str, Any]:
         """Unit and law of the box error."""
@@ -87,7 +104,8 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
     states = tuple(_state_form(observed, index, notes) for index in range(len(observed.states)))
     box_s = _persistence_s(observed, states, notes)
     states = tuple(_with_law(observed, index, form, box_s, notes) for index, form in enumerate(states))
-    return BoxErrorForm(states, box_s, tuple(notes))
+    things_keep = box_s > 0 and _things_keep(observed, states, notes)
+    return BoxErrorForm(states, box_s, tuple(notes), things_keep)
 
 
 def _state_form(observed: Observed, state: int, notes: list[str]) -> StateErrorForm:
@@ -143,6 +161,16 @@ def _persistence_s(observed: Observed, states: tuple[StateErrorForm, ...], notes
     return 0.0
 
 
+def _things_keep(observed: Observed, states: tuple[StateErrorForm, ...], notes: list[str]) -> bool:
+    """Whether each thing surely keeps a share of its errors; a note if not."""
+    if "vessels" in observed.without:
+        return False
+    why = why_none(error_lags(observed.labelled, white_errors(observed, states)))
+    if why:
+        notes.append(f"persistence.box_vessel_share: 0; {why}")
+    return not why
+
+
 def _why_none(observed: Observed, states: tuple[StateErrorForm, ...]) -> str:
     """Why no two errors can be compared."""
     away = (observed.pairs.of_source(ErrorSource.OWN_STATE, form.relative, k) for k, form in enumerate(states))
@@ -152,7 +180,12 @@ def _why_none(observed: Observed, states: tuple[StateErrorForm, ...]) -> str:
 
 
 def consecutive_errors(observed: Observed, states: tuple[StateErrorForm, ...]) -> Consecutive:
-    """Whitened box errors in consecutive frames; products are means over the four components."""
+    """Whitened box errors in consecutive frames."""
+    return compared(observed.labelled, white_errors(observed, states))
+
+
+def white_errors(observed: Observed, states: tuple[StateErrorForm, ...]) -> WhiteErrors:
+    """Box errors of states that have enough, whitened by the law of each."""
     pairs = observed.pairs
     white = np.full((len(pairs), 4), np.nan)
     for index, form in enumerate(states):
@@ -162,4 +195,4 @@ def consecutive_errors(observed: Observed, states: tuple[StateErrorForm, ...]) -
         white[chosen] = LAWS[form.law].whitened(pairs.errors(chosen, form.relative))
     kept = np.flatnonzero(np.isfinite(white[:, 0]))
     laws = tuple(form.law for form in states)
-    return compared(observed.labelled, WhiteErrors(pairs.rows[kept], white[kept], pairs.state[kept], laws))
+    return WhiteErrors(pairs.rows[kept], white[kept], pairs.state[kept], laws)

@@ -16,6 +16,7 @@ RICHER = (
     "student_t",
     "effects",
     "persistence",
+    "vessels",
     "sizes",
     "places",
     "lasting",
@@ -26,7 +27,8 @@ RICHER = (
     "splits",
 )
 """What learning may add to the plain model, and can be told to leave out: box errors that grow with the box, or partly
-do; heavy tails; effects on misses; persistence of misses and box errors; sizes and places of false positives, and how
+do; heavy tails; effects on misses; persistence of misses and box errors, and the share of both
+that a vessel keeps; sizes and places of false positives, and how
 long they last; confidence of true and false detections apart; its slopes; duplicates, merges and splits."""
 SIGNIFICANT = 3.3
 """Standard errors from zero that an effect needs: one in a thousand reaches them by chance."""
