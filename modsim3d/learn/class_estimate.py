@@ -39,7 +39,8 @@ class ClassForm:
         if self.class_s > 0:
             chance = fit if self.effects else _plain_fit(observed)
             if self.things_keep and chance is not None:
-                noise = vessel_noise(miss_lags(observed, chance.chance), resampling, latent_share(chance.chance))
+                table = miss_lags(observed, chance.chance, len(self.effects))
+                noise = vessel_noise(table, resampling, latent_share(chance.chance))
                 share, level = Entry(Key(("persistence", "class_vessel_share")), noise.share), noise.level
                 time_s = noise.time_s
             else:
@@ -183,7 +184,7 @@ def _things_keep(observed: Observed, effects: tuple[Effect, ...], fit: MissFit |
     chance = fit if effects else _plain_fit(observed)
     if chance is None or "vessels" in observed.without:
         return False
-    why = why_none(miss_lags(observed, chance.chance))
+    why = why_none(miss_lags(observed, chance.chance, len(effects)))
     if why:
         notes.append(f"persistence.class_vessel_share: 0; {why}")
     return not why

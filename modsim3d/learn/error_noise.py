@@ -14,7 +14,7 @@ from modsim3d.learn.entries import Entry, entries_of, with_entries
 from modsim3d.learn.error_laws import LAWS
 from modsim3d.learn.resampling import from_scale, spread, to_scale
 from modsim3d.learn.vessel_noise import LagTable
-from modsim3d.learn.white_errors import WhiteErrors
+from modsim3d.learn.white_errors import WhiteErrors, whitened_by_changes
 
 T = TypeVar("T")
 _SHARES = np.linspace(0, 0.99, 100)
@@ -23,12 +23,13 @@ _MEAN, _STD, _CORRELATION = "box_error_mean", "box_error_std", "box_error_correl
 
 def error_lags(labelled: LabelledSet, errors: WhiteErrors) -> LagTable:
     """Products of whitened errors at all times between, means over the four components."""
-    white, square = errors.white, (errors.white**2).mean(axis=1)
+    white = whitened_by_changes(labelled, errors).white
+    square = (white**2).mean(axis=1)
 
     def compare(earlier: Indices, later: Indices) -> tuple[Array, Array]:
         return (white[earlier] * white[later]).mean(axis=1), (square[earlier] + square[later]) / 2
 
-    return LagTable.of(labelled, errors.rows, compare)
+    return LagTable.of(labelled, errors.rows, errors.state, compare)
 
 
 def latent_share(errors: WhiteErrors) -> Callable[[Array], Array]:

@@ -15,8 +15,14 @@ _SHARES = np.linspace(0, 0.99, 100)
 _CHANCES = 50
 
 
-def miss_lags(observed: Observed, chance: Array) -> LagTable:
-    """Products of the residuals of misses at all times between, given the chance of each to be missed, shape (n,)."""
+def miss_lags(observed: Observed, chance: Array, slopes: int) -> LagTable:
+    """Products of the residuals of misses at all times between.
+
+    Args:
+        observed: The misses.
+        chance: Fitted chance of each to be missed, shape (n,).
+        slopes: Number of slopes that were fitted beside the rates of each state and label.
+    """
     residual, variance = observed.missed - chance, np.maximum(chance * (1 - chance), 1e-12)
     size = residual**2 / variance
 
@@ -26,7 +32,8 @@ def miss_lags(observed: Observed, chance: Array) -> LagTable:
         same = np.minimum(first, second) - first * second
         return residual[earlier] * residual[later], same * (size[earlier] + size[later]) / 2
 
-    return LagTable.of(observed.labelled, observed.rows, compare)
+    group = observed.state * len(observed.labelled.labels) + observed.label
+    return LagTable.of(observed.labelled, observed.rows, group, compare, slopes)
 
 
 def latent_share(chance: Array) -> Callable[[Array], Array]:

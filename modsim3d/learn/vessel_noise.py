@@ -19,7 +19,7 @@ from modsim3d.learn.resampling import Column, Kind, Resampling, from_scale, to_s
 
 THINGS_NEEDED = 20
 """Things that a share which each of them keeps is learned from."""
-_GRID = 64
+_GRID, _BINS = 64, 256
 _LARGEST = 0.99
 _LONG = 3.0
 """Correlation times that the longest times between last, so that a share is told from a long memory."""
@@ -35,16 +35,18 @@ class LagTable:
     Attributes:
         products: Shape (m,).
         same: What the products would be if the noise were the same in both, shape (m,).
+        apart_s: Time between the two, shape (m,).
         lag: Which of the lags, shape (m,).
         thing: Whose sightings, shape (m,).
         image: Image of the later one, shape (m,).
         lag_s: Usual time between, of each lag, shape (b,).
         things: Number of things.
-        crowding: Share of a variance that the mean of all sightings takes off a share that things keep.
+        crowding: Part that fitted numbers take of a share that things keep: with a mean of n equal things, 1/n.
     """
 
     products: Array
     same: Array
+    apart_s: Array
     lag: Indices
     thing: Indices
     image: Indices
@@ -53,8 +55,11 @@ class LagTable:
     crowding: float
 
     @classmethod
-    def of(cls, labelled: LabelledSet, rows: Indices, compare: Compare) -> LagTable:
-        """Of annotations (n,) of things with identities in frames with times, neighbours first."""
+    def of(cls, labelled: LabelledSet, rows: Indices, group: Indices, compare: Compare, fitted: int = 0) -> LagTable:
+        """Pairs of annotations (n,) of things with identities in frames with times, neighbours first.
+
+        Residuals are from a mean of each group, shape (n,), and from so many other numbers that were `fitted`.
+        """
         image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
         time_s, sequence = labelled.images.time_s[image], labelled.images.sequence[image]
         known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
@@ -68,13 +73,16 @@ class LagTable:
             near = np.flatnonzero(series[apart:] == series[:-apart])
             earlier, later = place[near], place[near + apart]
             products, same = compare(earlier, later)
-            columns.append((products, same, np.full(len(near), len(lag_s)), series[near], image[later]))
-            lag_s.append(float(np.median(time_s[later] - time_s[earlier])))
-        joined = [np.concatenate(each) for each in zip(*columns, strict=True)] or [np.empty(0)] * 5
-        products, same, lag, thing, images = joined
-        crowding = float((count**2).sum()) / max(float(count.sum()) ** 2, 1.0)
-        whole = lag.astype(np.int64), thing.astype(np.int64), images.astype(np.int64)
-        return cls(products, same, *whole, np.array(lag_s), len(count), crowding)
+            apart_s = time_s[later] - time_s[earlier]
+            columns.append((products, same, apart_s, np.full(len(near), len(lag_s)), series[near], image[later]))
+            lag_s.append(float(np.median(apart_s)))
+        joined = [np.concatenate(each) for each in zip(*columns, strict=True)] or [np.empty(0)] * 6
+        products, same, apart_s, lag, thing, images = joined
+        cells, ours = np.unique(np.column_stack([group[place], series]), axis=0, return_counts=True)
+        whole = np.bincount(cells[:, 0], ours)[cells[:, 0]]
+        crowding = min(float((ours**2 / whole).sum()) / max(len(place), 1) + fitted / max(len(count), 1), 0.9)
+        indices = lag.astype(np.int64), thing.astype(np.int64), images.astype(np.int64)
+        return cls(products, same, apart_s, *indices, np.array(lag_s), len(count), crowding)
 
     def fit(self, resampling: Resampling) -> Fits:
         """The fit of each row of the resampling."""
@@ -94,12 +102,12 @@ class LagTable:
 
     def _fits(self, sums: Array) -> Fits:
         """Least squares over the lags, weighed by how many things have each; sums have shape (rows, b, 2)."""
-        whole = np.bincount(self.lag, self.same, minlength=len(self.lag_s))
+        whole: Array = np.bincount(self.lag, self.same, minlength=len(self.lag_s))
         by_thing = np.bincount(self.thing * len(self.lag_s) + self.lag, self.same, minlength=self.things * len(whole))
         weight = whole**2 / np.maximum((by_thing.reshape(self.things, -1) ** 2).sum(axis=0), 1e-300)
         found = sums[..., 0] / np.where(sums[..., 1] > 0, sums[..., 1], np.inf)
         grid = np.geomspace(0.2 * self.lag_s[0], max(self.lag_s[-1] / _LONG, self.lag_s[0]), _GRID)
-        kept = np.exp(-self.lag_s / grid[:, None])
+        kept = self._kept(grid, whole)
         lost = 1 - kept
         level = (found @ (weight * lost).T - (weight * lost * kept).sum(axis=1)) / (weight * lost**2).sum(axis=1)
         level = np.clip(level, 0, _LARGEST)
@@ -116,6 +124,17 @@ class LagTable:
         level = level[rows, inner] + np.abs(move) * (level[rows, side] - level[rows, inner])
         # The mean of all sightings takes its part of what things keep.
         return Fits(times, level / (1 - self.crowding * (1 - level)))
+
+    def _kept(self, times_s: Array, whole: Array) -> Array:
+        """Mean of e^(−Δt/τ) over the pairs of each lag, some of which have sightings lacking between; shape (g, b)."""
+        log_s = np.log(np.maximum(self.apart_s, 1e-9))
+        edges = np.linspace(log_s.min(), log_s.max() + 1e-9, _BINS + 1)
+        cell = self.lag * _BINS + np.clip(np.searchsorted(edges, log_s, side="right") - 1, 0, _BINS - 1)
+        size = len(whole) * _BINS
+        weight, time_s = np.bincount(cell, self.same, size), np.bincount(cell, self.same * self.apart_s, size)
+        decays = np.exp(-(time_s / np.maximum(weight, 1e-300)) / times_s[:, None]) * weight
+        kept: Array = decays.reshape(len(times_s), len(whole), _BINS).sum(axis=2) / np.maximum(whole, 1e-300)
+        return kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,28 +37,37 @@ class WhiteErrors:
 
 
 def compared(labelled: LabelledSet, errors: WhiteErrors) -> Consecutive:
-    """Errors of the same thing in consecutive frames; products are means over the four components.
+    """Errors of the same thing in consecutive frames; products are means over the four components."""
+    return _whitened_by_changes(labelled, errors)[1]
+
+
+def whitened_by_changes(labelled: LabelledSet, errors: WhiteErrors) -> WhiteErrors:
+    """The errors, scaled so that their changes from frame to frame have a covariance in proportion to 1.
 
     Few errors that persist do not tell their covariance well, and whitened by it they look less alike from frame to
     frame than they are. Changes from frame to frame are independent of each other. So errors are whitened by the
     covariance of changes, which depends on the correlation time: both are found in a few rounds.
     """
+    return _whitened_by_changes(labelled, errors)[0]
+
+
+def _whitened_by_changes(labelled: LabelledSet, errors: WhiteErrors) -> tuple[WhiteErrors, Consecutive]:
     steps = steps_between(labelled, errors.rows)
     image = labelled.annotations.image[errors.rows][steps.later]
     stretches = stretches_of(labelled, errors.rows, errors.state)
     found = replace(_products(steps, errors.white, image), stretches=stretches)
     if not len(steps):
-        return found
+        return errors, found
     ways = [LAWS[law] for law in errors.laws]
     directions = np.array([law != "normal" for law in errors.laws])[errors.state]
-    later = np.arange(len(steps))
+    later, white = np.arange(len(steps)), errors.white
     for _ in range(_ROUNDS):
         correlation = np.exp(-steps.apart_s / max(found.rough_time_s(), 1e-9))
         left = np.stack([law.correlation_left(correlation) for law in ways])[errors.state[steps.later], later]
         white = _whitened_again(errors.white, errors.state, steps, correlation * left, directions)
         found = replace(_products(steps, white, image), stretches=stretches)
         found = replace(found, expected=found.expected * left)
-    return found
+    return replace(errors, white=white), found
 
 
 def _products(steps: Steps, white: Array, image: Indices) -> Consecutive:
