@@ -24,6 +24,8 @@ from modsim3d.random_streams import GRID, Purpose, Streams, grid_normals, on_gri
 
 Clock = Callable[[int, int], Array]
 """Times of steps first to stop − 1 in seconds since the scene's first, shape (stop − first,)."""
+NEVER_CHANGES_S = 1e9
+"""A correlation time that no run is long enough to tell from an endless one."""
 _DECAY_STEP = 2.0**-40  # finer than the grid of drawn numbers: a decay close to one must stay what it is
 _MOST_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the memory
 
@@ -44,6 +46,16 @@ class Persistence:
     box_s: float = 0.0
     class_vessel_share: float = 0.0
     box_vessel_share: float = 0.0
+
+    @property
+    def class_memory_s(self) -> float:
+        """Time in which misses and confusions are forgotten; endless where vessels keep a share."""
+        return NEVER_CHANGES_S if self.class_vessel_share else self.class_s
+
+    @property
+    def box_memory_s(self) -> float:
+        """Time in which box errors are forgotten; endless where vessels keep a share."""
+        return NEVER_CHANGES_S if self.box_vessel_share else self.box_s
 
 
 def with_share(share: float, kept: Array, varying: Array) -> Array:

@@ -102,7 +102,7 @@ class LagTable:
 
     def _fits(self, sums: Array) -> Fits:
         """Least squares over the lags, weighed by how many things have each; sums have shape (rows, b, 2)."""
-        whole: Array = np.bincount(self.lag, self.same, minlength=len(self.lag_s))
+        whole = np.bincount(self.lag, self.same, len(self.lag_s)).astype(np.float64)
         by_thing = np.bincount(self.thing * len(self.lag_s) + self.lag, self.same, minlength=self.things * len(whole))
         weight = whole**2 / np.maximum((by_thing.reshape(self.things, -1) ** 2).sum(axis=0), 1e-300)
         found = sums[..., 0] / np.where(sums[..., 1] > 0, sums[..., 1], np.inf)
