@@ -20,22 +20,51 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.detector.box_error_law import ERROR_NORMALS
 from modsim3d.detector.draws import BOX_ERROR_STREAMS, latent_normals, target_uniforms
 from modsim3d.detector.records import CameraFrames, Targets
-from modsim3d.random_streams import Purpose, Streams, grid_normals, on_grid
+from modsim3d.random_streams import GRID, Purpose, Streams, grid_normals, on_grid
 
 Clock = Callable[[int, int], Array]
 """Times of steps first to stop − 1 in seconds since the scene's first, shape (stop − first,)."""
 _UNIFORM_STEP = 2.0**-40
+NEVER_CHANGES_S = 1e9
+"""A correlation time that no run is long enough to tell from an endless one."""
 _DECAY_STEP = 2.0**-40  # finer than the grid of drawn numbers: a decay close to one must stay what it is
 _MOST_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the memory
 
 
 @dataclass(frozen=True)
 class Persistence:
-    """Correlation times of misses and confusions, of box errors and of confidence; 0 means independent draws."""
+    """How long misses, confusions, box errors and confidence persist, and what a vessel keeps of them for a whole run.
+
+    Attributes:
+        class_s: Correlation time of misses and confusions in seconds; 0 means independent draws.
+        box_s: That of box errors.
+        confidence_s: That of confidence.
+        class_vessel_share: Share of the variance of the latent number of misses and confusions that each vessel keeps
+            in each camera, in [0, 1).
+        box_vessel_share: That of the latent numbers of box errors.
+    """
 
     class_s: float = 0.0
     box_s: float = 0.0
     confidence_s: float = 0.0
+    class_vessel_share: float = 0.0
+    box_vessel_share: float = 0.0
+
+    @property
+    def class_memory_s(self) -> float:
+        """Time in which misses and confusions are forgotten; endless where vessels keep a share."""
+        return NEVER_CHANGES_S if self.class_vessel_share else self.class_s
+
+    @property
+    def box_memory_s(self) -> float:
+        """Time in which box errors are forgotten; endless where vessels keep a share."""
+        return NEVER_CHANGES_S if self.box_vessel_share else self.box_s
+
+
+def with_share(share: float, kept: Array, varying: Array) -> Array:
+    """Standard normal numbers of which a share of the variance is kept, from such numbers of one shape."""
+    result: Array = math.sqrt(share) * kept + math.sqrt(1 - share) * varying
+    return result
 
 
 class Process(Protocol):
@@ -168,15 +197,38 @@ class VesselNoise:
 
     def uniforms(self, frames: CameraFrames, targets: Targets) -> Array:
         """Uniform numbers for class and dropout, shape (n,)."""
-        if not self._persistence.class_s:
-            return target_uniforms(self._streams, Purpose.CLASS, frames, targets)[:, 0]
-        return self._walked(KeptUniform(self._persistence.class_s), frames, targets)[:, 0]
+        persistence = self._persistence
+        if persistence.class_s:
+            uniforms = self._walked(KeptUniform(persistence.class_s), frames, targets)
+        else:
+            uniforms = target_uniforms(self._streams, Purpose.CLASS, frames, targets)
+        share = persistence.class_vessel_share
+        if not share:
+            return uniforms[:, 0]
+        kept = self._kept_by_vessels(Purpose.CLASS_VESSEL, frames, targets)
+        mixed = on_grid(special.ndtr(with_share(share, kept, grid_normals(uniforms[:, :1]))))
+        return np.minimum(mixed[:, 0], 1 - GRID)  # a number of one would miss what is never missed
 
     def normals(self, frames: CameraFrames, targets: Targets, extra: int = 0) -> Array:
         """Standard normal numbers that box errors are made from, shape (n, 4 + extra)."""
-        if not self._persistence.box_s:
-            return latent_normals(self._streams, BOX_ERROR_STREAMS, frames, targets, extra)
-        return self._walked(Autoregressive(self._persistence.box_s, ERROR_NORMALS + extra), frames, targets)
+        persistence = self._persistence
+        if persistence.box_s:
+            normals = self._walked(Autoregressive(persistence.box_s, ERROR_NORMALS + extra), frames, targets)
+        else:
+            normals = latent_normals(self._streams, BOX_ERROR_STREAMS, frames, targets, extra)
+        share = persistence.box_vessel_share
+        if not share:
+            return normals
+        kept = self._kept_by_vessels(Purpose.BOX_ERROR_VESSEL, frames, targets)
+        errors = with_share(share, kept, normals[:, :ERROR_NORMALS])
+        return np.concatenate([errors, normals[:, ERROR_NORMALS:]], axis=1)
+
+    def _kept_by_vessels(self, purpose: Purpose, frames: CameraFrames, targets: Targets) -> Array:
+        """Standard normal numbers that belong to the camera and the vessel of each target, shape (n, width)."""
+        present, place = np.unique(targets.vessel, return_inverse=True)
+        names = [targets.vessel_ids[vessel] for vessel in present]
+        kept = [self._streams.uniforms(purpose, frames.camera, name, first=0, count=1) for name in names]
+        return grid_normals(np.concatenate([np.empty((0, purpose.uniforms)), *kept]))[place]
 
     def score_uniforms(self, frames: CameraFrames, targets: Targets) -> Array:
         """Uniform numbers for confidence and order, shape (n, 2)."""

@@ -14,12 +14,14 @@ from modsim3d.learn.error_choice import ChosenLaw, choose_law, plain_unit
 from modsim3d.learn.error_fits import ErrorFits
 from modsim3d.learn.error_laws import ErrorSample, LearnedErrors, learned_errors
 from modsim3d.learn.error_model import ErrorModel, Unit
-from modsim3d.learn.error_persistence import consecutive_errors
+from modsim3d.learn.error_noise import error_lags, latent_share, with_things
+from modsim3d.learn.error_persistence import WhiteErrors, consecutive_errors, white_errors
 from modsim3d.learn.error_usage import UsedMatches
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.pairs import ErrorSource
 from modsim3d.learn.persistence_fit import Consecutive
 from modsim3d.learn.resampling import Resampling
+from modsim3d.learn.vessel_noise import vessel_noise, why_none
 
 ERRORS_NEEDED = 20
 """Pairs with all sides in the image that the box error of a state needs."""
@@ -36,11 +38,15 @@ class StateErrorForm:
 
 @dataclass(frozen=True)
 class BoxErrorForm:
-    """The model of the box error in each state, and the rough correlation time of errors, 0 if they do not persist."""
+    """The model of the box error in each state, and the rough correlation time of errors, 0 if they do not persist.
+
+    `things_keep` says whether each thing keeps a share of the errors for as long as it is seen.
+    """
 
     states: tuple[StateErrorForm, ...]
     box_s: float
     notes: tuple[str, ...]
+    things_keep: bool = False
 
     @property
     def relative(self) -> bool:
@@ -51,29 +57,56 @@ class BoxErrorForm:
         """The law of each state and the correlation time of errors."""
         fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
         found = [each.chosen(form.unit, form.law != "normal") for each, form in zip(fits, self.states, strict=True)]
-        box_s = None
-        if self.box_s > 0:
-            box_s = Entry(Key(("persistence", "box_s")), self._consecutive(observed, fits).column(resampling))
-        kept, learned, used = kept_share(observed, 0.0 if box_s is None else float(box_s.estimate)), [], []
+        persistence = self._persistence(observed, fits, resampling) if self.box_s > 0 else ErrorPersistence()
+        box_s = 0.0 if persistence.box_s is None else float(persistence.box_s.estimate)
+        kept, learned, used = kept_share(observed, box_s), [], []
         for index, (name, form) in enumerate(zip(observed.states, self.states, strict=True)):
             edges, fit = fits[index].edges, found[index]
             errors = edges.errors_px / (edges.sides_px if form.unit == "relative" else 1.0)
             learned.append(learned_errors(resampling, ErrorSample(errors, edges.image, kept, name, form.unit, fit)))
             used.append(UsedMatches.of(name, observed.pairs, index, edges, fit))
-        return LearnedBoxErrors(tuple(learned), box_s, tuple(used))
+        states = tuple(learned)
+        if persistence.white is not None and persistence.vessel_share is not None:
+            share = float(persistence.vessel_share.estimate)
+            states = with_things(states, observed.labelled, persistence.white, observed.states, share)
+        return LearnedBoxErrors(states, persistence.box_s, persistence.vessel_share, tuple(used))
 
-    def _consecutive(self, observed: Observed, fits: Sequence[ErrorFits]) -> Consecutive:
-        """Errors in consecutive frames by the law of each state, by the plain one if its tails leave nothing to use."""
-        heavy = [form.law != "normal" for form in self.states]
-        for tails in (heavy, [False] * len(heavy)):
-            models = [
-                _own_model(each, form.source, form.unit, tail)
-                for each, form, tail in zip(fits, self.states, tails, strict=True)
-            ]
-            found = consecutive_errors(observed, models)
-            if len(found):
-                break
-        return found
+    def _persistence(self, observed: Observed, fits: Sequence[ErrorFits], resampling: Resampling) -> ErrorPersistence:
+        consecutive, models = _consecutive(observed, fits, self.states)
+        time, share = Key(("persistence", "box_s")), Key(("persistence", "box_vessel_share"))
+        if not self.things_keep:
+            return ErrorPersistence(Entry(time, consecutive.column(resampling)))
+        white = white_errors(observed, models)
+        noise = vessel_noise(error_lags(observed.labelled, white), resampling, latent_share(white))
+        return ErrorPersistence(Entry(time, noise.time_s), Entry(share, noise.share), white)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorPersistence:
+    """The correlation time of errors and the share that things keep, None for none; and the errors that show both."""
+
+    box_s: Entry | None = None
+    vessel_share: Entry | None = None
+    white: WhiteErrors | None = None
+
+
+def _consecutive(
+    observed: Observed, fits: Sequence[ErrorFits], forms: Sequence[StateErrorForm]
+) -> tuple[Consecutive, list[ErrorModel | None]]:
+    """Errors in consecutive frames by the law of each state, by the plain one if its tails leave nothing to use.
+
+    And those laws.
+    """
+    heavy = [form.law != "normal" for form in forms]
+    models: list[ErrorModel | None] = []
+    for tails in (heavy, [False] * len(heavy)):
+        models = [
+            _own_model(each, form.source, form.unit, tail) for each, form, tail in zip(fits, forms, tails, strict=True)
+        ]
+        found = consecutive_errors(observed, models)
+        if len(found):
+            break
+    return found, models
 
 
 def _own_model(fits: ErrorFits, source: ErrorSource, unit: Unit, heavy: bool = False) -> ErrorModel | None:
@@ -84,20 +117,28 @@ def _own_model(fits: ErrorFits, source: ErrorSource, unit: Unit, heavy: bool = F
 
 @dataclass(frozen=True, eq=False)
 class LearnedBoxErrors:
-    """The law of the box error in each state, the correlation time of errors, None if they do not persist.
+    """The law of the box error in each state, and how errors persist.
 
-    `used` says which matches count.
+    Attributes:
+        states: The law in each state.
+        box_s: The correlation time of errors, None if they do not persist.
+        box_vessel_share: The share that each thing keeps, None if there is none.
+        used: Which matches count.
     """
 
     states: tuple[LearnedErrors, ...]
     box_s: Entry | None
+    box_vessel_share: Entry | None
     used: tuple[UsedMatches, ...]
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """The persistence of errors."""
         if self.box_s is None or self.box_s.estimate <= 0:
             return {}
-        return {"persistence": {"box_s": nested(self.box_s.estimate)}}
+        section = {"box_s": nested(self.box_s.estimate)}
+        if self.box_vessel_share is not None:
+            section["box_vessel_share"] = nested(self.box_vessel_share.estimate)
+        return {"persistence": section}
 
     def state_section(self, state: int) -> dict[str, Any]:
         """Unit and law of the box error."""
@@ -124,7 +165,8 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
                 "how far errors spread beyond it"
             )
         forms.append(StateErrorForm(law.unit, source, "student_t" if law.heavy else "normal"))
-    return BoxErrorForm(tuple(forms), box_s, tuple(notes))
+    things_keep = box_s > 0 and _things_keep(observed, fits, forms, notes)
+    return BoxErrorForm(tuple(forms), box_s, tuple(notes), things_keep)
 
 
 def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:
@@ -164,6 +206,19 @@ def _persistence_s(observed: Observed, sources: list[ErrorSource], fits: list[Er
         return consecutive.rough_time_s()
     notes.append(f"persistence.box_s: 0; {found.doubt if len(consecutive) else _why_none(sources)}")
     return 0.0
+
+
+def _things_keep(
+    observed: Observed, fits: Sequence[ErrorFits], forms: Sequence[StateErrorForm], notes: list[str]
+) -> bool:
+    """Whether each thing surely keeps a share of its errors; a note if not."""
+    if "vessels" in observed.without:
+        return False
+    white = white_errors(observed, _consecutive(observed, fits, forms)[1])
+    why = why_none(error_lags(observed.labelled, white))
+    if why:
+        notes.append(f"persistence.box_vessel_share: 0; {why}")
+    return not why
 
 
 def _why_none(sources: list[ErrorSource]) -> str:

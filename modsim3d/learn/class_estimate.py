@@ -11,32 +11,48 @@ from modsim3d.arrays import Array
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, MissFit, attribute_values, fit_misses
 from modsim3d.learn.entries import Entry, Key, columns_of_one, digits
 from modsim3d.learn.form import SIGNIFICANT, ratio
+from modsim3d.learn.miss_noise import crowds, latent_share, miss_lags
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.persistence_fit import Consecutive, frame_interval_s, why_no_steps
 from modsim3d.learn.resampling import Column, Resampling, resample, spread, widened
+from modsim3d.learn.vessel_noise import vessel_noise, why_none
 
 _TRIALS, _USUAL_RUNS = 200, 24
 
 
 @dataclass(frozen=True)
 class ClassForm:
-    """Effects on the odds of a miss, and the rough correlation time of misses, 0 if they do not persist."""
+    """Effects on the odds of a miss, and the rough correlation time of misses, 0 if they do not persist.
+
+    `things_keep` says whether each thing keeps a share of the noise for as long as it is seen.
+    """
 
     effects: tuple[Effect, ...]
     class_s: float
     notes: tuple[str, ...]
+    things_keep: bool = False
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedClasses:
         """Confusion matrices of each state, slopes of the effects, and the correlation time of misses."""
         fit = fit_misses(observed, self.effects, resampling) if self.effects else None
-        class_s, kept = None, 0.0
+        class_s, share, kept, level = None, None, 0.0, 0.0
         if self.class_s > 0:
             chance = fit if self.effects else _plain_fit(observed)
-            class_s = Entry(Key(("persistence", "class_s")), consecutive_misses(observed, chance).column(resampling))
+            if self.things_keep and chance is not None:
+                table = miss_lags(observed, chance.chance, len(self.effects))
+                noise = vessel_noise(table, resampling, latent_share(chance.chance))
+                share, level = Entry(Key(("persistence", "class_vessel_share")), noise.share), noise.level
+                time_s = noise.time_s
+            else:
+                time_s = consecutive_misses(observed, chance).column(resampling)
+            class_s = Entry(Key(("persistence", "class_s")), time_s)
             kept = kept_share(observed, float(class_s.estimate))
-        inflation = (1 + kept) / (1 - kept)
+        crowd = crowds(observed, len(observed.labelled.labels))
+        by_label = (1 - level) * (1 + kept) / (1 - kept) + level * crowd
+        inflation = float(by_label.max())
         slopes = () if fit is None else _slopes(observed, self.effects, fit, inflation)
-        return LearnedClasses(slopes, class_s, _confusion(observed, fit, resampling, inflation), inflation)
+        confusion = _confusion(observed, fit, resampling, by_label)
+        return LearnedClasses(slopes, class_s, share, confusion, inflation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +68,7 @@ class LearnedClasses:
     """Numbers of dropout and class; `class_s` is the correlation time of misses, None if they do not persist.
 
     Attributes:
+        class_vessel_share: Share of the latent noise that each thing keeps; None if there is none.
         confusion: Of each state, shape (k + 1, k); NaN in columns of labels that were never there.
         inflation: Variance of the number of frames in which a thing is missed or confused, over that of independent
             frames.
@@ -59,6 +76,7 @@ class LearnedClasses:
 
     effects: tuple[LearnedEffect, ...]
     class_s: Entry | None
+    class_vessel_share: Entry | None
     confusion: tuple[Entry, ...]
     inflation: float
 
@@ -74,6 +92,8 @@ class LearnedClasses:
             }
         if self.class_s is not None and self.class_s.estimate > 0:
             sections["persistence"] = {"class_s": digits(self.class_s.estimate)}
+            if self.class_vessel_share is not None:
+                sections["persistence"]["class_vessel_share"] = digits(self.class_vessel_share.estimate)
         return sections
 
     def state_section(self, state: int) -> dict[str, Any]:
@@ -87,7 +107,8 @@ def choose_classes(observed: Observed) -> ClassForm:
     candidates = () if "effects" in observed.without else _candidates(observed, notes)
     effects, fit = _significant(observed, candidates, notes)
     class_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, effects, fit, notes)
-    return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)))
+    things_keep = class_s > 0 and _things_keep(observed, effects, fit, notes)
+    return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)), things_keep)
 
 
 def _candidates(observed: Observed, notes: list[str]) -> tuple[Effect, ...]:
@@ -159,6 +180,17 @@ def _persistence_s(observed: Observed, effects: tuple[Effect, ...], fit: MissFit
     return 0.0
 
 
+def _things_keep(observed: Observed, effects: tuple[Effect, ...], fit: MissFit | None, notes: list[str]) -> bool:
+    """Whether each thing surely keeps a share of the noise of misses; a note if not."""
+    chance = fit if effects else _plain_fit(observed)
+    if chance is None or "vessels" in observed.without:
+        return False
+    why = why_none(miss_lags(observed, chance.chance, len(effects)))
+    if why:
+        notes.append(f"persistence.class_vessel_share: 0; {why}")
+    return not why
+
+
 def _empty_columns(observed: Observed) -> list[str]:
     """Notes on labels that a state has not seen."""
     notes, k = [], len(observed.labelled.labels)
@@ -209,8 +241,11 @@ def _slopes(
     return tuple(learned)
 
 
-def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, inflation: float) -> tuple[Entry, ...]:
-    """Confusion matrix of each state; where effects were fitted, misses have the rates that the effects leave."""
+def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, inflation: Array) -> tuple[Entry, ...]:
+    """Confusion matrix of each state; where effects were fitted, misses have the rates that the effects leave.
+
+    `inflation` is that of the variance of a count of each state and label, shape (states, labels).
+    """
     labels = observed.labelled.labels
     k, states = len(labels), len(observed.states)
     cell = (observed.state * (k + 2) + observed.seen_as) * k + observed.label
@@ -232,7 +267,7 @@ def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, 
     for index, name in enumerate(observed.states):
         table = np.where(np.isfinite(rates[:, index]), rates[:, index], everywhere)
         key = Key(("confusion",), name, ((*labels, "missed"), labels), own_table=True)
-        entries.append(Entry(key, Column(table, "share", np.tile(whole[0, index], (k + 1, 1)), inflation)))
+        entries.append(Entry(key, Column(table, "share", np.tile(whole[0, index], (k + 1, 1)), inflation[index])))
     return tuple(entries)
 
 

@@ -43,13 +43,49 @@ class _Steps:
     apart_s: Array
 
 
+@dataclass(frozen=True, eq=False)
+class WhiteErrors:
+    """Errors of boxes of which every edge counts, as uncorrelated numbers of variance one.
+
+    Attributes:
+        rows: Their annotations, shape (n,).
+        white: The errors, shape (n, 4).
+        state: State of each, shape (n,).
+        heavy: Whether a state's errors have heavy tails, so that `white` has directions alone, shape (states,).
+    """
+
+    rows: Indices
+    white: Array
+    state: Indices
+    heavy: Mask
+
+
 def consecutive_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> Consecutive:
     """Whitened box errors in consecutive frames, given the distribution in each state, None where there is none.
 
-    Products are means over as many components as edges count in both frames. Few errors that persist do not tell their
-    correlation well, and whitened by it they look less alike from frame to frame than they are. Changes from frame to
-    frame are independent of each other. So errors are whitened by the correlation of changes, which depends on the
-    correlation time: both are found in a few rounds.
+    Products are means over as many components as edges count in both frames.
+    """
+    return _settled(observed, models)[0]
+
+
+def white_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> WhiteErrors:
+    """Errors of boxes of which every edge counts, whitened as in `consecutive_errors`."""
+    pairs, (_, shapes) = observed.pairs, _settled(observed, models)
+    kept = np.flatnonzero(_clear_edges(pairs, models).all(axis=1))
+    white = _whitened(pairs, models, shapes, kept, np.arange(4))
+    return WhiteErrors(pairs.rows[kept], white, pairs.state[kept], _heavy(models))
+
+
+def _heavy(models: Sequence[ErrorModel | None]) -> Mask:
+    return np.array([model is not None and model.heavy for model in models], dtype=bool)
+
+
+def _settled(observed: Observed, models: Sequence[ErrorModel | None]) -> tuple[Consecutive, Sequence[Array | None]]:
+    """Errors in consecutive frames, and the correlation of each state's standardised errors by which they are whitened.
+
+    Few errors that persist do not tell their correlation well, and whitened by it they look less alike from frame to
+    frame than they are. Changes from frame to frame are independent of each other. So errors are whitened by the
+    correlation of changes, which depends on the correlation time: both are found in a few rounds.
     """
     pairs = observed.pairs
     patterns = _clear_edges(pairs, models) @ _EDGES
@@ -62,8 +98,7 @@ def consecutive_errors(observed: Observed, models: Sequence[ErrorModel | None]) 
     shapes = [None if model is None else model.correlation for model in models]
     stretches = stretches_of(observed.labelled, pairs.rows[kept], pairs.state[kept])
     result, counts = _products(pairs, models, shapes, steps)
-    is_heavy: Mask = np.array([model is not None and model.heavy for model in models], dtype=bool)
-    heavy = is_heavy[pairs.state[steps.later]]
+    heavy = _heavy(models)[pairs.state[steps.later]]
     result = replace(result, stretches=stretches)
     for _ in range(_ROUNDS if len(result) else 0):
         correlation = np.exp(-steps.apart_s / max(result.rough_time_s(), 1e-9))
@@ -71,7 +106,7 @@ def consecutive_errors(observed: Observed, models: Sequence[ErrorModel | None]) 
         shapes = _shapes_of_changes(pairs, models, steps, correlation * left)
         result, _ = _products(pairs, models, shapes, steps)
         result = replace(result, expected=result.expected * left, stretches=stretches)
-    return result
+    return result, shapes
 
 
 def _products(

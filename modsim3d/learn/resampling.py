@@ -98,7 +98,7 @@ class Column:
     values: Array
     kind: Kind
     counts: Array
-    inflation: float = 1.0
+    inflation: float | Array = 1.0
 
     @property
     def estimate(self) -> Array:

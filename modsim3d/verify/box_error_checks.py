@@ -62,7 +62,7 @@ def box_error_checks(
 def fit_checks(model: DetectorModel, evidence: Evidence, fits: StateFits) -> list[Parameter]:
     """The parameters of each state that was fitted; the boxes themselves; correlation from frame to frame."""
     found = [fit for fit in fits.values() if fit is not None]
-    replayed = replay(model, evidence, found) if model.persistence.box_s > 0 else None
+    replayed = replay(model, evidence, found) if model.persistence.box_memory_s > 0 else None
     parameters = []
     for s, fit in fits.items():
         errors = None if replayed is None or fit is None else replayed.errors[found.index(fit)]

@@ -17,6 +17,7 @@ from modsim3d.boxes import inside_image, move
 from modsim3d.detector.box_error import symmetric_root
 from modsim3d.detector.box_error_law import ERROR_NORMALS, standardised
 from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.persistence import Persistence, with_share
 from modsim3d.verify.error_fit import ErrorSample, StateFit
 from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.evidence import Evidence
@@ -54,7 +55,7 @@ def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Re
     found = []
     width = ERROR_NORMALS + max(fit.law.distribution.extra_normals for fit in fits)
     for _ in range(0, _REPLAYS, _REPLAYS_AT_ONCE):
-        latent = latent_paths(tracks, times_s, model.persistence.box_s, rng, _REPLAYS_AT_ONCE, width)
+        latent = latent_paths(tracks, times_s, model.persistence, rng, _REPLAYS_AT_ONCE, width)
         whitened = np.empty((_REPLAYS_AT_ONCE, len(times_s), 4))
         for k, fit in enumerate(fits):
             ours = slice(ends[k], ends[k + 1])
@@ -82,7 +83,8 @@ def box_persistence(
         asked, left, error, known = 0.0, 0.0, (4 * len(now)) ** -0.5, math.inf
     else:
         times_s = evidence.instances.time_s[_instances_of(evidence, fits)]
-        asked = float(np.exp(-(times_s[now] - times_s[before]) / model.persistence.box_s).mean())
+        share = model.persistence.box_vessel_share
+        asked = share + (1 - share) * float(_kept(times_s[now] - times_s[before], model.persistence.box_s).mean())
         left, error = float(replayed.products.mean()), float(replayed.products.std())
         known = error / math.sqrt(len(replayed.products))
     # Truncation leaves part of a correlation: replays show which, or the boxes do where the correlation is small.
@@ -143,22 +145,32 @@ def _own_scale(whitened: Array) -> Array:
 
 
 def latent_paths(
-    tracks: Indices, times_s: Array, correlation_s: float, rng: np.random.Generator, count: int, width: int
+    tracks: Indices, times_s: Array, persistence: Persistence, rng: np.random.Generator, count: int, width: int
 ) -> Array:
     """Standard normal numbers that persist along tracks, for `count` replays of n rows, shape (count, n, width).
 
-    Rows of `tracks`, shape (n, k), are equal in one track; times have shape (n,).
+    Rows of `tracks`, shape (n, k), are equal in one track; times have shape (n,). Each track keeps its share of the
+    numbers behind errors.
     """
     order = np.lexsort((times_s, *tracks.T[::-1]))
     starts = np.append(True, (tracks[order][1:] != tracks[order][:-1]).any(axis=1))
     apart = np.diff(times_s[order], prepend=0.0)
-    kept = np.where(starts, 0.0, np.exp(-np.maximum(apart, 0) / correlation_s))
+    kept = np.where(starts, 0.0, _kept(np.maximum(apart, 0), persistence.box_s))
     paths = rng.standard_normal((len(order), count, width))
     for i in np.flatnonzero(kept > 0).tolist():
         paths[i] = kept[i] * paths[i - 1] + np.sqrt(1 - kept[i] ** 2) * paths[i]
+    if persistence.box_vessel_share:
+        own = rng.standard_normal((int(starts.sum()), count, ERROR_NORMALS))[np.cumsum(starts) - 1]
+        paths[..., :ERROR_NORMALS] = with_share(persistence.box_vessel_share, own, paths[..., :ERROR_NORMALS])
     result = np.empty_like(paths)
     result[order] = paths
     return np.swapaxes(result, 0, 1)
+
+
+def _kept(apart_s: Array, correlation_s: float) -> Array:
+    """What is left of a correlation after some time, shape of the times; nothing where noise does not persist."""
+    kept: Array = np.exp(-apart_s / correlation_s) if correlation_s > 0 else np.zeros(np.shape(apart_s))
+    return kept
 
 
 def replayed_errors(law: ErrorParameters, sample: ErrorSample, latent: Array, rng: np.random.Generator) -> Array:

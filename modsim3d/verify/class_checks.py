@@ -19,11 +19,13 @@ from modsim3d.verify.measures import Estimate, Exact, Measure
 from modsim3d.verify.pairs import inflation, lag_pairs, turn_before
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.rate_measures import Rate
+from modsim3d.verify.vessel_shares import variance_of_sum
 
 BACKGROUND = "background"
 LEAST_CHANCES = 30
 """Independent instances of a label in a state, below which its column is not tested."""
 LEAST_PAIRS = 100
+_SHARED_NOTE = "not tested where vessels keep a share of their noise"
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +129,14 @@ def _share(
         kept: Array = np.maximum(common, 0) - probability[later] * probability[earlier]
         return kept
 
-    factor = inflation(*evidence.instances.tracks(rows), model.persistence.class_s, spread, covariance)
+    if model.persistence.class_vessel_share:
+        if model.merges_and_splits.merges and not low.any():  # which vessels merge changes what the others keep
+            return None
+        amount, alone = np.ones(len(rows)), max(float(spread.sum()), 1e-300)
+        asked = variance_of_sum(*evidence.instances.tracks(rows), model.persistence, (low, high), amount)
+        factor = max(asked / alone, 1.0)
+    else:
+        factor = inflation(*evidence.instances.tracks(rows), model.persistence.class_s, spread, covariance)
     if len(rows) / factor < LEAST_CHANCES:
         return None
     mean, count = float(probability.mean()), int(happened.sum())
@@ -151,11 +160,13 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, expected: Expected
     missed = evidence.instances.outcome[rows] == -1
     low, high = expected.edges[rows, -2], expected.edges[rows, -1]
     overall = None if note else _share(model, evidence, rows, missed, low, high)
-    persistence = None if note else _persistence(model, evidence, expected)
+    shared = bool(model.persistence.class_vessel_share)
+    persistence = None if note or shared else _persistence(model, evidence, expected)
+    said = _SHARED_NOTE if shared else correlation_note(persistence)
     return [
         Parameter("dropout, all states", Part.CLASS, overall, in_file=False, note=note),
         *([] if note else dropout_checks(model, evidence, expected.passed, expected.missed)),
-        Parameter("persistence.class_s", Part.CLASS, persistence, note=correlation_note(persistence)),
+        Parameter("persistence.class_s", Part.CLASS, persistence, note=said),
     ]
 
 
@@ -258,7 +269,10 @@ def _effect(
     if information < 1e-9 * max(float((spread * amount**2).sum()), 1e-300):
         return None
     variance = information
-    if model.persistence.class_s > 0:
+    if model.persistence.class_vessel_share:
+        bounds = 1 - p, np.ones(len(p))
+        variance = variance_of_sum(*instances.tracks(rows), model.persistence, bounds, free)
+    elif model.persistence.class_s > 0:
         for later, earlier, apart in lag_pairs(*instances.tracks(rows), model.persistence.class_s):
             kept = np.minimum(p[later], p[earlier]) - p[later] * p[earlier]
             shared = np.exp(-apart / model.persistence.class_s) * kept * free[later] * free[earlier]

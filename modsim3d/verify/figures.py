@@ -13,7 +13,7 @@ from modsim3d.verify.class_checks import miss_probabilities
 from modsim3d.verify.error_parameters import parameter_names
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.parameters import Verdict, Verification
-from modsim3d.verify.run_lengths import expected_run_lengths, missed_again, run_lengths
+from modsim3d.verify.run_lengths import asked_run_lengths, run_lengths
 from modsim3d.view.pages import charts
 
 _MOST_DOTS = 1200
@@ -103,9 +103,7 @@ def miss_lengths(model: DetectorModel, evidence: Evidence) -> str:
     """How many frames in a row vessels are missed, and what is expected."""
     found = run_lengths(evidence)
     most = max(len(found) - 1, 4)
-    missed = miss_probabilities(model, evidence)
-    again = missed_again(model, evidence, missed)
-    expected = expected_run_lengths(missed, again, evidence.instances.before, most)
+    expected = asked_run_lengths(model, evidence, miss_probabilities(model, evidence), most)
     counts = np.zeros(most)
     counts[: len(found) - 1] = found[1:]
     lengths = np.arange(1.0, most + 1)

@@ -15,6 +15,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.persistence import NEVER_CHANGES_S
 from modsim3d.verify.error_fit import StateFit
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.measures import Estimate, Exact, Measure
@@ -32,7 +33,6 @@ LEAST_WORTH, LEAST_PERSISTENT_WORTH = 100, 300
 _LEAST_EVENTS = 10.0
 _FORGOTTEN = 10.0
 """Correlation times after which residuals count as independent: 5e-5 of a correlation is left."""
-_NEVER_CHANGES_S = 1e9
 _CANDIDATES = 40
 
 
@@ -93,7 +93,7 @@ def independence_checks(model: DetectorModel, evidence: Evidence, fits: Sequence
 def _repeated_errors(model: DetectorModel, evidence: Evidence, fits: Sequence[StateFit]) -> Parameter:
     """Whether the four errors of a box are those of another box, to the last bit: drawn numbers never are."""
     measure = None
-    if fits and model.persistence.box_s < _NEVER_CHANGES_S:
+    if fits and model.persistence.box_s < NEVER_CHANGES_S:
         errors = evidence.true_detections.errors_px[np.concatenate([fit.rows for fit in fits])]
         measure = Exact(len(errors) - len(np.unique(errors, axis=0)), len(errors))
     return Parameter(f"{Draw.BOX_ERROR}: none comes twice", GROUP, measure, in_file=False)

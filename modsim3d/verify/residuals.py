@@ -104,7 +104,7 @@ def box_error_residuals(model: DetectorModel, evidence: Evidence, fits: Sequence
         evidence.images_of(instance),
         evidence.instances.vessel[instance],
         values,
-        model.persistence.box_s,
+        model.persistence.box_memory_s,
     )
 
 
@@ -125,7 +125,7 @@ def miss_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
         values[:, None],
         variance,
         (variance * (1 - 2 * p))[:, None],
-        model.persistence.class_s,
+        model.persistence.class_memory_s,
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.model import DetectorModel
 from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.vessel_shares import at_each
 
 
 def run_lengths(evidence: Evidence) -> Indices:
@@ -24,6 +25,19 @@ def run_lengths(evidence: Evidence) -> Indices:
     follows = np.flatnonzero(missed & (instances.before >= 0))
     goes_on[instances.before[follows]] = True
     return np.bincount(length[missed & ~goes_on], minlength=2)
+
+
+def asked_run_lengths(model: DetectorModel, evidence: Evidence, miss_probability: Array, most: int) -> Array:
+    """Expected number of runs of 1, 2, ... `most` misses, shape (most,), given the probability of each miss, (n,)."""
+    before, share = evidence.instances.before, model.persistence.class_vessel_share
+    if not share:
+        again = missed_again(model, evidence, miss_probability)
+        return expected_run_lengths(miss_probability, again, before, most)
+    expected = np.zeros(most)
+    for weight, (found,) in at_each(share, 1 - miss_probability):
+        again = missed_again(model, evidence, 1 - found)
+        expected += weight * expected_run_lengths(1 - found, again, before, most)
+    return expected
 
 
 def missed_again(model: DetectorModel, evidence: Evidence, miss_probability: Array) -> Array:

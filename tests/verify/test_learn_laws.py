@@ -9,6 +9,7 @@ from scipy import stats
 from modsim3d.boxes import inside_image, move
 from modsim3d.detector.clipped_normal import clipped_score
 from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.truncation import accepted_errors, ordered_root
 from modsim3d.verify.box_persistence_checks import latent_paths, replayed_errors
 from modsim3d.verify.clipped_checks import Clipped
@@ -147,7 +148,7 @@ def test_replayed_errors_have_the_truncated_law_and_keep_their_correlation():
     sample = ErrorSample(np.zeros((frames, 4)), np.arange(frames), boxes, np.tile([3600.0, 2400], (frames, 1)))
     tracks, times = np.zeros((frames, 1), dtype=np.int64), 0.1 * np.arange(frames)
     rng = np.random.default_rng(2)
-    errors = replayed_errors(law, sample, latent_paths(tracks, times, 0.5, rng, 400, 4), rng)
+    errors = replayed_errors(law, sample, latent_paths(tracks, times, Persistence(box_s=0.5), rng, 400, 4), rng)
     direct = sampled(law, BOXES_PX[1], 100_000)
     np.testing.assert_allclose(errors.mean(axis=(0, 1)), direct.mean(axis=0), atol=0.06)
     lagged = [np.corrcoef(errors[:, :-1, k].ravel(), errors[:, 1:, k].ravel())[0, 1] for k in range(4)]

@@ -94,11 +94,13 @@ class GatesSection(Strict):
 
 
 class PersistenceSection(Strict):
-    """Correlation times; 0 is none."""
+    """Correlation times, and shares of the noise that a vessel keeps; 0 is none."""
 
     class_s: NotNegative = 0.0
     box_s: NotNegative = 0.0
     confidence_s: NotNegative = 0.0
+    class_vessel_share: Fraction = 0.0
+    box_vessel_share: Fraction = 0.0
 
 
 class SizeSection(Strict):

@@ -1,0 +1,113 @@
+"""Noise that vessels keep: rates and covariances hold over many vessels, and a part of every correlation stays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy import special
+
+from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, Targets, parse_detector
+from modsim3d.detector.file.schema_models import PersistenceSection
+from tests.detector.detector_builders import (
+    COVARIANCE_PX2,
+    all_bytes,
+    centred,
+    clock,
+    detect_in_chunks,
+    detector_data,
+    make_frames,
+    make_targets,
+    one_state_data,
+    same_boxes,
+)
+
+VESSELS, FRAMES, STEP_S = 600, 60, 0.5
+TAU_S, CLASS_SHARE, BOX_SHARE = 0.8, 0.4, 0.3
+SHARES = {"class_vessel_share": CLASS_SHARE, "box_vessel_share": BOX_SHARE}
+
+
+def seen(vessels: int = VESSELS, frames: int = FRAMES) -> Targets:
+    return make_targets(same_boxes(frames, vessels, centred(600, 600)))
+
+
+def detect(persistence: dict[str, float], targets: Targets, data: dict[str, Any] | None = None) -> Detections:
+    data = (data or one_state_data(false_discovery_rate=0)) | {"persistence": persistence}
+    detector = Detector(parse_detector(data), 3, TargetCensus(), clock(STEP_S))
+    return detector.detect(make_frames(FRAMES, time_step_s=STEP_S), targets)
+
+
+@pytest.fixture(scope="module", params=[0.0, TAU_S], ids=["independent", "persistent"])
+def tau_s(request: pytest.FixtureRequest) -> float:
+    return float(request.param)
+
+
+@pytest.fixture(scope="module")
+def found(tau_s: float) -> Detections:
+    return detect({"class_s": tau_s, "box_s": tau_s, **SHARES}, seen())
+
+
+def by_vessel(values: np.ndarray, found: Detections) -> np.ndarray:
+    """Values of true detections by frame and vessel, NaN where missed."""
+    true = found.kind == TRUE
+    result = np.full((FRAMES * VESSELS, *values.shape[1:]), np.nan)
+    result[found.target[true]] = values[true]
+    return result.reshape(FRAMES, VESSELS, *values.shape[1:])
+
+
+def test_rates_hold_over_vessels_although_each_has_its_own(found: Detections) -> None:
+    label = by_vessel(found.label.astype(float), found)
+    for asked, seen_as in ((0.7, label == 0), (0.1, label == 1), (0.2, np.isnan(label))):
+        of_vessel = seen_as.mean(axis=0)
+        assert abs(of_vessel.mean() - asked) < 4 * of_vessel.std() / np.sqrt(VESSELS)
+    assert np.isnan(label).mean(axis=0).std() > 0.15
+
+
+def test_misses_far_apart_in_time_are_as_alike_as_the_share_says(found: Detections, tau_s: float) -> None:
+    missed, p = np.isnan(by_vessel(found.label.astype(float), found)), 0.2
+    stays = p - 2 * special.owens_t(special.ndtri(p), np.sqrt((1 - CLASS_SHARE) / (1 + CLASS_SHARE)))
+    stays = (stays - p * p) / (p - p * p)
+    for lag in (1, 30):
+        kept = np.exp(-lag * STEP_S / tau_s) if tau_s else 0.0
+        products = ((missed[lag:] - p) * (missed[:-lag] - p)).mean(axis=0) / (p - p * p)
+        error = products.std() / np.sqrt(VESSELS)
+        assert abs(products.mean() - (stays + (1 - stays) * kept)) < 4 * error < 0.2
+
+
+def test_errors_have_their_covariance_and_a_correlation_that_stays(found: Detections, tau_s: float) -> None:
+    error = by_vessel(found.errors_px, found) - np.array([4, 7, -8, -1])
+    covariance = np.nanmean(error[..., :, None] * error[..., None, :], axis=(0, 1))
+    spread = np.sqrt(np.outer(np.diag(COVARIANCE_PX2), np.diag(COVARIANCE_PX2)))
+    assert np.abs((covariance - COVARIANCE_PX2) / spread).max() < 0.12
+    for lag in (1, 30):
+        kept = np.exp(-lag * STEP_S / tau_s) if tau_s else 0.0
+        products = np.nanmean(error[lag:] * error[:-lag], axis=(0, 1)) / np.diag(COVARIANCE_PX2)
+        assert np.abs(products - (BOX_SHARE + (1 - BOX_SHARE) * kept)).max() < 0.1
+
+
+def test_what_a_vessel_keeps_is_its_own_whoever_else_is_there_and_however_a_run_is_split() -> None:
+    model = parse_detector(detector_data(persistence={"class_s": TAU_S, **SHARES}))
+    frames, targets = make_frames(FRAMES, time_step_s=STEP_S), seen(20, FRAMES)
+    detector = Detector(model, 3, TargetCensus(), clock(STEP_S))
+    whole = detector.detect(frames, targets)
+    assert all_bytes(detect_in_chunks(detector, frames, targets, [0, 17, FRAMES])) == all_bytes(whole)
+    alone = detector.detect(frames, seen(1, FRAMES))
+    ours = (whole.kind == TRUE) & (whole.target % 20 == 0)
+    np.testing.assert_array_equal(whole.errors_px[ours], alone.errors_px[alone.kind == TRUE])
+
+
+def test_what_is_never_missed_stays_so_and_without_shares_nothing_changes() -> None:
+    sure = one_state_data(false_discovery_rate=0, confusion=[[1, 0], [0, 1], [0, 0]])
+    found = detect({"class_vessel_share": 0.9}, seen(40), sure)
+    assert (found.kind == TRUE).sum() == 40 * FRAMES
+    plain = detect({"class_s": TAU_S, "box_s": TAU_S}, seen(40))
+    off = detect({"class_s": TAU_S, "box_s": TAU_S, "class_vessel_share": 0.0, "box_vessel_share": 0.0}, seen(40))
+    assert all_bytes(plain) == all_bytes(off)
+
+
+@pytest.mark.parametrize("share", [1.0, -0.1, "half"])
+def test_a_share_is_from_zero_to_less_than_one(share: object) -> None:
+    with pytest.raises(ValidationError, match="box_vessel_share"):
+        PersistenceSection(box_vessel_share=share)

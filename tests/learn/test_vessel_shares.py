@@ -1,0 +1,87 @@
+"""What vessels keep of their misses and box errors comes back, and is not seen where it is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import special
+from scipy.stats import binom
+
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.learned import Learned, Settings, learn
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.transitions import Transitions
+from tests.formats.labelled_sets import found, images, truth
+from tests.learn.test_persistence import RATE_HZ, chain
+
+BOATS, FRAMES, CLASS_S, BOX_S = 40, 120, 1.0, 0.7
+MISSES = 0.35
+
+
+def boats(seed: int, class_share: float, box_share: float) -> LabelledSet:
+    """Boats in a row, whose misses and errors are made like a detector's with shares that vessels keep."""
+    rng = np.random.default_rng(seed)
+    errors = chain(np.exp(-1 / RATE_HZ / BOX_S), rng, FRAMES, BOATS, 4)
+    errors = np.sqrt(box_share) * rng.normal(size=(BOATS, 4)) + np.sqrt(1 - box_share) * errors
+    latent = rng.normal(size=(FRAMES, BOATS))
+    for frame in range(1, FRAMES):
+        keeps = rng.random(BOATS) < np.exp(-1 / RATE_HZ / CLASS_S)
+        latent[frame] = np.where(keeps, latent[frame - 1], latent[frame])
+    latent = np.sqrt(class_share) * rng.normal(size=BOATS) + np.sqrt(1 - class_share) * latent
+    seen = (latent < -special.ndtri(MISSES)).ravel()
+    image, identity = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
+    x = 100.0 + 150 * identity
+    boxes = np.column_stack([x, 0 * x + 300, x + 60, 0 * x + 360])
+    centre, side = errors.reshape(-1, 4)[:, :2] * 2, errors.reshape(-1, 4)[:, 2:] * 2
+    moved = boxes + np.concatenate([centre - side / 2, centre + side / 2], axis=1)
+    return LabelledSet(
+        ("boat",),
+        ("usual",),
+        images(FRAMES, (200.0 + 150 * BOATS, 800.0), np.arange(FRAMES) / RATE_HZ),
+        truth(image, 0 * image, boxes, identity=identity),
+        found(image[seen], 0 * image[seen], moved[seen], np.full(seen.sum(), 0.9)),
+    )
+
+
+def learned_from(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> Learned:
+    state = np.zeros(len(labelled.images), dtype=np.int64)
+    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2, without)
+    return learn(observed, Transitions(np.zeros((1, 1))), Settings(replicates=30))
+
+
+def test_shares_and_correlation_times_come_back_inside_their_intervals() -> None:
+    asked = {"class_s": CLASS_S, "class_vessel_share": 0.4, "box_s": BOX_S, "box_vessel_share": 0.3}
+    inside: dict[str, list[bool]] = {key: [] for key in (*asked, "misses", "means")}
+    estimates: dict[str, list[float]] = {key: [] for key in asked}
+    for seed in range(6):
+        learned = learned_from(boats(seed, 0.4, 0.3))
+        intervals = {each.key.path: each for each in learned.intervals(0.95)}
+        for key, value in asked.items():
+            each = intervals[f"persistence.{key}"]
+            estimates[key].append(float(each.estimate))
+            inside[key].append(bool(each.low <= value <= each.high))
+        missed, mean = intervals["states.usual.confusion"], intervals["states.usual.box_error_mean"]
+        inside["misses"].append(bool(missed.low[1, 0] <= MISSES <= missed.high[1, 0]))
+        inside["means"] += [bool(low <= 0 <= high) for low, high in zip(mean.low, mean.high, strict=True)]
+    for key, value in asked.items():
+        assert np.median(estimates[key]) == pytest.approx(value, rel=0.15)
+    for key, hits in inside.items():
+        assert binom.cdf(sum(hits), len(hits), 0.95) > 0.01, key
+    assert parse_detector(learned.detector()).persistence.class_vessel_share > 0.2
+
+
+def test_noise_that_is_forgotten_is_not_said_to_be_kept() -> None:
+    for seed in range(3):
+        learned = learned_from(boats(seed, 0.0, 0.0))
+        assert learned.detector()["persistence"].keys() == {"class_s", "box_s"}
+        notes = [note for note in learned.notes if "vessel_share" in note]
+        assert len(notes) == 2 and all("standard errors from 0 with 40 things, needs 3.3" in note for note in notes)
+
+
+def test_shares_can_be_left_out() -> None:
+    labelled = boats(1, 0.4, 0.3)
+    learned = learned_from(labelled, frozenset({"vessels"}))
+    assert learned.detector()["persistence"].keys() == {"class_s", "box_s"}
+    assert not [note for note in learned.notes if "vessel_share" in note]
