@@ -10,7 +10,6 @@ A run says it. In files the boxes say it (`detection_shapes`), and what chance d
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,10 +29,10 @@ from modsim3d.learn.detection_shapes import (
     second_boxes,
     two_parts,
 )
+from modsim3d.learn.shuffled import SHUFFLES, shuffled
 
 LEAST_OVERLAP = 0.05
 """Least share of the smaller of two vessels inside the larger for which they may come out as one box."""
-_SHUFFLES = 8
 _NEIGHBOURS = 60
 _LONELY_NEEDED = 20
 _MOST_ALIKE, _LEAST_TOLD = 0.04, 0.9
@@ -181,12 +180,12 @@ def _as_boxes_look(images: Images, sought: Sought, rows: Indices, loose: Loose, 
 
     chance = {name: np.zeros(len(rows)) for name in ("duplicates", "splits")}
     by_pair = np.zeros(len(pairs))
-    for moved in _shuffled(left, images):
+    for moved in shuffled(left, images):
         by_chance = two_parts(sought, moved).place
-        np.add.at(chance["splits"], by_chance[(single & whole)[by_chance]], 1 / _SHUFFLES)
-        np.add.at(chance["duplicates"], second_boxes(sought, moved, single & whole, rule)[0], 1 / _SHUFFLES)
+        np.add.at(chance["splits"], by_chance[(single & whole)[by_chance]], 1 / SHUFFLES)
+        np.add.at(chance["duplicates"], second_boxes(sought, moved, single & whole, rule)[0], 1 / SHUFFLES)
         free = common_boxes(sought, moved, pairs, whole)
-        np.add.at(by_pair, free.pair[np.isin(free.row, moved.row)], 1 / _SHUFFLES)
+        np.add.at(by_pair, free.pair[np.isin(free.row, moved.row)], 1 / SHUFFLES)
 
     is_merged = np.zeros(len(pairs), dtype=bool)
     is_merged[common.pair] = True
@@ -338,40 +337,3 @@ def _telling(sought: Sought, pairs: Overlapping, whole: Mask) -> tuple[Array, Ar
 
     alike = np.stack([share_that_fits(sought.boxes_px[each]) for each in (pairs.larger, pairs.smaller)])
     return alike, share_that_fits(pairs.union_px)
-
-
-def _shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
-    """False detections in other frames of the same state; every other time moved across the image as well."""
-    timed = np.isfinite(images.time_s)
-    keys = np.column_stack(
-        [
-            images.condition,
-            images.source,
-            np.where(timed, images.sequence, -1),
-            np.nan_to_num(images.sizes_px, nan=-1.0).astype(np.int64),
-        ]
-    )
-    _, group = np.unique(keys, axis=0, return_inverse=True)
-    group = group.ravel()
-    order = np.argsort(group, kind="stable")
-    first = np.searchsorted(group[order], group)
-    number = np.bincount(group)[group]
-    position = np.empty(len(images), dtype=np.int64)
-    position[order] = np.arange(len(images))
-    width = images.sizes_px[loose.image, 0]
-    for k in range(_SHUFFLES):
-        step = (number * (2 * k + 1)) // (2 * _SHUFFLES)
-        other = order[first + (position - first + step) % number]
-        stays = step == 0  # too few frames: they would meet their own vessels
-        boxes = loose.boxes_px
-        if k % 2:
-            room = width - sizes(boxes)[:, 0]
-            x = np.where(
-                room > 0, (boxes[:, 0] + room * (k + 1) / (_SHUFFLES + 2)) % np.maximum(room, 1e-9), boxes[:, 0]
-            )
-            shift = np.where(np.isfinite(x), x - boxes[:, 0], 0.0)
-            boxes = boxes + shift[:, None] * [1, 0, 1, 0]
-        there = other[loose.image]
-        kept = np.flatnonzero(~stays[loose.image])
-        kept = kept[np.argsort(there[kept], kind="stable")]
-        yield Loose(loose.row[kept], there[kept], boxes[kept])
