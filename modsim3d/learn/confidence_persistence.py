@@ -24,7 +24,8 @@ from modsim3d.learn.scores import Scores
 
 _STEP = 1e-4
 """Levels that a single confidence may have, above which its number counts as open between them."""
-_GRID, _NEAR = 40, 0.02
+_GRID, _ROUNDS, _NEAR = 40, 30, 1e-3
+_MOST_STEP, _SETTLED = 0.3, 1e-5
 _SHORTEST, _LONGEST = 0.05, 1000.0
 """Correlation times are sought between these multiples of the usual time between sightings."""
 
@@ -90,38 +91,68 @@ class ConsecutiveScores:
         known = self.latent.known[self.steps.earlier]
         return Steps(self.steps.earlier[known], self.steps.later[known], self.steps.apart_s[known])
 
-    def _likelihood(self, steps: Steps, log_time: float) -> Array:
-        """Log-likelihood of each later sighting given the earlier one, shape (m,)."""
-        b = steps.later
-        correlation = np.minimum(np.exp(-steps.apart_s / np.exp(log_time)), 1 - 1e-9)
-        return pair_likelihood(self.latent.low[steps.earlier], self.latent.low[b], self.latent.high[b], correlation)
+    def _likelihood(self, steps: Steps, at: Array) -> Array:
+        """Log-likelihood of each later sighting given the earlier one, shape (m,).
+
+        At the logarithms of a correlation time and of a factor of all numbers, which a wrong spread makes.
+        """
+        a, b = steps.earlier, steps.later
+        correlation = np.minimum(np.exp(-steps.apart_s / np.exp(at[0])), 1 - 1e-9)
+        return pair_likelihood(
+            self.latent.low[a], self.latent.low[b], self.latent.high[b], correlation, float(np.exp(at[1]))
+        )
+
+    def _derivatives(self, steps: Steps, at: Array) -> tuple[Array, Array]:
+        """Gradient (m, 2) and curvature (m, 2, 2) of each log-likelihood, by differences."""
+        moves = _NEAR * np.eye(2)
+        ahead, behind = ([self._likelihood(steps, at + sign * move) for move in moves] for sign in (1, -1))
+        middle = self._likelihood(steps, at)
+        both = self._likelihood(steps, at + moves[0] + moves[1]) + self._likelihood(steps, at - moves[0] - moves[1])
+        gradient = np.column_stack([(ahead[k] - behind[k]) / (2 * _NEAR) for k in range(2)])
+        curvature = np.empty((len(middle), 2, 2))
+        for k in range(2):
+            curvature[:, k, k] = (2 * middle - ahead[k] - behind[k]) / _NEAR**2
+        mixed = (both - sum(ahead) - sum(behind) + 2 * middle) / (2 * _NEAR**2)
+        curvature[:, 0, 1] = curvature[:, 1, 0] = -mixed
+        return gradient, curvature
+
+    def _likeliest(self) -> Array | None:
+        """Logarithms of the likeliest correlation time and factor; None where no earlier number is known."""
+        steps = self._known_before
+        if not len(steps):
+            return None
+        low, high = np.log(float(np.median(steps.apart_s)) * np.array([_SHORTEST, _LONGEST]))
+        tried = [np.array([at, 0.0]) for at in np.linspace(low, high, _GRID)]
+        best = max(tried, key=lambda at: float(self._likelihood(steps, at).sum()))
+        for _ in range(_ROUNDS):
+            gradient, curvature = (part.sum(axis=0) for part in self._derivatives(steps, best))
+            curvature = curvature + max(0.0, 1e-9 - 2 * float(np.linalg.eigvalsh(curvature)[0])) * np.eye(2)
+            step = np.clip(np.linalg.solve(curvature, gradient), -_MOST_STEP, _MOST_STEP)
+            best = np.clip(best + step, [low, -1.0], [high, 1.0])
+            if np.abs(step).max() < _SETTLED:
+                break
+        return best
 
     def time_s(self) -> float:
         """The likeliest correlation time; 0 where no earlier number is known."""
-        steps = self._known_before
-        if not len(steps):
-            return 0.0
-        low, high = np.log(float(np.median(steps.apart_s)) * np.array([_SHORTEST, _LONGEST]))
-        grid = np.linspace(low, high, _GRID)
-        for _ in range(3):  # finer and finer
-            best = int(np.argmax([self._likelihood(steps, at).sum() for at in grid.tolist()]))
-            grid = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], 11)
-        return float(np.exp(grid[len(grid) // 2]))
+        best = self._likeliest()
+        return 0.0 if best is None else float(np.exp(best[0]))
 
     def column(self, resampling: Resampling) -> Column:
-        """The correlation time; replicates by one Newton step of its logarithm."""
-        time_s, steps = self.time_s(), self._known_before
-        if time_s <= 0:
+        """The correlation time; replicates by one Newton step of its logarithm and of the factor."""
+        best, steps = self._likeliest(), self._known_before
+        if best is None:
             return Column(np.zeros(len(resampling.weights)), "positive", np.array(0.0))
-        at = np.log(time_s)
-        below, middle, above = (self._likelihood(steps, at + move) for move in (-_NEAR, 0.0, _NEAR))
-        slope, bend = (above - below) / (2 * _NEAR), (2 * middle - above - below) / _NEAR**2
-        sums = resampling.sums(self.scores.image[steps.later], np.column_stack([slope, bend]))
-        whole = max(float(sums[0, 1]), 1e-12)
-        moves = sums[:, 0] / np.maximum(sums[:, 1], whole / 10)
+        gradient, curvature = self._derivatives(steps, best)
+        image, inverse = self.scores.image[steps.later], np.linalg.pinv(curvature.sum(axis=0))
+        bends, slopes = resampling.sums(image, curvature), resampling.sums(image, gradient)
+        sound = np.linalg.eigvalsh(bends)[:, 0] > np.linalg.eigvalsh(bends[0])[0] / 10
+        own = np.linalg.solve(np.where(sound[:, None, None], bends, np.eye(2)), slopes[..., None])[:, 0, 0]
+        moves = np.where(sound, own, slopes @ inverse[0])
         moves[0] = 0.0
-        spread = np.array(np.sqrt((slope**2).sum()) / whole)
-        return Column(time_s * np.exp(widened(np.clip(moves, -2, 2), spread)), "positive", np.array(float(len(steps))))
+        spread = np.sqrt(np.maximum((inverse @ (gradient.T @ gradient) @ inverse)[0, 0], 0))
+        times = np.exp(best[0] + widened(np.clip(moves, -2, 2), np.array(spread)))
+        return Column(times, "positive", np.array(float(len(steps))))
 
 
 def inflation(steps: Steps, count: int, correlation_s: float) -> float:
