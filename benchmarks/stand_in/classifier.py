@@ -226,7 +226,7 @@ def _mean_auc(rows: Rows, by_film: Array) -> float:
 
 
 def _interval(rows: Rows, by_film: Array, seed: int) -> tuple[float, float, float]:
-    """The mean AUC and its interval: a bootstrap over films, widened for few of them as Student's t is, and by `SHARED`."""
+    """The mean AUC and its interval: a bootstrap over films, wider as Student's is for few, and by `SHARED`."""
     known = np.flatnonzero(np.isfinite(by_film))
     drawn = known[np.random.default_rng(seed).integers(0, len(known), (RESAMPLED, len(known)))]
     weight = rows.film_weight[drawn]
