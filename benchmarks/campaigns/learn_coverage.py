@@ -67,6 +67,7 @@ class Case:
 CASES = (
     Case("simulation_1", "simulation_1", 0, 1500, methods=tuple(METHODS), said="Another traffic with each seed."),
     Case("harbour", "harbour", 2, 400, methods=tuple(METHODS), said="The same traffic with all seeds."),
+    Case("vessels", "harbour", 2, 400, "vessels.yaml", said="Each vessel keeps a share of its misses and box errors."),
 )
 
 
