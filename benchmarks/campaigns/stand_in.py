@@ -10,13 +10,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.processes import say
-from benchmarks.stand_in.films import WORK, all_films, make_films
+from benchmarks.stand_in.films import WORK, Film, all_films, make_films
 from benchmarks.stand_in.measure import measure, rounded
 from benchmarks.stand_in.page import write_page
 from benchmarks.stand_in.rungs import LEAST_CONFIDENCE, RUNGS, learned_files
+from benchmarks.stand_in.stored import restore_films, store
 from benchmarks.stand_in.tell_apart import told_apart
 from benchmarks.stand_in.weights import PACKAGE, SHA256
 from modsim3d.errors import ModsimError
@@ -31,20 +33,25 @@ def main() -> None:
     parser.add_argument("--films", type=int, metavar="N", help="only the first N films")
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds of the simulated detector on a film")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes (2 unless given)")
+    parser.add_argument("--stored", action="store_true", help="take what was found in the films, without pictures")
     given = parser.parse_args()
     try:
-        run(given.work, given.films, given.seeds, given.workers)
+        chosen = all_films(given.work)[: given.films]
+        if given.stored:
+            restore_films(given.work, chosen)
+        else:
+            make_films(given.work, chosen, given.workers)
+            store(chosen)
+        run(chosen, given.work / "detectors", given.seeds, given.workers)
     except ModsimError as error:
         sys.exit(f"error: {error}")
 
 
-def run(work: Path, films: int | None, seeds: int, workers: int) -> None:
-    """The campaign; see `main` for the arguments."""
-    chosen = all_films(work)[:films]
-    make_films(work, chosen, workers)
+def run(chosen: Sequence[Film], folder: Path, seeds: int, workers: int) -> None:
+    """Learn from some films, compare on the others, and write the results and the page."""
     seen, unseen = ([film for film in chosen if film.role == role] for role in ("learn", "compare"))
     say(f"learning from {len(seen)} films")
-    detectors = learned_files(seen, work / "detectors")
+    detectors = learned_files(seen, folder)
     titles = {rung.name: rung.title for rung in RUNGS}
     numbers = range(1, seeds + 1)
     results = measure(unseen, detectors, numbers, threshold=LEAST_CONFIDENCE, titles=titles, workers=workers)
