@@ -51,7 +51,7 @@ def store(films: Sequence[Film], path: Path = STORED) -> None:
         compression="zstd",
         compression_level=19,
         use_dictionary=["film"],
-        column_encoding={name: "DELTA_BINARY_PACKED" for name in _NUMBERS},
+        column_encoding=dict.fromkeys(_NUMBERS, "DELTA_BINARY_PACKED"),
     )
 
 

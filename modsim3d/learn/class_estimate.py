@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -148,13 +148,36 @@ def _significant(
         strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, spread(fit.slopes[1:]))
         weakest = int(strength.argmin())
         if strength[weakest] >= SIGNIFICANT:
-            return effects, fit
+            return _in_units(observed, effects, fit, notes)
         notes.append(
             f"dropout.{effects[weakest].attribute}: none; {strength[weakest]:.1f} standard errors from 0 in "
             f"{len(observed.rows)} annotations, needs {SIGNIFICANT}"
         )
         effects = effects[:weakest] + effects[weakest + 1 :]
     return (), None
+
+
+def _in_units(
+    observed: Observed, effects: tuple[Effect, ...], fit: MissFit, notes: list[str]
+) -> tuple[tuple[Effect, ...], MissFit]:
+    """Effects by units instead of doublings where misses are clearly likelier with them, and the fit.
+
+    Misses that persist count for less: their log-likelihood is divided by the inflation of the slopes' variance.
+    """
+    once = resample(observed.labelled.images, 0, 0)
+    inflation = max(float(np.median((spread(fit.slopes[1:]) / fit.errors) ** 2)), 1.0)
+    for place, effect in enumerate(effects):
+        if not effect.doublings:
+            continue
+        changed = (*effects[:place], replace(effect, by_units=True), *effects[place + 1 :])
+        other = fit_misses(observed, changed, once)
+        gain = -1.0
+        if other is not None:
+            gain = (other.log_likelihood(observed.missed) - fit.log_likelihood(observed.missed)) / inflation
+        if other is not None and gain > SIGNIFICANT**2 / 2:
+            notes.append(f"dropout.{effect.attribute}: by units, not doublings (log-likelihood {gain:.1f} larger)")
+            effects, fit = changed, other
+    return effects, fit
 
 
 def usual_run_s(observed: Observed) -> float:

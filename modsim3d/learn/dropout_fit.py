@@ -18,15 +18,19 @@ _STEPS = 60
 
 @dataclass(frozen=True)
 class Effect:
-    """An attribute that changes the odds of a miss, by its key in the file; at its reference they are the state's."""
+    """An attribute that changes the odds of a miss, by its key in the file; at its reference they are the state's.
+
+    Sizes and distances change them by doublings, or by units where that fits better.
+    """
 
     attribute: str
     reference: float
+    by_units: bool = False
 
     @property
     def doublings(self) -> bool:
-        """Whether the odds change by doublings of the attribute, as for sizes and distances, or by units."""
-        return self.attribute != "visible_fraction"
+        """Whether the odds change by doublings of the attribute, or by units."""
+        return self.attribute != "visible_fraction" and not self.by_units
 
     @property
     def slope_key(self) -> str:
@@ -66,6 +70,11 @@ class MissFit:
     errors: Array
     rates: Array
     chance: Array
+
+    def log_likelihood(self, missed: Mask) -> float:
+        """That of the misses, shape (n,)."""
+        likely = np.where(missed, self.chance, 1 - self.chance)
+        return float(np.log(np.maximum(likely, 1e-300)).sum())
 
 
 def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resampling) -> MissFit | None:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.class_estimate import choose_classes
 from modsim3d.learn.dropout_fit import Effect, fit_misses
 from modsim3d.learn.error_moments import covariance
 from modsim3d.learn.error_shares import ErrorKind, error_shares
@@ -160,12 +161,13 @@ def test_clipped_scores_have_the_normal_behind_them():
     assert values.mean() - 0.45 > 0.005  # which the mean of the clipped ones is not
 
 
-def missed_by_size(seed, slope=-1.0, count=6000):
+def missed_by_size(seed, slope=-1.0, count=6000, by_units=False):
     """Truths of two labels in images of one state, missed by their size."""
     rng = np.random.default_rng(seed)
     side = 2 ** rng.uniform(3, 7, count)
     label = rng.integers(0, 2, count)
-    chance = 1 / (1 + np.exp(-(np.array([-1.5, -0.8])[label] + slope * np.log2(side / 32))))
+    amount = side - 32 if by_units else np.log2(side / 32)
+    chance = 1 / (1 + np.exp(-(np.array([-1.5, -0.8])[label] + slope * amount)))
     seen = rng.random(count) > chance
     place = np.arange(count) % 10 * 300.0
     boxes = np.stack([place, 0 * place, place + side, side], axis=1)
@@ -185,6 +187,15 @@ def test_misses_follow_size_as_they_were_made_to():
         ours = observed.label == label
         assert fit.rates[0, 0, label] == pytest.approx(observed.missed[ours].mean(), abs=1e-6)
     assert np.abs(fit.chance - chance).max() < 0.06
+
+
+@pytest.mark.parametrize(("slope", "by_units", "key"), [(-1.0, False, "per_doubling"), (-0.04, True, "per_unit")])
+def test_misses_follow_doublings_or_units_whichever_they_were_made_to(slope, by_units, key):
+    observed, _ = missed_by_size(8, slope, by_units=by_units)
+    (effect,) = choose_classes(observed).effects
+    assert effect.slope_key == key
+    fit = fit_misses(observed, (effect,), resample(observed.labelled.images, 0, 0))
+    assert abs(fit.slopes[0, 0] - slope) < 4 * fit.errors[0]
 
 
 def test_a_correlation_time_is_no_surer_than_its_pairs_where_runs_are_alike():
