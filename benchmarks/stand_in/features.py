@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from benchmarks.stand_in.sighted import Sighted, pairs_of_images
 from modsim3d.arrays import Array, Indices, Mask
@@ -22,7 +23,7 @@ CLEAR, HIDDEN = 0.9, 0.5
 SMALL_PX = 40
 """Width below which a vessel counts as small."""
 SIDES = ("x", "y", "width", "height")
-Groups = dict[str, dict[str, Array]]
+Groups = Mapping[str, Mapping[str, Array | Indices]]
 """What a feature is about → its name → its value in each row."""
 
 
@@ -53,7 +54,7 @@ def frame_features(film: Sighted) -> Table:
     images = film.image
     count = len(film.labelled.images)
 
-    def mean(values: Array, of: Indices = images) -> Array:
+    def mean(values: Array | Mask, of: Indices = images) -> Array:
         return _means(values, of, count)
 
     def share(chosen: Mask) -> Array:
@@ -190,7 +191,7 @@ def _kinds(film: Sighted) -> tuple[Mask, Mask, Mask]:
     return small, film.visible < HIDDEN, ~small & (film.visible >= CLEAR)
 
 
-def _means(values: Array, rows: Indices, count: int) -> Array:
+def _means(values: Array | Mask, rows: Indices, count: int) -> Array:
     """Mean of the known values of each row, NaN where there are none, shape (count,)."""
     known = np.isfinite(values.astype(np.float64))
     number = np.bincount(rows[known], minlength=count)
@@ -225,7 +226,8 @@ def _to_nearest(film: Sighted) -> Array:
     first, vessel = pairs_of_images(film.false_image, film.image)
     apart = np.hypot(*(centres(film.false_boxes_px[first]) - centres(film.boxes_px[vessel])).T)
     width_px = film.labelled.images.sizes_px[film.false_image, 0]
-    return _extremes(apart, first, len(film.false), np.fmin) / width_px
+    nearest: Array = _extremes(apart, first, len(film.false), np.fmin) / width_px
+    return nearest
 
 
 def _runs(chosen: Mask) -> Indices:
@@ -234,31 +236,31 @@ def _runs(chosen: Mask) -> Indices:
     return edges[1::2] - edges[::2]
 
 
-def _known(values: Array) -> Array:
+def _known(values: ArrayLike) -> Array:
     values = np.asarray(values, dtype=np.float64)
-    return values[np.isfinite(values)]
+    known: Array = values[np.isfinite(values)]
+    return known
 
 
-def _mean(values: Array) -> float:
+def _mean(values: ArrayLike) -> float:
     known = _known(values)
     return float(known.mean()) if len(known) else np.nan
 
 
-def _spread(values: Array) -> float:
+def _spread(values: ArrayLike) -> float:
     known = _known(values)
     return float(known.std(ddof=1)) if len(known) > 2 else np.nan
 
 
-def _most(values: Array) -> float:
+def _most(values: ArrayLike) -> float:
     known = _known(values)
     return float(known.max()) if len(known) else np.nan
 
 
-def _correlation(a: Array, b: Array) -> float:
+def _correlation(a: ArrayLike, b: ArrayLike) -> float:
     """Of two columns, NaN with fewer than four known pairs or where one of them does not vary."""
-    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
-    known = np.isfinite(a) & np.isfinite(b)
-    a, b = a[known], b[known]
-    if len(a) < 4 or a.std() < 1e-9 or b.std() < 1e-9:
+    pairs = np.array([a, b], dtype=np.float64)
+    pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
+    if pairs.shape[1] < 4 or pairs.std(axis=1).min() < 1e-9:
         return np.nan
-    return float(np.corrcoef(a, b)[0, 1])
+    return float(np.corrcoef(*pairs)[0, 1])
