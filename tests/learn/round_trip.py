@@ -15,12 +15,23 @@ from modsim3d.scene.reading import data_folder, load_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 DETECTOR = ROOT / "tests" / "data" / "learn" / "round_trip.yaml"
-SETTINGS = {"reference", "merge_overlap", "split_aspect", "size_reference_px", "edges", "rate"}
+SETTINGS = {"reference", "merge_overlap", "split_aspect", "edges", "rate"}
 """Numbers of a detector file that stand beside those that are learned."""
 
 
-def simulate(name: str, folder: Path, mode: int, steps: int | None = None, seed: int = 0, detector=DETECTOR) -> Path:
-    """Run a shipped scene with vessels of the detector's labels and the detector; gives the run directory."""
+def simulate(
+    name: str,
+    folder: Path,
+    mode: int,
+    steps: int | None = None,
+    seed: int = 0,
+    detector: Path = DETECTOR,
+    image_size_px: tuple[int, int] | None = None,
+) -> Path:
+    """Run a shipped scene with vessels of the detector's labels and the detector; gives the run directory.
+
+    With a size, images are the middles of the cameras' images, of that size.
+    """
     scene = yaml.safe_load((data_folder("scenes") / f"{name}.yaml").read_text())
     labels = yaml.safe_load(Path(detector).read_text())["labels"]
     for number, vessel in enumerate(scene["vessels"].values()):
@@ -28,6 +39,8 @@ def simulate(name: str, folder: Path, mode: int, steps: int | None = None, seed:
     scene["detector"] = str(detector)
     scene["annotation"] = {"mode": mode, "source": "analytic"}
     scene["seed"] = seed
+    for camera in scene["cameras"].values() if image_size_px else ():
+        camera |= {"image_size_px": image_size_px, "principal_point_px": [side / 2 for side in image_size_px]}
     scene["steps"] = steps or scene["steps"]
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.json"
