@@ -30,7 +30,7 @@ MENU = {
         "docs/ais",
     ],
     "Look at it": ["docs/pictures", "docs/report"],
-    "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
+    "The detector": ["docs/detector", "docs/learn", "docs/learned_models", "docs/conditions"],
     "Test a tracker": [
         *("docs/track", "docs/trackers", "docs/track_files", "docs/score", "docs/scores", "docs/world_tracks"),
         *("docs/export", "docs/stream", "docs/positions", "docs/ros", "docs/ais_out", "docs/other_truth"),
@@ -39,7 +39,7 @@ MENU = {
         *("docs/campaign", "docs/requirements", "docs/campaign_report", "docs/worst_runs", "docs/search"),
         *("docs/uncertainty", "docs/cluster"),
     ],
-    "Check it": ["docs/verify", "docs/truth", "docs/reliability", "docs/assurance"],
+    "Check it": ["docs/verify", "docs/stand_in", "docs/truth", "docs/reliability", "docs/assurance"],
     "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
     "Reference": [
         "docs/tables",

@@ -128,7 +128,11 @@ def learn_command(
     ] = Clutter.auto,
     without: Annotated[
         str | None,
-        typer.Option(metavar="MODEL,...", help="Models to leave out, whatever the data carry (docs/learn.md)."),
+        typer.Option(
+            metavar="MODEL,...",
+            help="Models to leave out, whatever the data carry: relative, mixed, student_t, effects, persistence, "
+            "vessels, sizes, places, lasting, confidence, slopes, duplicates, merges, splits.",
+        ),
     ] = None,
     level: Annotated[
         float, typer.Option(min=0.5, max=0.9999, metavar="P", help="Confidence level of the intervals.")

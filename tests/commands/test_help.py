@@ -11,6 +11,7 @@ import pytest
 import typer
 
 from modsim3d.cli import COMMANDS, app
+from modsim3d.learn.form import RICHER
 from tests.commands.conftest import Modsim3d
 
 GROUP: Any = typer.main.get_command(app)
@@ -40,6 +41,11 @@ def test_the_help_of_an_option_can_be_read_alone(command: str, parameter: Any) -
     assert parameter.help.endswith(".")
     assert len(words) >= 3
     assert words[0] not in ("Of", "For", "The", "May", "In", "When", "Also", "Added") or parameter.name == "verbose"
+
+
+def test_learn_names_every_model_that_can_be_left_out() -> None:
+    (said,) = (p.help for name, p in OPTIONS if (name, p.name) == ("learn", "without"))
+    assert said.partition(": ")[2].rstrip(".").split(", ") == list(RICHER)
 
 
 def test_out_has_one_meaning() -> None:
