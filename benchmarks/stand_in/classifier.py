@@ -174,8 +174,10 @@ def _folds(rows: Rows, least_leaf: int, seed: int, columns: Indices | None = Non
     Real rows are repeated, a copy for each seed, so that both are as many: `sample_weight` costs 13 times as much.
     On one thread: several wait for each other on tables so small, 15 times as long where the CPUs are busy.
     """
-    from sklearn.ensemble import HistGradientBoostingClassifier
-    from threadpoolctl import threadpool_limits  # it limits only what is imported before
+    from sklearn.ensemble import HistGradientBoostingClassifier  # type: ignore[import-untyped]
+
+    # It limits only what is imported before.
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     fold = rows.film % min(FOLDS, rows.films)
     values = rows.table.values if columns is None else rows.table.values[:, columns]
