@@ -63,6 +63,7 @@ class Purpose(Enum):
     BOX_ERROR_SHAPE = "detector.box_error_shape", 1, "scale of a heavy-tailed error of a box (camera, vessel)"
     BOX_ERROR_REDRAW_SHAPE = "detector.box_error_redraw_shape", None, "scale of an error in place of a rejected one"
     MERGE = "detector.merge", 1, "whether two overlapping vessels share a box (camera, both vessels)"
+    MERGE_KEPT = "detector.merge_kept", 1, "whether two vessels keep their last number for that (camera, both vessels)"
     DOUBLE = "detector.double", 2, "whether a vessel gets a second box or is split, and where (camera, vessel)"
     DUPLICATE = "detector.duplicate", 4, "error of a second box (camera, vessel)"
     DUPLICATE_REDRAW = "detector.duplicate_redraw", None, "second box's errors in place of a rejected one"

@@ -18,6 +18,7 @@ from modsim3d.detector.confidence import Confidence
 from modsim3d.detector.draws import DUPLICATE_REDRAW_STREAMS, DUPLICATE_STREAMS, latent_normals, select, target_uniforms
 from modsim3d.detector.merges_and_splits import Events, halves
 from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.pair_noise import PairNoise
 from modsim3d.detector.persistence import Clock, VesselNoise
 from modsim3d.detector.records import (
     DUPLICATE,
@@ -112,6 +113,7 @@ class Detector:
         self._streams = Streams(seed)
         self._states = PerformanceStates(model, self._streams)
         self._noise = VesselNoise(model.persistence, self._streams, clock)
+        self._pair_noise = PairNoise(model.persistence.merge_s, self._streams, clock)
         self._classifier = ConfusionClassifier.from_model(model, census)
         self._box_error = BoxErrorSource.from_model(model)
         self._clutter = clutter_of(model, census)
@@ -146,7 +148,7 @@ class Detector:
         rows, label = passed[detected], label[detected]
         kept = select(targets, rows)
         boxes, partner = kept.boxes_px.copy(), np.full(len(rows), -1)
-        pairs = self.model.merges_and_splits.merged_pairs(self._streams, frames, kept)
+        pairs = self.model.merges_and_splits.merged_pairs(self._pair_noise, frames, kept)
         if not len(pairs):
             return _DetectedVessels(kept, rows, partner, label)
         larger, smaller = pairs.T

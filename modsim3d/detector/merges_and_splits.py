@@ -8,7 +8,8 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import sizes
-from modsim3d.detector.draws import keyed_uniforms, target_uniforms
+from modsim3d.detector.draws import target_uniforms
+from modsim3d.detector.pair_noise import PairNoise
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.random_streams import Purpose, Streams
 
@@ -35,7 +36,7 @@ class MergesAndSplits:
     splits: float = 0.0
     split_aspect: float = 4.0
 
-    def merged_pairs(self, streams: Streams, frames: CameraFrames, kept: Targets) -> Indices:
+    def merged_pairs(self, noise: PairNoise, frames: CameraFrames, kept: Targets) -> Indices:
         """Rows of the vessels that are merged, the larger first, shape (k, 2); each row at most once.
 
         Where pairs share a vessel, the pair that overlaps most is merged.
@@ -43,7 +44,7 @@ class MergesAndSplits:
         if not self.merges:
             return np.empty((0, 2), dtype=np.int64)
         pairs, overlap = _overlapping(kept, self.merge_overlap)
-        uniforms = _pair_uniforms(streams, frames, kept, pairs)
+        uniforms = noise.uniforms(frames, kept, pairs)
         willing = np.flatnonzero(uniforms < self.merges)
         taken: set[int] = set()
         found = []
@@ -124,12 +125,3 @@ def _overlapping(kept: Targets, least: float) -> tuple[Indices, Array]:
     both = np.where(swapped[:, None], both[:, ::-1], both)
     near = np.flatnonzero((share >= least) & (share > 0))
     return both[near], share[near]
-
-
-def _pair_uniforms(streams: Streams, frames: CameraFrames, kept: Targets, pairs: Indices) -> Array:
-    """A number that belongs to two vessels, whichever is larger at the moment, at a step; shape (k,)."""
-    owners: dict[str, int] = {}
-    ids = [kept.vessel_ids[vessel] for vessel in kept.vessel.tolist()]
-    names = ["\n".join(sorted((ids[a], ids[b]))) for a, b in pairs.tolist()]
-    owner = np.array([owners.setdefault(name, len(owners)) for name in names], dtype=np.int64)
-    return keyed_uniforms(streams, Purpose.MERGE, frames, kept.frame[pairs[:, 0]], owner, list(owners))[:, 0]

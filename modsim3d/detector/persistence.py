@@ -33,12 +33,13 @@ _MOST_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the
 
 @dataclass(frozen=True)
 class Persistence:
-    """How long misses, confusions, box errors and confidence persist, and what a vessel keeps of them for a whole run.
+    """How long misses, confusions, box errors, confidence and merges persist, and what a vessel keeps for a whole run.
 
     Attributes:
         class_s: Correlation time of misses and confusions in seconds; 0 means independent draws.
         box_s: That of box errors.
         confidence_s: That of confidence.
+        merge_s: That of whether two vessels that overlap come out as one box.
         class_vessel_share: Share of the variance of the latent number of misses and confusions that each vessel keeps
             in each camera, in [0, 1).
         box_vessel_share: That of the latent numbers of box errors.
@@ -47,6 +48,7 @@ class Persistence:
     class_s: float = 0.0
     box_s: float = 0.0
     confidence_s: float = 0.0
+    merge_s: float = 0.0
     class_vessel_share: float = 0.0
     box_vessel_share: float = 0.0
 
@@ -140,6 +142,11 @@ class AutoregressiveScore(Autoregressive):
         return grid_normals(streams.uniforms(Purpose.CONFIDENCE, camera, vessel, first=first, count=count)[:, :1])
 
 
+def decay(seconds: float, correlation_s: float) -> float:
+    """e^(−Δt/τ), one at a time: how a run is split must not show in how an array of exponentials is rounded."""
+    return float(on_grid(np.array(math.exp(-seconds / correlation_s)), _DECAY_STEP))
+
+
 class Walk:
     """The values of one process of all vessels of a camera, computed step by step from the first."""
 
@@ -169,7 +176,7 @@ class Walk:
         """The values from the next step up to `stop`, shape (steps, vessels, width)."""
         first, process = self._next, self._process
         times = self._clock(max(first - 1, 0), stop).tolist()
-        decays = [self._decay(b - a) for a, b in itertools.pairwise(times)]
+        decays = [decay(b - a, process.correlation_s) for a, b in itertools.pairwise(times)]
         decays = decays if first else [0.0, *decays]  # nothing is kept from before the first step
         fresh = np.stack(
             [process.fresh(self._streams, self._camera, vessel, first, stop - first) for vessel in self._vessels],
@@ -177,14 +184,10 @@ class Walk:
         )
         piece = np.empty((stop - first, *self._values.shape))
         values = np.zeros_like(self._values) if first == 0 else self._values
-        for k, decay in enumerate(decays):
-            piece[k] = values = process.advance(values, fresh[k], decay)
+        for k, kept in enumerate(decays):
+            piece[k] = values = process.advance(values, fresh[k], kept)
         self._values, self._next = values, stop
         return piece
-
-    def _decay(self, seconds: float) -> float:
-        """One exponential at a time: how a run is split must not show in how an array of them is rounded."""
-        return float(on_grid(np.array(math.exp(-seconds / self._process.correlation_s)), _DECAY_STEP))
 
 
 class VesselNoise:

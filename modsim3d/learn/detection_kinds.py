@@ -48,6 +48,7 @@ class Trials:
         hits: Whether it did; what chance does is taken off, so it may be below 0 or above 1.
         weight: How much it counts as a trial.
         chance: How many look so by chance.
+        vessels: The two annotations of a pair, `NOBODY` for a vessel, shape (n, 2).
     """
 
     image: Indices
@@ -55,6 +56,7 @@ class Trials:
     hits: Array
     weight: Array
     chance: Array
+    vessels: Indices
 
     def where(self, chosen: Mask) -> Trials:
         """Some of them, shape (n,)."""
@@ -142,7 +144,7 @@ def _as_the_run_says(labelled: LabelledSet, sought: Sought, rows: Indices, false
     nothing, none = np.zeros(len(rows)), np.zeros(len(pairs), dtype=bool)
     trials = {
         "merges": _pair_trials(
-            sought, pairs, is_merged, is_merged.astype(np.float64), np.zeros(len(pairs)), ~none, none
+            sought, rows, pairs, is_merged, is_merged.astype(np.float64), np.zeros(len(pairs)), ~none, none
         ),
         "splits": _vessel_trials(sought, _long(sought, single), split, nothing),
         "duplicates": _vessel_trials(sought, single, split[:0], nothing, results.image[doubled]),
@@ -193,7 +195,9 @@ def _as_boxes_look(images: Images, sought: Sought, rows: Indices, loose: Loose, 
     owner_alike = np.where(sought.found[pairs.larger], alike[0], alike[1])
     by_error = np.where(common.one_box, owner_alike, 0.0)
     probable = np.where(common.one_box, (is_merged - by_error) / np.maximum(told - by_error, 0.5), 1.0 * is_merged)
-    merges = _pair_trials(detected, pairs, is_merged, probable - by_pair, by_error + by_pair, clear, common.one_box)
+    merges = _pair_trials(
+        detected, rows, pairs, is_merged, probable - by_pair, by_error + by_pair, clear, common.one_box
+    )
     one, owner = np.flatnonzero(common.one_box), np.where(sought.found[pairs.larger], pairs.larger, pairs.smaller)
     box = common.pair
     unclear = [
@@ -258,17 +262,20 @@ def _vessel_trials(
     hits[hit] = 1
     extra = _NO_ROWS if extra_image is None else extra_image
     none = np.zeros(len(extra))
+    count = int(tried.sum()) + len(extra)
     return Trials(
         image=np.concatenate([sought.image[tried], extra]),
         value=np.concatenate([sought.aspect[tried], none]),
         hits=np.concatenate([(hits - chance)[tried], none + 1]),
         weight=np.concatenate([np.ones(int(tried.sum())), none]),
         chance=np.concatenate([chance[tried], none]),
+        vessels=np.full((count, 2), NOBODY),
     )
 
 
 def _pair_trials(
     sought: Sought,
+    rows: Indices,
     pairs: Overlapping,
     is_merged: Mask,
     hits: Array,
@@ -290,7 +297,8 @@ def _pair_trials(
     chosen = clear & told & (is_merged | both | single)
     hits = np.where(both, 0.0, hits)
     weight = np.where(both, 1.0, hits)
-    return Trials(sought.image[pairs.larger], pairs.share, hits, weight, np.where(both, 0.0, chance)).where(chosen)
+    chance, vessels = np.where(both, 0.0, chance), np.column_stack([rows[pairs.larger], rows[pairs.smaller]])
+    return Trials(sought.image[pairs.larger], pairs.share, hits, weight, chance, vessels).where(chosen)
 
 
 def _most(sought: Sought, pairs: Overlapping, chosen: Mask) -> Array:

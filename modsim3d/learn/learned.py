@@ -225,7 +225,11 @@ def learn_again(learned: Learned, observed: Observed) -> LearnedDetector:
 def _run_s(observed: Observed, form: DetectorForm) -> float:
     """A length many times as long as noise persists, but so that enough runs are left; 0 if none persists."""
     longest = max(
-        form.classes.class_s, form.box_errors.box_s, form.false_positives.lifetime_s, form.confidence.confidence_s
+        form.classes.class_s,
+        form.box_errors.box_s,
+        form.false_positives.lifetime_s,
+        form.confidence.confidence_s,
+        form.multiple_boxes.merge_s,
     )
     if longest <= 0:
         return 0.0

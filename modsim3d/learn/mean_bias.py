@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled import Images, LabelledSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,13 @@ class Stretches:
 
 def stretches_of(labelled: LabelledSet, rows: Indices, state: Indices) -> Stretches:
     """Stretches of annotations (n,) of things with identities in frames with times, given their states (n,)."""
-    image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
-    time_s, sequence = labelled.images.time_s[image], labelled.images.sequence[image]
+    annotations = labelled.annotations
+    return stretches_of_things(labelled.images, annotations.image[rows], annotations.identity[rows], state)
+
+
+def stretches_of_things(images: Images, image: Indices, identity: Indices, state: Indices) -> Stretches:
+    """Stretches of sightings, from their images, identities, −1 where unknown, and states, shapes (n,)."""
+    time_s, sequence = images.time_s[image], images.sequence[image]
     known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
     keys = np.column_stack([sequence, identity, state])[known]
     each, first, place = np.unique(keys, axis=0, return_index=True, return_inverse=True)

@@ -10,6 +10,7 @@ import numpy as np
 from modsim3d.learn.believed_kinds import THRESHOLDS, hits_and_trials
 from modsim3d.learn.entries import Entry, Key, digits
 from modsim3d.learn.form import ratio
+from modsim3d.learn.merge_persistence import ConsecutiveMerges
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Column, Resampling
 
@@ -24,40 +25,53 @@ _MARGIN = 1e-4
 
 @dataclass(frozen=True)
 class MultipleBoxForm:
-    """Which of `believed_kinds.NAMES` the data show, with their thresholds, None for one that has none."""
+    """Which of `believed_kinds.NAMES` the data show, with their thresholds, None for one that has none.
+
+    `merge_s` is the rough correlation time of merges, 0 if they do not persist.
+    """
 
     shown: tuple[tuple[str, float | None], ...]
     notes: tuple[str, ...]
+    merge_s: float = 0.0
 
     def noting(self, note: str) -> MultipleBoxForm:
         """The same with another note."""
         return replace(self, notes=(*self.notes, note))
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedMultipleBoxes:
-        """The probability of each."""
-        entries = []
+        """The probability of each, and the correlation time of merges."""
+        entries, merge_s, factor = [], None, dict[str, float]()
+        if self.merge_s > 0:
+            consecutive = ConsecutiveMerges.of(observed.labelled, observed.kinds.trials["merges"])
+            merge_s = Entry(Key(("persistence", "merge_s")), consecutive.products().column(resampling))
+            factor["merges"] = consecutive.inflation(float(merge_s.estimate))
         for name, _ in self.shown:
             sums = hits_and_trials(observed.kinds.trials[name], resampling)
             share = np.clip(ratio(sums[:, 0], sums[:, 1]), 0, 1)
-            entries.append(Entry(Key(("false_positives", name)), Column(share, "share", np.array(sums[0, 1]))))
-        return LearnedMultipleBoxes(self, tuple(entries))
+            column = Column(share, "share", np.array(sums[0, 1]), factor.get(name, 1.0))
+            entries.append(Entry(Key(("false_positives", name)), column))
+        return LearnedMultipleBoxes(self, tuple(entries), merge_s)
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedMultipleBoxes:
-    """The probability of each kind that the data show."""
+    """The probability of each kind that the data show; `merge_s` is None if merges do not persist."""
 
     form: MultipleBoxForm
     shares: tuple[Entry, ...]
+    merge_s: Entry | None = None
 
     def sections(self) -> dict[str, dict[str, Any]]:
-        """Probabilities, and thresholds that are not the defaults."""
+        """Probabilities, thresholds that are not the defaults, and the correlation time of merges."""
         section: dict[str, Any] = {}
         for (name, least), entry in zip(self.form.shown, self.shares, strict=True):
             section[name] = digits(np.nan_to_num(entry.estimate))
             if least is not None and least != THRESHOLDS[name][1]:
                 section[THRESHOLDS[name][0]] = least
-        return {"false_positives": section} if section else {}
+        sections = {"false_positives": section} if section else {}
+        if self.merge_s is not None and self.merge_s.estimate > 0:
+            sections["persistence"] = {"merge_s": digits(self.merge_s.estimate)}
+        return sections
 
     def state_section(self, state: int) -> dict[str, Any]:
         """Nothing in the states."""
@@ -66,8 +80,26 @@ class LearnedMultipleBoxes:
 
 def choose_multiple_boxes(observed: Observed) -> MultipleBoxForm:
     """Which kinds the data show."""
-    kinds = observed.kinds
-    return MultipleBoxForm(tuple((name, kinds.thresholds.get(name)) for name in kinds.trials), kinds.notes)
+    kinds, notes = observed.kinds, list(observed.kinds.notes)
+    merge_s = 0.0 if "persistence" in observed.without else _merge_s(observed, notes)
+    shown = tuple((name, kinds.thresholds.get(name)) for name in kinds.trials)
+    return MultipleBoxForm(shown, tuple(notes), merge_s)
+
+
+def _merge_s(observed: Observed, notes: list[str]) -> float:
+    """Rough correlation time of merges; 0 with a note if they do not persist, or that is not sure."""
+    trials = observed.kinds.trials.get("merges")
+    if trials is None or not len(observed.steps):
+        return 0.0  # which the notes on merges and on misses say
+    products = ConsecutiveMerges.of(observed.labelled, trials).products()
+    if not len(products):
+        notes.append("persistence.merge_s: 0; no two vessels overlap in two frames with times")
+        return 0.0
+    found = products.correlation()
+    if found.persists:
+        return products.rough_time_s()
+    notes.append(f"persistence.merge_s: 0; {found.doubt}")
+    return 0.0
 
 
 def leaves_room(observed: Observed) -> bool:

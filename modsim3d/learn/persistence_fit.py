@@ -8,7 +8,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.learn.mean_bias import Stretches
 from modsim3d.learn.resampling import Column, Resampling, widened
 
@@ -150,8 +150,12 @@ class Consecutive:
 
 def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:
     """Consecutive ones of some annotations, shape (n,), of things with identities in frames with times."""
-    image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
-    sequence, time_s = labelled.images.sequence[image], labelled.images.time_s[image]
+    return steps_of(labelled.images, labelled.annotations.image[rows], labelled.annotations.identity[rows])
+
+
+def steps_of(images: Images, image: Indices, identity: Indices) -> Steps:
+    """Consecutive sightings of the same thing, from their images and identities, −1 where unknown, shapes (n,)."""
+    sequence, time_s = images.sequence[image], images.time_s[image]
     known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
     order = known[np.lexsort((time_s[known], identity[known], sequence[known]))]
     earlier, later = order[:-1], order[1:]

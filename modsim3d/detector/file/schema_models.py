@@ -99,6 +99,7 @@ class PersistenceSection(Strict):
     class_s: NotNegative = 0.0
     box_s: NotNegative = 0.0
     confidence_s: NotNegative = 0.0
+    merge_s: NotNegative = 0.0
     class_vessel_share: Fraction = 0.0
     box_vessel_share: Fraction = 0.0
 
