@@ -13,7 +13,7 @@ from modsim3d.learn.entries import Entry, Key, nested
 from modsim3d.learn.error_choice import ChosenLaw, choose_law, plain_unit
 from modsim3d.learn.error_fits import ErrorFits
 from modsim3d.learn.error_laws import ErrorSample, LearnedErrors, learned_errors
-from modsim3d.learn.error_model import ErrorModel, Unit
+from modsim3d.learn.error_model import LEAST_DEGREES, ErrorModel, Unit
 from modsim3d.learn.error_noise import error_lags, latent_share, with_things
 from modsim3d.learn.error_persistence import WhiteErrors, consecutive_errors, white_errors
 from modsim3d.learn.error_usage import UsedMatches
@@ -163,6 +163,11 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
             notes.append(
                 f"states.{name}.box_error: as if matching cut off nothing; too many boxes fail the matching to tell "
                 "how far errors spread beyond it"
+            )
+        if law.heavy and fit is not None and fit.model.freedom <= LEAST_DEGREES * (1 + 1e-6):
+            notes.append(
+                f"states.{name}.box_error: degrees_of_freedom at the least that is fitted, {LEAST_DEGREES:g}; tails so "
+                "heavy leave the spread of the errors uncertain"
             )
         forms.append(StateErrorForm(law.unit, source, "student_t" if law.heavy else "normal"))
     things_keep = box_s > 0 and _things_keep(observed, fits, forms, notes)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import special
@@ -48,28 +49,26 @@ def standard_errors(model: ErrorModel, sides_px: Array, outward_px: Array) -> Ar
 
 def completed(model: ErrorModel, edges: MatchedEdges) -> Iterator[Completed]:
     """All boxes, those with the same edges known together."""
-    pattern = (edges.known + 2 * edges.censored) @ 3 ** np.arange(4)
-    for each in np.unique(pattern):
-        rows = np.flatnonzero(pattern == each)
-        yield _of_pattern(model, edges, rows)
+    for rows, ours in edges.alike:
+        yield _of_pattern(model, ours, rows)
 
 
 def _of_pattern(model: ErrorModel, edges: MatchedEdges, rows: Indices) -> Completed:
-    """Boxes of which the same edges are known and censored."""
-    known, censored = edges.known[rows[0]], edges.censored[rows[0]]
+    """Boxes of which the same edges are known and censored, and their rows."""
+    known, censored = edges.known[0], edges.censored[0]
     order = np.argsort(np.where(known, 0, np.where(censored, 1, 2)), kind="stable")
     count, ends = int(known.sum()), int(known.sum() + censored.sum())
-    mean, std = model.at(edges.sides_px[rows])
+    mean, std = model.at(edges.sides_px)
     turn = OUTWARD[order]
     scaled = turn * std[:, None]
     root = np.linalg.cholesky(scaled @ model.correlation @ np.swapaxes(scaled, 1, 2))
-    moved = edges.outward_px[rows][:, order] - mean @ turn.T
+    moved = edges.outward_px[:, order] - mean @ turn.T
     zeta = np.zeros((len(rows), 4))
     for j in range(count):
         zeta[:, j] = (moved[:, j] - (root[:, j, :j] * zeta[:, :j]).sum(axis=1)) / root[:, j, j]
     value = _log_density(model, zeta[:, :count]) - np.log(np.diagonal(root[:, :count, :count], axis1=1, axis2=2)).sum(1)
     if count == 4:
-        return Completed(rows, edges.outward_px[rows][:, None], np.ones((len(rows), 1)), value)
+        return Completed(rows, edges.outward_px[:, None], np.ones((len(rows), 1)), value)
     uniforms = _uniforms(len(rows), 4 - count + model.heavy)
     points, scale = np.zeros((*uniforms.shape[:2], 4)), np.ones(uniforms.shape[:2])
     points[..., :count] = zeta[:, None, :count]
@@ -90,18 +89,21 @@ def _of_pattern(model: ErrorModel, edges: MatchedEdges, rows: Indices) -> Comple
     outward = np.empty_like(points)
     outward[..., order] = np.einsum("mjk,mpk->mpj", root, points) + (mean @ turn.T)[:, None]
     if ends < 4:
-        passes = edges[rows].passes(outward)
+        passes = edges.passes(outward)
         weights = np.where(passes.any(axis=1, keepdims=True), weights * passes, weights)
         total = np.maximum(weights.mean(axis=1), 1e-300)
     weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
     return Completed(rows, outward, weights, value + np.log(np.maximum(total, 1e-300)))
 
 
+@lru_cache(maxsize=128)
 def _uniforms(count: int, width: int) -> Array:
     """Points of Sobol's sequence for each of so many boxes, shifted by an amount of its own, (count, p, width)."""
     points = max(8, min(_POINTS, 1 << int(np.log2(max(_POINTS_IN_ALL / count, 8)))))
     shifted: Array = (sobol(points, width) + np.random.default_rng(1).random((count, 1, width))) % 1
-    return np.clip(shifted, 1e-12, 1 - 1e-12)
+    uniforms: Array = np.clip(shifted, 1e-12, 1 - 1e-12)
+    uniforms.flags.writeable = False
+    return uniforms
 
 
 def _log_density(model: ErrorModel, zeta: Array) -> Array:

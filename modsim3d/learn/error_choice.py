@@ -54,22 +54,30 @@ def choose_law(fits: ErrorFits, kept: float, without: frozenset[str]) -> ChosenL
     unit = plain_unit(fits, without)
     chosen = ChosenLaw(unit)
     if "student_t" not in without:
-        units: tuple[Unit, ...] = ("px",) if "relative" in without else ("px", "relative")
-        found = [(fits.value(each, heavy=True), each) for each in units if _heavy_possible(fits, each == "relative")]
-        if found:
-            value, best = max(found)
-            if reason := _tails(value - fits.value(unit), len(fits.edges), kept):
-                chosen = ChosenLaw(best, True, (reason,))
+        best = -np.inf
+        for each in (unit,) if "relative" in without else (unit, _other(unit)):
+            reason = heavy_tails(fits, each, kept, fits.value(unit))
+            if reason and fits.value(each, heavy=True) > best:
+                best, chosen = fits.value(each, heavy=True), ChosenLaw(each, True, (reason,))
     if "mixed" not in without and len(fits.edges) >= MIXED_NEEDED and _sides_differ(fits.edges):
         chosen = _with_growth(fits, chosen, kept, without)
     return chosen
 
 
-def heavy_tails(fits: ErrorFits, unit: Unit, kept: float) -> str:
-    """Why Student's t law describes errors in a unit better than the normal one; empty if it does not."""
+def _other(unit: Unit) -> Unit:
+    return "px" if unit == "relative" else "relative"
+
+
+def heavy_tails(fits: ErrorFits, unit: Unit, kept: float, normal: float | None = None) -> str:
+    """Why Student's t law describes errors in a unit better than normal ones; empty if it does not.
+
+    `normal` is the log-likelihood of the normal ones, by default in the same unit.
+    """
     if not _heavy_possible(fits, unit == "relative"):
         return ""
-    return _tails(fits.value(unit, heavy=True) - fits.value(unit), len(fits.edges), kept)
+    normal, alike = fits.value(unit) if normal is None else normal, excess(kept**4)
+    least = normal + alike * _needed_of_tails(len(fits.edges), alike)
+    return _tails(fits.value(unit, heavy=True, least=least) - normal, len(fits.edges), kept)
 
 
 def _tails(gain: float, count: int, kept: float) -> str:
@@ -77,6 +85,8 @@ def _tails(gain: float, count: int, kept: float) -> str:
     gain, needed = gain / alike, _needed_of_tails(count, alike)
     if not gain > needed:
         return ""
+    if not np.isfinite(gain):
+        return "tails are heavier than normal ones (so many boxes fail the matching that no normal errors fit)"
     return f"tails are heavier than normal ones (log-likelihood {gain:.1f} larger, needs {needed:.1f})"
 
 
@@ -86,14 +96,17 @@ def _needed_of_tails(count: int, alike: float) -> float:
 
 def _with_growth(fits: ErrorFits, plain: ChosenLaw, kept: float, without: frozenset[str]) -> ChosenLaw:
     """Mixed errors where they are clearly likelier than the kind that was chosen, else that kind."""
-    heavy = "student_t" not in without and (plain.heavy or _heavy_possible(fits, False))
     alike, alike_tails = excess(kept**2), excess(kept**4)
     of_tails = _needed_of_tails(len(fits.edges), alike_tails) * alike_tails
-    normal, tailed = fits.value("mixed"), fits.value("mixed", heavy=True) if heavy else -np.inf
+    needed = max(_GROWTHS * np.log(len(fits.edges) / alike), _GROWTHS_SIGNIFICANT) / 2
+    least = fits.value(plain.unit, plain.heavy)
+    normal = fits.value("mixed", least=fits.value(plain.unit))
+    tailed = -np.inf
+    if "student_t" not in without and _mixed_may_be_heavy(fits, plain):
+        tailed = fits.value("mixed", heavy=True, least=least + needed * alike + of_tails * (not plain.heavy))
     mixed_heavy = tailed - normal > of_tails
     value = (tailed if mixed_heavy else normal) - of_tails * (mixed_heavy - plain.heavy)
-    gain = (value - fits.value(plain.unit, plain.heavy)) / alike
-    needed = max(_GROWTHS * np.log(len(fits.edges) / alike), _GROWTHS_SIGNIFICANT) / 2
+    gain = (value - least) / alike
     if not gain > needed:
         return plain
     why = f"spreads have a fixed and a growing part (log-likelihood {gain:.1f} larger, needs {needed:.1f})"
@@ -106,6 +119,15 @@ def _heavy_possible(fits: ErrorFits, relative: bool) -> bool:
     if len(fits.edges) < T_NEEDED or fits.fit("relative" if relative else "px") is None:
         return False
     return may_be_heavy(fits.unclipped(relative))
+
+
+def _mixed_may_be_heavy(fits: ErrorFits, plain: ChosenLaw) -> bool:
+    """Whether mixed errors with heavy tails may be likelier than the kind that was chosen."""
+    normal = fits.fit("mixed")
+    if normal is None or len(fits.edges) < T_NEEDED:
+        return False
+    far_below = not normal.settled and normal.value < fits.value(plain.unit)
+    return plain.heavy or (not far_below and may_be_heavy(fits.over_spread(normal.model)))
 
 
 def _sides_differ(edges: MatchedEdges) -> bool:

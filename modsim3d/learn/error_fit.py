@@ -15,6 +15,7 @@ from modsim3d.learn.matched_edges import MatchedEdges
 _STEPS, _ENOUGH = 30, 0.01
 _LONGEST_STEP, _MOST_TIMES, _WORSE = 0.5, 4.0, 1.5
 _DIFFERENCE = 0.25
+_HOPE, _MARGIN = 4.0, 10.0
 _MANY_MORE = 1.2
 
 
@@ -79,8 +80,8 @@ def slopes(model: ErrorModel, edges: MatchedEdges, gate: Gate | None) -> Slopes:
     """Log-likelihood and slopes of a distribution, given boxes and what matching cuts off."""
     statistics, value = np.empty((len(edges), 14 + model.heavy)), 0.0
     for part in completed(model, edges):
-        found = model.statistics(standard_errors(model, edges.sides_px[part.rows], part.outward_px))
-        statistics[part.rows] = np.einsum("mp,mps->ms", part.weights, found)
+        standard = standard_errors(model, edges.sides_px[part.rows], part.outward_px)
+        statistics[part.rows] = model.mean_statistics(standard, part.weights)
         value += float(part.log_likelihood.sum())
     if gate is not None:
         passing, lost = gate.passing(model)
@@ -89,13 +90,18 @@ def slopes(model: ErrorModel, edges: MatchedEdges, gate: Gate | None) -> Slopes:
     return Slopes(value, statistics[:, model.places] * model.gains(edges.sides_px))
 
 
-def fit_errors(start: ErrorModel, edges: MatchedEdges) -> ErrorFit:
-    """Newton's steps from a distribution to the likeliest of its kind (Broyden's method for the derivatives)."""
+def fit_errors(start: ErrorModel, edges: MatchedEdges, least: float = -np.inf) -> ErrorFit:
+    """Newton's steps from a distribution to the likeliest of its kind (Broyden's method for the derivatives).
+
+    A fit that will surely not reach the least log-likelihood that is asked of it is given up; it is not settled.
+    """
     gate = Gate.of(edges, start)
-    fit = _fit(start, edges, gate)
+    fit = _fit(start, edges, gate, least)
+    if not fit.settled and fit.value < least:
+        return fit
     again = None if gate is None else Gate.of(edges, fit.model)
     if again is not None and gate is not None and again.boxes > _MANY_MORE * gate.boxes:
-        fit = _fit(fit.model, edges, again)  # more boxes may fail than it seemed
+        fit = _fit(fit.model, edges, again, least)  # more boxes may fail than it seemed
     return fit
 
 
@@ -104,31 +110,36 @@ def fit_without_gate(start: ErrorModel, edges: MatchedEdges) -> ErrorFit:
     return replace(_fit(start, edges, None), settled=False)
 
 
-def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None) -> ErrorFit:
+def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None, least: float = -np.inf) -> ErrorFit:
     model, settled = start, False
     information = _expected_information(start, edges)
     unit: Array = 1 / np.sqrt(np.diag(information))  # all numbers in standard errors, so that they are alike
     usual = np.asarray(np.linalg.inv(information * np.outer(unit, unit)), dtype=np.float64)
     inverse, longest = usual, _LONGEST_STEP
-    numbers, score = start.numbers(), slopes(start, edges, gate).scores.sum(axis=0)
+    found = slopes(start, edges, gate)
+    numbers, score = start.numbers(), found.scores.sum(axis=0)
     for _ in range(_STEPS):
         step = _step(inverse, score * unit, model.held(score)) * unit
+        if found.value + _HOPE * abs(score @ step) + _MARGIN < least:
+            break
         if np.all(np.abs(step) <= _ENOUGH * unit):
             settled = True
             break
         size = _size(step, model)
         if size > longest:
             step *= longest / size
-        model = model.with_numbers(numbers + step)
+        last, model = model, model.with_numbers(numbers + step)
         if np.any(model.std > _MOST_TIMES * start.std) or not np.isfinite(model.numbers()).all():
+            model = last
             break
-        moved, after = model.numbers() - numbers, slopes(model, edges, gate).scores.sum(axis=0)
+        found = slopes(model, edges, gate)
+        moved, after = model.numbers() - numbers, found.scores.sum(axis=0)
         if np.linalg.norm(after * unit) > _WORSE * np.linalg.norm(score * unit):
             inverse, longest = usual, longest / 2
         else:
             inverse = _broyden(inverse, moved / unit, (score - after) * unit)
         numbers, score = numbers + moved, after
-    return ErrorFit(model, edges, gate, slopes(model, edges, gate).value, settled)
+    return ErrorFit(model, edges, gate, found.value, settled)
 
 
 def _step(inverse: Array, score: Array, held: Mask) -> Array:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import optimize
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Mask
 from modsim3d.learn.error_fit import ErrorFit, fit_errors, fit_without_gate
 from modsim3d.learn.error_model import ErrorModel, Unit
 from modsim3d.learn.matched_edges import MatchedEdges
@@ -25,11 +26,14 @@ class ErrorFits:
     edges: MatchedEdges
     _found: dict[tuple[Unit, bool], ErrorFit | None] = field(default_factory=dict)
 
-    def fit(self, unit: Unit, heavy: bool = False) -> ErrorFit | None:
-        """The likeliest distribution of a kind; None where the errors determine none."""
+    def fit(self, unit: Unit, heavy: bool = False, least: float = -np.inf) -> ErrorFit | None:
+        """The likeliest distribution of a kind; None where the errors determine none.
+
+        One that will surely not reach the least log-likelihood that is asked of it is not fitted to the end.
+        """
         if (unit, heavy) not in self._found:
             start = self._start(unit, heavy) if len(self.edges) else None
-            self._found[unit, heavy] = None if start is None else fit_errors(start, self.edges)
+            self._found[unit, heavy] = None if start is None else fit_errors(start, self.edges, least)
         return self._found[unit, heavy]
 
     def chosen(self, unit: Unit, heavy: bool = False) -> ErrorFit | None:
@@ -42,19 +46,24 @@ class ErrorFits:
             self._found[unit, heavy] = found = fit_without_gate(start, self.edges)
         return found
 
-    def value(self, unit: Unit, heavy: bool = False) -> float:
-        """Log-likelihood of the likeliest distribution of a kind, −∞ where there is none."""
-        found = self.fit(unit, heavy)
+    def value(self, unit: Unit, heavy: bool = False, least: float = -np.inf) -> float:
+        """Log-likelihood of the likeliest distribution of a kind, −∞ where there is none or it is below the least."""
+        found = self.fit(unit, heavy, least)
         return -np.inf if found is None or not found.settled else found.value
 
     def unclipped(self, relative: bool) -> Array:
         """Errors of the boxes of which all edges are known, else of all, in pixels or sides, shape (m, 4)."""
+        edges, chosen = self.edges, self._unclipped
+        errors: Array = edges.errors_px[chosen] / (edges.sides_px[chosen] if relative else 1.0)
+        return errors
+
+    @cached_property
+    def _unclipped(self) -> Mask:
         edges = self.edges
         chosen = edges.whole & edges.known.all(axis=1)
         if chosen.sum() < _WHOLE_NEEDED:
             chosen = edges.whole if edges.whole.any() else np.ones(len(edges), dtype=bool)
-        errors: Array = edges.errors_px[chosen] / (edges.sides_px[chosen] if relative else 1.0)
-        return errors
+        return chosen
 
     def _start(self, unit: Unit, heavy: bool) -> ErrorModel | None:
         """A distribution near the likeliest one; None where errors are too few or determine each other."""
@@ -74,7 +83,9 @@ class ErrorFits:
 
     def _start_of_mixed(self, heavy: bool) -> ErrorModel | None:
         """From that in pixels, with standard deviations that follow the mean size of errors over the sides."""
-        plain = self.fit("px", heavy)
+        if heavy:
+            return self._start_of_heavy_mixed()
+        plain = self.fit("px")
         if plain is None:
             return None
         edges, model = self.edges, plain.model
@@ -85,6 +96,23 @@ class ErrorFits:
             found, _ = optimize.nnls(sides, _MEAN_TO_STD * np.abs(edges.errors_px[chosen, k] - model.mean[k]))
             std[k], growth[k] = max(found[0], _LEAST_SHARE * model.std[k]), found[1]
         return replace(model, std=std, growth=growth, unit="mixed", floor=_LEAST_SHARE * model.std)
+
+    def _start_of_heavy_mixed(self) -> ErrorModel | None:
+        """From normal mixed errors, with the tails of errors over their standard deviations."""
+        normal = self.fit("mixed")
+        tails = None if normal is None else fit_student_t(self.over_spread(normal.model))
+        if normal is None or tails is None:
+            return None
+        ratio = np.sqrt(np.diag(tails.covariance))
+        model = normal.model
+        std = np.maximum(ratio * model.std, model.floor)
+        return replace(model, std=std, growth=ratio * model.growth, freedom=tails.degrees_of_freedom)
+
+    def over_spread(self, model: ErrorModel) -> Array:
+        """Errors of `unclipped` boxes less their mean over their standard deviation by a distribution, shape (m, 4)."""
+        mean, std = model.at(self.edges.sides_px[self._unclipped])
+        errors: Array = (self.edges.errors_px[self._unclipped] - mean) / std
+        return errors
 
 
 def _regular(errors: Array) -> bool:

@@ -86,6 +86,29 @@ class ErrorModel:
             found.append((slope * (nu - 2))[..., None])
         return np.concatenate(found, axis=-1)
 
+    def mean_statistics(self, standard: Array, weights: Array) -> Array:
+        """Means of `statistics` of points (m, p, 4) with weights (m, p) that sum to one, shape (m, 14 or 15)."""
+        precision = np.linalg.inv(self.correlation)
+        weighted = weights
+        if self.heavy:
+            nu = self.freedom
+            solved = (standard.reshape(-1, 4) @ precision).reshape(standard.shape)
+            q = np.einsum("mpi,mpi->mp", solved, standard)
+            weight = (nu + 4) / (nu - 2 + q)
+            weighted = weights * weight
+        first = np.einsum("mp,mpi->mi", weighted, standard) @ precision
+        second = precision @ (np.swapaxes(standard * weighted[..., None], 1, 2) @ standard)
+        found = [
+            first,
+            np.diagonal(second, axis1=1, axis2=2) - 1,
+            (second @ precision)[:, _FIRST, _SECOND] - precision[_FIRST, _SECOND],
+        ]
+        if self.heavy:
+            constant = (special.digamma(nu / 2 + 2) - special.digamma(nu / 2)) / 2 - 2 / (nu - 2)
+            each = (weight * q / (nu - 2) - np.log1p(q / (nu - 2))) / 2
+            found.append((constant + (weights * each).sum(axis=1))[:, None] * (nu - 2))
+        return np.concatenate(found, axis=-1)
+
     @property
     def places(self) -> Indices:
         """Which statistic each number's slope is made from, shape (p,): means, ln σ, artanh ρ, growth, ln(ν − 2)."""

@@ -8,7 +8,7 @@ Sobol's sequence for a sample of the boxes, each for those that are most like it
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from scipy import special
@@ -49,8 +49,7 @@ class Gate:
         risky = np.zeros(len(edges), dtype=bool)
         for first in range(0, len(edges), _SCREENED_AT_ONCE):
             screened = np.arange(first, min(first + _SCREENED_AT_ONCE, len(edges)))
-            some = edges[screened]
-            risky[screened] = _fails(stretched, some, drawn(stretched, normal_points(len(some), _POINTS))).any(axis=1)
+            risky[screened] = _may_fail(stretched, edges[screened])
         rows = np.flatnonzero(risky)
         if not len(rows):
             return None
@@ -95,8 +94,15 @@ def sobol(number: int, width: int) -> Array:
 
 def normal_points(boxes: int, number: int) -> Array:
     """Normal numbers from Sobol's sequence, shifted for each box by an amount of its own, (boxes, number, 5)."""
+    return _points_of(1 << (boxes - 1).bit_length(), number)[:boxes]
+
+
+@lru_cache(maxsize=8)
+def _points_of(boxes: int, number: int) -> Array:
     shifted = (sobol(number, 5) + np.random.default_rng(3).random((boxes, 1, 5))) % 1
-    return np.asarray(special.ndtri(np.clip(shifted, 1e-12, 1 - 1e-12)))
+    points: Array = special.ndtri(np.clip(shifted, 1e-12, 1 - 1e-12))
+    points.flags.writeable = False
+    return points
 
 
 def drawn(model: ErrorModel, normal: Array) -> Array:
@@ -108,6 +114,17 @@ def drawn(model: ErrorModel, normal: Array) -> Array:
         scales = np.interp(normal[..., 4], _LEVELS, np.sqrt((model.freedom - 2) / chi_square))
         standard = standard * scales[..., None]
     return standard
+
+
+def _may_fail(model: ErrorModel, edges: MatchedEdges) -> Mask:
+    """Whether some point of each box fails, shape (n,)."""
+    standard = drawn(model, normal_points(len(edges), _POINTS))
+    mean, std = model.at(edges.sides_px)
+    largest = np.abs(mean) + std * np.maximum(standard.max(axis=1), -standard.min(axis=1))
+    rows = np.flatnonzero(~edges.surely_passes(largest @ np.abs(OUTWARD).T))
+    risky = np.zeros(len(edges), dtype=bool)
+    risky[rows] = _fails(model, edges[rows], standard[rows]).any(axis=1)
+    return risky
 
 
 def _fails(model: ErrorModel, edges: MatchedEdges, standard: Array) -> Mask:
