@@ -78,7 +78,9 @@ def tell_apart(
     Args:
         films: Names of the films.
         real: Name of a film → its truth with the real detector's output.
-        simulated: Name of a film → the same truth with the output of each seed of the simulated detector.
+        simulated: Name of a film → the same truth with the output of each seed of the simulated detector. Each film
+            needs seeds of its own: a seed deals the same noise in every film, which a classifier learns in some and
+            knows again in others (by that alone a detector is told from itself with an AUC of 0.60).
         threshold: Least confidence of a detection, the same for both.
         kinds: `frames`, `tracks` or both.
         importance: Whether to say which features tell.
