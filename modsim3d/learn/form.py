@@ -30,9 +30,9 @@ RICHER = (
     "splits",
 )
 """What learning may add to the plain model, and can be told to leave out: box errors that grow with the box, or partly
-do; heavy tails; effects on misses; persistence of misses, box errors and confidence; the share of misses and box errors
-that each vessel keeps; sizes and places of false positives, and how long they last; confidence of true and false
-detections apart; its slopes; duplicates, merges and splits."""
+do; heavy tails; effects on misses; persistence of misses, box errors, confidence and merges; the share of misses and
+box errors that each vessel keeps; sizes and places of false positives, and how long they last; confidence of true and
+false detections apart; its slopes; duplicates, merges and splits."""
 SIGNIFICANT = 3.3
 """Standard errors from zero that an effect needs: one in a thousand reaches them by chance."""
 

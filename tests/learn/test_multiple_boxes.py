@@ -18,6 +18,8 @@ from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.believed_kinds import NAMES
 from modsim3d.learn.detection_kinds import kinds_of
 from modsim3d.learn.learned import Settings, learn
+from modsim3d.learn.merge_persistence import ConsecutiveMerges
+from modsim3d.learn.multiple_box_estimate import choose_multiple_boxes
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.states import each_its_own, transitions_of
 from tests.formats.labelled_sets import found, images, truth
@@ -36,13 +38,16 @@ def none(tmp_path_factory):
     return labelled_run(simulate("harbour", tmp_path_factory.mktemp("none"), 2, 120, 3))[0]
 
 
-def learned_from(labelled, method, without=frozenset()):
+def observed_in(labelled, method, without=frozenset()):
     states = each_its_own(("clear", "haze"))
     image_state = states.of_images(labelled.images, labelled.conditions)
+    return Observed(labelled, match(labelled, Rule(method), 0.2), states.names, image_state, 0.2, without)
+
+
+def learned_from(labelled, method, without=frozenset()):
+    observed = observed_in(labelled, method, without)
     settings = Settings(Rule(method), replicates=100, without=without)
-    matched = match(labelled, settings.rule, settings.threshold)
-    observed = Observed(labelled, matched, states.names, image_state, settings.threshold, without)
-    return learn(observed, transitions_of(labelled.images, image_state, 2, 1.0), settings)
+    return learn(observed, transitions_of(labelled.images, observed.image_state, 2, 1.0), settings)
 
 
 @pytest.mark.parametrize("method", ["provenance", "confidence"])
@@ -67,6 +72,23 @@ def test_nothing_is_learned_where_there_is_nothing(none):
         ]
         plain = learned_from(none, method, frozenset(NAMES))
         assert plain.detector() == learned.detector()
+
+
+def test_merges_that_do_not_persist_have_no_correlation_time(many):
+    trials = observed_in(many, "provenance").kinds.trials["merges"]
+    assert ConsecutiveMerges.of(many, trials).products().correlation().low > 0.5
+    order = np.random.default_rng(0).permutation(len(trials.hits))
+    mixed = ConsecutiveMerges.of(many, replace(trials, hits=trials.hits[order])).products().correlation()
+    assert not mixed.persists and -0.2 < mixed.low < 0 < mixed.high < 0.2
+    nobody = replace(many, annotations=replace(many.annotations, identity=np.full(len(many.annotations), -1)))
+    assert not len(ConsecutiveMerges.of(nobody, trials).products())
+
+
+def test_persistence_of_merges_can_be_left_out(many):
+    with_it, without = (
+        choose_multiple_boxes(observed_in(many, "provenance", frozenset(names))) for names in ((), ("persistence",))
+    )
+    assert with_it.merge_s > 0 and without == replace(with_it, merge_s=0.0)
 
 
 def test_what_is_left_out_counts_as_before(many):
