@@ -164,7 +164,7 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
                 f"states.{name}.box_error: as if matching cut off nothing; too many boxes fail the matching to tell "
                 "how far errors spread beyond it"
             )
-        if law.heavy and fit is not None and fit.model.freedom <= LEAST_DEGREES * (1 + 1e-6):
+        if law.heavy and fit is not None and fit.model.freedom <= LEAST_DEGREES * (1 + 1e-3):
             notes.append(
                 f"states.{name}.box_error: degrees_of_freedom at the least that is fitted, {LEAST_DEGREES:g}; tails so "
                 "heavy leave the spread of the errors uncertain"

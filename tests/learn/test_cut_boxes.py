@@ -82,6 +82,20 @@ def test_models_that_are_left_out_are_not_learned() -> None:
     )  # errors that hardly change say too little
 
 
+def test_a_note_says_that_tails_are_as_heavy_as_is_fitted() -> None:
+    notes = []
+    for power in (0, 3):
+        labelled = detected({**PX, "std": [0.6, 0.5, 0.9, 0.8]}, 300, 1)
+        results, true = labelled.results, labelled.annotations.boxes_px
+        assert results.origin is not None
+        true = true[results.origin]
+        scale = np.minimum(np.exp(power * np.random.default_rng(1).normal(size=(len(results), 1))), 30)
+        labelled = replace(labelled, results=replace(results, boxes_px=true + scale * (results.boxes_px - true)))
+        learned = learn_from(labelled, Rule("provenance"), replicates=0)
+        notes.append([note for note in learned.notes if "degrees_of_freedom at the least that is fitted, 2.1" in note])
+    assert [len(each) for each in notes] == [0, 1]
+
+
 def test_the_report_says_how_many_matches_count() -> None:
     labelled = detected(PX, 60, 1)
     annotations = labelled.annotations
@@ -118,6 +132,10 @@ def test_what_passes_is_what_matching_lets_match(rule: Rule) -> None:
         right &= np.hypot(*((found - truth)[:, :2] + (found - truth)[:, 2:]).T / 2) <= rule.most_distance_px
     passes = edges.passes((errors @ OUTWARD.T)[:, None])[:, 0]
     assert 0 < right.sum() < 400 and np.array_equal(passes, right)
+    for scale in (0.05, 0.3):
+        outward = scale * errors @ OUTWARD.T
+        surely = edges.surely_passes(np.abs(outward))
+        assert surely.sum() > 0 and edges.passes(outward[:, None])[surely].all()
 
 
 @pytest.mark.parametrize("freedom", [np.inf, 5.0])

@@ -105,7 +105,7 @@ def test_scores_are_slopes_of_the_log_likelihood(unit: Unit, freedom: float) -> 
 def test_estimates_stray_as_far_as_their_replicates_and_lie_around_the_truth(nu: float) -> None:
     asked = np.concatenate([MEAN, np.sqrt(np.diag(COVARIANCE)), [nu]])
     z = []
-    for seed in range(40):
+    for seed in range(24):
         errors = t_errors(600, nu, seed)
         sample = ErrorSample(errors, np.arange(600), 0.0, "clear", "px", fitted(errors))
         learned = learned_errors(resample(images(600), 100, seed), sample)
@@ -113,18 +113,31 @@ def test_estimates_stray_as_far_as_their_replicates_and_lie_around_the_truth(nu:
         columns = [entry.column for entry in entries if entry is not None]
         values = np.concatenate([np.atleast_2d(column.values.T).T for column in columns], axis=1)
         z.append((values[0] - asked) / values[1:].std(axis=0))
-    assert np.abs(np.mean(z, axis=0)).max() < 4 / np.sqrt(40)
-    assert np.abs(np.std(z, axis=0) - 1).max() < 4 / np.sqrt(80)
+    assert np.abs(np.mean(z, axis=0)).max() < 4 / np.sqrt(24)
+    assert np.abs(np.std(z, axis=0) - 1).max() < 4 / np.sqrt(48)
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.9])
 def test_normal_errors_stay_normal_and_heavy_ones_do_not(kept: float) -> None:
-    for seed in range(40):
+    for seed in range(20):
         normal = persistent(kept, 20, 50, seed)[..., :4].reshape(-1, 4) @ ROOT.T
         assert not heavy_tails(at_sea(normal), "px", kept)
     heavy = standardised(StudentT(6.0), persistent(kept, 20, 150, 7)).reshape(-1, 4) @ ROOT.T
     assert "tails are heavier" in heavy_tails(at_sea(heavy), "px", kept)
+    without_normal = heavy_tails(at_sea(heavy), "px", kept, normal=-np.inf)
+    assert "no normal errors fit" in without_normal and "inf" not in without_normal
     assert not heavy_tails(at_sea(t_errors(99, 3.0)), "px", 0.0)
+
+
+def test_a_fit_that_cannot_reach_what_is_asked_is_given_up() -> None:
+    errors = t_errors(400, 4.0)
+    best = fitted(errors)
+    kept = at_sea(errors).fit("px", heavy=True, least=best.value - 1)
+    assert kept is not None and kept.settled and np.array_equal(kept.model.numbers(), best.model.numbers())
+    fits = at_sea(errors)
+    assert fits.value("px", heavy=True, least=best.value + 50) == -np.inf
+    given_up = fits.fit("px", heavy=True)
+    assert given_up is not None and not given_up.settled and given_up.value <= best.value
 
 
 def test_errors_without_a_likeliest_t_law_stay_normal() -> None:
@@ -156,12 +169,12 @@ class RoundTrip:
     report: Report
 
 
-@pytest.fixture(scope="module", params=[4.0, 6.0])
-def round_trip(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RoundTrip:
+@pytest.fixture(scope="module")
+def round_trip(tmp_path_factory: pytest.TempPathFactory) -> RoundTrip:
     folder = tmp_path_factory.mktemp("t")
     data = yaml.safe_load(DETECTOR.read_text())
     for state in data["states"].values():
-        state["box_error"] |= {"law": "student_t", "degrees_of_freedom": request.param}
+        state["box_error"] |= {"law": "student_t", "degrees_of_freedom": 4.0}
     detector = folder / "asked.yaml"
     detector.write_text(yaml.safe_dump(data))
     run = simulate("simulation_1", folder, mode=0, steps=700, detector=detector)
