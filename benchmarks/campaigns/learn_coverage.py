@@ -186,7 +186,10 @@ def text(results: dict[str, dict[str, Any]]) -> str:
     for case in CASES:
         if case.name in results:
             lines += _section(case, results[case.name])
-    lines.append("A number that a seed had too little data to learn is left simple, and not counted in that seed.")
+    lines.append(
+        "A number that a seed had too little data to learn is left simple, and not counted in that seed. Nor are box "
+        "errors in another unit than was asked for, and confidences with other slopes."
+    )
     return "\n".join(lines) + "\n"
 
 
