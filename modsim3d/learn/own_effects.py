@@ -52,7 +52,9 @@ def own_effects(
             rest = f"{gain:.1f} likelier (twice the log-likelihood), needs {needed_gain:.1f}"
             notes += [f"states.dropout.{each}: the same in all states; at most {rest}" for each in left]
             break
-        notes.append(f"states.dropout.{name}: a slope for each state (twice the log-likelihood {gain:.1f} larger)")
+        by_units = any(effect.attribute == name and effect.by_units for effect in split)
+        form = f"a slope for each state, by {'units' if by_units else 'doublings'}"
+        notes.append(f"states.dropout.{name}: {form} (twice the log-likelihood {gain:.1f} larger)")
         effects, fit = split, other
         left.remove(name)
     return effects, fit
