@@ -51,8 +51,17 @@ class Tally:
         return Tally.of(np.concatenate([self.rows, other.rows]), np.concatenate([self.counts, other.counts]))
 
 
-def _nothing() -> Tally:
-    return Tally(np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64))
+def _nothing(width: int) -> Tally:
+    return Tally(np.empty((0, width), dtype=np.int64), np.empty(0, dtype=np.int64))
+
+
+SHARED = -1
+"""Stands for all states without effects of their own, which have the same log-odds."""
+
+
+def tallied(dropout: Dropout, state: int) -> int:
+    """The number under which a census counts the log-odds of a state."""
+    return state if state in dropout.own else SHARED
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,19 +69,19 @@ class TargetCensus:
     """Counts of the targets of a scene that pass the detector's gates; `take_census` makes it.
 
     Attributes:
-        log_odds: Counts of (label, range of the log-odds that the target's look adds to a miss).
+        log_odds: Counts of (`tallied` state, label, range of the log-odds that the target's look adds to a miss there).
         sides: Counts of (range of the width, range of the height).
     """
 
-    log_odds: Tally = field(default_factory=_nothing)
-    sides: Tally = field(default_factory=_nothing)
+    log_odds: Tally = field(default_factory=lambda: _nothing(3))
+    sides: Tally = field(default_factory=lambda: _nothing(2))
 
     @classmethod
     def of(cls, dropout: Dropout, targets: Targets) -> TargetCensus:
         """Count some targets, which have passed the gates."""
-        ranges = np.rint(dropout.log_odds(targets) / LOG_ODDS_STEP).astype(np.int64)
+        rows = [_log_odds_rows(dropout, state, targets) for state in (SHARED, *dropout.own)]
         sides = np.rint(SIZE_STEPS * log2(np.maximum(sizes(targets.boxes_px), 1.0))).astype(np.int64)
-        return cls(Tally.of(np.column_stack([targets.label, ranges])), Tally.of(sides))
+        return cls(Tally.of(np.concatenate(rows)), Tally.of(sides))
 
     @classmethod
     def total(cls, parts: Iterable[TargetCensus]) -> TargetCensus:
@@ -83,10 +92,10 @@ class TargetCensus:
         """The census of the targets of both."""
         return TargetCensus(self.log_odds + other.log_odds, self.sides + other.sides)
 
-    def log_odds_of(self, label: int) -> tuple[Array, Array]:
-        """Log-odds that occurred for a label, and how often, shapes (k,)."""
-        rows = self.log_odds.rows[:, 0] == label
-        return self.log_odds.rows[rows, 1] * LOG_ODDS_STEP, self.log_odds.counts[rows].astype(np.float64)
+    def log_odds_of(self, state: int, label: int) -> tuple[Array, Array]:
+        """Log-odds that occurred for a `tallied` state and a label, and how often, shapes (k,)."""
+        rows = np.all(self.log_odds.rows[:, :2] == (state, label), axis=1)
+        return self.log_odds.rows[rows, 2] * LOG_ODDS_STEP, self.log_odds.counts[rows].astype(np.float64)
 
     def sizes_px(self, uniforms: Array) -> Array:
         """Width and height of one target for each uniform number of shape (m,), shape (m, 2).
@@ -96,6 +105,13 @@ class TargetCensus:
         distribution = cumulative(self.sides.counts.astype(np.float64))
         ranges = self.sides.rows[np.searchsorted(distribution, uniforms, side="right")]
         return on_grid(np.exp2((ranges + low_uniforms(uniforms) - 0.5) / SIZE_STEPS))
+
+
+def _log_odds_rows(dropout: Dropout, state: int, targets: Targets) -> Indices:
+    """State, label and range of the log-odds of each target in a `tallied` state, shape (n, 3)."""
+    states = np.full(len(targets), state)
+    ranges = np.rint(dropout.log_odds(states, targets) / LOG_ODDS_STEP).astype(np.int64)
+    return np.column_stack([states, targets.label, ranges])
 
 
 def take_census(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetCensus:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.detector.census import TargetCensus
+from modsim3d.detector.census import TargetCensus, tallied
 from modsim3d.detector.draws import choose, cumulative
 from modsim3d.detector.dropout import Dropout, anchor, shifted_rate
 from modsim3d.detector.model import DetectorModel
@@ -35,12 +35,14 @@ class ConfusionClassifier:
         intercepts = np.zeros_like(misses)
         if model.dropout.anchored:
             for state, label in np.ndindex(*misses.shape):
-                intercepts[state, label] = anchor(float(misses[state, label]), *census.log_odds_of(label))
+                intercepts[state, label] = anchor(
+                    float(misses[state, label]), *census.log_odds_of(tallied(model.dropout, state), label)
+                )
         return cls(distributions, model.dropout, intercepts)
 
     def miss_rates(self, states: Indices, targets: Targets) -> Array:
         """Probability that each target is missed in a state of its own, shapes (n,)."""
-        added = self.intercepts[states, targets.label] + self.dropout.log_odds(targets)
+        added = self.intercepts[states, targets.label] + self.dropout.log_odds(states, targets)
         return shifted_rate(_miss_rates(self.distributions)[states, targets.label], added)
 
     def classify(self, frames: CameraFrames, states: Indices, targets: Targets, uniforms: Array) -> Indices:
@@ -49,7 +51,7 @@ class ConfusionClassifier:
         A changed rate of misses keeps the shares of the labels among detected targets.
         """
         state = states[targets.frame]
-        if self.dropout.effects:
+        if self.dropout.every_effect:
             seen = 1 - self.miss_rates(state, targets)
             usual = 1 - _miss_rates(self.distributions)[state, targets.label]
             detected = uniforms < seen

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from scipy import special
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import sizes
 from modsim3d.detector.draws import log2
 from modsim3d.detector.records import Targets
@@ -95,17 +95,35 @@ class Dropout:
     Attributes:
         effects: Effects of the vessel's attributes; their log-odds add up.
         anchored: Whether each state's rate is held as the average over the scene.
+        own: Effects of single states, by index of the state; each replaces the shared one of its attribute there.
     """
 
     effects: tuple[Effect, ...] = ()
     anchored: bool = False
+    own: Mapping[int, tuple[Effect, ...]] = field(default_factory=dict)
 
-    def log_odds(self, targets: Targets) -> Array:
-        """Sum of the log-odds added for each target, shape (n,)."""
-        total = np.zeros(len(targets))
-        for effect in self.effects:
-            total = total + effect.of(targets)
+    @property
+    def every_effect(self) -> tuple[Effect, ...]:
+        """Those that states share and those of single states."""
+        return *self.effects, *(effect for effects in self.own.values() for effect in effects)
+
+    def effects_of(self, state: int) -> tuple[Effect, ...]:
+        """The effects that hold in a state."""
+        return tuple({effect.attribute: effect for effect in (*self.effects, *self.own.get(state, ()))}.values())
+
+    def log_odds(self, states: Indices, targets: Targets) -> Array:
+        """Sum of the log-odds added for each target in a state of its own, shapes (n,)."""
+        total = _sum(self.effects, targets)
+        for state in self.own:
+            total = np.where(states == state, _sum(self.effects_of(state), targets), total)
         return np.clip(total, -MOST_LOG_ODDS, MOST_LOG_ODDS)
+
+
+def _sum(effects: tuple[Effect, ...], targets: Targets) -> Array:
+    total = np.zeros(len(targets))
+    for effect in effects:
+        total = total + effect.of(targets)
+    return total
 
 
 def shifted_rate(rate: Array, log_odds: Array) -> Array:

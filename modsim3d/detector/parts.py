@@ -57,6 +57,11 @@ def used_models(model: DetectorModel) -> Iterator[UsedModel]:
     yield UsedModel(Part.CLASS, CONFUSION, "dropout.model")
     for effect in model.dropout.effects:
         yield UsedModel(Part.CLASS, model_name(EFFECTS, effect), f"dropout.{effect.attribute}")
+    for index, effects in model.dropout.own.items():
+        for effect in effects:
+            name = model.states[index].name
+            key = f"states.{name}.dropout.{effect.attribute}"
+            yield UsedModel(Part.CLASS, model_name(EFFECTS, effect), key, name)
     for state in model.states:
         name = model_name(ERROR_DISTRIBUTIONS, state.box_error.distribution)
         yield UsedModel(Part.BOX_ERROR, name, f"states.{state.name}.box_error.law", state.name)

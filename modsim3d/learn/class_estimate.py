@@ -13,6 +13,7 @@ from modsim3d.learn.entries import Entry, Key, columns_of_one, digits
 from modsim3d.learn.form import SIGNIFICANT, ratio
 from modsim3d.learn.miss_noise import crowds, latent_share, miss_lags
 from modsim3d.learn.observed import Observed
+from modsim3d.learn.own_effects import own_effects
 from modsim3d.learn.persistence_fit import Consecutive, frame_interval_s, why_no_steps
 from modsim3d.learn.resampling import Column, Resampling, resample, spread, widened
 from modsim3d.learn.vessel_noise import vessel_noise, why_none
@@ -84,12 +85,7 @@ class LearnedClasses:
         """Dropout and the persistence of misses."""
         sections: dict[str, dict[str, Any]] = {}
         if self.effects:
-            sections["dropout"] = {"model": "logistic", "anchor": "state_rate"}
-        for each in self.effects:
-            sections["dropout"][each.effect.attribute] = {
-                each.effect.slope_key: digits(each.slope.estimate),
-                "reference": digits(each.effect.reference),
-            }
+            sections["dropout"] = {"model": "logistic", "anchor": "state_rate"} | self._effects_of(None)
         if self.class_s is not None and self.class_s.estimate > 0:
             sections["persistence"] = {"class_s": digits(self.class_s.estimate)}
             if self.class_vessel_share is not None:
@@ -97,8 +93,21 @@ class LearnedClasses:
         return sections
 
     def state_section(self, state: int) -> dict[str, Any]:
-        """The confusion matrix."""
-        return {"confusion": columns_of_one(filled(self.confusion[state].estimate))}
+        """The confusion matrix, and effects that are the state's own."""
+        own = self._effects_of(state)
+        confusion = {"confusion": columns_of_one(filled(self.confusion[state].estimate))}
+        return confusion | ({"dropout": own} if own else {})
+
+    def _effects_of(self, state: int | None) -> dict[str, Any]:
+        """Those of a state alone; of None, those that states share."""
+        return {
+            each.effect.attribute: {
+                each.effect.slope_key: digits(each.slope.estimate),
+                "reference": digits(each.effect.reference),
+            }
+            for each in self.effects
+            if each.effect.state == state
+        }
 
 
 def choose_classes(observed: Observed) -> ClassForm:
@@ -148,7 +157,8 @@ def _significant(
         strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, spread(fit.slopes[1:]))
         weakest = int(strength.argmin())
         if strength[weakest] >= SIGNIFICANT:
-            return _in_units(observed, effects, fit, notes)
+            inflation = max(float(np.median((spread(fit.slopes[1:]) / fit.errors) ** 2)), 1.0)
+            return own_effects(observed, *_in_units(observed, effects, fit, inflation, notes), inflation, notes)
         notes.append(
             f"dropout.{effects[weakest].attribute}: none; {strength[weakest]:.1f} standard errors from 0 in "
             f"{len(observed.rows)} annotations, needs {SIGNIFICANT}"
@@ -158,14 +168,13 @@ def _significant(
 
 
 def _in_units(
-    observed: Observed, effects: tuple[Effect, ...], fit: MissFit, notes: list[str]
+    observed: Observed, effects: tuple[Effect, ...], fit: MissFit, inflation: float, notes: list[str]
 ) -> tuple[tuple[Effect, ...], MissFit]:
     """Effects by units instead of doublings where misses are clearly likelier with them, and the fit.
 
     Misses that persist count for less: their log-likelihood is divided by the inflation of the slopes' variance.
     """
     once = resample(observed.labelled.images, 0, 0)
-    inflation = max(float(np.median((spread(fit.slopes[1:]) / fit.errors) ** 2)), 1.0)
     for place, effect in enumerate(effects):
         if not effect.doublings:
             continue
@@ -260,7 +269,9 @@ def _slopes(
     for place, effect in enumerate(effects):
         slopes = widened(fit.slopes[:, place], fit.errors[place] * np.sqrt(inflation))
         column = Column(slopes, "mean", np.array(float(len(observed.rows))))
-        learned.append(LearnedEffect(effect, Entry(Key(("dropout", effect.attribute, effect.slope_key)), column)))
+        state = None if effect.state is None else observed.states[effect.state]
+        key = Key(("dropout", effect.attribute, effect.slope_key), state)
+        learned.append(LearnedEffect(effect, Entry(key, column)))
     return tuple(learned)
 
 

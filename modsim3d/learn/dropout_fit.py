@@ -20,12 +20,14 @@ _STEPS = 60
 class Effect:
     """An attribute that changes the odds of a miss, by its key in the file; at its reference they are the state's.
 
-    Sizes and distances change them by doublings, or by units where that fits better.
+    Sizes and distances change them by doublings, or by units where that fits better. An effect of a single state, by
+    its index, replaces the shared one of its attribute there.
     """
 
     attribute: str
     reference: float
     by_units: bool = False
+    state: int | None = None
 
     @property
     def doublings(self) -> bool:
@@ -42,6 +44,13 @@ class Effect:
         known = np.where(np.isfinite(values), values, self.reference)
         changed: Array = known - self.reference
         return np.log2(np.maximum(known, 1.0) / self.reference) if self.doublings else changed
+
+    def holds_in(self, states: int, effects: tuple[Effect, ...]) -> Mask:
+        """In which of some states it holds beside other effects, shape (states,)."""
+        others = [each.state for each in effects if each.attribute == self.attribute and each.state is not None]
+        numbers = np.arange(states)
+        held: Mask = ~np.isin(numbers, others) if self.state is None else numbers == self.state
+        return held
 
 
 def attribute_values(observed: Observed) -> dict[str, Array]:
@@ -84,9 +93,12 @@ def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resa
     """
     states, k = len(observed.states), len(observed.labelled.labels)
     values = attribute_values(observed)
-    x = np.empty((len(observed.rows), len(effects)))
+    amounts, holds = np.empty((len(observed.rows), len(effects))), np.empty((states, len(effects)), dtype=bool)
+    scale = np.array([effect.reference if effect.by_units else 1.0 for effect in effects])
     for column, effect in enumerate(effects):
-        x[:, column] = effect.of(values[effect.attribute])
+        amounts[:, column] = effect.of(values[effect.attribute]) / scale[column]  # numbers near 1, as doublings are
+        holds[:, column] = effect.holds_in(states, effects)
+    x = amounts * holds[observed.state]
     group, missed = observed.state * k + observed.label, observed.missed.astype(np.float64)
     clear = observed.clear
     number = np.bincount(group[clear], minlength=states * k)
@@ -110,8 +122,8 @@ def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resa
     every = np.where(number > 0, hits / np.maximum(number, 1), np.nan)
     full = np.where(fitted, 0.0, every[group])
     full[fitted] = chance
-    rates = _anchored(observed, x, thetas, usable, every, resampling)
-    return MissFit(thetas[:, count:], np.sqrt(np.diag(inverse))[count:], rates, full)
+    rates = _anchored(observed, amounts, holds, thetas, usable, every, resampling)
+    return MissFit(thetas[:, count:] / scale, np.sqrt(np.diag(inverse))[count:] / scale, rates, full)
 
 
 def _maximum(missed: Array, group: Indices, x: Array, intercepts: Array) -> tuple[Array, Array, Array] | None:
@@ -180,18 +192,30 @@ def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
     return np.where(sound[:, None], bounded, scores @ inverse)
 
 
-def _anchored(observed: Observed, x: Array, thetas: Array, usable: Mask, every: Array, resampling: Resampling) -> Array:
-    """Mean probability of a miss in each state over all annotations of a label; replicates to first order."""
+def _anchored(
+    observed: Observed,
+    amounts: Array,
+    holds: Mask,
+    thetas: Array,
+    usable: Mask,
+    every: Array,
+    resampling: Resampling,
+) -> Array:
+    """Mean probability of a miss in each state over all annotations of a label; replicates to first order.
+
+    Amounts of the effects have shape (n, effects); in which states each holds, (states, effects).
+    """
     states, k = len(observed.states), len(observed.labelled.labels)
     rates = np.full((len(thetas), states, k), np.nan)
     count = int(usable.sum())
     for place, cell in enumerate(np.flatnonzero(usable)):
         ours = observed.label == cell % k
-        chance = special.expit(thetas[0, place] + x[ours] @ thetas[0, count:])
+        x = amounts[ours] * holds[cell // k]
+        chance = special.expit(thetas[0, place] + x @ thetas[0, count:])
         change = chance * (1 - chance)
         sums = resampling.sums(observed.image[ours], np.column_stack([np.ones(len(chance)), chance]))
         moved = thetas - thetas[0]
-        slope = moved[:, place] * change.mean() + moved[:, count:] @ (change[:, None] * x[ours]).mean(axis=0)
+        slope = moved[:, place] * change.mean() + moved[:, count:] @ (change[:, None] * x).mean(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             rates[:, cell // k, cell % k] = np.clip(sums[:, 1] / sums[:, 0] + slope, 1e-9, 1 - 1e-9)
     flat = rates.reshape(len(thetas), -1)

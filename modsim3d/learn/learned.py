@@ -33,6 +33,7 @@ _LEAST_RUNS = 24
 _SECTIONS = ("dropout", "persistence", "false_positives")
 _STATE_KEYS = (
     "confusion",
+    "dropout",
     "false_positive_labels",
     "false_discovery_rate",
     "false_positives_per_image",

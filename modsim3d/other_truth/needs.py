@@ -39,11 +39,17 @@ def _distance_problems(model: DetectorModel, depth_m: Array) -> Iterator[str]:
     )
     if model.gates.max_range_m is not None:
         yield f"gates.max_range_m: {needed}--set detector.gates.max_range_m=null"
-    if any(effect.attribute == "distance_m" for effect in model.dropout.effects):
-        without = "--set detector.dropout.distance_m=null"
-        if len(model.dropout.effects) == 1:
+    keys = [] if not any(effect.attribute == "distance_m" for effect in model.dropout.effects) else ["dropout"]
+    keys += [
+        f"states.{model.states[state].name}.dropout"
+        for state, effects in model.dropout.own.items()
+        if any(effect.attribute == "distance_m" for effect in effects)
+    ]
+    if keys:
+        without = " ".join(f"--set detector.{key}.distance_m=null" for key in keys)
+        if {effect.attribute for effect in model.dropout.every_effect} == {"distance_m"}:
             without += " --set detector.dropout.model=confusion"
-        yield f"dropout.distance_m: {needed}{without}"
+        yield f"{keys[0]}.distance_m: {needed}{without}"
 
 
 def _horizon_problems(model: DetectorModel) -> Iterator[str]:

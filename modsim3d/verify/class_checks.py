@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import cumulative, log2
-from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Slope, Table
+from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Effect, Slope, Table
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part, model_name
 from modsim3d.verify.evidence import Evidence, max_detections_note
@@ -55,7 +55,7 @@ def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutco
     edges = cumulative(np.swapaxes(model.column("confusion"), 1, 2))[instances.state, instances.label]
     usual = edges[:, -2].copy()
     missed = 1 - usual
-    if model.dropout.effects:
+    if model.dropout.every_effect:
         missed = np.concatenate(
             [classifier.miss_rates(s.detections.states[s.targets.frame], s.targets) for s in evidence.cameras]
         )
@@ -88,7 +88,8 @@ def _asked_note(model: DetectorModel, row: int, measure: Measure | None) -> str:
         return ""
     if model.merges_and_splits.merges and row < len(model.labels):
         return "asked: as a share of those detected in a box of their own, as which others were is not known"
-    return "asked: the mean over the chances that there were, by what they look like" if model.dropout.effects else ""
+    looks = "asked: the mean over the chances that there were, by what they look like"
+    return looks if model.dropout.every_effect else ""
 
 
 def _gate_checks(evidence: Evidence, expected: ExpectedOutcomes) -> list[Parameter]:
@@ -215,20 +216,31 @@ LEAST_MISSES = 30
 
 
 def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array) -> list[Parameter]:
-    """Each slope, and each range of each table, with the rates of all states and labels free.
+    """Each slope, and each range of each table, in the states where it holds, with the rates of all of them free.
 
     Given which instances the gates let pass and the asked probability of a miss, shapes (n,).
     """
     parameters = []
-    for effect in model.dropout.effects:
+    for whose, states, effect in _held_effects(model):
         check = EFFECT_CHECKS.get(model_name(EFFECTS, effect))
         if check is None:
             continue
+        there = passed & np.isin(evidence.instances.state, states)
+        key = f"{'' if whose is None else f'states.{whose}.'}dropout.{effect.attribute}"
         values = np.concatenate([ATTRIBUTES[effect.attribute](seen.targets) for seen in evidence.cameras])
         for name, asked, column in check(effect, values):
-            measure = _effect(model, evidence, passed, missed, column, asked)
-            parameters.append(Parameter(f"dropout.{effect.attribute}.{name}", Part.CLASS, measure, asked))
+            measure = _effect(model, evidence, there, missed, column, asked)
+            parameters.append(Parameter(f"{key}.{name}", Part.CLASS, measure, asked, state=whose))
     return parameters
+
+
+def _held_effects(model: DetectorModel) -> Iterator[tuple[str | None, list[int], Effect]]:
+    """Each effect with the name of the state that has it for itself, if one has, and the states where it holds."""
+    for effect in model.dropout.effects:
+        yield None, [s for s in range(len(model.states)) if effect in model.dropout.effects_of(s)], effect
+    for state, effects in model.dropout.own.items():
+        for effect in effects:
+            yield model.states[state].name, [state], effect
 
 
 Column = tuple[str, float, Array]

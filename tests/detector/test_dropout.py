@@ -132,7 +132,7 @@ def test_effects_of_nothing_leave_the_chain_as_it_is() -> None:
 def test_a_slope_may_start_at_nothing_seen() -> None:
     only = {"model": "logistic", "visible_fraction": {"per_unit": -3, "reference": 0}}
     targets = varied_targets(50)
-    added = parse_detector(model_data(dropout=only)).dropout.log_odds(targets)
+    added = parse_detector(model_data(dropout=only)).dropout.log_odds(np.zeros(len(targets), dtype=int), targets)
     np.testing.assert_allclose(added, -3 * targets.visible_fraction)
 
 

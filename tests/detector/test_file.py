@@ -107,7 +107,7 @@ BAD = [
     ("states.fog.box_error.covariance", [[1.0]], "covariance: is 1 × 1, must be 4 × 4: rows and columns e_x"),
     ("states.fog.confidence", {"mean": 0.6, "std": -0.1}, "states.fog.confidence.std: Input should be great"),
     ("states.fog.confidence", {"mean": 67, "std": 0.1}, "states.fog.confidence.mean: Input should be less"),
-    ("states.fog.dropout", 0.3, "states.fog.dropout: unknown key"),
+    ("states.fog.drop_out", 0.3, "states.fog.drop_out: unknown key"),
 ]
 
 

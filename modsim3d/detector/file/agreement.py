@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from modsim3d.detector.clutter_models import CLUTTER_MODELS
+from modsim3d.detector.dropout import ATTRIBUTES
 from modsim3d.detector.file.schema import DetectorFile, StateSection
+from modsim3d.detector.file.schema_models import EffectsSection
 
 RATE_TOLERANCE = 0.01
 """Greatest difference between the end of a precision-recall curve and the rates of its state."""
@@ -11,11 +13,24 @@ RATE_TOLERANCE = 0.01
 
 def agreement_problems(file: DetectorFile) -> list[str]:
     """One line for each contradiction, with its path."""
-    problems = _clutter_problems(file)
+    problems = _clutter_problems(file) + _dropout_problems(file)
     for name, state in file.states.items():
         path = f"states.{name}"
         problems += _extra_problems(path, state, file) + _curve_problems(path, state, file)
     return problems
+
+
+def _dropout_problems(file: DetectorFile) -> list[str]:
+    """The effects of states are of the shared model, which has effects at all."""
+    model = file.dropout.model
+    if model != "confusion" and not any(each.effects() for each in (file.dropout, *_own_dropout(file).values())):
+        return [f"dropout: model {model} needs at least one of {', '.join(ATTRIBUTES)}"]
+    misfits = {name: own.misfit(model) for name, own in _own_dropout(file).items()}
+    return [f"states.{name}.dropout: {misfit} (dropout.model)" for name, misfit in misfits.items() if misfit]
+
+
+def _own_dropout(file: DetectorFile) -> dict[str, EffectsSection]:
+    return {name: state.dropout for name, state in file.states.items()}
 
 
 def _clutter_problems(file: DetectorFile) -> list[str]:

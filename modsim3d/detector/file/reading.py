@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -21,7 +21,7 @@ from modsim3d.detector.file.finding import find_detector
 from modsim3d.detector.file.schema import BoxErrorSection, DetectorFile, FalsePositivesSection, StateSection
 from modsim3d.detector.file.schema_models import (
     ConfidenceKeys,
-    DropoutSection,
+    EffectsSection,
     PerformanceSection,
     ScoreSection,
     SizeSection,
@@ -112,7 +112,7 @@ def _model(content: DetectorFile) -> DetectorModel:
         transition_matrix=_normalised(content.transition_matrix),
         states=tuple(_state(name, section, content) for name, section in content.states.items()),
         transition_interval_s=content.transition_interval_s,
-        dropout=_dropout(content.dropout),
+        dropout=_dropout(content),
         gates=Gates(**content.gates.model_dump()),
         persistence=Persistence(**content.persistence.model_dump()),
         clutter=_clutter(content.false_positives),
@@ -165,7 +165,13 @@ def _scores(section: ScoreSection) -> Scores:
     return QuantileScores(read_only(section.quantiles or []))
 
 
-def _dropout(section: DropoutSection) -> Dropout:
+def _dropout(content: DetectorFile) -> Dropout:
+    own = {index: _effects(section.dropout) for index, section in enumerate(content.states.values())}
+    dropout = Dropout(_effects(content.dropout), own={index: effects for index, effects in own.items() if effects})
+    return replace(dropout, anchored=bool(dropout.every_effect) and content.dropout.anchor == "state_rate")
+
+
+def _effects(section: EffectsSection) -> tuple[Effect, ...]:
     effects: list[Effect] = []
     for name, keys in section.effects().items():
         if keys.edges is not None and keys.odds is not None:
@@ -173,7 +179,7 @@ def _dropout(section: DropoutSection) -> Dropout:
         elif keys.reference is not None:
             slope = keys.per_unit if keys.per_doubling is None else keys.per_doubling
             effects.append(Slope(name, slope or 0.0, keys.reference, doublings=keys.per_doubling is not None))
-    return Dropout(tuple(effects), anchored=bool(effects) and section.anchor == "state_rate")
+    return tuple(effects)
 
 
 def _clutter(section: FalsePositivesSection) -> ClutterOptions:

@@ -15,6 +15,7 @@ from modsim3d.detector.file.schema_models import (
     ClutterKeys,
     ConfidenceSection,
     DropoutSection,
+    EffectsSection,
     GatesSection,
     PerformanceSection,
     PerImage,
@@ -158,6 +159,7 @@ class StateSection(Strict):
     box_error: BoxErrorSection
     confidence: ConfidenceSection
     false_positives_per_image: PerImage | None = None
+    dropout: EffectsSection = EffectsSection()
 
 
 class FalsePositivesSection(ClutterKeys):

@@ -55,32 +55,41 @@ class EffectSection(Strict):
         return self
 
 
-class DropoutSection(Strict):
-    """How misses follow what a vessel looks like."""
+class EffectsSection(Strict):
+    """Effects of what a vessel looks like on its misses; those of a state replace the shared ones."""
 
-    model: Literal["confusion", "logistic", "table"] = "confusion"
-    anchor: Literal["none", "state_rate"] = "none"
     visible_fraction: EffectSection | None = None
     size_px: EffectSection | None = None
     distance_m: EffectSection | None = None
-
-    @model_validator(mode="after")
-    def _effects_fit(self) -> DropoutSection:
-        effects = self.effects()
-        if self.model == "confusion" and effects:
-            raise ValueError(f"model confusion has no {next(iter(effects))}: choose model logistic or table")
-        if self.model != "confusion" and not effects:
-            raise ValueError(f"model {self.model} needs at least one of {', '.join(ATTRIBUTES)}")
-        for name, effect in effects.items():
-            if (effect.edges is not None) != (self.model == "table"):
-                needed = "edges and odds" if self.model == "table" else "per_unit or per_doubling, and reference"
-                raise ValueError(f"{name}: model {self.model} needs {needed}")
-        return self
 
     def effects(self) -> dict[str, EffectSection]:
         """Those that are given."""
         given = {name: getattr(self, name) for name in ATTRIBUTES}
         return {name: effect for name, effect in given.items() if effect is not None}
+
+    def misfit(self, model: str) -> str | None:
+        """What is wrong with them under the name of the model of all of them, if anything is."""
+        for name, effect in self.effects().items():
+            if model == "confusion":
+                return f"model confusion has no {name}: choose model logistic or table"
+            if (effect.edges is not None) != (model == "table"):
+                needed = "edges and odds" if model == "table" else "per_unit or per_doubling, and reference"
+                return f"{name}: model {model} needs {needed}"
+        return None
+
+
+class DropoutSection(EffectsSection):
+    """How misses follow what a vessel looks like."""
+
+    model: Literal["confusion", "logistic", "table"] = "confusion"
+    anchor: Literal["none", "state_rate"] = "none"
+
+    @model_validator(mode="after")
+    def _effects_fit(self) -> DropoutSection:
+        misfit = self.misfit(self.model)
+        if misfit is not None:
+            raise ValueError(misfit)
+        return self
 
 
 class GatesSection(Strict):

@@ -1,0 +1,141 @@
+"""Misses that follow what a vessel looks like otherwise in one state than in another."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import special
+
+from modsim3d.detector import TRUE, CameraFrames, Detector, Targets, parse_detector, take_census
+from modsim3d.detector.classification import ConfusionClassifier
+from modsim3d.detector.draws import select
+from modsim3d.detector.parts import used_models
+from modsim3d.errors import InputError
+from modsim3d.verify.class_checks import class_checks
+from modsim3d.verify.evidence import CameraEvidence, Evidence
+from modsim3d.verify.parameters import judge
+from tests.detector.detector_builders import all_bytes, clock, detector_data, make_frames, make_targets
+
+FRAMES, VESSELS = 3000, 6
+SHARED = {"per_unit": 0.002, "reference": 200}
+FOG = {"per_unit": 0.03, "reference": 200}
+SIZE = {"per_doubling": -0.5, "reference": 50}
+FOG_STATE = 1
+
+
+def data_with(dropout: dict[str, Any], fog: dict[str, Any]) -> dict[str, Any]:
+    data = detector_data(dropout={"model": "logistic", **dropout})
+    data["states"]["fog"]["dropout"] = fog
+    return data
+
+
+def own_data(**dropout: Any) -> dict[str, Any]:
+    return data_with({"size_px": SIZE, "distance_m": SHARED, **dropout}, {"distance_m": FOG})
+
+
+def scene(frames: int = FRAMES) -> tuple[CameraFrames, Targets]:
+    random = np.random.default_rng(1)
+    side = 2 ** random.uniform(3, 8, (frames, VESSELS, 1))
+    boxes = np.concatenate([1000 - side, 1000 - side / 2, 1000 + side, 1000 + side / 2], axis=-1)
+    targets = make_targets(boxes, np.arange(VESSELS) % 2)
+    return make_frames(frames), dataclasses.replace(targets, depth_m=random.uniform(50, 400, len(targets)))
+
+
+def detector(data: dict[str, Any], frames: CameraFrames, targets: Targets) -> Detector:
+    model = parse_detector(data)
+    return Detector(model, 1, take_census(model, [(frames, targets)]), clock())
+
+
+def test_misses_follow_the_distance_as_each_state_says() -> None:
+    frames, targets = scene()
+    found = detector(own_data(), frames, targets).detect(frames, targets)
+    missed = np.ones(len(targets), dtype=bool)
+    missed[found.target[found.kind == TRUE]] = False
+    state = found.states[targets.frame]
+    usual = np.array([[0.2, 0.3], [0.4, 0.4]])[state, targets.label]
+    width, height = (targets.boxes_px[:, 2:] - targets.boxes_px[:, :2]).T
+    by_distance = np.where(state == FOG_STATE, 0.03, 0.002) * (targets.depth_m - 200)
+    rate = special.expit(special.logit(usual) - 0.5 * np.log2(np.sqrt(width * height) / 50) + by_distance)
+    for number in range(2):
+        for low in range(50, 400, 50):
+            rows = (state == number) & (targets.depth_m >= low) & (targets.depth_m < low + 50)
+            error = np.sqrt(np.mean(rate[rows] * (1 - rate[rows])) / rows.sum())
+            assert rows.sum() > 300
+            assert abs(missed[rows].mean() - rate[rows].mean()) < 4 * error
+
+
+def test_anchored_misses_have_the_rate_of_each_state_on_average_over_the_scene() -> None:
+    frames, targets = scene()
+    model = parse_detector(own_data(anchor="state_rate"))
+    halves = [select(targets, rows) for rows in np.array_split(np.arange(len(targets)), [7000])]
+    classifier = ConfusionClassifier.from_model(model, take_census(model, [(frames, half) for half in halves]))
+    for state, asked in enumerate([(0.2, 0.3), (0.4, 0.4)]):
+        rates = classifier.miss_rates(np.full(len(targets), state), targets)
+        for label in range(2):
+            assert abs(rates[targets.label == label].mean() - asked[label]) < 3.1e-5
+
+
+@pytest.mark.parametrize("anchor", ["none", "state_rate"])
+def test_an_own_effect_that_equals_the_shared_one_changes_nothing(anchor: str) -> None:
+    frames, targets = scene(500)
+    shared = data_with({"distance_m": SHARED, "anchor": anchor}, {})
+    same = data_with({"distance_m": SHARED, "anchor": anchor}, {"distance_m": SHARED})
+    found = [all_bytes(detector(data, frames, targets).detect(frames, targets)) for data in (shared, same)]
+    assert found[0] == found[1]
+
+
+def test_a_state_may_be_the_only_one_with_effects() -> None:
+    model = parse_detector(data_with({"anchor": "state_rate"}, {"distance_m": FOG}))
+    assert model.dropout.anchored
+    assert model.dropout.effects_of(0) == ()
+    used = {each.key: each for each in used_models(model)}["states.fog.dropout.distance_m"]
+    assert (used.name, used.state) == ("logistic", "fog")
+
+
+@pytest.mark.parametrize(
+    ("dropout", "fog", "message"),
+    [
+        ({}, {"distanc_m": FOG}, "states.fog.dropout.distanc_m: unknown key (did you mean 'distance_m'?)"),
+        ({}, {"model": "table"}, "states.fog.dropout.model: unknown key"),
+        ({}, {"distance_m": {"per_unit": 1}}, "states.fog.dropout.distance_m: give exactly one of per_unit and"),
+        (
+            {},
+            {"distance_m": {"edges": [1], "odds": [1, 2]}},
+            "states.fog.dropout: distance_m: model logistic needs per_unit or per_doubling, and reference",
+        ),
+        (
+            {"model": "confusion", "size_px": None},
+            {"distance_m": FOG},
+            "states.fog.dropout: model confusion has no distance_m: choose model logistic or table",
+        ),
+        ({"size_px": None}, {}, "dropout: model logistic needs at least one of visible_fraction, size_px, distance_m"),
+    ],
+)
+def test_a_bad_effect_of_a_state_is_told_with_its_path(
+    dropout: dict[str, Any], fog: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError) as error:
+        parse_detector(data_with({"size_px": SIZE, **dropout}, fog))
+    assert message in str(error.value)
+    assert len(str(error.value).splitlines()) <= 2
+
+
+def test_verify_tests_the_effect_of_a_state_there_and_the_shared_one_elsewhere() -> None:
+    frames, targets = scene()
+    drawn = detector(own_data(anchor="state_rate"), frames, targets).detect(frames, targets)
+    evidence = Evidence.of([CameraEvidence(frames, targets, drawn)])
+    honest = judge(class_checks(parse_detector(own_data(anchor="state_rate")), evidence))
+    assert [each.parameter.name for each in honest.failed] == []
+    tested = {
+        each.parameter.name: each.parameter.state for each in honest.verdicts if "dropout." in each.parameter.name
+    }
+    fogs = "states.fog.dropout.distance_m.per_unit"
+    assert tested == {"dropout.size_px.per_doubling": None, "dropout.distance_m.per_unit": None, fogs: "fog"}
+    wrong = own_data(anchor="state_rate")
+    wrong["states"]["fog"]["dropout"]["distance_m"] = FOG | {"per_unit": 0.02}
+    failed = {each.parameter.name for each in judge(class_checks(parse_detector(wrong), evidence)).failed}
+    assert fogs in failed
+    assert "dropout.distance_m.per_unit" not in failed

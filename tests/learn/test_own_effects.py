@@ -1,0 +1,101 @@
+"""Slopes of misses that performance states have for themselves: simulated, and learned again."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from modsim3d.campaign.detectors.drawing import drawn_detector
+from modsim3d.campaign.detectors.learned_file import LearnedUncertainty
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.gate_bias import simulated
+from modsim3d.learn.learned import Learned, Settings, learn
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.transitions import Transitions
+from modsim3d.learn.uncertainty import uncertainty_text
+from modsim3d.scene.detector_choice import choose_detector
+from tests.formats.labelled_sets import found, images, truth
+from tests.learn.scored_sets import detector
+
+FRAMES, BOATS, STATES = 900, 3, ("clear", "fog")
+SLOPES = {"clear": 0.004, "fog": 0.03}
+
+
+def content(slopes: dict[str, float]):
+    """A detector of two states whose misses follow the distance."""
+    data = detector({"mean": 0.7, "std": 0.1})
+    state = data["states"]["usual"] | {"confusion": [[0.6], [0.4]], "false_discovery_rate": 0.0}
+    own = {name: {"distance_m": {"per_unit": slope, "reference": 200}} for name, slope in slopes.items()}
+    return data | {
+        "initial_state": "clear",
+        "transition_matrix": [[0.5, 0.5], [0.5, 0.5]],
+        "dropout": {"model": "logistic", "anchor": "state_rate"},
+        "states": {name: state | {"dropout": own[name]} for name in slopes},
+    }
+
+
+def learned_again(slopes: dict[str, float], seed: int, without: frozenset[str] = frozenset()) -> Learned:
+    """What is learned from a simulated run of 900 images, two thirds of them in clear air."""
+    rng = np.random.default_rng(seed)
+    image, boat = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
+    corner = np.column_stack([100 + 250.0 * boat, np.full(len(boat), 300.0)])
+    annotations = truth(image, 0 * image, np.hstack([corner, corner + 60]), identity=boat)
+    annotations = dataclasses.replace(annotations, depth_m=rng.uniform(50, 400, len(image)))
+    labelled = LabelledSet(
+        ("boat",), STATES, images(FRAMES, (1000.0, 800.0), np.arange(FRAMES) / 2.0), annotations, found([], [], [], [])
+    )
+    state = (np.arange(FRAMES) >= FRAMES * 2 // 3).astype(np.int64)
+    labelled = simulated(labelled, state, parse_detector(content(slopes)), seed)
+    observed = Observed(labelled, match(labelled, Rule(), 0.2), STATES, state, 0.2, without)
+    return learn(observed, Transitions(np.zeros((2, 2))), Settings(replicates=60, without=without))
+
+
+@pytest.fixture(scope="module")
+def learned() -> Learned:
+    return learned_again(SLOPES, 3)
+
+
+def test_slopes_that_differ_are_those_of_the_states_again(learned) -> None:
+    intervals = {each.key.path: each for each in learned.intervals(0.99)}
+    for name, slope in SLOPES.items():
+        interval = intervals[f"states.{name}.dropout.distance_m.per_unit"]
+        assert interval.low <= slope <= interval.high
+        missed = intervals[f"states.{name}.confusion"]
+        assert missed.low[-1, 0] <= 0.4 <= missed.high[-1, 0]
+        assert missed.high[-1, 0] - missed.low[-1, 0] < 0.2
+    file = learned.detector()
+    assert "distance_m" not in file["dropout"]
+    assert [state["dropout"].keys() for state in file["states"].values()] == [{"distance_m"}] * 2
+    assert parse_detector(file).dropout.anchored
+    assert any("states.dropout.distance_m: a slope for each state" in note for note in learned.notes)
+
+
+def test_slopes_that_do_not_differ_are_one(learned) -> None:
+    same = learned_again(dict.fromkeys(STATES, 0.01), 4)
+    assert same.detector()["dropout"].keys() == {"model", "anchor", "distance_m"}
+    assert not any("dropout" in state for state in same.detector()["states"].values())
+    assert any("states.dropout.distance_m: the same in all states" in note for note in same.notes)
+
+
+def test_without_effects_no_state_has_any() -> None:
+    file = learned_again(SLOPES, 3, frozenset({"effects"})).detector()
+    assert "dropout" not in file and not any("dropout" in state for state in file["states"].values())
+
+
+def test_a_campaign_draws_the_slopes_of_states(learned, tmp_path) -> None:
+    text = yaml.safe_dump(learned.detector())
+    path = tmp_path / "learned.yaml"
+    path.write_text(text)
+    known = LearnedUncertainty.model_validate(json.loads(uncertainty_text(learned, text)))
+    drawn = [drawn_detector(known, seed) for seed in range(50)]
+    slopes = np.array([each["detector.states.fog.dropout.distance_m.per_unit"] for each in drawn])
+    assert 0 < slopes.std() < 0.01
+    assert abs(slopes.mean() - learned.detector()["states"]["fog"]["dropout"]["distance_m"]["per_unit"]) < 0.004
+    model, _ = choose_detector(path, settings=drawn[0])
+    assert model.dropout.own[1][0].log_odds == slopes[0]
