@@ -50,6 +50,7 @@ BINS = (
 )
 """Vessel-frames that are looked at alone, and what they are."""
 NEAR_M, FAR_M = 150, 300
+_SEEDS_OF_A_FILM = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,8 @@ def real_detections(opened: OpenFilm, threshold: float) -> Told:
 def simulated_detections(opened: OpenFilm, detector: Path, seeds: Sequence[int], threshold: float) -> list[Told]:
     """What a detector file gives with each seed, in the state of the film's weather.
 
-    `modsim3d detect RUN --detector FILE --state WEATHER --seed N` gives the same.
+    Noise belongs to a seed, a vessel and a step, so films of one seed would not be independent: seed k of a film is
+    1000 times the film's own plus k. `modsim3d detect RUN --detector FILE --state WEATHER --seed N` gives the same.
 
     Raises:
         ModsimError: The file is wrong, or does not suit the run.
@@ -142,7 +144,8 @@ def simulated_detections(opened: OpenFilm, detector: Path, seeds: Sequence[int],
         raise ModsimError(f"{file}: has no label '{min(unknown)}', which the film {opened.film.name} has")
     scene = replace(opened.rows.scene, detector=model)
     census = scene_census(scene, opened.blocks)
-    return [_simulated(opened, Simulation(replace(scene, detector_seed=seed), census), threshold) for seed in seeds]
+    own = [_SEEDS_OF_A_FILM * opened.film.seed + seed for seed in seeds]
+    return [_simulated(opened, Simulation(replace(scene, detector_seed=seed), census), threshold) for seed in own]
 
 
 def _simulated(opened: OpenFilm, simulation: Simulation, threshold: float) -> Told:

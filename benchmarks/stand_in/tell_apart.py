@@ -29,7 +29,7 @@ def told_apart(
     for rung, file in detectors.items():
         simulated = _simulated(opened, truth, file, seeds, threshold)
         results[rung] = tell_apart(names, real, simulated, threshold)
-    results[SEEDS_APART] = between_seeds(names, simulated, threshold, importance=False)
+    results[SEEDS_APART] = between_seeds(names, simulated, threshold)
     return results
 
 
