@@ -42,7 +42,7 @@ class Film:
     real: Path
     place: str = "harbour"
     weather: str = STATE
-    seed: int = 1
+    seed: int = 0
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +67,13 @@ def test_the_same_detector_and_seed_give_the_real_detections(film: Film) -> None
         np.testing.assert_allclose(column, getattr(simulated[0], name), atol=0.0011)
     assert len(real) and real.confidence.min() >= 0.3
     assert not np.array_equal(real.confidence, simulated[1].confidence)
+
+
+def test_films_share_no_seed(film: Film) -> None:
+    opened = open_film(film)
+    other = replace(opened, film=replace(film, seed=1))
+    mine, theirs = (simulated_detections(each, DETECTOR, [SEED], 0.3)[0] for each in (opened, other))
+    assert len(mine.confidence) and not np.array_equal(mine.confidence, theirs.confidence)
 
 
 def test_scores_are_those_of_the_command_score(film: Film) -> None:
