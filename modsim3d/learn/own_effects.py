@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +12,17 @@ from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import resample
 
 OWN_ATTRIBUTES = ("size_px", "distance_m")
+
+
+@dataclass(frozen=True, eq=False)
+class SplitEffects:
+    """Effects in which an attribute has a slope for each state, their fit, and twice the gain in log-likelihood."""
+
+    name: str
+    by_units: bool
+    effects: tuple[Effect, ...]
+    fit: MissFit
+    gain: float
 
 
 def own_effects(
@@ -30,7 +40,6 @@ def own_effects(
         inflation: Variance of the slopes over that of independent misses, by which the gain is divided.
         notes: What was decided is added to them.
     """
-    once = resample(observed.labelled.images, 0, 0)
     enough = _states_with_enough(observed, len(effects))
     left = [name for name in OWN_ATTRIBUTES if any(effect.attribute == name for effect in effects)]
     if left and len(observed.states) > 1 and len(enough) < 2:
@@ -38,24 +47,18 @@ def own_effects(
         notes.append(f"states.dropout: none of a state's own; {len(enough)} states have {needed}, needs 2")
     needed_gain = max((len(enough) - 1) * np.log(max(len(observed.rows), 1)), SIGNIFICANT**2)
     while left and len(enough) > 1:
-        gains = []
-        for name in left:
-            for split in _split(effects, name, enough, len(observed.states)):
-                other = fit_misses(observed, split, once)
-                if other is not None:
-                    gain = other.log_likelihood(observed.missed) - fit.log_likelihood(observed.missed)
-                    gains.append((2 * gain / inflation, name, split, other))
-        if not gains:
+        splits = [split for name in left for split in _splits(observed, effects, name, enough)]
+        if not splits:
             break
-        gain, name, split, other = max(gains, key=lambda each: each[0])
+        best = max(splits, key=lambda split: split.gain)
+        gain, name = best.gain / inflation, best.name
         if gain < needed_gain:
             rest = f"{gain:.1f} likelier (twice the log-likelihood), needs {needed_gain:.1f}"
             notes += [f"states.dropout.{each}: the same in all states; at most {rest}" for each in left]
             break
-        by_units = any(effect.attribute == name and effect.by_units for effect in split)
-        form = f"a slope for each state, by {'units' if by_units else 'doublings'}"
+        form = f"a slope for each state, by {'units' if best.by_units else 'doublings'}"
         notes.append(f"states.dropout.{name}: {form} (twice the log-likelihood {gain:.1f} larger)")
-        effects, fit = split, other
+        effects, fit = best.effects, best.fit
         left.remove(name)
     return effects, fit
 
@@ -70,15 +73,24 @@ def _states_with_enough(observed: Observed, effects: int) -> list[int]:
     return [int(state) for state in enough[np.argsort(-(misses + finds)[enough], kind="stable")]]
 
 
-def _split(effects: tuple[Effect, ...], name: str, enough: list[int], states: int) -> Iterator[tuple[Effect, ...]]:
-    """Effects in which states have a slope of an attribute for themselves, by doublings and by units.
+def _splits(observed: Observed, effects: tuple[Effect, ...], name: str, enough: list[int]) -> list[SplitEffects]:
+    """Fits in which states have a slope of an attribute for themselves, by doublings and by units.
 
-    If some of all the states have too little, they share the slope of the state that has most.
+    If some of all the states have too little, they share the slope of the state that has most. The gain counts from the
+    likelier of both forms with one slope for all states, so that it is not the gain of another form.
     """
+    once = resample(observed.labelled.images, 0, 0)
     place = next(k for k, effect in enumerate(effects) if effect.attribute == name)
+    before, after, splits, shared_fits = effects[:place], effects[place + 1 :], [], []
     for by_units in (False, True):
         shared = replace(effects[place], by_units=by_units)
-        yield (*effects[:place], *_of_each(shared, enough, states), *effects[place + 1 :])
+        shared_fits.append(fit_misses(observed, (*before, shared, *after), once))
+        own = (*before, *_of_each(shared, enough, len(observed.states)), *after)
+        fit = fit_misses(observed, own, once)
+        if fit is not None:
+            splits.append(SplitEffects(name, by_units, own, fit, 2 * fit.log_likelihood(observed.missed)))
+    most = max((2 * fit.log_likelihood(observed.missed) for fit in shared_fits if fit is not None), default=-np.inf)
+    return [replace(split, gain=split.gain - most) for split in splits]
 
 
 def _of_each(shared: Effect, enough: list[int], states: int) -> list[Effect]:

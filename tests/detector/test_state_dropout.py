@@ -93,6 +93,12 @@ def test_a_state_may_be_the_only_one_with_effects() -> None:
     assert model.dropout.effects_of(0) == ()
     used = {each.key: each for each in used_models(model)}["states.fog.dropout.distance_m"]
     assert (used.name, used.state) == ("logistic", "fog")
+    frames, targets = scene(100)
+    plain, own = (
+        all_bytes(detector(data, frames, targets).detect(frames, targets))
+        for data in (detector_data(), data_with({}, {"distance_m": FOG}))
+    )
+    assert plain != own
 
 
 @pytest.mark.parametrize(

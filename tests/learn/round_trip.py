@@ -76,6 +76,7 @@ def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
             if key in state["box_error"]:
                 asked[f"states.{name}.box_error_{key}"] = state["box_error"][key]
         asked |= _numbers_below(f"states.{name}.confidence", state["confidence"])
+        asked |= _numbers_below(f"states.{name}.dropout", state.get("dropout", {}))
     return {path: np.array(value, dtype=float) for path, value in asked.items()}
 
 
