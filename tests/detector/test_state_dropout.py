@@ -150,5 +150,5 @@ def test_verify_tests_the_effect_of_a_state_there_and_the_shared_one_elsewhere()
 
 def test_boxes_without_a_distance_are_refused_with_what_leaves_out_the_effect_of_the_state() -> None:
     model = parse_detector(data_with({"size_px": SIZE}, {"distance_m": FOG}))
-    with pytest.raises(InputError, match="--set detector.states.fog.dropout.distance_m=null$"):
+    with pytest.raises(InputError, match=r"--set detector\.states\.fog\.dropout\.distance_m=null$"):
         check_needs(model, "detector", np.array([100.0, np.nan]), np.array([0.0, 1.0, -100.0]))
