@@ -14,6 +14,7 @@ from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import select
 from modsim3d.detector.parts import used_models
 from modsim3d.errors import InputError
+from modsim3d.other_truth.needs import check_needs
 from modsim3d.verify.class_checks import class_checks
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import judge
@@ -145,3 +146,9 @@ def test_verify_tests_the_effect_of_a_state_there_and_the_shared_one_elsewhere()
     failed = {each.parameter.name for each in judge(class_checks(parse_detector(wrong), evidence)).failed}
     assert fogs in failed
     assert "dropout.distance_m.per_unit" not in failed
+
+
+def test_boxes_without_a_distance_are_refused_with_what_leaves_out_the_effect_of_the_state() -> None:
+    model = parse_detector(data_with({"size_px": SIZE}, {"distance_m": FOG}))
+    with pytest.raises(InputError, match=r"--set detector\.states\.fog\.dropout\.distance_m=null$"):
+        check_needs(model, "detector", np.array([100.0, np.nan]), np.array([0.0, 1.0, -100.0]))
