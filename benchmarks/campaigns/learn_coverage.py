@@ -84,6 +84,8 @@ CASES = (
          "and one that does not."),
     Case("slopes", "harbour", 2, 150, "slopes.yaml",
          said="Confidence that depends on visibility and size and persists; misses of hidden vessels."),
+    Case("state_effects", "harbour", 2, 400, "state_effects.yaml",
+         said="Misses rise with the distance, more steeply in haze."),
 )  # fmt: skip
 
 
