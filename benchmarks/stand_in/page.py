@@ -271,9 +271,14 @@ def _classifier(results: Results) -> Lines:
 
 
 def _auc(found: Results | None) -> tuple[str, str]:
-    """An area with its interval, and the groups of features that reach most alone."""
+    """An area with its interval, and the groups of features that reach most alone.
+
+    The check of seeds has no interval; the areas of its seeds stand in its place.
+    """
     if not found:
         return "–", "–"
+    if "aucs" in found:
+        return f"{found['auc']:.2f} (seeds: {min(found['aucs']):.2f} to {max(found['aucs']):.2f})", "–"
     groups = sorted(found.get("groups", {}).items(), key=lambda each: -each[1]["alone"])[:2]
     by = ", ".join(f"{name} ({each['alone']:.2f})" for name, each in groups) or "–"
     return f"{found['auc']:.2f} ({found['low']:.2f} to {found['high']:.2f})", by

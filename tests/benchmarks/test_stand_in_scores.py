@@ -124,8 +124,12 @@ def test_the_page_is_made_of_the_results_alone(results: dict) -> None:
     assert "classifier" not in text and "nan" not in text and "None" not in text
     assert "- HOTA (± 0.020) of `sort` and `reference`" in text.splitlines()
     area = {"auc": 0.55, "low": 0.5, "high": 0.6, "groups": {"misses": {"alone": 0.51}, "errors": {"alone": 0.54}}}
-    told = page({**results, "told_apart": {"b": {"frames": area}, "seeds": {"tracks": area}}})
-    assert "|  | check: one seed of the last rung against its others | – | – | 0.55 (0.50 to 0.60) |" in told
+    seeds = {"auc": 0.4967, "aucs": [0.52, 0.5, 0.47]}
+    told = page({**results, "told_apart": {"b": {"frames": area}, "seeds": {"tracks": seeds}}})
+    assert (
+        "|  | check: one seed of the last rung against its others | – | – | 0.50 (seeds: 0.47 to 0.52) | – |"
+        in told.splitlines()
+    )
     assert "| b | b | 0.55 (0.50 to 0.60) | errors (0.54), misses (0.51) | – | – |" in told.splitlines()
 
 
