@@ -6,20 +6,35 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.stand_in import prose
-from benchmarks.stand_in.differences import AGREES, DIFFERS, UNDECIDED
-from benchmarks.stand_in.distributions import TITLES
+from benchmarks.stand_in.differences import AGREES, DIFFERS, UNDECIDED, difference
 from benchmarks.stand_in.ladder import draw_ladder
-from benchmarks.stand_in.margins import BY_KEY, REASONS, SCORES, Score
-from benchmarks.stand_in.measure import BIN_MARGIN
+from benchmarks.stand_in.margins import BY_KEY, REASONS, SCORES
+from benchmarks.stand_in.measure import BIN_MARGIN, REAL
 from benchmarks.stand_in.prose import filled
 from benchmarks.stand_in.scores import BINS, RULES
-from benchmarks.stand_in.words import cell, films_in_words, headline, interval, kinder, listed, plain
+from benchmarks.stand_in.statements import meaning
+from benchmarks.stand_in.words import (
+    LEVEL_OF_TESTS,
+    area,
+    cell,
+    code,
+    distribution_name,
+    headline,
+    listed,
+    plain,
+    steps,
+    surely_not_0,
+    top_rung,
+)
 
 Results = Mapping[str, Any]
 Lines = Iterator[str]
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-LEVEL_OF_TESTS = 0.05
+FIRST_LATER_SEED = 146
+"""Of the films that were made when the first ones had been compared, which changed the models."""
 HOTA_MARGIN = BY_KEY["hota"].least
 
 
@@ -35,11 +50,12 @@ def page(results: Results) -> str:
         _opening,
         _ladder,
         _scores,
-        _meaning,
+        meaning,
         _order,
         _scatter,
         _distributions,
         _parts_of_films,
+        _later_films,
         _classifier,
         _limits,
         _how,
@@ -52,22 +68,13 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return ["", *(f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *rows)), ""]
 
 
-def _top(results: Results) -> str:
-    """Name of the last rung."""
-    return str(results["rungs"][-1]["name"])
-
-
-def _code(names: Sequence[str]) -> list[str]:
-    return [f"`{name}`" for name in names]
-
-
 def _opening(results: Results) -> Lines:
     films, trackers = results["films"], results["trackers"]
     total = {
         key: sum(film[key] for film in films)
         for key in ("vessel_frames", "hidden", "found", "found_hidden", "detections")
     }
-    found = {name: results["differences"][_top(results)][name]["hota"] for name in trackers}
+    found = {name: results["differences"][top_rung(results)][name]["hota"] for name in trackers}
     yield from ("# Is it a good stand-in?", "", headline(results), "")
     yield filled(
         prose.DONE,
@@ -78,10 +85,13 @@ def _opening(results: Results) -> Lines:
         precision=total["found"] / max(total["detections"], 1),
     )
     verdicts = " ".join(
-        _of_hota(verdict, _code(names))
+        _of_hota(verdict, code(names))
         for verdict in (AGREES, DIFFERS, UNDECIDED)
         if (names := [name for name, each in found.items() if each["verdict"] == verdict])
     )
+    sure = [name for name, each in found.items() if each["verdict"] == UNDECIDED and surely_not_0(each)]
+    if sure:
+        verdicts += f" The difference is surely not 0 for {listed(code(sure))}."
     yield from ("", filled(prose.WITHIN, margin=HOTA_MARGIN, verdicts=verdicts), "")
 
 
@@ -95,7 +105,7 @@ def _of_hota(verdict: str, names: Sequence[str]) -> str:
     told: dict[str, str] = {
         AGREES: f"HOTA agrees for {listed(names)}.",
         DIFFERS: f"HOTA differs by more than that for {listed(names)}.",
-        UNDECIDED: f"For {listed(names)} these films do not say.",
+        UNDECIDED: f"For {listed(names)} these films do not say whether it agrees.",
     }
     return told[verdict]
 
@@ -105,7 +115,7 @@ def _ladder(results: Results) -> Lines:
     yield from ("", "## The ladder", "", filled(prose.LADDER))
     trackers, found = results["trackers"], results["differences"]
     yield from table(
-        ["", "Learned", *_code(trackers)],
+        ["", "Learned", *code(trackers)],
         [
             [
                 rung["name"],
@@ -115,74 +125,21 @@ def _ladder(results: Results) -> Lines:
             for at, rung in enumerate(results["rungs"])
         ],
     )
+    if farther := [str(step) for step in steps(results) if step.after > step.before]:
+        yield from (f"Farther from the real one came HOTA with {listed(farther)}.", "")
 
 
 def _scores(results: Results) -> Lines:
-    trackers, found = results["trackers"], results["differences"][_top(results)]
+    trackers, found = results["trackers"], results["differences"][top_rung(results)]
 
     def told(each: Results, decimals: int) -> str:
         return f"{plain(each['real'], decimals)}: {cell(each, decimals)}"
 
     yield from ("## All scores at the last rung", "", filled(prose.SCORES_BEGIN))
     yield from table(
-        ["Score", *_code(trackers)],
+        ["Score", *code(trackers)],
         [[score.title, *(told(found[name][score.key], score.decimals) for name in trackers)] for score in SCORES],
     )
-
-
-def _meaning(results: Results) -> Lines:
-    yield from ("## What it means for someone who certifies", "")
-    found = results["differences"][_top(results)]
-    told = {AGREES: (prose.HOLD, _holds), DIFFERS: (prose.HOLD_NOT, _holds_not), UNDECIDED: (prose.OPEN, _open)}
-    for verdict, (introduction, line) in told.items():
-        lines = []
-        for score in SCORES:
-            each = {name: by_score[score.key] for name, by_score in found.items()}
-            if chosen := {name: one for name, one in each.items() if one["verdict"] == verdict}:
-                lines.append(f"- {score.title} {line(score, chosen)}")
-        if lines:
-            yield from (filled(introduction), "", *lines, "")
-    yield from (prose.BESIDE, "", *_other_statements(results), "", filled(prose.USE), "")
-
-
-def _holds(score: Score, found: Mapping[str, Results]) -> str:
-    margins = sorted({plain(each["margin"], score.decimals) for each in found.values()})
-    return f"(± {listed(margins, 'or')}) of {listed(_code(list(found)))}"
-
-
-def _holds_not(score: Score, found: Mapping[str, Results]) -> str:
-    by_meaning: dict[str, list[str]] = {}
-    for name, each in found.items():
-        by_meaning.setdefault(kinder(score, each), []).append(f"`{name}` {interval(each, score.decimals)}")
-    return "of " + "; ".join(f"{', '.join(each)}: {meaning}" for meaning, each in by_meaning.items())
-
-
-def _open(score: Score, found: Mapping[str, Results]) -> str:
-    return "of " + ", ".join(f"`{name}` ({films_in_words(each)})" for name, each in found.items())
-
-
-def _other_statements(results: Results) -> Lines:
-    """What the comparison says beside the scores."""
-    top = _top(results)
-    order = results["ranking"][top]
-    if order["films"]:
-        best = [order[name][0] for name in ("real", "simulated")]
-        same = (
-            f"is the same, `{best[0]}`," if best[0] == best[1] else f"is `{best[1]}` in place of `{best[0]}`, the same"
-        )
-        yield f"- The best tracker by HOTA {same} in {order['same_best']:.0%} of draws of films."
-    found = [each for each in results["distributions"][top] if each["adjusted_p"] is not None]
-    differ = [_distribution_name(each) for each in found if each["adjusted_p"] < LEVEL_OF_TESTS]
-    named = f"{len(differ)} differ: {'; '.join(differ)}" if differ else "none was found to differ"
-    yield f"- Of {len(found)} distributions, {named}."
-    for key, title in BINS:
-        recall = {name: each[key]["recall"]["verdict"] for name, each in results["bins"][top].items()}
-        told = [
-            f"{word} for {listed(_code(names))}"
-            for verdict, word in ((AGREES, "agrees"), (DIFFERS, "differs"), (UNDECIDED, "is open"))
-            if (names := [name for name, each in recall.items() if each == verdict])
-        ]
-        yield f"- Share followed, {title}: {', '.join(told)}."
 
 
 def _order(results: Results) -> Lines:
@@ -207,7 +164,7 @@ def _scatter(results: Results) -> Lines:
         return f"**{text}**" if each["scatter_p"] is not None and each["scatter_p"] < LEVEL_OF_TESTS else text
 
     yield from table(
-        ["", *_code(trackers)],
+        ["", *code(trackers)],
         [[rung["name"], *(told(found[rung["name"]][name]["hota"]) for name in trackers)] for rung in results["rungs"]],
     )
 
@@ -216,7 +173,7 @@ def _distributions(results: Results) -> Lines:
     yield from ("## Lengths and confidence as distributions", "", filled(prose.DISTRIBUTIONS))
     yield from table(
         ["", "Mean, real", "simulated", "Median, real", "simulated", "Distance", "To move", "p"],
-        [_distribution(each) for each in results["distributions"][_top(results)]],
+        [_distribution(each) for each in results["distributions"][top_rung(results)]],
     )
 
 
@@ -227,29 +184,42 @@ def _distribution(found: Results) -> list[str]:
     numbers = [*(side["mean"] for side in sides), *medians, found["ks"], found["wasserstein"]]
     p = plain(found["adjusted_p"], 3)
     differs = found["adjusted_p"] is not None and found["adjusted_p"] < LEVEL_OF_TESTS
-    return [_distribution_name(found), *(plain(number, 2) for number in numbers), f"**{p}**" if differs else p]
-
-
-def _distribution_name(found: Results) -> str:
-    return TITLES[found["name"]] + ("" if found["tracker"] is None else f", `{found['tracker']}`")
+    return [distribution_name(found), *(plain(number, 2) for number in numbers), f"**{p}**" if differs else p]
 
 
 def _parts_of_films(results: Results) -> Lines:
-    trackers, top = results["trackers"], _top(results)
+    trackers, top = results["trackers"], top_rung(results)
     bins, groups = results["bins"][top], results["groups"][top]
     yield from ("## By occlusion, range and weather", "", filled(prose.BINS_BEGIN, margin=BIN_MARGIN))
     yield from table(
-        ["Vessel-frames", *_code(trackers)],
+        ["Vessel-frames", *code(trackers)],
         [[title, *(cell(bins[name][key]["recall"], 3) for name in trackers)] for key, title in BINS],
     )
     yield filled(prose.GROUPS, margin=HOTA_MARGIN, share=results["hidden_share_of_groups"])
     yield from table(
-        ["Films", "Number", *_code(trackers)],
+        ["Films", "Number", *code(trackers)],
         [
             [name, str(first["films"]), *(cell(groups[tracker][name], 3) for tracker in trackers)]
             for name, first in groups[trackers[0]].items()
         ],
     )
+
+
+def _later_films(results: Results) -> Lines:
+    """HOTA on the films that models were built in sight of, and on the later ones."""
+    later = np.array([film["seed"] >= FIRST_LATER_SEED for film in results["films"]])
+    if later.all() or not later.any():
+        return
+    yield from ("## On films that were made later", "", filled(prose.LATER, first=int((~later).sum())))
+    rows = []
+    for name, films in (("first", ~later), ("later", later)):
+        cells = []
+        for scores in results["scores"].values():
+            real, simulated = (np.array(scores["hota"][side], dtype=float) for side in (REAL, top_rung(results)))
+            found = difference(real[films], simulated[films, None], HOTA_MARGIN).as_json()
+            cells.append(cell(found, 3))
+        rows.append([name, str(int(films.sum())), *cells])
+    yield from table(["Films", "Number", *code(results["trackers"])], rows)
 
 
 def _classifier(results: Results) -> Lines:
@@ -263,20 +233,11 @@ def _classifier(results: Results) -> Lines:
         [
             [
                 *titles.get(name, ("", prose.SEEDS_APART)),
-                *(text for kind in ("frames", "tracks") for text in _auc(each.get(kind))),
+                *(text for kind in ("frames", "tracks") for text in area(each.get(kind))),
             ]
             for name, each in told.items()
         ],
     )
-
-
-def _auc(found: Results | None) -> tuple[str, str]:
-    """An area with its interval, and the groups of features that reach most alone."""
-    if not found:
-        return "–", "–"
-    groups = sorted(found.get("groups", {}).items(), key=lambda each: -each[1]["alone"])[:2]
-    by = ", ".join(f"{name} ({each['alone']:.2f})" for name, each in groups) or "–"
-    return f"{found['auc']:.2f} ({found['low']:.2f} to {found['high']:.2f})", by
 
 
 def _limits(results: Results) -> Lines:
@@ -295,7 +256,7 @@ def _how(results: Results) -> Lines:
         films=len(films),
         seeds=results["seeds"],
         threshold=results["threshold"],
-        split=_split(tracker, results["differences"][_top(results)][tracker]["hota"]),
+        split=_split(tracker, results["differences"][top_rung(results)][tracker]["hota"]),
     ).strip()
     yield from ("", filled(prose.MARGINS))
     yield from table(["Score", "Margin", "Why"], REASONS)

@@ -15,8 +15,10 @@ trackers were scored behind both. The detector found {clear:.0%} of the vessels 
 {hidden:.0%} of the others. {precision:.0%} of its detections were of vessels.
 """
 WITHIN = """
-"Within" is the farthest end of the trackers' 95 % intervals. A mean gap is the mean size of the trackers' differences.
-The margin was fixed beforehand: {margin:g}. {verdicts}
+"Within" is the farthest end of the trackers' 95 % intervals of the mean over films; a single film may differ by more.
+A mean gap is the mean size of the trackers' differences. A group of models is named if it surely shrank that gap where
+it stands in the ladder; in another order it might shrink it by more or less. Against the margin of {margin:g}:
+{verdicts}
 """
 LADDER = """
 Each rung is a detector file learned from the same films, with all models of the rungs before it and one group more.
@@ -26,29 +28,30 @@ within the margin. ✗ differs: all of it lies outside. ? these films do not say
 SCORES_BEGIN = """
 First the real score, then simulated minus real. [Scores](scores.md) says what each means.
 """
-HOLD = "These values hold on simulated detections, within the margin:"
+HOLD = "These means over films hold on simulated detections. In brackets stand the real value and the margin:"
 HOLD_NOT = "These do not hold. Simulation gives another value:"
 OPEN = """
 Of these the films do not say whether they hold. In brackets stands about how many films would show that they do if the
-mean stayed, or that the mean lies outside the margin:
+mean stayed, or that the mean lies outside the margin, and whether the difference is surely not 0:
 """
 BESIDE = "Beside the scores:"
 USE = """
-A score that holds may stand for the real one in an argument about this detector, in films like these. Where the films
-do not say, nothing is shown: neither that the values agree nor that they differ.
+A score that holds may stand for the real one in an argument about the mean over films like these: this detector, these
+trackers and these three places, drawn and not filmed. It says nothing of a single film. Where the films do not say,
+agreement is not shown, and the value must not be used as if it were.
 """
 ORDER = """
 By HOTA. The orders are those of the means over films, the best first. Kendall's tau is 1 where all pairs of trackers
 stand in the same order within a film, and −1 where all are reversed. *Among seeds* is the tau of one simulated output
-against another, which no simulation of this detector can exceed by much. The last two columns are shares of 4,000
-draws of films, with replacement, in which the whole order, and the best tracker, are the same on real and simulated
-detections.
+against another, which is to be expected if the real output were one like the simulated ones. The last two columns are
+shares of 4,000 draws of films, with replacement, in which the whole order, and the best tracker, are the same on real
+and simulated detections. Trackers whose real means lie close together change places in many draws on either side.
 """
 SCATTER = """
 How much HOTA, simulated minus real, scatters from film to film, over how much it would if the real output were one like
 the simulated seeds. At 1 the seeds of a simulation span what the detector does on a film. Above 1 films differ by
 something that the detector file does not have, and the spread over seeds says too little about a single film; in bold
-where an F-test finds it at the 5 % level.
+where an F-test finds it at the 5 % level, each cell by itself: of twenty cells without a cause one would be bold.
 """
 DISTRIBUTIONS = """
 At the last rung. *Distance* is the largest one between the two distribution functions (Kolmogorov and Smirnov). *To
@@ -65,6 +68,17 @@ GROUPS = """
 HOTA of groups of films, simulated minus real, with the margin {margin:g}. Films with *much* occlusion have more than
 {share:.1%} of vessel-frames with less than half of the vessel visible.
 """
+LATER = """
+The detector files are learned from other films, but which models there are was decided by people who had seen how the
+first {first} films compare. The later films were made afterwards. If the models suited
+the first films alone, the later ones would differ by more. HOTA, simulated minus real, at the last rung:
+"""
+GOAL = {
+    "alike": "The goal of at most 0.6 is reached.",
+    "told apart": "The goal of at most 0.6 is missed: the two can be told apart.",
+    "not enough films to say": "Whether the goal of at most 0.6 is reached, these films do not say.",
+}
+"""What the verdict on a classifier means."""
 CLASSIFIER = """
 The area under the ROC curve of a gradient-boosted classifier that is shown frames, or tracks of vessels, of films that
 it was not trained on, with its 95 % interval over films. 0.5 is guessing, 1 is certainty; the goal is at
@@ -80,6 +94,10 @@ LIMITS = (
     with the boxes of what is visible. HOTA takes the mean over many thresholds, the others have this one.""",
     """The trackers have the settings that were chosen for the shipped scenes, behind other detectors. They are the same
     for real and simulated detections, but not the best for this detector.""",
+    """The films are of three places. The intervals are over traffic, waves and weather in these places, not over
+    places.""",
+    """Films in which a score is undefined, as the length of tracks without a track, do not count for it. Margins that
+    are shares of a real mean take that mean as known.""",
     """The detector file is learned once. The intervals are over films, and leave out what learning from other films
     would have changed.""",
     "Each interval has 95 % by itself. Of many intervals, a few miss the truth.",

@@ -9,7 +9,7 @@ from benchmarks.stand_in.differences import AGREES, DIFFERS, UNDECIDED, differen
 from benchmarks.stand_in.distributions import compared, gaps_and_runs, holm, wasserstein
 from benchmarks.stand_in.margins import BY_KEY
 from benchmarks.stand_in.ranking import ranking, tau
-from benchmarks.stand_in.words import causes, farthest, films_needed, headline, upwards
+from benchmarks.stand_in.words import farthest, films_needed, headline, steps, upwards
 
 
 def test_a_difference_of_three_films_by_hand() -> None:
@@ -145,20 +145,34 @@ def test_holm_s_method_by_hand() -> None:
 
 
 def _results(*means: float) -> dict:
-    """Results of two trackers whose differences have these means, rung by rung, ± 0.01."""
-    each = [{"hota": {"mean": mean, "low": mean - 0.01, "high": mean + 0.01}} for mean in means]
+    """Results of two trackers whose differences have these means over four films, rung by rung, ± 0.01."""
+    each = [{"hota": {"films": 4, "mean": mean, "low": mean - 0.01, "high": mean + 0.01}} for mean in means]
+    noise = np.array([-0.02, 0.02, -0.02, 0.02])  # the same at all rungs: films differ by it, rungs do not
+    scores: dict = {str(k): (0.5 + noise + mean).tolist() for k, mean in enumerate(means)}
     return {
+        "scores": {name: {"hota": {"real": [0.5] * 4, **scores}} for name in ("sort", "ocsort")},
         "rungs": [{"name": str(k), "title": f"model {k}"} for k in range(len(means))],
         "differences": {str(k): {"sort": one, "ocsort": one} for k, one in enumerate(each)},
     }
 
 
 def test_the_headline_names_what_brought_the_scores_closer() -> None:
-    assert headline(_results(0.1, 0.03, 0.028, -0.0021)) == (
-        "On this detector, HOTA from simulation was within 0.013 of the real one, because of *model 1* (mean gap 0.100 "
-        "before, 0.030 after) and *model 3* (mean gap 0.028 before, 0.002 after), and here is the evidence."
+    assert headline(_results(0.15, 0.07, 0.068, -0.0069)) == (
+        "On this detector, mean HOTA over 4 films from simulation was within 0.017 of the real one, because of "
+        "*model 1* (mean gap 0.150 before, 0.070 after) and *model 3* (mean gap 0.068 before, 0.007 after), and here "
+        "is the evidence. That is within the margin of 0.02 that was fixed beforehand."
     )
-    assert "no model beyond the plainest" in headline(_results(0.01, 0.01)) and causes(_results(0.01, 0.2)) == []
+    assert "no model beyond the plainest" in headline(_results(0.01, 0.01))
+    assert "That is not within the margin of 0.02" in headline(_results(0.1, 0.05))
+
+
+def test_a_rung_that_takes_scores_farther_or_helps_in_some_films_only_is_no_cause() -> None:
+    (farther,) = steps(_results(0.1, 0.2))
+    assert (farther.before, farther.after) == pytest.approx((0.1, 0.2))
+    results = _results(0.1, 0.1)
+    for scores in results["scores"].values():
+        scores["hota"]["1"] = [0.2, 0.6, 0.6, 0.6]  # the mean gap shrinks to 0, by one film
+    assert steps(results) == []
 
 
 def test_a_bound_is_rounded_away_from_0_and_needs_all_intervals() -> None:

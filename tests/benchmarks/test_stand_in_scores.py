@@ -119,13 +119,34 @@ def test_real_detections_as_the_simulated_ones_differ_in_nothing(results: dict) 
 
 def test_the_page_is_made_of_the_results_alone(results: dict) -> None:
     text = page(results)
-    assert text.splitlines()[2].startswith("On this detector, HOTA from simulation was within 0.00")
+    assert text.splitlines()[2].startswith("On this detector, mean HOTA over 2 films from simulation was within 0.00")
     assert "HOTA agrees for `sort` and `reference`." in text
     assert "classifier" not in text and "nan" not in text and "None" not in text
-    assert "- HOTA (± 0.020) of `sort` and `reference`" in text.splitlines()
-    area = {"auc": 0.55, "low": 0.5, "high": 0.6, "groups": {"misses": {"alone": 0.51}, "errors": {"alone": 0.54}}}
-    told = page({**results, "told_apart": {"b": {"frames": area}, "seeds": {"tracks": area}}})
-    assert "|  | check: one seed of the last rung against its others | – | – | 0.55 (0.50 to 0.60) |" in told
+    hota = [
+        f"`{name}` ({results['differences']['b'][name]['hota']['real']:.3f} ± 0.020)" for name in ("sort", "reference")
+    ]
+    assert f"- HOTA of {hota[0]} and {hota[1]}" in text.splitlines()
+    assert "values that hold, 20 do with tests adjusted for their number" in text
+    assert "made later" not in text
+    films = [film | {"seed": seed} for film, seed in zip(results["films"], (101, 146), strict=True)]
+    assert "| later | 1 | – | – |" in page({**results, "films": films}).splitlines()
+    area = {
+        "auc": 0.55,
+        "low": 0.5,
+        "high": 0.6,
+        "verdict": "alike",
+        "groups": {"misses": {"alone": 0.51}, "errors": {"alone": 0.54}},
+    }
+    seeds = {"auc": 0.4967, "aucs": [0.52, 0.5, 0.47]}
+    told = page({**results, "told_apart": {"b": {"frames": area}, "seeds": {"tracks": seeds}}})
+    assert (
+        "|  | check: one seed of the last rung against its others | – | – | 0.50 (seeds: 0.47 to 0.52) | – |"
+        in told.splitlines()
+    )
+    assert (
+        "- A classifier that is to tell frames apart reaches an area of 0.55 (0.50 to 0.60). The goal of at most 0.6 is reached."
+        in told
+    )
     assert "| b | b | 0.55 (0.50 to 0.60) | errors (0.54), misses (0.51) | – | – |" in told.splitlines()
 
 
