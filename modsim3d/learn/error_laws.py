@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.detector.file.checks import covariance_problems
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.learn.entries import Entry, Key, nested
 from modsim3d.learn.error_choice import excess
@@ -20,6 +21,7 @@ LAWS = ("normal", "student_t")
 """Distributions of box errors that can be learned, by the name that `box_error.law` has in a detector file."""
 _PAIR_NAMES = tuple(f"{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}" for i, j in ERROR_PAIRS)
 _LARGEST_STEP = 5.0
+_SHRUNK = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ class LearnedErrors:
         if self.degrees_of_freedom is not None:
             section |= {"law": "student_t", "degrees_of_freedom": nested(self.degrees_of_freedom.estimate)}
         mean, std, correlation = (np.nan_to_num(each.estimate) for each in (self.mean, self.std, self.correlation))
-        section |= {"mean": nested(mean), "covariance": nested(_positive(covariance(std, correlation)))}
+        section |= {"mean": nested(mean), "covariance": _written(_positive(covariance(std, correlation)))}
         if self.growth is not None:
             section["growth"] = nested(np.maximum(self.growth.estimate, 0.0))
         return section
@@ -153,3 +155,11 @@ def _positive(matrix: Array) -> Array:
     """A covariance (4, 4) without negative eigenvalues, which rounding or a correction may have left."""
     values, vectors = np.linalg.eigh(matrix)
     return matrix if values[0] >= 0 else (vectors * np.maximum(values, 0)) @ vectors.T
+
+
+def _written(matrix: Array) -> Any:
+    """A covariance (4, 4) in six digits; where rounding makes it invalid, its correlations are made 10⁻⁵ smaller."""
+    rounded = nested(matrix)
+    if not covariance_problems(rounded):
+        return rounded
+    return nested(matrix * np.where(np.eye(4, dtype=bool), 1.0, 1 - _SHRUNK))

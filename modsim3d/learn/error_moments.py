@@ -64,5 +64,6 @@ def moments(resampling: Resampling, image: Indices, values: Array) -> tuple[Arra
         std = np.sqrt(np.maximum(np.einsum("bii->bi", second), 0))
         correlation = np.stack([second[:, i, j] / (std[:, i] * std[:, j]) for i, j in ERROR_PAIRS], axis=1)
     few = number < 2
+    correlation = np.where(np.isfinite(correlation), correlation, 0.0)
     std[few], correlation[few] = np.nan, np.nan
-    return mean + centre, std, np.where(np.isfinite(correlation), correlation, 0.0)
+    return mean + centre, std, correlation

@@ -171,7 +171,7 @@ def _remarks(observed: Observed) -> Iterator[str]:
         )
     labelled, (found, annotation) = observed.labelled, observed.matched.pairs
     if not len(found):
-        yield "nothing matches: do annotations and detections belong to the same images, with boxes in the same pixels?"
+        yield "nothing matches: annotations and detections may belong to other images, or have boxes in other pixels"
         return
     yield from _remarks_on_labels(labelled.results.label[found] - labelled.annotations.label[annotation])
 

@@ -296,8 +296,16 @@ def _parameters(report: Report) -> Table:
     for each in sorted(intervals, key=lambda each: (each.key.state is not None, each.key.path)):
         for place in np.ndindex(*each.estimate.shape):
             value, low, high = (float(np.asarray(ends)[place]) for ends in (each.estimate, each.low, each.high))
-            rows.append((each.key.at(place), f"{value:.4g}", f"{low:.4g} to {high:.4g}"))
+            rows.append((each.key.at(place), *_number(value, low, high)))
     return Table("Numbers of the detector file", ("number", "learned", f"{report.level:.0%} interval"), tuple(rows))
+
+
+def _number(value: float, low: float, high: float) -> tuple[str, str]:
+    """A number and its interval; a dash for what the data do not tell."""
+    if not np.isfinite(value):
+        return "–", "–"
+    told = np.isfinite(low) and np.isfinite(high)
+    return f"{value:.4g}", f"{low:.4g} to {high:.4g}" if told else "–"
 
 
 def _bias(bias: Bias) -> Table:

@@ -6,10 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
+from modsim3d.detector.file.checks import covariance_problems
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.class_estimate import choose_classes
 from modsim3d.learn.dropout_fit import Effect, fit_misses
+from modsim3d.learn.error_laws import ErrorSample, learned_errors
 from modsim3d.learn.error_moments import covariance
 from modsim3d.learn.error_shares import ErrorKind, error_shares
 from modsim3d.learn.figures import Matches
@@ -103,6 +105,15 @@ def test_error_moments_are_those_of_numpy():
     low, high = got.errors.mean.interval(0.95, got.units)
     width = 1.96 * errors.std(axis=0) / np.sqrt(300)
     np.testing.assert_allclose(high - low, 2 * width, rtol=0.25)  # replicates: 5 %, images: 9 %
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_singular_covariance_of_two_errors_is_still_one_as_it_is_written(seed):
+    errors = np.random.default_rng(seed).normal(0, 3, (2, 4))
+    sample = ErrorSample(errors, np.zeros(2, dtype=np.int64), 0.0, "usual", "px", None)
+    section = learned_errors(resample(images(1), 0, 0), sample).section()
+    assert not covariance_problems(section["covariance"])
+    np.testing.assert_allclose(section["covariance"], np.cov(errors.T), rtol=3e-5)
 
 
 def test_cross_entropy_of_labels_where_probabilities_are_given():

@@ -351,6 +351,7 @@ def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(results, tmp_p
     files = ["--truth", tmp_path / "gt.json", "--detections", tmp_path / "dt.json", "--replicates", 20]
     result = command(*files, "--out", tmp_path / "d.yaml")
     assert result.exit_code == 0 and "needs 20" in result.output
+    assert not re.search(r"\b(nan|inf)\b", result.output + (tmp_path / "d.html").read_text())
     model = load_detector(tmp_path / "d.yaml")
     np.testing.assert_allclose(model.states[0].confusion.sum(axis=0), 1)
     assert "confusion, column buoy: found as often as the other labels" in (tmp_path / "d.yaml").read_text()
