@@ -92,4 +92,5 @@ def restore_film(film: Film, found: pa.Table) -> None:
 
 
 def _whole(values: np.ndarray, digits: int) -> np.ndarray:
-    return np.round(values * 10**digits).astype(np.int32)
+    whole: np.ndarray = np.round(values * 10**digits).astype(np.int32)
+    return whole
