@@ -249,7 +249,7 @@ def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
     residual was. Runs of frames with more misses than others then have larger products and larger expected products
     alike, and do not change the correlation time.
     """
-    rate = np.full(len(observed.rows), observed.missed[observed.clear].mean()) if fit is None else fit.chance
+    rate = np.full(len(observed.rows), observed.missed[observed.unambiguous].mean()) if fit is None else fit.chance
     residual = observed.missed - rate
     a, b = observed.steps.earlier, observed.steps.later
     size = residual[a] ** 2 / np.maximum(rate[a] * (1 - rate[a]), 1e-12)
@@ -283,12 +283,12 @@ def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, 
     labels = observed.labelled.labels
     k, states = len(labels), len(observed.states)
     cell = (observed.state * (k + 2) + observed.seen_as) * k + observed.label
-    clear = observed.clear
-    every = resampling.counts(observed.image[clear], cell[clear], (states, k + 2, k))
-    counts, swallowed = every[:, :, : k + 1], every[:, :, k + 1]
+    unambiguous = observed.unambiguous
+    every = resampling.counts(observed.image[unambiguous], cell[unambiguous], (states, k + 2, k))
+    counts, in_merged_box = every[:, :, : k + 1], every[:, :, k + 1]
     # A vessel in the box of another one has no label of its own: it takes the shares of those that have one.
     own = counts[:, :, :k].sum(axis=2)
-    counts[:, :, :k] *= np.where(own > 0, 1 + swallowed / np.maximum(own, 1), 1.0)[:, :, None]
+    counts[:, :, :k] *= np.where(own > 0, 1 + in_merged_box / np.maximum(own, 1), 1.0)[:, :, None]
     whole = counts.sum(axis=2, keepdims=True)
     rates = ratio(counts, whole)
     if fit is not None:

@@ -100,11 +100,11 @@ def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resa
         holds[:, column] = effect.holds_in(states, effects)
     x = amounts * holds[observed.state]
     group, missed = observed.state * k + observed.label, observed.missed.astype(np.float64)
-    clear = observed.clear
-    number = np.bincount(group[clear], minlength=states * k)
-    hits = np.bincount(group[clear], weights=missed[clear], minlength=states * k)
+    unambiguous = observed.unambiguous
+    number = np.bincount(group[unambiguous], minlength=states * k)
+    hits = np.bincount(group[unambiguous], weights=missed[unambiguous], minlength=states * k)
     usable = (hits > 0) & (hits < number)  # the others have a rate of 0 or 1 whatever the attributes are
-    fitted, count = usable[group] & clear, int(usable.sum())
+    fitted, count = usable[group] & unambiguous, int(usable.sum())
     if count == 0:
         return None
     group_fitted = (np.cumsum(usable) - 1)[group[fitted]]

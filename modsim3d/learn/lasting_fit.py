@@ -17,7 +17,7 @@ from scipy import special
 from modsim3d.arrays import Array
 from modsim3d.learn.drift_fit import Drift
 from modsim3d.learn.false_sightings import FalseSightings
-from modsim3d.learn.lasting_pairs import Beat, Displacements, Lag, far_pairs, lags_of
+from modsim3d.learn.lasting_pairs import Displacements, Lag, OrderedFrames, far_pairs, lags_of
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Column, Resampling, widened
 
@@ -177,15 +177,15 @@ def find_lasting(
 
     Where it is `known` that some stay, pairs need not be more than chance would bring.
     """
-    beat = Beat.of(observed)
-    if beat is None:
+    ordered = OrderedFrames.of(observed)
+    if ordered is None:
         return NotLasting("frames have no times" if not np.isfinite(observed.labelled.images.time_s).any() else _NONE)
     if not len(sightings):
         return NotLasting("there are no false detections")
-    lags = list(lags_of(beat, sightings, beat.span_s / 2))
+    lags = list(lags_of(ordered, sightings, ordered.span_s / 2))
     if not lags:
         return NotLasting(_NONE)
-    far = far_pairs(observed, beat, sightings)
+    far = far_pairs(observed, ordered, sightings)
     at_rest = _count(observed, sightings, expected, lags, far, 0.0)
     if not known and not at_rest.beyond_chance:
         found, chance = at_rest.found[:, 0].sum(), at_rest.chance[:, 0].sum()
@@ -195,7 +195,7 @@ def find_lasting(
         )
     drift = Drift.of(sightings, observed.labelled.images.time_s, lags[0])
     counted = _count(observed, sightings, expected, lags, far, drift.rough_px_s)
-    grid = np.geomspace(0.3 * beat.gap_s, 10 * beat.span_s, _GRID)
+    grid = np.geomspace(0.3 * ordered.gap_s, 10 * ordered.span_s, _GRID)
     every = np.ones((1, len(counted.false)))
     most_s = np.inf
     for _ in range(3):
@@ -203,7 +203,9 @@ def find_lasting(
         life, share = used.fit(every, grid)
         most_s = _LIFETIMES * float(life[0])
     lifetime = float(life[0])
-    return Lasting(used, drift, lifetime, min(float(share[0]), 1.0), beat.gap_s, round(beat.span_s / beat.gap_s) + 1)
+    return Lasting(
+        used, drift, lifetime, min(float(share[0]), 1.0), ordered.gap_s, round(ordered.span_s / ordered.gap_s) + 1
+    )
 
 
 _NONE = "no two frames of a sequence have times"

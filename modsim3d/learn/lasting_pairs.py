@@ -15,7 +15,7 @@ _NEAR = 0.5
 _LEAST_NEAR_PX = 4.0
 _MOST_RATIO = 2.0
 _OF_THE_WAY = 0.25
-_OFF_BEAT = 0.25
+_MOST_OFF_GAP = 0.25
 _LAGS = 28
 _FAR_PAIRS = 100_000
 _FAR_TRIES = 40_000
@@ -74,7 +74,7 @@ class Lag:
 
 
 @dataclass(frozen=True, eq=False)
-class Beat:
+class OrderedFrames:
     """Images in order of sequence and time: those that have times and a state.
 
     Attributes:
@@ -90,7 +90,7 @@ class Beat:
     gap_s: float
 
     @classmethod
-    def of(cls, observed: Observed) -> Beat | None:
+    def of(cls, observed: Observed) -> OrderedFrames | None:
         """That of a labelled set; None without two frames of one sequence."""
         images = observed.labelled.images
         used = np.flatnonzero((observed.image_state >= 0) & np.isfinite(images.time_s))
@@ -113,35 +113,35 @@ class Beat:
         first, second = np.arange(len(self.images) - steps), np.arange(steps, len(self.images))
         apart = self.time_s[second] - self.time_s[first]
         same = self.sequence[first] == self.sequence[second]
-        kept = same & (np.abs(apart - steps * self.gap_s) <= _OFF_BEAT * self.gap_s * max(1.0, steps / 4))
+        kept = same & (np.abs(apart - steps * self.gap_s) <= _MOST_OFF_GAP * self.gap_s * max(1.0, steps / 4))
         return first[kept], second[kept]
 
 
-def lags_of(beat: Beat, sightings: FalseSightings, most_s: float) -> Iterator[Lag]:
+def lags_of(ordered: OrderedFrames, sightings: FalseSightings, most_s: float) -> Iterator[Lag]:
     """Lags up to a time, one frame first, then ever farther apart."""
-    most = max(int(most_s / beat.gap_s + 1e-9), 1)
+    most = max(int(most_s / ordered.gap_s + 1e-9), 1)
     steps = np.unique(np.round(np.geomspace(1, most, _LAGS)).astype(np.int64))
-    for number in steps[steps < len(beat.images)].tolist():
-        first, second = beat.frame_pairs(number)
+    for number in steps[steps < len(ordered.images)].tolist():
+        first, second = ordered.frame_pairs(number)
         if not len(first):
             continue
-        apart_s = float((beat.time_s[second] - beat.time_s[first]).mean())
-        frames = np.stack([beat.images[first], beat.images[second]])
+        apart_s = float((ordered.time_s[second] - ordered.time_s[first]).mean())
+        frames = np.stack([ordered.images[first], ordered.images[second]])
         rows = _row_pairs(sightings.image, *frames)
         yield Lag(apart_s, frames, rows, Displacements.between(sightings, *rows))
 
 
-def far_pairs(observed: Observed, beat: Beat, sightings: FalseSightings) -> Displacements:
+def far_pairs(observed: Observed, ordered: OrderedFrames, sightings: FalseSightings) -> Displacements:
     """Pairs of false positives in images of one size that show nothing twice: of other sequences, or far in time."""
     rng = np.random.default_rng(0)
-    first, second = rng.integers(0, len(beat.images), (2, _FAR_TRIES))
-    other = beat.sequence[first] != beat.sequence[second]
+    first, second = rng.integers(0, len(ordered.images), (2, _FAR_TRIES))
+    other = ordered.sequence[first] != ordered.sequence[second]
     if not other.any():
-        other = np.abs(beat.time_s[first] - beat.time_s[second]) > beat.span_s / 2
-    sizes = observed.labelled.images.sizes_px[beat.images]
+        other = np.abs(ordered.time_s[first] - ordered.time_s[second]) > ordered.span_s / 2
+    sizes = observed.labelled.images.sizes_px[ordered.images]
     alike = (sizes[first] == sizes[second]).all(axis=1) | np.isnan(sizes[first, 0])
     chosen = other & alike
-    rows = _row_pairs(sightings.image, beat.images[first[chosen]], beat.images[second[chosen]])
+    rows = _row_pairs(sightings.image, ordered.images[first[chosen]], ordered.images[second[chosen]])
     return Displacements.between(sightings, *rows[:, :_FAR_PAIRS])
 
 

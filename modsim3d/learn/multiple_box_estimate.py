@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.learn.believed_kinds import THRESHOLDS, hits_and_trials
+from modsim3d.learn.counted_kinds import THRESHOLDS, hits_and_trials
 from modsim3d.learn.entries import Entry, Key, digits
 from modsim3d.learn.form import ratio
 from modsim3d.learn.merge_persistence import ConsecutiveMerges
@@ -25,7 +25,7 @@ _MARGIN = 1e-4
 
 @dataclass(frozen=True)
 class MultipleBoxForm:
-    """Which of `believed_kinds.NAMES` the data show, with their thresholds, None for one that has none.
+    """Which of `counted_kinds.NAMES` the data show, with their thresholds, None for one that has none.
 
     `merge_s` is the rough correlation time of merges, 0 if they do not persist.
     """

@@ -13,7 +13,7 @@ from modsim3d.arrays import Indices, Mask
 from modsim3d.boxes import errors_between
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
-from modsim3d.learn.believed_kinds import Believed, believed
+from modsim3d.learn.counted_kinds import CountedAs, counted_as
 from modsim3d.learn.pairs import Pairs
 from modsim3d.learn.persistence_fit import Steps, steps_between
 
@@ -26,7 +26,7 @@ class Observed:
     """Annotations that are to be detected, and what became of each at a least confidence.
 
     Each image has the index of a state, −1 where it takes no part, shape (I,). `without` are the models of
-    `form.RICHER` that are left out whatever the data carry. `shown` are the kinds of `believed_kinds.NAMES` that are
+    `form.RICHER` that are left out whatever the data carry. `shown` are the kinds of `counted_kinds.NAMES` that are
     there, with their thresholds, where that is known; else the data decide.
     """
 
@@ -39,9 +39,9 @@ class Observed:
     shown: Mapping[str, float | None] | None = None
 
     @cached_property
-    def kinds(self) -> Believed:
+    def kinds(self) -> CountedAs:
         """What each detection counts as: second boxes, parts of vessels and boxes around two are told from others."""
-        return believed(self.labelled, self.matched, self.image_state >= 0, self.without, self.shown)
+        return counted_as(self.labelled, self.matched, self.image_state >= 0, self.without, self.shown)
 
     @cached_property
     def rows(self) -> Indices:
@@ -54,9 +54,9 @@ class Observed:
         return self.kinds.detection[self.rows]
 
     @cached_property
-    def swallowed(self) -> Mask:
+    def in_merged_box(self) -> Mask:
         """Whether each annotation is in the box of another one, so that it counts as detected, shape (n,)."""
-        return self.kinds.swallowed[self.rows]
+        return self.kinds.in_merged_box[self.rows]
 
     @cached_property
     def false(self) -> Indices:
@@ -79,12 +79,12 @@ class Observed:
         return np.sort(self.detection[self.detection >= 0])
 
     @cached_property
-    def clear(self) -> Mask:
+    def unambiguous(self) -> Mask:
         """Whether each annotation would be known to be missed if it were, shape (n,).
 
         One that overlaps a larger one may be in its box without a trace, where boxes merge.
         """
-        return ~self.kinds.unclear[self.rows]
+        return ~self.kinds.ambiguous[self.rows]
 
     @cached_property
     def false_sightings(self) -> FalseSightings:
@@ -111,19 +111,19 @@ class Observed:
     @cached_property
     def missed(self) -> Mask:
         """Whether each annotation was missed, shape (n,)."""
-        return (self.detection < 0) & ~self.swallowed
+        return (self.detection < 0) & ~self.in_merged_box
 
     @cached_property
     def seen_as(self) -> Indices:
         """Label that each annotation was detected as, k where missed, k + 1 in the box of another, shape (n,)."""
         found, k = self.labelled.results.label, len(self.labelled.labels)
         label = found[self.detection] if len(found) else np.zeros(len(self.rows), dtype=np.int64)
-        return np.where(self.missed, k, np.where(self.swallowed, k + 1, label))
+        return np.where(self.missed, k, np.where(self.in_merged_box, k + 1, label))
 
     @cached_property
     def steps(self) -> Steps:
-        """Consecutive annotations of the same thing, of those that are clear, as places among `rows`."""
-        place = np.flatnonzero(self.clear)
+        """Consecutive annotations of the same thing, of those that are unambiguous, as places among `rows`."""
+        place = np.flatnonzero(self.unambiguous)
         steps = steps_between(self.labelled, self.rows[place])
         return Steps(place[steps.earlier], place[steps.later], steps.apart_s)
 

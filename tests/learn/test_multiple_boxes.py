@@ -15,7 +15,7 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.learn.believed_kinds import NAMES
+from modsim3d.learn.counted_kinds import NAMES
 from modsim3d.learn.detection_kinds import kinds_of
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.merge_persistence import ConsecutiveMerges
@@ -97,7 +97,7 @@ def test_what_is_left_out_counts_as_before(many):
     np.testing.assert_array_equal(observed.detection, matched.detection[observed.rows])
     np.testing.assert_array_equal(observed.false, matched.false)
     np.testing.assert_array_equal(observed.false_positives, matched.false)
-    assert observed.clear.all() and not observed.swallowed.any()
+    assert observed.unambiguous.all() and not observed.in_merged_box.any()
 
 
 def test_a_run_and_its_boxes_tell_the_same(many):

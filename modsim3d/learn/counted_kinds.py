@@ -11,7 +11,8 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
 from modsim3d.formats.matching import Matched
-from modsim3d.learn.detection_kinds import Kinds, Trials, kinds_of
+from modsim3d.learn.detection_kinds import Kinds, kinds_of
+from modsim3d.learn.multiple_box_trials import Trials
 from modsim3d.learn.resampling import Resampling, resample, spread
 
 NAMES = ("duplicates", "merges", "splits")
@@ -30,13 +31,13 @@ _TRIALS, _RUNS = 200, 24
 
 
 @dataclass(frozen=True, eq=False)
-class Believed:
+class CountedAs:
     """What each detection counts as: kinds that the data do not clearly show count as if they did not exist.
 
     Attributes:
         detection: Row of the result that detects each annotation, −1 where none does, shape (T,).
-        swallowed: Whether an annotation is in the box of another one, and so detected, shape (T,).
-        unclear: Whether boxes do not tell if an annotation without a box of its own would be missed or in another's,
+        in_merged_box: Whether an annotation is in the box of another one, and so detected, shape (T,).
+        ambiguous: Whether boxes do not tell if an annotation without a box of its own would be missed or in another's,
             shape (T,).
         false: Rows of false detections, second boxes and smaller parts included, shape (f,).
         false_positives: Rows of those that are neither, shape (g,).
@@ -46,8 +47,8 @@ class Believed:
     """
 
     detection: Indices
-    swallowed: Mask
-    unclear: Mask
+    in_merged_box: Mask
+    ambiguous: Mask
     false: Indices
     false_positives: Indices
     one_vessel: Mask
@@ -56,13 +57,13 @@ class Believed:
     notes: tuple[str, ...]
 
 
-def believed(
+def counted_as(
     labelled: LabelledSet,
     matched: Matched,
     used: Mask,
     without: frozenset[str] = frozenset(),
     shown: Mapping[str, float | None] | None = None,
-) -> Believed:
+) -> CountedAs:
     """What the detections of the images that are used (I,) count as.
 
     Args:
@@ -74,10 +75,10 @@ def believed(
     """
     false = matched.false[used[labelled.results.image[matched.false]]]
     one_vessel = np.ones(len(labelled.results), dtype=bool)
-    swallowed, unclear = np.zeros((2, len(labelled.annotations)), dtype=bool)
+    in_merged_box, ambiguous = np.zeros((2, len(labelled.annotations)), dtype=bool)
     wanted = [name for name in NAMES if name not in without]
     if not wanted:
-        return Believed(matched.detection, swallowed, unclear, false, false, one_vessel, {}, {}, ())
+        return CountedAs(matched.detection, in_merged_box, ambiguous, false, false, one_vessel, {}, {}, ())
     kinds, notes = kinds_of(labelled, matched, used), list[str]()
     thresholds, trials = dict[str, float](), dict[str, Trials]()
     if shown is None:
@@ -95,16 +96,16 @@ def believed(
         least = thresholds["merges"]
         merged = kinds.merged.at_least(least)
         detection[merged.smaller], detection[merged.larger] = NOBODY, merged.box
-        swallowed[merged.smaller] = True
+        in_merged_box[merged.smaller] = True
         one_vessel[merged.box] = one_vessel[kinds.one_box.at_least(least).box] = False
-        unclear[kinds.unclear.at_least(least).smaller] = True
+        ambiguous[kinds.ambiguous.at_least(least).smaller] = True
     if "duplicates" in trials:
         of_vessel.append(kinds.doubled)
     owned = detection[detection >= 0]
     counted = np.flatnonzero(matched.counts & used[labelled.results.image])
     false = np.setdiff1d(counted, owned)
     free = np.setdiff1d(false, np.concatenate(of_vessel))
-    return Believed(detection, swallowed, unclear, false, free, one_vessel, thresholds, trials, tuple(notes))
+    return CountedAs(detection, in_merged_box, ambiguous, false, free, one_vessel, thresholds, trials, tuple(notes))
 
 
 def _shown(kinds: Kinds, wanted: list[str], images: Images, notes: list[str]) -> dict[str, float | None]:
