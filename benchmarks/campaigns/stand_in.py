@@ -58,7 +58,7 @@ def run(chosen: Sequence[Film], folder: Path, seeds: int, workers: int) -> None:
     say("training classifiers")
     results["told_apart"] = rounded(told_apart(unseen, detectors, numbers, LEAST_CONFIDENCE))
     results["detector"] = {"name": "YOLOv8n", "source": f"the npm package {PACKAGE}", "sha256": SHA256}
-    RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    RESULTS.write_text(json.dumps(results, separators=(",", ":")) + "\n", encoding="utf-8")
     write_page(results)
 
 
