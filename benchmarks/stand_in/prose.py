@@ -70,7 +70,8 @@ HOTA of groups of films, simulated minus real, with the margin {margin:g}. Films
 """
 LATER = """
 The detector files are learned from other films, but which models there are was decided by people who had seen how the
-first {first} films compare. The later films were made afterwards. If the models suited
+first {first} films compare. The later films were made afterwards; one small change to how slopes of single states are
+found came after a first look at them. If the models suited
 the first films alone, the later ones would differ by more. HOTA, simulated minus real, at the last rung:
 """
 GOAL = {
@@ -115,4 +116,5 @@ to film beside that.
 MARGINS = "Margins were fixed before any film was scored:"
 TESTS = """
 Agreement is two one-sided tests at 2.5 % each, which is to say that the whole 95 % interval lies within the margin.
+A group of models surely changes the mean gap if it does so in 97.5 % of 2,000 draws of films, with replacement.
 """
