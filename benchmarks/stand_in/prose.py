@@ -28,7 +28,10 @@ within the margin. ✗ differs: all of it lies outside. ? these films do not say
 SCORES_BEGIN = """
 First the real score, then simulated minus real. [Scores](scores.md) says what each means.
 """
-HOLD = "These means over films hold on simulated detections. In brackets stand the real value and the margin:"
+HOLD = """
+These means over films hold on simulated detections. In brackets stand the real value and the margin. Where the margin
+is about as large as the value, this says little:
+"""
 HOLD_NOT = "These do not hold. Simulation gives another value:"
 OPEN = """
 Of these the films do not say whether they hold. In brackets stands about how many films would show that they do if the
