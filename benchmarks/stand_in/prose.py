@@ -68,7 +68,8 @@ At the last rung: the share of vessel-frames that a track follows, simulated min
 than the whole, so the margin is {margin:g}.
 """
 GROUPS = """
-HOTA of groups of films, simulated minus real, with the margin {margin:g}. Films with *much* occlusion have more than
+HOTA of groups of films, simulated minus real, with the margin {margin:g}. Where groups differ to either side, the mean
+over all films is nearer to 0 than each of them. Films with *much* occlusion have more than
 {share:.1%} of vessel-frames with less than half of the vessel visible.
 """
 LATER = """
