@@ -126,7 +126,7 @@ def _ladder(results: Results) -> Lines:
         ],
     )
     if farther := [str(step) for step in steps(results) if step.after > step.before]:
-        yield from (f"Farther from the real one came HOTA with {listed(farther)}.", "")
+        yield from (f"HOTA came farther from the real one with {listed(farther)}.", "")
 
 
 def _scores(results: Results) -> Lines:

@@ -28,7 +28,10 @@ within the margin. ✗ differs: all of it lies outside. ? these films do not say
 SCORES_BEGIN = """
 First the real score, then simulated minus real. [Scores](scores.md) says what each means.
 """
-HOLD = "These means over films hold on simulated detections. In brackets stand the real value and the margin:"
+HOLD = """
+These means over films hold on simulated detections. In brackets stand the real value and the margin. Where the margin
+is about as large as the value, this says little:
+"""
 HOLD_NOT = "These do not hold. Simulation gives another value:"
 OPEN = """
 Of these the films do not say whether they hold. In brackets stands about how many films would show that they do if the
@@ -65,12 +68,14 @@ At the last rung: the share of vessel-frames that a track follows, simulated min
 than the whole, so the margin is {margin:g}.
 """
 GROUPS = """
-HOTA of groups of films, simulated minus real, with the margin {margin:g}. Films with *much* occlusion have more than
+HOTA of groups of films, simulated minus real, with the margin {margin:g}. Where groups differ to either side, the mean
+over all films is nearer to 0 than each of them. Films with *much* occlusion have more than
 {share:.1%} of vessel-frames with less than half of the vessel visible.
 """
 LATER = """
 The detector files are learned from other films, but which models there are was decided by people who had seen how the
-first {first} films compare. The later films were made afterwards. If the models suited
+first {first} films compare. The later films were made afterwards; one small change to how slopes of single states are
+found came after a first look at them. If the models suited
 the first films alone, the later ones would differ by more. HOTA, simulated minus real, at the last rung:
 """
 GOAL = {
@@ -115,4 +120,5 @@ to film beside that.
 MARGINS = "Margins were fixed before any film was scored:"
 TESTS = """
 Agreement is two one-sided tests at 2.5 % each, which is to say that the whole 95 % interval lies within the margin.
+A group of models surely changes the mean gap if it does so in 97.5 % of 2,000 draws of films, with replacement.
 """

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.stand_in.classifier import GOAL_AUC, between_seeds, tell_apart
-from benchmarks.stand_in.features import frame_features, track_features
+from benchmarks.stand_in.classifier import GOAL_AUC, Rows, _folds, between_seeds, tell_apart
+from benchmarks.stand_in.features import Table, frame_features, track_features
 from benchmarks.stand_in.sighted import Sighted, on_one_grid, pairs_of_images
 from modsim3d.boxes import unions
 from modsim3d.errors import ModsimError
@@ -144,6 +144,15 @@ def test_a_simulated_detector_cannot_be_told_from_itself(usual):
     assert told["low"] < 0.5 < told["high"]
     assert told["verdict"] != "told apart"
     assert told["rows"] == len(FILMS) * IMAGES
+
+
+def test_no_classifier_is_asked_about_a_film_that_it_learned_from():
+    film = np.repeat(np.arange(10), 6)
+    rows = Rows(Table(("value",), ("misses",), film[:, None] * 1.0), film, np.tile([True, False], 30), 10, 1)
+    asked = [fold.rows for fold in _folds(rows, 1, 0)]
+    assert np.array_equal(np.sort(np.concatenate(asked)), np.arange(60))
+    films = [set(film[each].tolist()) for each in asked]
+    assert sum(map(len, films)) == 10
 
 
 def test_larger_errors_are_told_and_named(usual):

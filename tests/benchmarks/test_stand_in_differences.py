@@ -97,6 +97,11 @@ def test_a_ranking_that_one_film_decides_is_not_sure() -> None:
     assert ranking(real, np.repeat(real[:, :, None], 2, axis=2), ("a", "b"))["same_order"] == 1
 
 
+def test_the_ranking_is_that_of_the_mean_over_seeds() -> None:
+    simulated = np.tile([[[0.5, 0.1], [0.4, 0.4]]], (5, 1, 1))  # films, trackers, seeds
+    assert ranking(simulated[:, :, 0], simulated, ("a", "b"))["simulated"] == ["b", "a"]
+
+
 def test_the_best_may_stay_where_others_change_places() -> None:
     real = np.tile([[0.6, 0.4, 0.5]], (5, 1))
     found = ranking(real, real[:, [0, 2, 1], None], ("a", "b", "c"))
@@ -133,6 +138,12 @@ def test_a_shift_of_all_films_is_found() -> None:
     outputs[:, 0] += 1
     found = compared([each[0] for each in outputs], [list(each[1:]) for each in outputs])
     assert found["p_value"] == 0.001 and found["wasserstein"] == pytest.approx(1, abs=0.15)
+
+
+def test_of_five_films_and_one_seed_two_of_32_exchanges_are_as_far_apart() -> None:
+    """As it is, and with all films exchanged."""
+    real = [np.full(3, 1.0)] * 5
+    assert compared(real, [[np.zeros(3)]] * 5)["p_value"] == pytest.approx(2 / 32, abs=0.025)
 
 
 def test_nothing_on_one_side_cannot_be_compared() -> None:

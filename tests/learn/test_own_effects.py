@@ -14,9 +14,12 @@ from modsim3d.campaign.detectors.learned_file import LearnedUncertainty
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.dropout_fit import Effect, fit_misses
 from modsim3d.learn.gate_bias import simulated
 from modsim3d.learn.learned import Learned, Settings, learn
 from modsim3d.learn.observed import Observed
+from modsim3d.learn.own_effects import own_effects
+from modsim3d.learn.resampling import resample
 from modsim3d.learn.transitions import Transitions
 from modsim3d.learn.uncertainty import uncertainty_text
 from modsim3d.scene.detector_choice import choose_detector
@@ -40,8 +43,8 @@ def content(slopes: dict[str, float]):
     }
 
 
-def learned_again(slopes: dict[str, float], seed: int, without: frozenset[str] = frozenset()) -> Learned:
-    """What is learned from a simulated run of 900 images, two thirds of them in clear air."""
+def observed_in(slopes: dict[str, float], seed: int, without: frozenset[str] = frozenset()) -> Observed:
+    """A simulated run of 900 images, two thirds of them in clear air."""
     rng = np.random.default_rng(seed)
     image, boat = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
     corner = np.column_stack([100 + 250.0 * boat, np.full(len(boat), 300.0)])
@@ -52,7 +55,12 @@ def learned_again(slopes: dict[str, float], seed: int, without: frozenset[str] =
     )
     state = (np.arange(FRAMES) >= FRAMES * 2 // 3).astype(np.int64)
     labelled = simulated(labelled, state, parse_detector(content(slopes)), seed)
-    observed = Observed(labelled, match(labelled, Rule(), 0.2), STATES, state, 0.2, without)
+    return Observed(labelled, match(labelled, Rule(), 0.2), STATES, state, 0.2, without)
+
+
+def learned_again(slopes: dict[str, float], seed: int, without: frozenset[str] = frozenset()) -> Learned:
+    """What is learned from it."""
+    observed = observed_in(slopes, seed, without)
     return learn(observed, Transitions(np.zeros((2, 2))), Settings(replicates=60, without=without))
 
 
@@ -81,6 +89,14 @@ def test_slopes_that_do_not_differ_are_one(learned) -> None:
     assert same.detector()["dropout"].keys() == {"model", "anchor", "distance_m"}
     assert not any("dropout" in state for state in same.detector()["states"].values())
     assert any("states.dropout.distance_m: the same in all states" in note for note in same.notes)
+
+
+def test_misses_that_persist_count_for_fewer() -> None:
+    observed, effects = observed_in(SLOPES, 3), (Effect("distance_m", 200.0),)
+    fit = fit_misses(observed, effects, resample(observed.labelled.images, 0, 0))
+    found = [own_effects(observed, effects, fit, inflation, [])[0] for inflation in (1.0, 100.0)]
+    assert [effect.state for effect in found[0]] == [0, 1]
+    assert found[1] == effects
 
 
 def test_without_effects_no_state_has_any() -> None:

@@ -12,7 +12,9 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.learned import Learned, Settings, learn
 from modsim3d.learn.observed import Observed
+from modsim3d.learn.resampling import Resampling
 from modsim3d.learn.transitions import Transitions
+from modsim3d.learn.vessel_noise import LagTable
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.test_persistence import RATE_HZ, chain
 
@@ -70,6 +72,20 @@ def test_shares_and_correlation_times_come_back_inside_their_intervals() -> None
     for key, hits in inside.items():
         assert binom.cdf(sum(hits), len(hits), 0.95) > 0.01, key
     assert parse_detector(learned.detector()).persistence.class_vessel_share > 0.2
+
+
+def test_what_the_mean_of_few_things_takes_of_a_share_is_made_up_for() -> None:
+    """Of n equal things with a share s, residuals from their mean keep s·(1 − 1/n)/(1 − s/n)."""
+    things, share, time_s = 10, 0.4, 1.5
+    lag_s = np.array([0.5, 1, 1.5, 2, 3, 4, 6, 8, 12, 16])
+    lag, thing = (each.ravel() for each in np.meshgrid(np.arange(len(lag_s)), np.arange(things), indexing="ij"))
+    level = share * (1 - 1 / things) / (1 - share / things)
+    products = level + (1 - level) * np.exp(-lag_s[lag] / time_s)
+    same = np.ones(len(lag))
+    table = LagTable(products, same, lag_s[lag], lag, thing, 0 * lag, lag_s, things, 1 / things)
+    fits = table.fit(Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64)))
+    assert fits.levels[0] == pytest.approx(share, abs=0.003)
+    assert fits.times_s[0] == pytest.approx(time_s, rel=0.03)
 
 
 def test_noise_that_is_forgotten_is_not_said_to_be_kept() -> None:
