@@ -1,4 +1,4 @@
-"""Whether the data show second boxes, vessels in two parts and two vessels in one box, and what counts as what then."""
+"""What each detection counts as, once the data show whether there are second boxes, splits and merges."""
 
 from __future__ import annotations
 

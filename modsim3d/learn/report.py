@@ -335,7 +335,11 @@ def _models() -> Table:
     return Table("Models that are learned", ("part", "model", "estimate"), rows)
 
 
-NEVER_LEARNED = "Never learned: gates, which are hard limits, and confidence as a precision-recall curve."
+NEVER_LEARNED = (
+    "Never learned: gates, which are hard limits, and confidence as a precision-recall curve. Persistence, what "
+    "vessels keep, slopes of confidence, second boxes, merges and splits are not in the table of models; they are "
+    "learned where the data show them."
+)
 
 
 def lead(report: Report) -> str:

@@ -101,7 +101,7 @@ def test_every_number_comes_back_from_the_harbour_where_vessels_hide_each_other(
     states = each_its_own(("clear", "haze"))
     image_state = states.of_images(labelled.images, labelled.conditions)
     transitions = transitions_of(labelled.images, image_state, 2, 1.0)
-    learned = learn(observe(labelled, states.names, image_state), transitions, Settings(replicates=100))
+    learned = learn(observe(labelled, states.names, image_state), transitions, Settings(replicates=60))
     asked = asked_of()
     assert outside(asked, learned.intervals(1 - 0.01 / sum(value.size for value in asked.values()))) == {}
 

@@ -44,9 +44,9 @@ def observed_in(labelled, method, without=frozenset()):
     return Observed(labelled, match(labelled, Rule(method), 0.2), states.names, image_state, 0.2, without)
 
 
-def learned_from(labelled, method, without=frozenset()):
+def learned_from(labelled, method, without=frozenset(), replicates=100):
     observed = observed_in(labelled, method, without)
-    settings = Settings(Rule(method), replicates=100, without=without)
+    settings = Settings(Rule(method), replicates=replicates, without=without)
     return learn(observed, transitions_of(labelled.images, observed.image_state, 2, 1.0), settings)
 
 
@@ -65,12 +65,12 @@ def test_what_was_asked_for_is_learned_again(many, method, tmp_path):
 
 def test_nothing_is_learned_where_there_is_nothing(none):
     for method in ("provenance", "confidence"):
-        learned = learned_from(none, method)
+        learned = learned_from(none, method, replicates=20)
         assert not set(NAMES) & set(learned.detector()["false_positives"])
         assert [note.partition(":")[0] for note in learned.form.multiple_boxes.notes] == [
             f"false_positives.{name}" for name in NAMES
         ]
-        plain = learned_from(none, method, frozenset(NAMES))
+        plain = learned_from(none, method, frozenset(NAMES), replicates=20)
         assert plain.detector() == learned.detector()
 
 
@@ -92,7 +92,7 @@ def test_persistence_of_merges_can_be_left_out(many):
 
 
 def test_what_is_left_out_counts_as_before(many):
-    observed = learned_from(many, "confidence", frozenset(NAMES)).observed
+    observed = observed_in(many, "confidence", frozenset(NAMES))
     matched = observed.matched
     np.testing.assert_array_equal(observed.detection, matched.detection[observed.rows])
     np.testing.assert_array_equal(observed.false, matched.false)

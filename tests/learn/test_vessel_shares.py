@@ -57,7 +57,7 @@ def test_shares_and_correlation_times_come_back_inside_their_intervals() -> None
     asked = {"class_s": CLASS_S, "class_vessel_share": 0.4, "box_s": BOX_S, "box_vessel_share": 0.3}
     inside: dict[str, list[bool]] = {key: [] for key in (*asked, "misses", "means")}
     estimates: dict[str, list[float]] = {key: [] for key in asked}
-    for seed in range(6):
+    for seed in range(4):
         learned = learned_from(boats(seed, 0.4, 0.3))
         intervals = {each.key.path: each for each in learned.intervals(0.95)}
         for key, value in asked.items():
@@ -89,7 +89,7 @@ def test_what_the_mean_of_few_things_takes_of_a_share_is_made_up_for() -> None:
 
 
 def test_noise_that_is_forgotten_is_not_said_to_be_kept() -> None:
-    for seed in range(3):
+    for seed in range(2):
         learned = learned_from(boats(seed, 0.0, 0.0))
         assert learned.detector()["persistence"].keys() == {"class_s", "box_s"}
         notes = [note for note in learned.notes if "vessel_share" in note]
