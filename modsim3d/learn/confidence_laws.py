@@ -10,6 +10,7 @@ import numpy as np
 from modsim3d.arrays import Array
 from modsim3d.detector import confidence
 from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
+from modsim3d.inputs.validation import LEAST
 from modsim3d.learn.confidence_fit import SlopeFit, SlopeForm, product_limit, shift_of
 from modsim3d.learn.entries import Entry, Key, digits, nested
 from modsim3d.learn.resampling import Column, Resampling, widened
@@ -66,7 +67,8 @@ class NormalScores:
         """Mean and standard deviation; any confidence if none were seen."""
         if not np.isfinite(self.mean.estimate):
             return {"quantiles": [self.threshold, 1.0]}
-        return {"mean": digits(self.mean.estimate), "std": digits(self.std.estimate)}
+        std = digits(self.std.estimate)
+        return {"mean": digits(self.mean.estimate), "std": std if std >= LEAST else 0.0}
 
     @property
     def law(self) -> confidence.Scores:

@@ -138,13 +138,16 @@ class Shift:
 
     @classmethod
     def of(cls, entry: Entry, runs: Array) -> Shift:
-        """From what was learned again, shape (repeats, ...)."""
+        """From what was learned again, shape (repeats, ...); NaN where fewer than two repeats tell the number."""
         kind = _scale(entry.column)
         scaled = to_scale(runs, kind)
-        moved = scaled - to_scale(entry.estimate, kind)
-        shift = np.nan_to_num(np.nanmean(np.where(np.isfinite(moved), moved, 0.0), axis=0))
-        error = np.maximum(spread(scaled), _least_error(entry.column)) / np.sqrt(len(runs))
-        return cls(entry, shift, error, from_scale(scaled.mean(axis=0), kind))
+        told = np.isfinite(scaled)
+        number = told.sum(axis=0)
+        enough = (number > 1) & np.isfinite(to_scale(entry.estimate, kind))
+        mean = np.where(told, scaled, 0.0).sum(axis=0) / np.maximum(number, 1)
+        shift = np.where(enough, mean - to_scale(entry.estimate, kind), 0.0)
+        error = np.maximum(spread(scaled), _least_error(entry.column)) / np.sqrt(np.maximum(number, 1))
+        return cls(entry, shift, np.where(enough, error, np.nan), np.where(enough, from_scale(mean, kind), np.nan))
 
     @property
     def corrected(self) -> Array:

@@ -10,11 +10,14 @@ from modsim3d.detector.file.checks import covariance_problems
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.class_estimate import choose_classes
+from modsim3d.learn.confidence_laws import NormalScores
 from modsim3d.learn.dropout_fit import Effect, fit_misses
+from modsim3d.learn.entries import Entry, Key
 from modsim3d.learn.error_laws import ErrorSample, learned_errors
 from modsim3d.learn.error_moments import covariance
 from modsim3d.learn.error_shares import ErrorKind, error_shares
 from modsim3d.learn.figures import Matches
+from modsim3d.learn.gate_bias import Shift
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.pairs import ErrorSource
@@ -23,6 +26,8 @@ from modsim3d.learn.resampling import Column, from_scale, resample, to_scale
 from modsim3d.learn.states import transitions_of
 from modsim3d.learn.transitions import Transitions, count_transitions
 from tests.formats.labelled_sets import found, images, random_set, truth
+
+FLAT = {"mean": 0.99, "std": 8e-12}
 
 
 def figures_of(labelled, replicates=50, threshold=0.0, beta=2.0):
@@ -114,6 +119,20 @@ def test_the_singular_covariance_of_two_errors_is_still_one_as_it_is_written(see
     section = learned_errors(resample(images(1), 0, 0), sample).section()
     assert not covariance_problems(section["covariance"])
     np.testing.assert_allclose(section["covariance"], np.cov(errors.T), rtol=3e-5)
+
+
+def test_a_number_that_most_repeats_do_not_tell_is_not_called_shifted():
+    entry = Entry(Key(("x",)), Column(np.array([[1.0, 1.0, 1.0], [1.1, 0.9, 1.0]]), "mean", np.full(3, 5.0)))
+    again = np.array([[2.0, 2.0, np.nan], [2.2, np.nan, np.nan], [2.1, np.nan, np.nan], [np.nan] * 3])
+    shift = Shift.of(entry, again)
+    np.testing.assert_allclose(shift.again, [2.1, np.nan, np.nan])
+    np.testing.assert_allclose(shift.shift, [1.1, 0, 0])
+    np.testing.assert_allclose(shift.error, [0.1 / np.sqrt(3), np.nan, np.nan])
+
+
+def test_confidences_that_hardly_differ_are_written_as_equal():
+    mean, std = (Entry(Key((name,)), Column(np.array([x]), "mean", np.array(1.0))) for name, x in FLAT.items())
+    assert NormalScores(mean, std, 0.2).section() == {"mean": 0.99, "std": 0.0}
 
 
 def test_cross_entropy_of_labels_where_probabilities_are_given():
