@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modsim3d.display import counted
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, MissFit, fit_misses
 from modsim3d.learn.form import SIGNIFICANT
 from modsim3d.learn.observed import Observed
@@ -44,7 +45,7 @@ def own_effects(
     left = [name for name in OWN_ATTRIBUTES if any(effect.attribute == name for effect in effects)]
     if left and len(observed.states) > 1 and len(enough) < 2:
         needed = f"{MISSES_FOR_EACH * len(effects)} misses and as many finds"
-        notes.append(f"states.dropout: none of a state's own; {len(enough)} states have {needed}, needs 2")
+        notes.append(f"states.NAME.dropout: none; had {counted(len(enough), 'state')} with {needed}, needs 2")
     needed_gain = max((len(enough) - 1) * np.log(max(len(observed.rows), 1)), SIGNIFICANT**2)
     while left and len(enough) > 1:
         splits = [split for name in left for split in _splits(observed, effects, name, enough)]
@@ -53,11 +54,11 @@ def own_effects(
         best = max(splits, key=lambda split: split.gain)
         gain, name = best.gain / inflation, best.name
         if gain < needed_gain:
-            rest = f"{gain:.1f} likelier (twice the log-likelihood), needs {needed_gain:.1f}"
-            notes += [f"states.dropout.{each}: the same in all states; at most {rest}" for each in left]
+            rest = f"a slope for each makes twice the log-likelihood {gain:.1f} larger, needs {needed_gain:.1f}"
+            notes += [f"states.NAME.dropout.{each}: the same in all states; {rest}" for each in left]
             break
         form = f"a slope for each state, by {'units' if best.by_units else 'doublings'}"
-        notes.append(f"states.dropout.{name}: {form} (twice the log-likelihood {gain:.1f} larger)")
+        notes.append(f"states.NAME.dropout.{name}: {form} (twice the log-likelihood {gain:.1f} larger)")
         effects, fit = best.effects, best.fit
         left.remove(name)
     return effects, fit

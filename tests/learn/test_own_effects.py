@@ -81,14 +81,14 @@ def test_slopes_that_differ_are_those_of_the_states_again(learned) -> None:
     assert "distance_m" not in file["dropout"]
     assert [state["dropout"].keys() for state in file["states"].values()] == [{"distance_m"}] * 2
     assert parse_detector(file).dropout.anchored
-    assert any("states.dropout.distance_m: a slope for each state" in note for note in learned.notes)
+    assert any("states.NAME.dropout.distance_m: a slope for each state" in note for note in learned.notes)
 
 
 def test_slopes_that_do_not_differ_are_one(learned) -> None:
     same = learned_again(dict.fromkeys(STATES, 0.01), 4)
     assert same.detector()["dropout"].keys() == {"model", "anchor", "distance_m"}
     assert not any("dropout" in state for state in same.detector()["states"].values())
-    assert any("states.dropout.distance_m: the same in all states" in note for note in same.notes)
+    assert any("states.NAME.dropout.distance_m: the same in all states" in note for note in same.notes)
 
 
 def test_misses_that_persist_count_for_fewer() -> None:
