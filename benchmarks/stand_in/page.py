@@ -57,6 +57,7 @@ def page(results: Results) -> str:
         _parts_of_films,
         _later_films,
         _classifier,
+        _missing,
         _limits,
         _how,
     )
@@ -238,6 +239,12 @@ def _classifier(results: Results) -> Lines:
             for name, each in told.items()
         ],
     )
+
+
+def _missing(_: Results) -> Lines:
+    yield from ("## What the models lack", "", "Seen in the real detections, and not simulated, the largest first:", "")
+    yield from (f"- {filled(text)}" for text in prose.MISSING)
+    yield ""
 
 
 def _limits(results: Results) -> Lines:
