@@ -95,12 +95,12 @@ MISSING = (
     ones lie near the horizon wherever there is sea, apart from merges. Those start tracks of their own; these disturb
     the track of a vessel.""",
     "The real detector grows unsure of a vessel before it loses it. Confidence and misses are simulated apart.",
-    """A vessel is missed far more often as soon as its first pixels are hidden. Learned misses rise in proportion to what
-    is hidden.""",
-    """How far a box is off up and down stays with a vessel, how far left and right much less. The simulator has one share
-    for both.""",
-    """Most boxes fit to a pixel or two, and some are far off for seconds, such as those that reach down into a reflection
-    in calm water. Student's t, at the least degrees of freedom that are fitted, is a rough model of that.""",
+    """A vessel is missed far more often as soon as its first pixels are hidden. Learned misses rise in proportion to
+    what is hidden.""",
+    """How far a box is off up and down stays with a vessel, how far left and right much less. The simulator has one
+    share for both.""",
+    """Most boxes fit to a pixel or two, and some are far off for seconds, such as those that reach down into a
+    reflection in calm water. Student's t, at the least degrees of freedom that are fitted, is a rough model of that.""",
 )
 """What was seen in the real detections and is not simulated, the largest first."""
 LIMITS = (
