@@ -96,7 +96,7 @@ def test_every_number_comes_back_inside_its_interval(method, run, exported):
 
 
 def test_every_number_comes_back_from_the_harbour_where_vessels_hide_each_other(tmp_path):
-    simulate("harbour", tmp_path, mode=2, steps=400)
+    simulate("harbour", tmp_path, mode=2, steps=300)
     labelled = read_coco("all", *write_coco(labelled_run(tmp_path / "run")[0], tmp_path / "coco"))
     states = each_its_own(("clear", "haze"))
     image_state = states.of_images(labelled.images, labelled.conditions)
@@ -391,11 +391,11 @@ def test_the_page_has_the_labels_of_every_condition(tmp_path):
 
 
 def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remarked(tmp_path):
-    state = np.zeros(1500, dtype=np.int64)
+    state = np.zeros(700, dtype=np.int64)
     settings = Settings(replicates=20, clutter="calibrated")
 
     def remarks(std_px, method="confidence", shift=0):
-        labelled = simulated(blank(), state, parse_detector(one_state(std_px)), seed=3)
+        labelled = simulated(blank(700), state, parse_detector(one_state(std_px)), seed=3)
         labelled = replace(labelled, labels=("boat", "buoy"))
         found = replace(labelled.results, label=labelled.results.label + shift)
         return learn_detector(

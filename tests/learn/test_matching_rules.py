@@ -30,7 +30,7 @@ def run(tmp_path_factory):
 def far_off(tmp_path_factory):
     """A run whose boxes hardly touch their vessels."""
     folder = tmp_path_factory.mktemp("far") / "run"
-    run_scene(load_scene("simulation_1", steps=120, source="analytic"), folder)
+    run_scene(load_scene("simulation_1", steps=60, source="analytic"), folder)
     return folder
 
 
@@ -192,4 +192,4 @@ def test_files_and_runs_are_learned_together_by_a_rule_that_both_know(far_off, t
     command("export", far_off, "--format", "coco", "--out", tmp_path / "coco")
     both = ("--run", far_off, "--truth", tmp_path / "coco" / "gt.json", "--detections", tmp_path / "coco" / "dt.json")
     said = learn(tmp_path, *both, "--match", "confidence")
-    assert said.startswith("240 images")
+    assert said.startswith("120 images")

@@ -67,7 +67,7 @@ def test_errors_and_misses_that_persist_in_few_frames_are_found():
 
 
 def test_the_correlation_time_of_errors_is_right_where_frames_last_only_a_few_times_as_long():
-    asked_s, seeds, found = 3.0, 40, []
+    asked_s, seeds, found = 3.0, 24, []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         errors = 2 * chain(np.exp(-1 / RATE_HZ / asked_s), rng, 80, 2, 4)
