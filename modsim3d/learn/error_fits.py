@@ -16,6 +16,7 @@ from modsim3d.learn.student_t_fit import fit_student_t
 
 _WHOLE_NEEDED = 10
 _REGULAR = 1e-8
+_LEAST_RATIO = 1e-6
 _LEAST_SHARE, _MEAN_TO_STD = 0.05, np.sqrt(np.pi / 2)
 
 
@@ -121,6 +122,6 @@ def _regular(errors: Array) -> bool:
         return False
     matrix = np.cov(errors.T)
     std = np.sqrt(np.diag(matrix))
-    if not np.all(std > 0):
+    if not np.all(std > _LEAST_RATIO * std.max()):
         return False
     return bool(np.linalg.eigvalsh(matrix / np.outer(std, std))[0] > _REGULAR)

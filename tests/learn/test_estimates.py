@@ -13,6 +13,7 @@ from modsim3d.learn.class_estimate import choose_classes
 from modsim3d.learn.confidence_laws import NormalScores
 from modsim3d.learn.dropout_fit import Effect, fit_misses
 from modsim3d.learn.entries import Entry, Key
+from modsim3d.learn.error_fits import _regular
 from modsim3d.learn.error_laws import ErrorSample, learned_errors
 from modsim3d.learn.error_moments import covariance
 from modsim3d.learn.error_shares import ErrorKind, error_shares
@@ -119,6 +120,11 @@ def test_the_singular_covariance_of_two_errors_is_still_one_as_it_is_written(see
     section = learned_errors(resample(images(1), 0, 0), sample).section()
     assert not covariance_problems(section["covariance"])
     np.testing.assert_allclose(section["covariance"], np.cov(errors.T), rtol=3e-5)
+
+
+def test_errors_that_differ_by_rounding_alone_determine_no_distribution():
+    errors = np.random.default_rng(0).normal(0, [1, 1, 1e-14, 1], (50, 4))
+    assert not _regular(errors) and _regular(errors * [1, 1, 1e13, 1])
 
 
 def test_a_number_that_most_repeats_do_not_tell_is_not_called_shifted():
