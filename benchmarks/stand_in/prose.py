@@ -100,7 +100,7 @@ MISSING = (
     """How far a box is off up and down stays with a vessel, how far left and right much less. The simulator has one
     share for both.""",
     """Most boxes fit to a pixel or two, and some are far off for seconds, such as those that reach down into a
-    reflection in calm water. Student's t, at the least degrees of freedom that are fitted, is a rough model of that.""",
+    reflection in calm water. Student's t, at the least degrees of freedom that are fitted, is a rough model of it.""",
 )
 """What was seen in the real detections and is not simulated, the largest first."""
 LIMITS = (
