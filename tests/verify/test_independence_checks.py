@@ -60,7 +60,9 @@ def test_an_honest_run_obeys_and_each_pattern_is_tested(honest: Evidence, table:
 def test_a_lie_that_leaves_single_numbers_intact_is_found(honest: Evidence, table: MomentTable, lie: Lie) -> None:
     failed = verify(one_state(), told(lie, honest), table).failed
     assert LIES[lie] <= {verdict.parameter.name for verdict in failed}
-    assert {verdict.parameter.group for verdict in failed} == {GROUP}
+    others = {verdict.parameter.name for verdict in failed if verdict.parameter.group != GROUP}
+    in_order = {"persistence.confidence_s"} if "confidence_in_order" in lie.__name__ else set()
+    assert others == in_order  # what is in order is also correlated from one sighting to the next
 
 
 def checked(model: DetectorModel, evidence: Evidence, table: MomentTable) -> dict[str, Parameter]:
