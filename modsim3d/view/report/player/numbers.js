@@ -61,7 +61,9 @@ class Numbers {
 
   open() {
     const frame = this.player.frameOf(this.player.pane);
-    if (this.panel.open && frame) this.fillAll(frame);
+    if (!this.panel.open || !frame) return;
+    this.fillAll(frame);
+    this.panel.scrollIntoView({ block: 'nearest' });
   }
 
   fillAll(frame) {
@@ -76,11 +78,10 @@ class Numbers {
     this.mark();
   }
 
+  // The browser tells of it later, once, as after a click: filled here too, the tables would be filled again by then
+  // with another frame.
   toggle() {
     this.panel.open = !this.panel.open;
-    if (!this.panel.open) return;
-    this.open();
-    this.panel.scrollIntoView({ block: 'nearest' });
   }
 
   fill(table, columns, rows) {
