@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -154,10 +155,12 @@ def _significant(
             count = len(observed.rows)
             notes.append(f"dropout: as in the confusion matrix; {count} annotations do not determine the effects")
             break
-        strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, spread(fit.slopes[1:]))
+        errors = np.maximum(spread(fit.slopes[1:]), fit.errors_of_things)
+        strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, errors)
         weakest = int(strength.argmin())
         if strength[weakest] >= SIGNIFICANT:
-            inflation = max(float(np.median((spread(fit.slopes[1:]) / fit.errors) ** 2)), 1.0)
+            wider = np.maximum(errors / fit.errors, 1.0) ** 2
+            inflation = {effect.attribute: float(each) for effect, each in zip(effects, wider, strict=True)}
             return own_effects(observed, *_in_units(observed, effects, fit, inflation, notes), inflation, notes)
         notes.append(
             f"dropout.{effects[weakest].attribute}: none; {strength[weakest]:.1f} standard errors from 0 in "
@@ -168,11 +171,11 @@ def _significant(
 
 
 def _in_units(
-    observed: Observed, effects: tuple[Effect, ...], fit: MissFit, inflation: float, notes: list[str]
+    observed: Observed, effects: tuple[Effect, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
 ) -> tuple[tuple[Effect, ...], MissFit]:
     """Effects by units instead of doublings where misses are clearly likelier with them, and the fit.
 
-    Misses that persist count for less: their log-likelihood is divided by the inflation of the slopes' variance.
+    Misses that persist count for less: gains in log-likelihood are divided by the inflation of the slope's variance.
     """
     once = resample(observed.labelled.images, 0, 0)
     for place, effect in enumerate(effects):
@@ -182,7 +185,8 @@ def _in_units(
         other = fit_misses(observed, changed, once)
         gain = -1.0
         if other is not None:
-            gain = (other.log_likelihood(observed.missed) - fit.log_likelihood(observed.missed)) / inflation
+            gain = other.log_likelihood(observed.missed) - fit.log_likelihood(observed.missed)
+            gain /= inflation[effect.attribute]
         if other is not None and gain > SIGNIFICANT**2 / 2:
             notes.append(f"dropout.{effect.attribute}: by units, not doublings (log-likelihood {gain:.1f} larger)")
             effects, fit = changed, other

@@ -10,6 +10,7 @@ from scipy import special
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling
+from modsim3d.learn.vessel_noise import THINGS_NEEDED
 
 MISSES_FOR_EACH = 20
 """Misses, and detections, that a regression needs for each effect (Peduzzi et al. (1996) ask for 10)."""
@@ -70,6 +71,7 @@ class MissFit:
     Attributes:
         slopes: Log-odds for each unit or doubling, the estimate first, shape (1 + replicates, effects).
         errors: Standard errors of the estimate, shape (effects,).
+        errors_of_things: Those of things that are missed or seen together, shape (effects,); 0 with few things.
         rates: Miss rate of each state and label, shape (1 + replicates, states, k), NaN where there was nothing. A mean
             over all annotations of the label, whatever their state: the rate that `anchor: state_rate` keeps.
         chance: Probability of a miss of each annotation in its own state, shape (n,).
@@ -77,6 +79,7 @@ class MissFit:
 
     slopes: Array
     errors: Array
+    errors_of_things: Array
     rates: Array
     chance: Array
 
@@ -123,7 +126,30 @@ def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resa
     full = np.where(fitted, 0.0, every[group])
     full[fitted] = chance
     rates = _anchored(observed, amounts, holds, thetas, usable, every, resampling)
-    return MissFit(thetas[:, count:] / scale, np.sqrt(np.diag(inverse))[count:] / scale, rates, full)
+    errors = np.sqrt(np.diag(inverse))[count:] / scale
+    errors_of_things = _errors_of_things(observed, fitted, scores @ inverse)[count:] / scale
+    return MissFit(thetas[:, count:] / scale, errors, errors_of_things, rates, full)
+
+
+def _errors_of_things(observed: Observed, fitted: Mask, influence: Array) -> Array:
+    """Standard errors (p,) where what befalls a thing in one frame may befall it in all, 0 with too few things.
+
+    The sandwich estimate over clusters (Liang and Zeger (1986), "Longitudinal data analysis using generalized linear
+    models"), with things as clusters.
+
+    Args:
+        observed: What was seen.
+        fitted: Which annotations count, shape (n,), m of them.
+        influence: By how much each moves the parameters, shape (m, p).
+    """
+    thing = observed.thing[fitted]
+    if len(np.unique(thing[thing >= 0])) < THINGS_NEEDED:
+        return np.zeros(influence.shape[1])
+    _, cluster = np.unique(np.where(thing >= 0, thing, -1 - np.arange(len(thing))), return_inverse=True)
+    sums = np.stack([np.bincount(cluster, column) for column in influence.T])
+    clusters = sums.shape[1]
+    errors: Array = np.sqrt((sums**2).sum(axis=1) * clusters / (clusters - 1))
+    return errors
 
 
 def _maximum(missed: Array, group: Indices, x: Array, intercepts: Array) -> tuple[Array, Array, Array] | None:

@@ -51,11 +51,9 @@ def latent_share(chance: Array) -> Callable[[Array], Array]:
 
 def crowds(observed: Observed, labels: int) -> Array:
     """Mean number of sightings of the same thing in the same state, of each sighting, shape (states, labels)."""
-    annotations, images = observed.labelled.annotations, observed.labelled.images
-    identity, sequence = annotations.identity[observed.rows], images.sequence[observed.image]
-    identity = np.where(identity >= 0, identity, -1 - np.arange(len(identity)))
+    thing = np.where(observed.thing >= 0, observed.thing, -1 - np.arange(len(observed.rows)))
     cell = observed.state * labels + observed.label
-    keys, count = np.unique(np.column_stack([cell, sequence, identity]), axis=0, return_counts=True)
+    keys, count = np.unique(np.column_stack([cell, thing]), axis=0, return_counts=True)
     size = len(observed.states) * labels
     squares, whole = (np.bincount(keys[:, 0], count**power, minlength=size) for power in (2, 1))
     result: Array = (squares / np.maximum(whole, 1)).reshape(len(observed.states), labels)

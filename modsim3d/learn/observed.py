@@ -109,6 +109,14 @@ class Observed:
         return self.labelled.annotations.label[self.rows]
 
     @cached_property
+    def thing(self) -> Indices:
+        """Number of the thing that each annotation is of, in its sequence, −1 where it has no identity, shape (n,)."""
+        identity = self.labelled.annotations.identity[self.rows]
+        keys = np.column_stack([self.labelled.images.sequence[self.image], identity])
+        number: Indices = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+        return np.where(identity >= 0, number, -1)
+
+    @cached_property
     def missed(self) -> Mask:
         """Whether each annotation was missed, shape (n,)."""
         return (self.detection < 0) & ~self.in_merged_box

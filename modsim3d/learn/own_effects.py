@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from modsim3d.display import counted
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, MissFit, fit_misses
@@ -27,18 +29,19 @@ class SplitEffects:
 
 
 def own_effects(
-    observed: Observed, effects: tuple[Effect, ...], fit: MissFit, inflation: float, notes: list[str]
+    observed: Observed, effects: tuple[Effect, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
 ) -> tuple[tuple[Effect, ...], MissFit]:
     """Effects of which some have a slope for each state where misses are clearly likelier so, and the fit.
 
     The attribute that gains most comes first. Twice the gain in log-likelihood must exceed the logarithm of the number
-    of annotations for each slope more (Bayesian information criterion), and the square of `SIGNIFICANT`.
+    of annotations for each slope more (Bayesian information criterion), and what chance exceeds as rarely as one slope
+    exceeds `SIGNIFICANT` standard errors.
 
     Args:
         observed: What was seen.
         effects: Effects that all states share.
         fit: The fit with them.
-        inflation: Variance of the slopes over that of independent misses, by which the gain is divided.
+        inflation: Variance of the slope of each attribute over that of independent misses, by which gains are divided.
         notes: What was decided is added to them.
     """
     enough = _states_with_enough(observed, len(effects))
@@ -46,13 +49,15 @@ def own_effects(
     if left and len(observed.states) > 1 and len(enough) < 2:
         needed = f"{MISSES_FOR_EACH * len(effects)} misses and as many finds"
         notes.append(f"states.NAME.dropout: none; had {counted(len(enough), 'state')} with {needed}, needs 2")
-    needed_gain = max((len(enough) - 1) * np.log(max(len(observed.rows), 1)), SIGNIFICANT**2)
+    more = max(len(enough) - 1, 1)
+    by_chance = float(special.chdtri(more, 2 * special.ndtr(-SIGNIFICANT)))
+    needed_gain = max(more * np.log(max(len(observed.rows), 1)), by_chance)
     while left and len(enough) > 1:
         splits = [split for name in left for split in _splits(observed, effects, name, enough)]
         if not splits:
             break
-        best = max(splits, key=lambda split: split.gain)
-        gain, name = best.gain / inflation, best.name
+        best = max(splits, key=lambda split: split.gain / inflation[split.name])
+        gain, name = best.gain / inflation[best.name], best.name
         if gain < needed_gain:
             rest = f"a slope for each makes twice the log-likelihood {gain:.1f} larger, needs {needed_gain:.1f}"
             notes += [f"states.NAME.dropout.{each}: the same in all states; {rest}" for each in left]

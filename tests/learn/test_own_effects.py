@@ -94,7 +94,7 @@ def test_slopes_that_do_not_differ_are_one(learned) -> None:
 def test_misses_that_persist_count_for_fewer() -> None:
     observed, effects = observed_in(SLOPES, 3), (Effect("distance_m", 200.0),)
     fit = fit_misses(observed, effects, resample(observed.labelled.images, 0, 0))
-    found = [own_effects(observed, effects, fit, inflation, [])[0] for inflation in (1.0, 100.0)]
+    found = [own_effects(observed, effects, fit, {"distance_m": inflation}, [])[0] for inflation in (1.0, 100.0)]
     assert [effect.state for effect in found[0]] == [0, 1]
     assert found[1] == effects
 

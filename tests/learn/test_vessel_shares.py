@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import special
@@ -10,6 +12,7 @@ from scipy.stats import binom
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.class_estimate import choose_classes
 from modsim3d.learn.learned import Learned, Settings, learn
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling
@@ -47,10 +50,13 @@ def boats(seed: int, class_share: float, box_share: float) -> LabelledSet:
     )
 
 
-def learned_from(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> Learned:
+def observed_in(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> Observed:
     state = np.zeros(len(labelled.images), dtype=np.int64)
-    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2, without)
-    return learn(observed, Transitions(np.zeros((1, 1))), Settings(replicates=30))
+    return Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2, without)
+
+
+def learned_from(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> Learned:
+    return learn(observed_in(labelled, without), Transitions(np.zeros((1, 1))), Settings(replicates=30))
 
 
 def test_shares_and_correlation_times_come_back_inside_their_intervals() -> None:
@@ -94,6 +100,17 @@ def test_noise_that_is_forgotten_is_not_said_to_be_kept() -> None:
         assert learned.detector()["persistence"].keys() == {"class_s", "box_s"}
         notes = [note for note in learned.notes if "vessel_share" in note]
         assert len(notes) == 2 and all("standard errors from 0 with 40 things, needs 3.3" in note for note in notes)
+
+
+def test_vessels_that_are_harder_by_themselves_give_no_slope() -> None:
+    """Each boat stays at one distance, so chance makes far ones harder in as many frames as there are."""
+    steeper = 0
+    for seed in range(20):
+        labelled = boats(seed, 0.4, 0.0)
+        distance_m = np.random.default_rng(100 + seed).uniform(100, 1000, BOATS)[labelled.annotations.identity]
+        labelled = replace(labelled, annotations=replace(labelled.annotations, depth_m=distance_m))
+        steeper += bool(choose_classes(observed_in(labelled)).effects)
+    assert steeper <= binom.isf(0.001, 20, 0.01)
 
 
 def test_shares_can_be_left_out() -> None:
