@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.learn.class_estimate import kept_share
 from modsim3d.learn.entries import Entry, Key, nested
 from modsim3d.learn.error_choice import ChosenLaw, choose_law, plain_unit
 from modsim3d.learn.error_fits import ErrorFits
@@ -17,6 +16,7 @@ from modsim3d.learn.error_model import LEAST_DEGREES, ErrorModel, Unit
 from modsim3d.learn.error_noise import error_lags, latent_share, with_things
 from modsim3d.learn.error_persistence import WhiteErrors, consecutive_errors, white_errors
 from modsim3d.learn.error_usage import UsedMatches
+from modsim3d.learn.frames import kept_share
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.pairs import ErrorSource
 from modsim3d.learn.persistence_fit import Consecutive

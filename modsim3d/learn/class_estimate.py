@@ -10,15 +10,15 @@ import numpy as np
 from modsim3d.arrays import Array
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, MissFit, attribute_values, fit_misses
 from modsim3d.learn.entries import Entry, Key, columns_of_one, digits
-from modsim3d.learn.form import SIGNIFICANT, ratio
+from modsim3d.learn.frames import kept_share, usual_run_s
 from modsim3d.learn.miss_noise import crowds, latent_share, miss_lags
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.own_effects import own_effects
-from modsim3d.learn.persistence_fit import Consecutive, frame_interval_s, why_no_steps
-from modsim3d.learn.resampling import Column, Resampling, resample, spread, widened
+from modsim3d.learn.persistence_fit import Consecutive, why_no_steps
+from modsim3d.learn.resampling import SIGNIFICANT, Column, Resampling, ratio, resample, spread, widened
 from modsim3d.learn.vessel_noise import vessel_noise, why_none
 
-_TRIALS, _USUAL_RUNS = 200, 24
+_TRIALS = 200
 
 
 @dataclass(frozen=True)
@@ -189,14 +189,6 @@ def _in_units(
     return effects, fit
 
 
-def usual_run_s(observed: Observed) -> float:
-    """Length of runs of frames in which misses that persist look independent; 0 where frames are not consecutive."""
-    times = observed.labelled.images.time_s
-    if not len(observed.steps):
-        return 0.0
-    return float(np.nanmax(times) - np.nanmin(times)) / _USUAL_RUNS
-
-
 def _persistence_s(observed: Observed, effects: tuple[Effect, ...], fit: MissFit | None, notes: list[str]) -> float:
     """Rough correlation time of misses; 0 with a note if they do not persist, or that is not sure."""
     if not len(observed.steps):
@@ -255,11 +247,6 @@ def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
     size = residual[a] ** 2 / np.maximum(rate[a] * (1 - rate[a]), 1e-12)
     expected = (np.minimum(rate[a], rate[b]) - rate[a] * rate[b]) * size
     return Consecutive(residual[a] * residual[b], expected, observed.steps.apart_s, observed.image[b])
-
-
-def kept_share(observed: Observed, correlation_s: float) -> float:
-    """Share of noise with a correlation time, 0 if it does not persist, that is kept from one frame to the next."""
-    return float(np.exp(-frame_interval_s(observed.labelled) / correlation_s)) if correlation_s > 0 else 0.0
 
 
 def _slopes(

@@ -24,12 +24,12 @@ from modsim3d.learn.confidence_laws import (
     normal_scores,
     quantile_scores,
 )
-from modsim3d.learn.confidence_persistence import ConsecutiveScores, LatentScores, inflation
+from modsim3d.learn.confidence_persistence import ConsecutiveScores, LatentScores
 from modsim3d.learn.confidence_slopes import SCORES_NEEDED, choose_slopes, with_enough
 from modsim3d.learn.entries import Entry, Key
 from modsim3d.learn.form import LearnedPart
 from modsim3d.learn.observed import Observed
-from modsim3d.learn.persistence_fit import steps_between
+from modsim3d.learn.persistence_fit import inflation, steps_between
 from modsim3d.learn.resampling import Resampling, resample
 from modsim3d.learn.scores import KINDS, Kind, Scores
 

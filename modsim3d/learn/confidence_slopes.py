@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.learn.class_estimate import usual_run_s
 from modsim3d.learn.confidence_fit import SlopeForm, fit_slopes, likeliest_reference
-from modsim3d.learn.form import SIGNIFICANT
+from modsim3d.learn.frames import usual_run_s
 from modsim3d.learn.observed import Observed
-from modsim3d.learn.resampling import resample, spread
+from modsim3d.learn.resampling import SIGNIFICANT, resample, spread
 from modsim3d.learn.scores import Kind, Scores
 
 SCORES_NEEDED = 20

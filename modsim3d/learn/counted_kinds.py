@@ -24,7 +24,7 @@ THRESHOLDS = {
 }
 """Key of the threshold, its default and the other values that are tried."""
 _SURE = 3.3
-"""Standard errors from 0, see `form.SIGNIFICANT`."""
+"""Standard errors from 0, see `resampling.SIGNIFICANT`."""
 _STRAY = 0.002
 """Share of hits below a threshold that are a mistake of the rules."""
 _TRIALS, _RUNS = 200, 24

@@ -8,8 +8,8 @@ import numpy as np
 
 from modsim3d.learn.error_fits import ErrorFits
 from modsim3d.learn.error_model import Unit
-from modsim3d.learn.form import SIGNIFICANT
 from modsim3d.learn.matched_edges import MatchedEdges
+from modsim3d.learn.resampling import SIGNIFICANT
 from modsim3d.learn.student_t_fit import may_be_heavy
 
 T_NEEDED = MIXED_NEEDED = 100

@@ -11,11 +11,10 @@ from modsim3d.arrays import Array
 from modsim3d.boxes import centres, sizes
 from modsim3d.learn.entries import Entry, Key, columns_of_one, digits, nested
 from modsim3d.learn.false_sightings import FalseSightings
-from modsim3d.learn.form import ratio
 from modsim3d.learn.lasting_fit import Lasting, NotLasting, find_lasting
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.place_fit import FALSE_FOR_EACH_CELL, GRID, PlaceFit, Placing, cells_of
-from modsim3d.learn.resampling import Column, Resampling, widened
+from modsim3d.learn.resampling import Column, Resampling, ratio, widened
 
 FALSE_NEEDED = 30
 """False detections that a distribution of sizes needs."""

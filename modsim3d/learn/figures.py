@@ -13,8 +13,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.average_precision import Ranking, average_precisions
 from modsim3d.learn.error_moments import ErrorMoments
-from modsim3d.learn.form import ratio
-from modsim3d.learn.resampling import Column, Resampling
+from modsim3d.learn.resampling import Column, Resampling, ratio
 
 CURVE_REPLICATES = 200
 """Average precision is computed again for each of at most so many replicates."""

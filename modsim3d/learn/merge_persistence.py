@@ -8,10 +8,9 @@ import numpy as np
 
 from modsim3d.arrays import Indices
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.learn.confidence_persistence import inflation
 from modsim3d.learn.mean_bias import Stretches, stretches_of_things
 from modsim3d.learn.multiple_box_trials import Trials
-from modsim3d.learn.persistence_fit import Consecutive, Steps, steps_of
+from modsim3d.learn.persistence_fit import Consecutive, Steps, inflation, steps_of
 
 
 @dataclass(frozen=True, eq=False)

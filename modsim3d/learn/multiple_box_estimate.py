@@ -9,10 +9,9 @@ import numpy as np
 
 from modsim3d.learn.counted_kinds import THRESHOLDS, hits_and_trials
 from modsim3d.learn.entries import Entry, Key, digits
-from modsim3d.learn.form import ratio
 from modsim3d.learn.merge_persistence import ConsecutiveMerges
 from modsim3d.learn.observed import Observed
-from modsim3d.learn.resampling import Column, Resampling
+from modsim3d.learn.resampling import Column, Resampling, ratio
 
 NO_ROOM = (
     "false_positives: per_image, for a rate of false detections that counts second boxes and parts of vessels must be "

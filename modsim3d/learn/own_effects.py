@@ -8,9 +8,8 @@ import numpy as np
 
 from modsim3d.display import counted
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, MissFit, fit_misses
-from modsim3d.learn.form import SIGNIFICANT
 from modsim3d.learn.observed import Observed
-from modsim3d.learn.resampling import resample
+from modsim3d.learn.resampling import SIGNIFICANT, resample
 
 OWN_ATTRIBUTES = ("size_px", "distance_m")
 

@@ -180,3 +180,17 @@ def frame_interval_s(labelled: LabelledSet) -> float:
     same = np.diff(labelled.images.sequence[order]) == 0
     gaps = gaps[same & np.isfinite(gaps) & (gaps > 0)]
     return float(np.median(gaps)) if len(gaps) else float("nan")
+
+
+def inflation(steps: Steps, count: int, correlation_s: float) -> float:
+    """Variance of the mean of so many numbers with a correlation time, over that of independent ones.
+
+    The steps are in order of time within each track.
+    """
+    if correlation_s <= 0 or count == 0:
+        return 1.0
+    kept, held, total = np.exp(-steps.apart_s / correlation_s).tolist(), dict[int, float](), 0.0
+    for earlier, later, share in zip(steps.earlier.tolist(), steps.later.tolist(), kept, strict=True):
+        held[later] = share * (held.get(earlier, 0.0) + 1)
+        total += held[later]
+    return 1 + 2 * total / count

@@ -15,8 +15,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.learn.false_sightings import FalseSightings
-from modsim3d.learn.form import SIGNIFICANT
-from modsim3d.learn.resampling import Column, Resampling, widened
+from modsim3d.learn.resampling import SIGNIFICANT, Column, Resampling, widened
 
 GRID = (3, 4)
 """Rows and columns of the map of where false detections are."""

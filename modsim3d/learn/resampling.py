@@ -17,6 +17,8 @@ from scipy import special
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.formats.labelled import Images
 
+SIGNIFICANT = 3.3
+"""Standard errors from zero that an effect needs: one in a thousand reaches them by chance."""
 _LEAST_SPREAD = 1e-12
 
 Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "above_two", "capped"]
@@ -148,6 +150,12 @@ class Column:
                 low, high = (special.betaincinv(hits + 0.5, trials - hits + 0.5, p) for p in (tail, 1 - tail))
                 high = np.where(value >= 1, 1.0, high)
         return np.where(value <= 0, 0.0, np.minimum(low, value)), np.maximum(high, value)
+
+
+def ratio(part: Array, whole: Array) -> Array:
+    """Quotients of arrays whose shapes broadcast; NaN where the whole is not positive."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(whole > 0, part / whole, np.nan)
 
 
 def spread(replicates: Array) -> Array:

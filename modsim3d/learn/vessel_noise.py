@@ -14,8 +14,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.learn.form import SIGNIFICANT
-from modsim3d.learn.resampling import Column, Kind, Resampling, from_scale, to_scale, widened
+from modsim3d.learn.resampling import SIGNIFICANT, Column, Kind, Resampling, from_scale, to_scale, widened
 
 THINGS_NEEDED = 20
 """Things that a share which each of them keeps is learned from."""
