@@ -268,7 +268,8 @@ def _labelled_set(
 
 def _show(report: Report, written: Sequence[Path]) -> None:
     """Print the tables."""
-    from modsim3d.learn.report import NEVER_LEARNED, lead, tables
+    from modsim3d.learn.report import lead
+    from modsim3d.learn.tables import NEVER_LEARNED, tables
 
     console = open_console()
     print_prose(console, lead(report))

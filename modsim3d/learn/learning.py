@@ -29,8 +29,9 @@ from modsim3d.learn.form import left_out
 from modsim3d.learn.learn_detector import LearnOptions
 from modsim3d.learn.learned import Settings
 from modsim3d.learn.page import page_text
-from modsim3d.learn.report import Report, lead, tables
+from modsim3d.learn.report import Report, lead
 from modsim3d.learn.sources import Sources
+from modsim3d.learn.tables import tables
 from modsim3d.learn.uncertainty import uncertainty_file, uncertainty_text
 from modsim3d.outputs.claims import claimed
 from modsim3d.outputs.placing import write_files

@@ -12,8 +12,9 @@ from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.display import counted
 from modsim3d.learn.average_precision import Curve, Ranking
 from modsim3d.learn.in_short import how_well, learned_from, results
-from modsim3d.learn.report import NEVER_LEARNED, Report, lead, tables
+from modsim3d.learn.report import Report, lead
 from modsim3d.learn.sources import Sources
+from modsim3d.learn.tables import NEVER_LEARNED, tables
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.provenance import Input, Provenance
 

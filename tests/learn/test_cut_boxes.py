@@ -21,7 +21,7 @@ from modsim3d.learn.error_usage import TITLE
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings
 from modsim3d.learn.matched_edges import OUTWARD, MatchedEdges
-from modsim3d.learn.report import tables
+from modsim3d.learn.tables import tables
 from tests.learn.cut_boxes import HEAVY, MIXED, PX, RELATIVE, SIZE, asked_of, boats, detected, learn_from
 from tests.learn.round_trip import outside
 
