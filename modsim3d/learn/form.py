@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import shown
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.resampling import Resampling
+from modsim3d.learn.numbers.resampling import Resampling
+from modsim3d.learn.observed.observed import Observed
 
 RICHER = (
     "relative",
