@@ -25,8 +25,8 @@ from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.states import each_its_own, transitions_of
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.states.states import each_its_own, transitions_of
 from tests.learn.round_trip import DETECTOR, asked_of, simulate
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"

@@ -31,7 +31,7 @@ PREPARED = (
     "modsim3d.ais.traffic",
     "modsim3d.ais.scene_folder",
     "modsim3d.formats.writing.coco",
-    "modsim3d.learn.report",
+    "modsim3d.learn.told.tables",
     "modsim3d.verify.report",
     "modsim3d.view.report.report",
     "modsim3d.view.films.film",

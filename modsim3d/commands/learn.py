@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from modsim3d.formats.labelled import LabelledSet
     from modsim3d.formats.matching import Rule
     from modsim3d.formats.reading.builder import ReadOptions
-    from modsim3d.learn.report import Report
+    from modsim3d.learn.told.report import Report
     from modsim3d.runs.stored_run import StoredRun
 
 
@@ -179,7 +179,7 @@ def learn_command(
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector, least_confidence
     from modsim3d.learn.learned import Settings
     from modsim3d.learn.learning import learned_files
-    from modsim3d.learn.sources import Sources
+    from modsim3d.learn.told.sources import Sources
     from modsim3d.learn.uncertainty import uncertainty_file
     from modsim3d.outputs.claims import claimed
     from modsim3d.outputs.placing import write_files
@@ -268,7 +268,8 @@ def _labelled_set(
 
 def _show(report: Report, written: Sequence[Path]) -> None:
     """Print the tables."""
-    from modsim3d.learn.report import NEVER_LEARNED, lead, tables
+    from modsim3d.learn.told.report import lead
+    from modsim3d.learn.told.tables import NEVER_LEARNED, tables
 
     console = open_console()
     print_prose(console, lead(report))

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from modsim3d.learn.entries import Interval
-    from modsim3d.learn.figures import Figures
-    from modsim3d.learn.report import Report
-    from modsim3d.learn.resampling import Column
+    from modsim3d.learn.figures.figures import Figures
+    from modsim3d.learn.numbers.entries import Interval
+    from modsim3d.learn.numbers.resampling import Column
+    from modsim3d.learn.told.report import Report
 
 
 def learn_json(report: Report, written: Sequence[Path]) -> dict[str, Any]:

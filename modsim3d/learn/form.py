@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Protocol
 
-import numpy as np
-
-from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import shown
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.resampling import Resampling
+from modsim3d.learn.numbers.resampling import Resampling
+from modsim3d.learn.observed.observed import Observed
 
 RICHER = (
     "relative",
@@ -33,8 +30,6 @@ RICHER = (
 do; heavy tails; effects on misses; persistence of misses, box errors, confidence and merges; the share of misses and
 box errors that each vessel keeps; sizes and places of false positives, and how long they last; confidence of true and
 false detections apart; its slopes; duplicates, merges and splits."""
-SIGNIFICANT = 3.3
-"""Standard errors from zero that an effect needs: one in a thousand reaches them by chance."""
 
 
 class LearnedPart(Protocol):
@@ -69,9 +64,3 @@ def left_out(names: Iterable[str], where: str) -> frozenset[str]:
     if unknown:
         raise InputError(where, [f"must be some of {', '.join(RICHER)} (got {', '.join(map(shown, unknown))})"])
     return chosen
-
-
-def ratio(part: Array, whole: Array) -> Array:
-    """Quotients of arrays whose shapes broadcast; NaN where the whole is not positive."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(whole > 0, part / whole, np.nan)

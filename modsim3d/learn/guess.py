@@ -13,7 +13,7 @@ from modsim3d.detector.confidence import NormalScores, QuantileScores, Scores
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
-from modsim3d.learn.entries import columns_of_one, digits, nested
+from modsim3d.learn.numbers.entries import columns_of_one, digits, nested
 
 
 @dataclass(frozen=True, eq=False)

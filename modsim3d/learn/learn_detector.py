@@ -12,15 +12,15 @@ from modsim3d.boxes import iou
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import NOT_SCORED, Matched, Rule, match
-from modsim3d.learn.error_shares import error_shares
-from modsim3d.learn.figures import Figures, Matches
-from modsim3d.learn.gate_bias import bias_of
-from modsim3d.learn.gate_losses import gate_warning
+from modsim3d.learn.figures.error_shares import error_shares
+from modsim3d.learn.figures.figures import Figures, Matches
+from modsim3d.learn.gate.gate_bias import bias_of
+from modsim3d.learn.gate.gate_losses import gate_warning
 from modsim3d.learn.learned import Settings, check_size, learn
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.report import NearGate, Report
-from modsim3d.learn.states import StateMap, cluster, each_its_own, parse_sequence, parse_states, transitions_of
-from modsim3d.learn.transitions import Transitions, count_transitions
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.states.states import StateMap, cluster, each_its_own, parse_sequence, parse_states, transitions_of
+from modsim3d.learn.states.transitions import Transitions, count_transitions
+from modsim3d.learn.told.report import NearGate, Report
 
 LEAST_CONFIDENCE = 0.2
 """Least confidence of a detection that counts, unless another is asked for."""

@@ -11,22 +11,31 @@ import numpy as np
 from modsim3d.errors import InputError
 from modsim3d.formats.matching import Rule
 from modsim3d.inputs.budgets import MAX_TABLE_CELLS
-from modsim3d.learn.box_error_estimate import BoxErrorForm, LearnedBoxErrors, choose_box_errors
-from modsim3d.learn.class_estimate import ClassForm, LearnedClasses, choose_classes
-from modsim3d.learn.confidence_estimate import ConfidenceForm, NoConfidenceForm, OneConfidenceForm, choose_confidence
-from modsim3d.learn.entries import Interval, entries_of
-from modsim3d.learn.false_positive_estimate import FalsePositiveForm, LearnedFalsePositives, choose_false_positives
+from modsim3d.learn.box_errors.box_error_estimate import BoxErrorForm, LearnedBoxErrors, choose_box_errors
+from modsim3d.learn.confidence.confidence_estimate import (
+    ConfidenceForm,
+    NoConfidenceForm,
+    OneConfidenceForm,
+    choose_confidence,
+)
+from modsim3d.learn.false_positives.false_positive_estimate import (
+    FalsePositiveForm,
+    LearnedFalsePositives,
+    choose_false_positives,
+)
 from modsim3d.learn.form import LearnedPart, PartForm
-from modsim3d.learn.multiple_box_estimate import (
+from modsim3d.learn.misses.class_estimate import ClassForm, LearnedClasses, choose_classes
+from modsim3d.learn.multiple_boxes.multiple_box_estimate import (
     NO_ROOM,
     LearnedMultipleBoxes,
     MultipleBoxForm,
     choose_multiple_boxes,
     leaves_room,
 )
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.resampling import Resampling, resample
-from modsim3d.learn.transitions import Transitions
+from modsim3d.learn.numbers.entries import Interval, entries_of
+from modsim3d.learn.numbers.resampling import Resampling, resample
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.states.transitions import Transitions
 
 _RUN_TIMES = 12.0
 _LEAST_RUNS = 24

@@ -28,9 +28,10 @@ from modsim3d.learn import learn_detector as labelled_sets
 from modsim3d.learn.form import left_out
 from modsim3d.learn.learn_detector import LearnOptions
 from modsim3d.learn.learned import Settings
-from modsim3d.learn.page import page_text
-from modsim3d.learn.report import Report, lead, tables
-from modsim3d.learn.sources import Sources
+from modsim3d.learn.told.page import page_text
+from modsim3d.learn.told.report import Report, lead
+from modsim3d.learn.told.sources import Sources
+from modsim3d.learn.told.tables import tables
 from modsim3d.learn.uncertainty import uncertainty_file, uncertainty_text
 from modsim3d.outputs.claims import claimed
 from modsim3d.outputs.placing import write_files

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 
 from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, MODELS, Part
-from modsim3d.learn.box_error_estimate import choose_box_errors
-from modsim3d.learn.class_estimate import choose_classes
-from modsim3d.learn.confidence_estimate import choose_confidence
-from modsim3d.learn.error_laws import LAWS
-from modsim3d.learn.false_positive_estimate import choose_false_positives
+from modsim3d.learn.box_errors.box_error_estimate import choose_box_errors
+from modsim3d.learn.box_errors.error_laws import LAWS
+from modsim3d.learn.confidence.confidence_estimate import choose_confidence
+from modsim3d.learn.false_positives.false_positive_estimate import choose_false_positives
 from modsim3d.learn.form import PartForm
-from modsim3d.learn.states import transitions_of
-from modsim3d.learn.transitions import Transitions
+from modsim3d.learn.misses.class_estimate import choose_classes
+from modsim3d.learn.states.states import transitions_of
+from modsim3d.learn.states.transitions import Transitions
 
 Learner = Callable[..., PartForm | Transitions]
 

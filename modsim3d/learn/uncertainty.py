@@ -17,11 +17,11 @@ import numpy as np
 import orjson
 
 from modsim3d.arrays import Array, Mask
-from modsim3d.learn.class_estimate import filled
-from modsim3d.learn.entries import Entry, entries_of, nested
-from modsim3d.learn.false_positive_estimate import NOT_WRITTEN
+from modsim3d.learn.false_positives.false_positive_estimate import NOT_WRITTEN
 from modsim3d.learn.learned import Learned
-from modsim3d.learn.resampling import spread, to_scale
+from modsim3d.learn.misses.class_estimate import filled
+from modsim3d.learn.numbers.entries import Entry, entries_of, nested
+from modsim3d.learn.numbers.resampling import spread, to_scale
 
 FORMAT = 1
 COUNTED = ("share", "rate")

@@ -22,8 +22,8 @@ from modsim3d.campaign.work.layers import Layers
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.errors import InputError
-from modsim3d.learn.entries import Interval
 from modsim3d.learn.learning import LearnResult
+from modsim3d.learn.numbers.entries import Interval
 from modsim3d.scene.detector_choice import choose_detector
 from tests.campaign.campaigns import checked_campaign, run_campaign_file
 

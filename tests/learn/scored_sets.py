@@ -9,10 +9,10 @@ import numpy as np
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.gate_bias import simulated
+from modsim3d.learn.gate.gate_bias import simulated
 from modsim3d.learn.learned import Learned, Settings, learn
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.transitions import Transitions
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.states.transitions import Transitions
 from tests.formats.labelled_sets import found, images, truth
 
 BOATS, RATE_HZ, SIDE_PX = 3, 5.0, 900.0

@@ -11,8 +11,8 @@ import yaml
 
 from modsim3d.detector import load_detector
 from modsim3d.errors import InputError
-from modsim3d.learn.error_moments import covariance
-from modsim3d.learn.states import cluster, parse_states
+from modsim3d.learn.box_errors.error_moments import covariance
+from modsim3d.learn.states.states import cluster, parse_states
 
 ROOT = Path(__file__).resolve().parents[2]
 DETECTORS = ROOT / "scenes" / "detectors"

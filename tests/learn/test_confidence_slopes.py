@@ -12,9 +12,9 @@ from modsim3d.campaign.detectors.drawing import drawn_detector
 from modsim3d.campaign.detectors.learned_file import LearnedUncertainty
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.learn.confidence_fit import SlopeForm, _Point, product_limit
+from modsim3d.learn.confidence.confidence_fit import SlopeForm, _Point, product_limit
+from modsim3d.learn.confidence.scores import Scores
 from modsim3d.learn.learned import Learned
-from modsim3d.learn.scores import Scores
 from modsim3d.learn.uncertainty import uncertainty_text
 from tests.learn.scored_sets import detected, detector, learned_from, truth_of
 

@@ -16,7 +16,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
-from modsim3d.learn.gate_bias import simulated
+from modsim3d.learn.gate.gate_bias import simulated
 from modsim3d.learn.learning import learn_detector
 from tests.formats.labelled_sets import found, images, truth
 

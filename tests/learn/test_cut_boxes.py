@@ -12,16 +12,16 @@ from modsim3d.boxes import clip, inside_image, iou, move
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
-from modsim3d.learn.edge_completion import completed
-from modsim3d.learn.error_choice import choose_law
-from modsim3d.learn.error_fit import slopes
-from modsim3d.learn.error_fits import ErrorFits
-from modsim3d.learn.error_model import ErrorModel
-from modsim3d.learn.error_usage import TITLE
+from modsim3d.learn.box_error_fits.edge_completion import completed
+from modsim3d.learn.box_error_fits.error_fit import slopes
+from modsim3d.learn.box_error_fits.error_fits import ErrorFits
+from modsim3d.learn.box_error_fits.error_model import ErrorModel
+from modsim3d.learn.box_error_fits.matched_edges import OUTWARD, MatchedEdges
+from modsim3d.learn.box_errors.error_choice import choose_law
+from modsim3d.learn.box_errors.error_usage import TITLE
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings
-from modsim3d.learn.matched_edges import OUTWARD, MatchedEdges
-from modsim3d.learn.report import tables
+from modsim3d.learn.told.tables import tables
 from tests.learn.cut_boxes import HEAVY, MIXED, PX, RELATIVE, SIZE, asked_of, boats, detected, learn_from
 from tests.learn.round_trip import outside
 

@@ -9,23 +9,23 @@ from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.detector.file.checks import covariance_problems
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.class_estimate import choose_classes
-from modsim3d.learn.confidence_laws import NormalScores
-from modsim3d.learn.dropout_fit import Effect, fit_misses
-from modsim3d.learn.entries import Entry, Key
-from modsim3d.learn.error_fits import _regular
-from modsim3d.learn.error_laws import ErrorSample, learned_errors
-from modsim3d.learn.error_moments import covariance
-from modsim3d.learn.error_shares import ErrorKind, error_shares
-from modsim3d.learn.figures import Matches
-from modsim3d.learn.gate_bias import Shift
+from modsim3d.learn.box_error_fits.error_fits import _regular
+from modsim3d.learn.box_errors.error_laws import ErrorSample, learned_errors
+from modsim3d.learn.box_errors.error_moments import covariance
+from modsim3d.learn.confidence.confidence_laws import NormalScores
+from modsim3d.learn.figures.error_shares import ErrorKind, error_shares
+from modsim3d.learn.figures.figures import Matches
+from modsim3d.learn.gate.gate_bias import Shift
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.pairs import ErrorSource
-from modsim3d.learn.persistence_fit import Consecutive
-from modsim3d.learn.resampling import Column, from_scale, resample, to_scale
-from modsim3d.learn.states import transitions_of
-from modsim3d.learn.transitions import Transitions, count_transitions
+from modsim3d.learn.misses.class_estimate import choose_classes
+from modsim3d.learn.misses.dropout_fit import Effect, fit_misses
+from modsim3d.learn.numbers.entries import Entry, Key
+from modsim3d.learn.numbers.resampling import Column, from_scale, resample, to_scale
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.observed.pairs import ErrorSource
+from modsim3d.learn.persistence.persistence_fit import Consecutive
+from modsim3d.learn.states.states import transitions_of
+from modsim3d.learn.states.transitions import Transitions, count_transitions
 from tests.formats.labelled_sets import found, images, random_set, truth
 
 FLAT = {"mean": 0.99, "std": 8e-12}

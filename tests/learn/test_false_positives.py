@@ -10,12 +10,12 @@ import pytest
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.entries import entries_of
-from modsim3d.learn.gate_bias import bias_of, simulated
+from modsim3d.learn.gate.gate_bias import bias_of, simulated
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.resampling import resample
-from modsim3d.learn.transitions import Transitions
+from modsim3d.learn.numbers.entries import entries_of
+from modsim3d.learn.numbers.resampling import resample
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.states.transitions import Transitions
 from tests.formats.labelled_sets import found, images, truth
 
 FRAMES, RATE_HZ = 1200, 4.0

@@ -17,14 +17,14 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.learn.entries import entries_of
-from modsim3d.learn.gate_bias import bias_of, simulated
+from modsim3d.learn.gate.gate_bias import bias_of, simulated
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.report import NearGate
-from modsim3d.learn.states import each_its_own, transitions_of
-from modsim3d.learn.transitions import Transitions
+from modsim3d.learn.numbers.entries import entries_of
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.states.states import each_its_own, transitions_of
+from modsim3d.learn.states.transitions import Transitions
+from modsim3d.learn.told.report import NearGate
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verification import verify_run
 from tests.formats.labelled_sets import found, images, random_set, truth

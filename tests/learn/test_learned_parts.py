@@ -14,7 +14,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings
 from modsim3d.learn.parts import LEARNERS
-from modsim3d.learn.report import tables
+from modsim3d.learn.told.tables import tables
 from tests.formats.labelled_sets import found, images, truth
 
 NOT_LEARNED = {(Part.CLASS, "table"), (Part.FALSE_POSITIVES, "thesis")}

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from modsim3d.cli import app
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.error_shares import ErrorKind, error_shares
+from modsim3d.learn.figures.error_shares import ErrorKind, error_shares
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings
 from modsim3d.runs.run import run_scene

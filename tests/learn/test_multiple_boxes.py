@@ -15,13 +15,13 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.learn.counted_kinds import NAMES
-from modsim3d.learn.detection_kinds import kinds_of
+from modsim3d.learn.kinds.counted_kinds import NAMES
+from modsim3d.learn.kinds.detection_kinds import kinds_of
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.merge_persistence import ConsecutiveMerges
-from modsim3d.learn.multiple_box_estimate import choose_multiple_boxes
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.states import each_its_own, transitions_of
+from modsim3d.learn.multiple_boxes.merge_persistence import ConsecutiveMerges
+from modsim3d.learn.multiple_boxes.multiple_box_estimate import choose_multiple_boxes
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.states.states import each_its_own, transitions_of
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.round_trip import ROOT, asked_of, outside, simulate
 

@@ -14,13 +14,13 @@ from modsim3d.campaign.detectors.learned_file import LearnedUncertainty
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.dropout_fit import Effect, fit_misses
-from modsim3d.learn.gate_bias import simulated
+from modsim3d.learn.gate.gate_bias import simulated
 from modsim3d.learn.learned import Learned, Settings, learn
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.own_effects import own_effects
-from modsim3d.learn.resampling import resample
-from modsim3d.learn.transitions import Transitions
+from modsim3d.learn.misses.dropout_fit import Effect, fit_misses
+from modsim3d.learn.misses.own_effects import own_effects
+from modsim3d.learn.numbers.resampling import resample
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.states.transitions import Transitions
 from modsim3d.learn.uncertainty import uncertainty_text
 from modsim3d.scene.detector_choice import choose_detector
 from tests.formats.labelled_sets import found, images, truth

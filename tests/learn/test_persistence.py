@@ -13,10 +13,10 @@ from scipy.stats import binom
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.learned import Learned, Settings, learn
-from modsim3d.learn.mean_bias import Stretches
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.persistence_fit import Consecutive
-from modsim3d.learn.transitions import Transitions
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.persistence.mean_bias import Stretches
+from modsim3d.learn.persistence.persistence_fit import Consecutive
+from modsim3d.learn.states.transitions import Transitions
 from tests.formats.labelled_sets import found, images, truth
 
 RATE_HZ = 5.0

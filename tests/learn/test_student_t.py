@@ -17,19 +17,19 @@ from modsim3d.detector import load_detector
 from modsim3d.detector.box_error_law import StudentT, standardised
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule
-from modsim3d.learn.error_choice import heavy_tails
-from modsim3d.learn.error_fit import ErrorFit, slopes
-from modsim3d.learn.error_fits import ErrorFits
-from modsim3d.learn.error_laws import ErrorSample, learned_errors
-from modsim3d.learn.error_model import LEAST_DEGREES, ErrorModel, Unit
-from modsim3d.learn.error_persistence import correlation_left
-from modsim3d.learn.gate_bias import bias_of
+from modsim3d.learn.box_error_fits.error_fit import ErrorFit, slopes
+from modsim3d.learn.box_error_fits.error_fits import ErrorFits
+from modsim3d.learn.box_error_fits.error_model import LEAST_DEGREES, ErrorModel, Unit
+from modsim3d.learn.box_error_fits.matched_edges import MatchedEdges
+from modsim3d.learn.box_error_fits.student_t_fit import fit_student_t
+from modsim3d.learn.box_errors.error_choice import heavy_tails
+from modsim3d.learn.box_errors.error_laws import ErrorSample, learned_errors
+from modsim3d.learn.box_errors.error_persistence import correlation_left
+from modsim3d.learn.gate.gate_bias import bias_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings
-from modsim3d.learn.matched_edges import MatchedEdges
-from modsim3d.learn.report import Report
-from modsim3d.learn.resampling import resample
-from modsim3d.learn.student_t_fit import fit_student_t
+from modsim3d.learn.numbers.resampling import resample
+from modsim3d.learn.told.report import Report
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verification import verify_run
 from tests.formats.labelled_sets import images

@@ -12,12 +12,12 @@ from scipy.stats import binom
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.class_estimate import choose_classes
 from modsim3d.learn.learned import Learned, Settings, learn
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.resampling import Resampling
-from modsim3d.learn.transitions import Transitions
-from modsim3d.learn.vessel_noise import LagTable
+from modsim3d.learn.misses.class_estimate import choose_classes
+from modsim3d.learn.numbers.resampling import Resampling
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.learn.persistence.vessel_noise import LagTable
+from modsim3d.learn.states.transitions import Transitions
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.test_persistence import RATE_HZ, chain
 

@@ -20,9 +20,9 @@ from modsim3d.arrays import Array
 from modsim3d.campaign.detectors.learned_file import LearnedGroup, LearnedNumber, LearnedUncertainty
 from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, LEAST_DEGREES, MOST_DEGREES
 from modsim3d.errors import ModsimError
-from modsim3d.learn.entries import columns_of_one, nested
-from modsim3d.learn.error_moments import covariance
-from modsim3d.learn.resampling import from_scale, to_scale
+from modsim3d.learn.box_errors.error_moments import covariance
+from modsim3d.learn.numbers.entries import columns_of_one, nested
+from modsim3d.learn.numbers.resampling import from_scale, to_scale
 from modsim3d.learn.uncertainty import correlated
 
 _STREAM = 3

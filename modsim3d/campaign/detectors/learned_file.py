@@ -13,7 +13,7 @@ from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.validation import Strict, describe
-from modsim3d.learn.resampling import Kind
+from modsim3d.learn.numbers.resampling import Kind
 from modsim3d.learn.uncertainty import uncertainty_file
 
 LEAST_UNITS = 5

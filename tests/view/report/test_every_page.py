@@ -17,7 +17,7 @@ import pytest
 from modsim3d import cli
 from modsim3d.errors import InputError
 from modsim3d.learn.learned import Settings
-from modsim3d.learn.sources import Sources
+from modsim3d.learn.told.sources import Sources
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.view.pages.provenance import Provenance, file_input, top_line

@@ -1,0 +1,1 @@
+"""The likeliest distribution of box errors, from edges that images and matching cut off."""

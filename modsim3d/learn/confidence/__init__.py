@@ -1,0 +1,1 @@
+"""Confidence: its distributions, slopes and persistence."""

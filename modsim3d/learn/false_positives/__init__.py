@@ -1,0 +1,1 @@
+"""False positives: how many, how large, where, and how long they last."""

@@ -1,0 +1,1 @@
+"""What the matching rule does to what is learned."""

@@ -1,0 +1,1 @@
+"""Misses and confusions, and what they follow."""

@@ -1,0 +1,1 @@
+"""How well a number is known, and how entries of a detector file are named and written."""

@@ -1,0 +1,1 @@
+"""What the estimators look at: annotations and detections, matched, state by state."""

@@ -1,0 +1,1 @@
+"""How long noise persists, and what each vessel keeps of it."""

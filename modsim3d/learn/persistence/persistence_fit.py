@@ -1,0 +1,196 @@
+"""How long misses and box errors persist for a thing, from frame to frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.formats.labelled import Images, LabelledSet
+from modsim3d.learn.numbers.resampling import Column, Resampling, widened
+from modsim3d.learn.persistence.mean_bias import Stretches
+
+LEVEL = 0.999
+"""Level of the interval of a correlation that decides whether noise persists."""
+_GRID = 96
+_UNKNOWN = 50.0
+"""Relative error of a correlation time that the frames do not bound from above."""
+_ONCE = Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Consecutive sightings of the same thing: their places among the rows given and the time between, shapes (m,)."""
+
+    earlier: Indices
+    later: Indices
+    apart_s: Array
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.earlier)
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """The interval of the correlation between one sighting and the next, from so many pairs of sightings."""
+
+    low: float
+    high: float
+    pairs: int
+
+    @property
+    def persists(self) -> bool:
+        """Whether noise surely persists."""
+        return self.low > 0
+
+    @property
+    def doubt(self) -> str:
+        """Why noise is not said to persist."""
+        where = "lies below 0, and only noise that persists is simulated" if self.high < 0 else "includes 0"
+        pairs = "1 consecutive pair" if self.pairs == 1 else f"{self.pairs:,} consecutive pairs"
+        return f"the {LEVEL:.1%} interval of the correlation in {pairs}, {self.low:.2f} to {self.high:.2f}, {where}"
+
+
+@dataclass(frozen=True, eq=False)
+class Consecutive:
+    """Products of the residuals of consecutive sightings.
+
+    Attributes:
+        products: Of the earlier and the later residual, shape (m,).
+        expected: Their expectation if the noise were the same in both, shape (m,).
+        apart_s: Time between the two, shape (m,).
+        image: Image of the later one, shape (m,).
+        stretches: The sightings whose mean was taken off, if their number is small enough to matter.
+    """
+
+    products: Array
+    expected: Array
+    apart_s: Array
+    image: Indices
+    stretches: Stretches | None = None
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.products)
+
+    def correlation(self) -> Correlation:
+        """The correlation with its interval.
+
+        Products of noise that does not persist are independent with mean 0, and their squares say how far the
+        correlation strays from 0. A correlation ρ above 0 strays further: its variance is larger by that of a share ρ
+        of so many trials as the expected products are worth, of rare misses as many as there are. Without it, two
+        misses among a thousand finds, which are hardly ever neighbours, would seem to show that misses do not persist.
+        """
+        whole, pairs = float(self.expected.sum()), len(self)
+        if whole <= 0:
+            return Correlation(-1.0, 1.0, pairs)
+        errors = float(special.ndtri((1 + LEVEL) / 2))
+        middle = float(self.products.sum()) / whole
+        reach = errors * float(np.sqrt((self.products**2).sum())) / whole
+        a_trial = errors**2 * float((self.expected**2).sum()) / whole**2
+        # The largest ρ ≥ 0 with (ρ − middle)² ≤ reach² + a_trial·ρ·(1 − ρ).
+        half = (middle + a_trial / 2) / (1 + a_trial)
+        root = half**2 - (middle**2 - reach**2) / (1 + a_trial)
+        high = max(middle + reach, half + np.sqrt(root) if root >= 0 else -1.0)
+        return Correlation(max(middle - reach, -1.0), min(high, 1.0), pairs)
+
+    def rough_time_s(self) -> float:
+        """The correlation time, without replicates."""
+        once = replace(self, image=np.zeros_like(self.image))
+        return float(once.times_s(_ONCE)[0])
+
+    def column(self, resampling: Resampling) -> Column:
+        """The correlation time; its replicates spread at least as pairs say, since runs of frames may be few."""
+        times = self.times_s(resampling)
+        if times[0] > 0:
+            least = np.array(self.relative_error(float(times[0])))
+            times = np.exp(widened(np.log(np.maximum(times, 1e-12)), least))
+        return Column(times, "positive", np.array(float(len(self))))
+
+    def times_s(self, resampling: Resampling) -> Array:
+        """Correlation times τ for which the products sum to the expected ones times e^(−Δt/τ), shape (rows,).
+
+        They are 0 where there is no correlation, and at most a thousand times the median Δt.
+        """
+        gap = float(np.median(self.apart_s))
+        grid = gap * np.geomspace(0.05, 1000, _GRID)
+        left = np.ones(_GRID) if self.stretches is None else self.stretches.correlation_left(grid)
+        products = resampling.sums(self.image, self.products)
+        curve = self._decayed(resampling, gap, grid) * left
+        curve, result = np.maximum.accumulate(curve, axis=1), np.zeros(len(products))
+        for row in np.flatnonzero(products > 0):
+            result[row] = np.exp(np.interp(products[row], curve[row], np.log(grid)))
+        return result
+
+    def _decayed(self, resampling: Resampling, gap_s: float, grid_s: Array) -> Array:
+        """Sums of the expected products times e^(−Δt/τ), shape (rows, g), given the median Δt and some τ (g,)."""
+        apart, kind = np.unique(np.round(self.apart_s / gap_s, 6), return_inverse=True)
+        if len(apart) > _GRID:  # frames at any times
+            return resampling.sums(self.image, self.expected[:, None] * np.exp(-self.apart_s[:, None] / grid_s))
+        of_kind = resampling.counts(self.image, kind.ravel(), (len(apart),), self.expected)
+        decayed: Array = of_kind @ np.exp(-gap_s * apart[:, None] / grid_s)
+        return decayed
+
+    def relative_error(self, time_s: float) -> float:
+        """Relative standard error of a correlation time τ, from the deviation of each pair's product.
+
+        Given the earlier residual, a product is expected to be e^(−Δt/τ) times the residual's square. Deviations from
+        that are independent of each other whatever persists, and there are many more pairs than runs of frames.
+        """
+        near = time_s * np.array([0.99, 1.0, 1.01])
+        left = np.ones(3) if self.stretches is None else self.stretches.correlation_left(near)
+        below, now, above = (self.expected * np.exp(-self.apart_s / t) * k for t, k in zip(near, left, strict=True))
+        growth = float((above - below).sum() / np.log(near[2] / near[0]))
+        stray = float(np.sqrt(((self.products - now) ** 2).sum()))
+        return min(stray / max(growth, 1e-12), _UNKNOWN)
+
+
+def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:
+    """Consecutive ones of some annotations, shape (n,), of things with identities in frames with times."""
+    return steps_of(labelled.images, labelled.annotations.image[rows], labelled.annotations.identity[rows])
+
+
+def steps_of(images: Images, image: Indices, identity: Indices) -> Steps:
+    """Consecutive sightings of the same thing, from their images and identities, −1 where unknown, shapes (n,)."""
+    sequence, time_s = images.sequence[image], images.time_s[image]
+    known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
+    order = known[np.lexsort((time_s[known], identity[known], sequence[known]))]
+    earlier, later = order[:-1], order[1:]
+    apart_s = time_s[later] - time_s[earlier]
+    same = (identity[earlier] == identity[later]) & (sequence[earlier] == sequence[later]) & (apart_s > 0)
+    return Steps(earlier[same], later[same], apart_s[same])
+
+
+def why_no_steps(labelled: LabelledSet) -> str:
+    """Why no annotation follows another of the same thing."""
+    if not np.isfinite(labelled.images.time_s).any():
+        return "frames have no times"
+    if not np.any(labelled.annotations.identity >= 0):
+        return "annotations have no identities"
+    return "nothing is annotated in two frames with times"
+
+
+def frame_interval_s(labelled: LabelledSet) -> float:
+    """Median time between consecutive frames; NaN where there are none."""
+    order = np.lexsort((labelled.images.time_s, labelled.images.sequence))
+    gaps = np.diff(labelled.images.time_s[order])
+    same = np.diff(labelled.images.sequence[order]) == 0
+    gaps = gaps[same & np.isfinite(gaps) & (gaps > 0)]
+    return float(np.median(gaps)) if len(gaps) else float("nan")
+
+
+def inflation(steps: Steps, count: int, correlation_s: float) -> float:
+    """Variance of the mean of so many numbers with a correlation time, over that of independent ones.
+
+    The steps are in order of time within each track.
+    """
+    if correlation_s <= 0 or count == 0:
+        return 1.0
+    kept, held, total = np.exp(-steps.apart_s / correlation_s).tolist(), dict[int, float](), 0.0
+    for earlier, later, share in zip(steps.earlier.tolist(), steps.later.tolist(), kept, strict=True):
+        held[later] = share * (held.get(earlier, 0.0) + 1)
+        total += held[later]
+    return 1 + 2 * total / count

@@ -1,0 +1,1 @@
+"""Performance states: which conditions each has, and how they follow each other."""
