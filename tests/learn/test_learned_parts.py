@@ -27,7 +27,7 @@ def estimates() -> dict[tuple[str, str], str]:
     labelled = LabelledSet(("boat",), ("day",), images(30), truth(image, 0 * image, boxes),
                            found(image, 0 * image, boxes, np.full(30, 0.9)))  # fmt: skip
     report = learn_detector(labelled, Settings(replicates=20), LearnOptions())
-    (table,) = (each for each in tables(report) if each.title == "Models that are learned")
+    (table,) = (each for each in tables(report) if each.title == "Models that can be learned")
     return {(row[0], row[1]): row[2] for row in table.rows}
 
 
