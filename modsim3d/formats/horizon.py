@@ -49,7 +49,9 @@ def half_plane(horizon: float | Sequence[float], sizes_px: Iterable[tuple[int, i
     """
     numbers = np.atleast_1d(np.asarray(horizon, dtype=np.float64))
     if numbers.shape not in ((1,), (4,)) or not (np.abs(numbers) <= MOST_PX).all():
-        raise InputError("--horizon", [_wanted(", ".join(f"{number:g}" for number in numbers.ravel().tolist()))])
+        text = ", ".join(f"{number:g}" for number in numbers.ravel().tolist())
+        far = f"; no farther than {MOST_PX:,.0f}" if (np.abs(numbers) > MOST_PX).any() else ""
+        raise InputError("--horizon", [_wanted(text) + far])
     x_1, y_1, x_2, y_2 = numbers.tolist() if len(numbers) == 4 else (0.0, numbers[0], 1.0, numbers[0])
     if x_1 == x_2:
         raise InputError("--horizon", ["is upright: give two points in different columns"])

@@ -9,6 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.merges_and_splits import MergesAndSplits
+from modsim3d.display import counted
 from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.kinds.detection_kinds import Kinds, kinds_of
@@ -17,7 +18,11 @@ from modsim3d.learn.numbers.resampling import Resampling, resample, spread
 
 NAMES = ("duplicates", "merges", "splits")
 """The keys of the detector file, in its order."""
-_WHAT = {"duplicates": "second boxes", "merges": "boxes around two vessels", "splits": "vessels in two parts"}
+_WHAT = {
+    "duplicates": ("second box", "second boxes"),
+    "merges": ("box around two vessels", "boxes around two vessels"),
+    "splits": ("vessel in two parts", "vessels in two parts"),
+}
 THRESHOLDS = {
     "merges": ("merge_overlap", MergesAndSplits.merge_overlap, np.arange(2, 19) * 0.05),
     "splits": ("split_aspect", MergesAndSplits.split_aspect, np.arange(6, 33) * 0.25),
@@ -127,7 +132,9 @@ def _shown(kinds: Kinds, wanted: list[str], images: Images, notes: list[str]) ->
             notes.append(f"false_positives.{name}: none; {why}")
         else:
             by_chance = f", of which {chance:.1f} by chance" if chance >= 0.05 else ""
-            notes.append(f"false_positives.{name}: none; had {seen:.0f} {_WHAT[name]}{by_chance}, needs {needed}")
+            notes.append(
+                f"false_positives.{name}: none; had {counted(round(seen), *_WHAT[name])}{by_chance}, needs {needed}"
+            )
     return shown
 
 

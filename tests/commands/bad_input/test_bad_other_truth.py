@@ -84,6 +84,11 @@ MOT: dict[str, tuple[str, tuple[object, ...], str]] = {
         "must be ROW, or X1,Y1,X2,Y2, in pixels, as 400 (got '1, 2')",
     ),
     "an endless horizon": (LINE, (*KNOWN, "--horizon", "inf"), "must be ROW, or X1,Y1,X2,Y2"),
+    "a horizon far away": (
+        LINE,
+        (*KNOWN, "--horizon", "1e9"),
+        "400 (got '1e+09'); no farther than 10,000,000",
+    ),
     "an upright horizon": (LINE, (*KNOWN, "--horizon", "9,1,9,2"), "is upright: give two points in different columns"),
     "no sea": (LINE, (*KNOWN, "--horizon", "480"), "lies below images of 640 × 480 px: they would show no sea"),
     "workers": (LINE, (*KNOWN, "--workers", 2), "--workers is for RUN"),
