@@ -1,4 +1,4 @@
-"""One headless OpenGL context of a software renderer: OSMesa, or EGL without a surface where there is no OSMesa."""
+"""One headless OpenGL context of a software renderer, OSMesa or EGL, or of a graphics card by EGL."""
 
 from __future__ import annotations
 
@@ -13,15 +13,12 @@ from types import ModuleType
 from typing import Any
 
 from modsim3d.errors import RendererError
+from modsim3d.render.egl import GetAddress, egl_context
 
 BACKENDS = ("osmesa", "egl")
 LIBRARIES = {"osmesa": ("OSMesa", ("libOSMesa.so.8", "libOSMesa.so.6")), "egl": ("EGL", ("libEGL.so.1",))}
 
-EGL_PLATFORM_SURFACELESS_MESA = 0x31DD
 GL_LOWER_LEFT, GL_ZERO_TO_ONE = 0x8CA1, 0x935F
-
-GetAddress = Any
-"""A ctypes function that gives the address of an OpenGL function."""
 
 INSTALL_HINT = """no OpenGL software renderer was found ({wanted}). Install one:
   Debian, Ubuntu: apt install libosmesa6 (where that is gone: libegl1 libegl-mesa0 libopengl0)
@@ -43,13 +40,17 @@ def library_found(backend: str) -> bool:
     return False
 
 
+def _wanted() -> str:
+    return os.environ.get("MODSIM3D_GL", "auto").lower()
+
+
 def choose_backend() -> str:
     """The backend that `MODSIM3D_GL` names, or the first whose library is there.
 
     Raises:
         RendererError: The variable has another value, or no library is there; the message says what to install.
     """
-    wanted = os.environ.get("MODSIM3D_GL", "auto").lower()
+    wanted = _wanted()
     if wanted not in ("auto", *BACKENDS):
         raise RendererError(f"MODSIM3D_GL={wanted!r}: use one of osmesa, egl, auto")
     for backend in BACKENDS if wanted == "auto" else (wanted,):
@@ -102,7 +103,7 @@ def open_context() -> Iterator[GLContext]:
 
 def _make_context(backend: str, stack: ExitStack) -> GLContext:
     """Make a context current until the stack is closed."""
-    get_address = stack.enter_context(_osmesa_context() if backend == "osmesa" else _egl_context())
+    get_address = stack.enter_context(_osmesa_context() if backend == "osmesa" else egl_context())
     from OpenGL import GL
 
     _use_reversed_depth(get_address)
@@ -119,7 +120,8 @@ def prepare_environment(backend: str) -> None:
             f"{backend} needs a process of its own"
         )
     os.environ["PYOPENGL_PLATFORM"] = backend
-    os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")  # the same pixels with and without a graphics card
+    if _wanted() != "egl":
+        os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")  # the same pixels with and without a graphics card
     # Rasterising in the calling thread is faster for small regions and keeps workers apart.
     os.environ.setdefault("LP_NUM_THREADS", "0")
 
@@ -159,36 +161,6 @@ def _osmesa_context() -> Iterator[GetAddress]:
         yield PLATFORM.OSMesa.OSMesaGetProcAddress
     finally:
         osmesa.OSMesaDestroyContext(context)
-
-
-@contextmanager
-def _egl_context() -> Iterator[GetAddress]:
-    from OpenGL import EGL
-    from OpenGL.EGL.EXT.platform_base import eglGetPlatformDisplayEXT
-    from OpenGL.platform import PLATFORM
-
-    display = eglGetPlatformDisplayEXT(EGL_PLATFORM_SURFACELESS_MESA, None, None)
-    if not display or not EGL.eglInitialize(display, None, None):
-        raise RendererError("EGL gave no surfaceless display: Mesa's EGL (libegl-mesa0) is needed")
-    EGL.eglBindAPI(EGL.EGL_OPENGL_API)
-    wanted = (EGL.EGLint * 5)(
-        EGL.EGL_SURFACE_TYPE, EGL.EGL_PBUFFER_BIT, EGL.EGL_RENDERABLE_TYPE, EGL.EGL_OPENGL_BIT, EGL.EGL_NONE
-    )
-    config, count = (EGL.EGLConfig * 1)(), ctypes.c_long()
-    EGL.eglChooseConfig(display, wanted, config, 1, count)
-    version = (EGL.EGLint * 7)(
-        *(EGL.EGL_CONTEXT_MAJOR_VERSION, 4, EGL.EGL_CONTEXT_MINOR_VERSION, 5),
-        *(EGL.EGL_CONTEXT_OPENGL_PROFILE_MASK, EGL.EGL_CONTEXT_OPENGL_CORE_PROFILE_BIT, EGL.EGL_NONE),
-    )
-    context = EGL.eglCreateContext(display, config[0], EGL.EGL_NO_CONTEXT, version)
-    if not context:
-        raise RendererError("EGL gave no OpenGL 4.5 context")
-    try:
-        EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, context)
-        yield PLATFORM.EGL.eglGetProcAddress
-    finally:
-        EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
-        EGL.eglDestroyContext(display, context)
 
 
 def make_framebuffer(gl: Any, size: tuple[int, int], colour_format: int, what: str) -> tuple[Any, Any]:

@@ -173,10 +173,20 @@ def process(*arguments: object, program: Path | None = None, **options: Any) -> 
     return subprocess.run(command, capture_output=True, text=True, timeout=60, **options)
 
 
-def test_unknown_backend_is_told_by_a_real_process(inputs: Inputs, tmp_path: Path) -> None:
-    done = process("run", inputs.write(), "--out", tmp_path / "out", env={**os.environ, "MODSIM3D_GL": "nonsense"})
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ({"MODSIM3D_GL": "nonsense"}, "MODSIM3D_GL='nonsense': use one of osmesa, egl, auto"),
+        ({"MODSIM3D_GL": "egl", "MODSIM3D_EGL_DEVICE": "77"}, "MODSIM3D_EGL_DEVICE='77': use a number from 0 to "),
+    ],
+    ids=["backend", "device"],
+)
+def test_unknown_renderers_are_told_by_a_real_process(
+    inputs: Inputs, tmp_path: Path, asked: dict[str, str], told: str
+) -> None:
+    done = process("run", inputs.write(), "--out", tmp_path / "out", env={**os.environ, **asked})
     assert done.returncode == 2
-    assert "MODSIM3D_GL='nonsense': use one of osmesa, egl, auto" in done.stderr
+    assert told in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
 
