@@ -61,13 +61,14 @@ def count_drawing() -> Drawn:
     return drawn
 
 
-def run(scene: str, warm: bool = False, workers: int = 1, **given: Any) -> Answer:
+def run(scene: str, warm: bool = False, workers: int = 1, thesis_json: bool = True, **given: Any) -> Answer:
     """Time a scene from its file to the finished run directory, imports apart.
 
     Args:
         scene: File, or name of a shipped one.
         warm: Run a few steps first, so that the renderer's start is not in the time.
         workers: Processes.
+        thesis_json: Write the thesis's JSON.
         given: Steps, mode, source, in place of the scene's.
     """
     from modsim3d.runs.run import run_scene
@@ -85,7 +86,7 @@ def run(scene: str, warm: bool = False, workers: int = 1, **given: Any) -> Answe
             run_scene(load_scene(scene, **{**given, "steps": WARM_UP_STEPS}), folder / "warm")
         pixels = drawn.pixels
         started = time.perf_counter()
-        result = run_scene(load_scene(scene, **given), folder / "run", workers=workers)
+        result = run_scene(load_scene(scene, **given), folder / "run", workers=workers, thesis_json=thesis_json)
         seconds = time.perf_counter() - started
     frames = result.counts.frames
     return {"seconds": seconds, "frames": frames, "drawn_bytes": (drawn.pixels - pixels) * BYTES_PER_PIXEL}

@@ -1,4 +1,4 @@
-"""The scenes that are timed, as texts: `small`, boats far apart; `dense`, ships before ships; `thousand`, a sea of boats.
+"""The scenes that are timed, as texts: boats far apart (`small`), ships before ships (`dense`), and a thousand boats.
 
 `python -m benchmarks.scenes` writes small.yaml and dense.yaml. Each vessel moves slowly on a straight track, all the
 time within the field of view. What it sweeps over is a rectangle that no other vessel's touches, so none ever meet.
@@ -18,7 +18,7 @@ HERE = Path(__file__).resolve().parent
 DETECTOR = "../scenes/detectors/thesis.yaml"
 VESSELS = 50
 THOUSAND = 1000
-SMALL_STEPS, DENSE_STEPS, THOUSAND_STEPS, TIME_STEP_S = 500, 300, 50, 0.2
+SMALL_STEPS, DENSE_STEPS, THOUSAND_STEPS, TIME_STEP_S = 500, 300, 100, 0.2
 NEAREST_M, FARTHEST_M = 300.0, 2500.0
 SPEEDS_M_S = (0.5, 3.0)
 CLEARANCE_M = 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -77,13 +77,14 @@ class BlockMaker:
         truth, resumed_steps, damaged = self._truth(folder, first, stop)
         return Tally(stop - first, resumed_steps, damaged), scene_census(self._scene, [(truth, first, stop)])
 
-    def make(self, steps: Range, folder: Path, census: TargetCensus) -> tuple[Tally, BlockFiles]:
+    def make(self, steps: Range, folder: Path, census: TargetCensus, kinds: Sequence[str]) -> tuple[Tally, BlockFiles]:
         """What happened in a block, and what it adds to the files.
 
         Args:
             steps: First step, and the step after the last.
             folder: Where truth is kept.
             census: The census of the whole scene, the same for all blocks.
+            kinds: The kinds of JSON lines, see `line_kinds`.
         """
         first, stop = steps
         truth, resumed_steps, damaged_blocks = self._truth(folder, first, stop)
@@ -98,7 +99,7 @@ class BlockMaker:
             boxes=BoxSample.of(block, self._scene),
             intersecting=frozenset((one, other) for one, other in truth.intersections[:, 2:].tolist()),
         )
-        return tally, BlockFiles.of(block, self._scene)
+        return tally, BlockFiles.of(block, self._scene, kinds)
 
     def _truth(self, folder: Path, first: int, stop: int) -> tuple[Truth, int, int]:
         """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks."""

@@ -11,9 +11,9 @@ import pytest
 from shapely import affinity, box, intersects
 
 from benchmarks import bench, child, scenes
-from benchmarks.figures import differing_files
 from benchmarks.growth import COUNTS
 from benchmarks.measured import Bench, significant
+from benchmarks.whole_commands import differing_files
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.scene.reading import load_scene
 

@@ -6,6 +6,7 @@ import hashlib
 import io
 import zipfile
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,6 +36,11 @@ JSON_LINES = {**THESIS_LINES, TRACKER_INPUT: tracker_lines}
 """All kinds of JSON lines; there is a file of each for each camera."""
 
 
+def line_kinds(thesis_json: bool) -> tuple[str, ...]:
+    """The kinds of JSON lines of a run, with or without those of the thesis's JSON."""
+    return tuple(kind for kind in JSON_LINES if thesis_json or kind not in THESIS_LINES)
+
+
 def schemas_of(scene: Scene) -> dict[str, pa.Schema]:
     """The schema of each table that a run of the scene has."""
     own_ship = {OWN_SHIP: own_ships_table.OWN_SHIP} if scene.own_ships else {}
@@ -54,15 +60,15 @@ class BlockFiles:
     lines: dict[tuple[str, int], bytes]
 
     @classmethod
-    def of(cls, block: Block, scene: Scene) -> BlockFiles:
-        """Format a block."""
+    def of(cls, block: Block, scene: Scene, kinds: Sequence[str]) -> BlockFiles:
+        """Format a block, with these kinds of JSON lines."""
         rows = {name: table(block, scene) for name, (_, table) in TABLES.items()}
         if scene.own_ships and not scene.live:  # accelerations need later steps: written at the end
             rows[OWN_SHIP] = own_ships_table.own_ship_table(scene, block.first, block.stop)
         lines = {
-            (kind, part.camera): b"".join(lines_of(block, part, scene))
+            (kind, part.camera): b"".join(JSON_LINES[kind](block, part, scene))
             for part in block.cameras
-            for kind, lines_of in JSON_LINES.items()
+            for kind in kinds
         }
         return cls(rows, lines)
 

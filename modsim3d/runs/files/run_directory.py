@@ -19,11 +19,11 @@ from modsim3d.outputs.placing import sync_file, sync_folder, written_whole
 from modsim3d.outputs.same_file import identities, identity, is_inside
 from modsim3d.runs.files import tables, thesis_json
 from modsim3d.runs.files.block_files import (
-    JSON_LINES,
     OWN_SHIP,
     SETTINGS_FILE,
     THESIS_LINES,
     BlockFiles,
+    line_kinds,
     schemas_of,
 )
 from modsim3d.runs.files.file_list import file_list
@@ -75,7 +75,14 @@ class RunDirectory:
     """
 
     def __init__(
-        self, folder: Path, scene: Scene, settings: dict[str, Any], *, overwrite: bool = False, resume: bool = False
+        self,
+        folder: Path,
+        scene: Scene,
+        settings: dict[str, Any],
+        *,
+        overwrite: bool = False,
+        resume: bool = False,
+        thesis_json: bool = True,
     ) -> None:
         """Make the folder, or resume an interrupted run; a run that is replaced stays until the new one is finished.
 
@@ -85,12 +92,14 @@ class RunDirectory:
             settings: See `settings_of`; an interrupted run must have had the same.
             overwrite: Replace a run that is there.
             resume: Continue an interrupted run that is there.
+            thesis_json: Write the thesis's JSON.
 
         Raises:
             RunDirectoryError: The folder is taken, is no run directory, or cannot be written to.
         """
         self.folder = folder
         self.work = folder / UNFINISHED
+        self.line_kinds = line_kinds(thesis_json)
         self._scene = scene
         self._settings = orjson.dumps(settings, option=orjson.OPT_SORT_KEYS)
         try:
@@ -108,7 +117,7 @@ class RunDirectory:
         }
         self._lines: dict[tuple[str, int], IO[bytes]] = {
             (kind, index): self._lines_path(kind, index).open("wb")
-            for kind in JSON_LINES
+            for kind in self.line_kinds
             for index in range(len(self._scene.cameras))
         }
         self._poses = (self.work / POSES_FILE).open("wb") if self._scene.live else None
@@ -279,8 +288,8 @@ class RunDirectory:
     def _file_names(self) -> list[str]:
         """Paths of the finished run's files inside the run directory, without `run.json` and `run.log`."""
         names = [f"{name}.parquet" for name in schemas_of(self._scene)]
-        ending = {kind: "json" if kind in THESIS_LINES else "jsonl" for kind in JSON_LINES}
-        names += [f"{kind}_{camera.name}.{ending[kind]}" for kind in JSON_LINES for camera in self._scene.cameras]
+        ending = {kind: "json" if kind in THESIS_LINES else "jsonl" for kind in self.line_kinds}
+        names += [f"{kind}_{camera.name}.{ending[kind]}" for kind in self.line_kinds for camera in self._scene.cameras]
         names += [f"{SCENE_FOLDER}/{name}" for name in self._scene.copy.names]
         return [*names, POSES_FILE] if self._scene.live else names
 

@@ -96,9 +96,9 @@ def _detection_heads(scene: Scene, rows: Indices) -> list[bytes]:
         rows: Vessel (−1 for a false positive), how many rows of the frame before are of it, and label, shape (n, 3).
     """
     distinct, which = np.unique(rows, axis=0, return_inverse=True)
-    heads = []
+    heads, names = [], scene.vessel_names
     for vessel, before, label in distinct.tolist():
-        name = scene.vessel_names[vessel] if vessel >= 0 else f"false_positive_{before + 1}"
+        name = names[vessel] if vessel >= 0 else f"false_positive_{before + 1}"
         key = f"{name}#{before + 1}" if before and vessel >= 0 else name
         heads.append(_head(key, scene.detector.labels[label], b"confidenceScore"))
     return [heads[row] for row in which.ravel().tolist()]
