@@ -125,9 +125,14 @@ def join_lines(lines: Path, out: IO[bytes]) -> None:
 
     JSON escapes line breaks inside strings, so the bytes `}`, line break, `{` occur only between two lines.
     """
-    separator = b"{\n"
     with lines.open("rb") as source:
-        while some := source.readlines(JOINED_BYTES):
-            out.write(separator + b"".join(some)[1:-2].replace(b"}\n{", b",\n"))
-            separator = b",\n"
-    out.write(b"{}\n" if separator == b"{\n" else b"\n}\n")
+        if not source.read(1):
+            out.write(b"{}\n")
+            return
+        out.write(b"{\n")
+        end = b""  # perhaps a part of what is between two lines
+        while some := source.read(JOINED_BYTES):
+            text = (end + some).replace(b"}\n{", b",\n")
+            out.write(memoryview(text)[:-2])
+            end = text[-2:]
+        out.write(b"\n}\n")
