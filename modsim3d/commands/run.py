@@ -82,7 +82,7 @@ def run_command(
     state: StateOption = None,
     state_from: FromOption = None,
     workers: WorkersOption = 1,
-    no_json: Annotated[bool, typer.Option("--no-json", help="Leave out the JSON of the thesis.")] = False,
+    no_json: Annotated[bool, typer.Option("--no-json", help="Write no annotations or detections as JSON.")] = False,
     no_sheet: Annotated[bool, typer.Option("--no-sheet", help="Draw no contact_sheet.png.")] = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
