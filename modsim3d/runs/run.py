@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -265,5 +265,11 @@ def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
         "cameras": [camera.name for camera in scene.cameras],
         "backend": backend,
         "plugins": {f"{plugin.group}:{plugin.name}": plugin.package for plugin in scene.plugins},
-        "versions": {name: version(name) for name in VERSIONED},
+        "versions": _versions(),
     }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """The versions of the packages that make a run; finding them reads files of each."""
+    return {name: version(name) for name in VERSIONED}

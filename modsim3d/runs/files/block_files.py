@@ -6,7 +6,9 @@ import hashlib
 import io
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,13 +106,24 @@ def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth |
         return None
 
 
-def keep_truth(folder: Path, truth: Truth, first: int, stop: int) -> None:
-    """Keep the truth of a block on the disk, so that an interrupted run can be resumed."""
+@contextmanager
+def truth_kept(folder: Path, truth: Truth, first: int, stop: int) -> Iterator[None]:
+    """Keep the truth of a block on the disk, so that an interrupted run can be resumed.
+
+    A thread waits for the disk, while what is made of the truth is made; at the end the truth is on the disk.
+    """
     path, packed = kept_truth_path(folder, first, stop), io.BytesIO()
     np.savez(packed, **{name: getattr(truth, name) for name in COLUMNS})
+    with ThreadPoolExecutor(1) as thread:
+        kept = thread.submit(_keep, path, packed.getbuffer())
+        yield
+        kept.result()
+
+
+def _keep(path: Path, packed: memoryview) -> None:
     with written_whole(path) as partial, partial.open("wb") as out:
-        out.write(packed.getbuffer())
-        out.write(_digest(path, packed.getbuffer()))
+        out.write(packed)
+        out.write(_digest(path, packed))
 
 
 def _digest(path: Path, packed: bytes | memoryview) -> bytes:
