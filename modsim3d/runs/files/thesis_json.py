@@ -52,7 +52,7 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes
     before = _before_in_group(frame * (len(scene.vessels) + 1) + vessel + 1)
     texts = row_texts(
         len(order),
-        _detection_heads(scene, np.column_stack([vessel, before, detections.label[order]])),
+        _detection_heads(scene, vessel, before, detections.label[order]),
         number_texts(detections.confidence[order]),
         b',"bbox":{',
         *_box_texts(centre_form(detections.boxes_px[order])),
@@ -86,22 +86,27 @@ def _before_in_group(group: Indices) -> Indices:
     return before
 
 
-def _detection_heads(scene: Scene, rows: Indices) -> list[bytes]:
+def _detection_heads(scene: Scene, vessel: Indices, before: Indices, label: Indices) -> list[bytes]:
     """The beginning of each detection, up to its confidence.
 
     False positives are numbered from 1; the second box of a vessel is `<vessel ID>#2`.
 
     Args:
         scene: The scene.
-        rows: Vessel (−1 for a false positive), how many rows of the frame before are of it, and label, shape (n, 3).
+        vessel: The vessel of each of m detections, −1 for a false positive, shape (m,).
+        before: How many detections of the frame before each are of its vessel, shape (m,).
+        label: The label of each, shape (m,).
     """
-    distinct, which = np.unique(rows, axis=0, return_inverse=True)
-    heads, names = [], scene.vessel_names
-    for vessel, before, label in distinct.tolist():
+    names, labels = scene.vessel_names, scene.detector.labels
+
+    def head(vessel: int, before: int, label: int) -> bytes:
         name = names[vessel] if vessel >= 0 else f"false_positive_{before + 1}"
         key = f"{name}#{before + 1}" if before and vessel >= 0 else name
-        heads.append(_head(key, scene.detector.labels[label], b"confidenceScore"))
-    return [heads[row] for row in which.ravel().tolist()]
+        return _head(key, labels[label], b"confidenceScore")
+
+    rows = list(zip(vessel.tolist(), before.tolist(), label.tolist(), strict=True))
+    heads = {row: head(*row) for row in set(rows)}
+    return [heads[row] for row in rows]
 
 
 def _head(key: str, label: str, after: bytes) -> bytes:
