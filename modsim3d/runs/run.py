@@ -265,7 +265,7 @@ def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
         "cameras": [camera.name for camera in scene.cameras],
         "backend": backend,
         "plugins": {f"{plugin.group}:{plugin.name}": plugin.package for plugin in scene.plugins},
-        "versions": _versions(),
+        "versions": dict(_versions()),
     }
 
 
