@@ -14,7 +14,7 @@ import pytest
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.json_text import number_texts, row_texts
+from modsim3d.runs.files.json_text import frame_lines, number_texts, row_texts
 from modsim3d.runs.files.thesis_json import annotation_lines, detection_lines, join_lines
 from modsim3d.runs.files.tracker_input import tracker_lines
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
@@ -129,6 +129,7 @@ def test_number_texts_are_the_shortest_that_give_the_number_again() -> None:
     assert number_texts(np.array(numbers)) == [orjson.dumps(number) for number in numbers]
     assert number_texts(np.empty(0)) == []
     assert row_texts(0, b"{", [], b"}") == []
+    assert frame_lines([], [], np.empty(0, dtype=np.int64), b"}") == []
 
 
 @pytest.mark.parametrize("at_a_time", [1, 2, 7, 1 << 22])

@@ -37,6 +37,8 @@ def frame_lines(heads: Sequence[bytes], rows: Sequence[bytes], frame: Indices, t
         frame: The frame of each row, from 0, ascending, shape (n,).
         tail: What every line ends with.
     """
-    stops = np.searchsorted(frame, np.arange(len(heads)), side="right").tolist()
-    starts = [0, *stops[:-1]]
-    return [head + b",".join(rows[start:stop]) + tail for head, start, stop in zip(heads, starts, stops, strict=True)]
+    bounds = np.searchsorted(frame, np.arange(len(heads) + 1)).tolist()
+    return [
+        head + b",".join(rows[start:stop]) + tail
+        for head, start, stop in zip(heads, bounds[:-1], bounds[1:], strict=True)
+    ]
