@@ -12,13 +12,10 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.figures import FIGURES
-from benchmarks.measured import Bench, Found, table
+from benchmarks.measured import BUSY_LOAD, Bench, Found, table
 from benchmarks.processes import ROOT, child, say
 
 RESULTS = ROOT / "benchmarks" / "RESULTS.md"
-BUSY_LOAD = 0.5
-"""More than this many processes waiting for a core before the start, and the figures are marked."""
-
 
 METHOD = """\
 ## How it was measured
@@ -30,6 +27,10 @@ finished run directory, the renderer's start included (its context, its shaders)
 sheet not. Where a ratio is \
 meant to show how time grows (image size, number of vessels), a few steps are run first, as a constant start-up would \
 make the growth look smaller. `--workers`, memory and cold start are those of the command itself, by the clock.
+- Harbour and strait are the shipped scenes with all their steps; the strait has two cameras, and the frames of both \
+count. The thousand boats are those of `scenes.thousand` in `benchmarks/scenes.py`.
+- A live step is that of `modsim3d stream` with Simulation 2's poses on standard input, as in \
+[LATENCY.md](LATENCY.md): from writing the line of poses to having read the step's last line in another process.
 - The ID pass is from poses to full and visible boxes, in a process that is warm, in blocks as a run makes them, \
 averaged over all 1,500 frames; pyrender draws 15 of them a round. Its renderer, scene and meshes are made once; timed \
 are setting the nodes' poses, one SEG image, and the boxes of its colours. That image shows visible boxes only; those \

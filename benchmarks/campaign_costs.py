@@ -16,7 +16,6 @@ from pathlib import Path
 
 import yaml
 
-from benchmarks.bench import BUSY_LOAD
 from benchmarks.campaign_parts import (
     Coordinated,
     LayerCost,
@@ -26,9 +25,9 @@ from benchmarks.campaign_parts import (
     runs_of_task,
     task_cost,
 )
-from benchmarks.figures import differing_files
-from benchmarks.measured import significant, table
+from benchmarks.measured import BUSY_LOAD, significant, table
 from benchmarks.processes import ROOT, child, modsim3d, say
+from benchmarks.whole_commands import differing_files
 from modsim3d.campaign.results.folder import opened_campaign
 from modsim3d.campaign.results.gather import results_table
 

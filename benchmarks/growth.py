@@ -51,10 +51,10 @@ def growth(bench: Bench) -> Found:
     cases = _measured(bench)
     small = cases["small"]
     grown = [max(seconds[1:]) / seconds[0] for seconds in zip(*(case.seconds for case in small), strict=True)]
-    met = statistics.median(grown) <= 1.2
+    met = statistics.median(grown) <= 1.1
     row = Row(
         f"`small` with {', '.join(map(str, COUNTS))} boats: time per boat, the greatest against that with {COUNTS[0]}",
-        "≤ +20 %",
+        "≤ +10 %",
         _percent(grown),
         met,
         "; ".join(case.limit for case in small),

@@ -23,8 +23,7 @@ from typing import IO, Any
 import numpy as np
 import yaml
 
-from benchmarks.bench import BUSY_LOAD
-from benchmarks.measured import significant, table
+from benchmarks.measured import BUSY_LOAD, significant, table
 from benchmarks.processes import ROOT, child, environment, say
 from modsim3d.scene.reading import load_scene
 

@@ -10,6 +10,9 @@ from typing import Any
 
 from benchmarks.processes import ROOT, child, say
 
+BUSY_LOAD = 0.5
+"""More than this many processes waiting for a core before the start, and the figures are marked."""
+
 
 @dataclass(frozen=True)
 class Row:

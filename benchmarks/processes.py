@@ -84,7 +84,11 @@ class Finished:
 
 def modsim3d(*arguments: str | Path, right: Container[int] = (0,)) -> Finished:
     """Run the program as a user does; another exit status than those that are right is an error."""
-    command = [Path(sys.executable).parent / "modsim3d", *arguments]
+    return finished([Path(sys.executable).parent / "modsim3d", *arguments], right)
+
+
+def finished(command: Sequence[str | Path], right: Container[int] = (0,)) -> Finished:
+    """Run a command; another exit status than those that are right is an error."""
     kept = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
     with tempfile.TemporaryFile() as said:
         started = time.perf_counter()

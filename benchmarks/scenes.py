@@ -1,4 +1,4 @@
-"""The scenes that are timed, as texts: `small`, boats far apart, and `dense`, ships before ships.
+"""The scenes that are timed, as texts: boats far apart (`small`), ships before ships (`dense`), and a thousand boats.
 
 `python -m benchmarks.scenes` writes small.yaml and dense.yaml. Each vessel moves slowly on a straight track, all the
 time within the field of view. What it sweeps over is a rectangle that no other vessel's touches, so none ever meet.
@@ -17,15 +17,16 @@ import shapely
 HERE = Path(__file__).resolve().parent
 DETECTOR = "../scenes/detectors/thesis.yaml"
 VESSELS = 50
-SMALL_STEPS, DENSE_STEPS, TIME_STEP_S = 500, 300, 0.2
+THOUSAND = 1000
+SMALL_STEPS, DENSE_STEPS, THOUSAND_STEPS, TIME_STEP_S = 500, 300, 100, 0.2
 NEAREST_M, FARTHEST_M = 300.0, 2500.0
 SPEEDS_M_S = (0.5, 3.0)
 CLEARANCE_M = 1.0
 TRIES = 20_000
-SMALL_HEIGHT_M, DENSE_HEIGHT_M = 20.0, 60.0  # of the camera; of the small scene with 50 boats
+SMALL_HEIGHT_M, DENSE_HEIGHT_M, THOUSAND_HEIGHT_M = 20.0, 60.0, 120.0  # of the camera; of small with 50 boats
 SPREAD_EXPONENT = 0.85  # with it and the seeds below, the boxes of 12 to 13 % of any number of boats overlap another's
 
-FOCAL_PX, IMAGE_PX = 5000.0, (3600, 2400)
+FOCAL_PX, IMAGE_PX, THOUSAND_IMAGE_PX = 5000.0, (3600, 2400), (1920, 1080)
 HALF_VIEW_RAD = math.atan(IMAGE_PX[0] / 2 / FOCAL_PX)
 SEEDS = {25: 7, 50: 0, 100: 4, 200: 4}
 DENSE_SEED = 0
@@ -36,6 +37,10 @@ SMALL = """\
 """
 DENSE = """\
 # {count} vessels of 5 to 300 m at 300 to 2500 m, from {height:.3g} m above the sea: most are hidden in part or wholly.
+# Written by benchmarks/scenes.py.
+"""
+THOUSAND_BOATS = """\
+# {count} boats of 4 to 14 m at 300 to 2500 m in an image of 1920 × 1080, from {height:.3g} m above the sea.
 # Written by benchmarks/scenes.py.
 """
 
@@ -56,12 +61,23 @@ def small(boats: int = VESSELS) -> str:
     image that the share of boats that overlap each other stays.
     """
     rng = np.random.default_rng(SEEDS.get(boats, 0))
-    hulls = [
-        Hull(length, length * rng.uniform(0.30, 0.40), length * rng.uniform(0.25, 0.35))
-        for length in rng.uniform(4, 14, boats)
-    ]
-    height = SMALL_HEIGHT_M * (boats / VESSELS) ** SPREAD_EXPONENT
+    hulls, height = _boats(boats, rng), SMALL_HEIGHT_M * (boats / VESSELS) ** SPREAD_EXPONENT
     return SMALL.format(count=boats, height=height) + _text("boat", hulls, height, SMALL_STEPS, rng)
+
+
+def thousand(boats: int = THOUSAND) -> str:
+    """A thousand boats of 4 to 14 m, all in one image of 1920 × 1080."""
+    rng = np.random.default_rng(0)
+    head = THOUSAND_BOATS.format(count=boats, height=THOUSAND_HEIGHT_M)
+    hulls = _boats(boats, rng)
+    return head + _text("boat", hulls, THOUSAND_HEIGHT_M, THOUSAND_STEPS, rng, THOUSAND_IMAGE_PX)
+
+
+def _boats(count: int, rng: np.random.Generator) -> list[Hull]:
+    return [
+        Hull(length, length * rng.uniform(0.30, 0.40), length * rng.uniform(0.25, 0.35))
+        for length in rng.uniform(4, 14, count)
+    ]
 
 
 def dense(vessels: int = VESSELS) -> str:
@@ -75,7 +91,14 @@ def dense(vessels: int = VESSELS) -> str:
     return head + _text("vessel", hulls, DENSE_HEIGHT_M, DENSE_STEPS, rng)
 
 
-def _text(kind: str, hulls: Sequence[Hull], height_m: float, steps: int, rng: np.random.Generator) -> str:
+def _text(
+    kind: str,
+    hulls: Sequence[Hull],
+    height_m: float,
+    steps: int,
+    rng: np.random.Generator,
+    image_px: tuple[int, int] = IMAGE_PX,
+) -> str:
     duration_s = steps * TIME_STEP_S
     tracks = _tracks(hulls, duration_s, rng)
     names = [f"{kind}{number}" for number in range(1, len(hulls) + 1)]
@@ -92,18 +115,20 @@ def _text(kind: str, hulls: Sequence[Hull], height_m: float, steps: int, rng: np
     ]
     # Between the waterlines of the nearest and the farthest.
     pitch = (math.atan(height_m / NEAREST_M) + math.atan(height_m / FARTHEST_M)) / 2
-    return "\n".join(lines) + "\n" + camera_text(height_m, pitch)
+    return "\n".join(lines) + "\n" + camera_text(height_m, pitch, image_px)
 
 
-def camera_text(height_m: float, pitch_rad: float) -> str:
-    """The optics of Simulation 1 at the origin, looking along w1."""
+def camera_text(height_m: float, pitch_rad: float, image_px: tuple[int, int] = IMAGE_PX) -> str:
+    """The lens of Simulation 1 at the origin, looking along w1; an image of any size is as wide as Simulation 1's."""
+    width, height = image_px
+    pixel_e5 = IMAGE_PX[0] / width  # hundredths of a millimetre
     return f"""\
 cameras:
   C0:                                  # the optics of simulation_1
     focal_length_m: 0.05
-    pixel_size_m: [1.0e-5, 1.0e-5]
-    principal_point_px: [1800, 1200]
-    image_size_px: [{IMAGE_PX[0]}, {IMAGE_PX[1]}]
+    pixel_size_m: [{pixel_e5}e-5, {pixel_e5}e-5]
+    principal_point_px: [{width // 2}, {height // 2}]
+    image_size_px: [{width}, {height}]
     pose: {{position_m: [0, 0, {height_m:.3f}], roll_rad: 0, pitch_rad: {pitch_rad:.6f}, yaw_rad: 0}}
 annotation: {{mode: 2, source: rendered}}
 detector: {DETECTOR}

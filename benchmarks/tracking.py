@@ -17,8 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.bench import BUSY_LOAD
-from benchmarks.measured import significant, table
+from benchmarks.measured import BUSY_LOAD, significant, table
 from benchmarks.processes import ROOT, child, say
 from modsim3d.runs.camera_sequences import CameraSequence, camera_sequences
 from modsim3d.runs.run import run_scene

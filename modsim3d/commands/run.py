@@ -82,6 +82,7 @@ def run_command(
     state: StateOption = None,
     state_from: FromOption = None,
     workers: WorkersOption = 1,
+    no_json: Annotated[bool, typer.Option("--no-json", help="Write no annotations or detections as JSON.")] = False,
     no_sheet: Annotated[bool, typer.Option("--no-sheet", help="Draw no contact_sheet.png.")] = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -114,7 +115,15 @@ def run_command(
     total = None if loaded.live else loaded.steps
     kept = f"in {folder / 'unfinished'}" if loaded.live else "go on with --resume"
     with timed("truth, detections and files"), _interruptible(kept), progress(loaded.name, total) as advance:
-        result = run_scene(loaded, folder, overwrite=overwrite, resume=resume, workers=workers, progress=advance)
+        result = run_scene(
+            loaded,
+            folder,
+            overwrite=overwrite,
+            resume=resume,
+            thesis_json=not no_json,
+            workers=workers,
+            progress=advance,
+        )
     tell_backend(folder)
     if not no_sheet:
         with timed("contact sheet"):

@@ -10,6 +10,7 @@ from typing import Any
 import orjson
 
 from modsim3d.processes import WorkerCount
+from modsim3d.runs.files.block_files import THESIS_LINES
 from modsim3d.runs.files.differences import difference, settings_difference
 from modsim3d.runs.files.file_list import FileList, file_list
 from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER
@@ -77,9 +78,9 @@ def repeat_run(
         ModsimError: The scene cannot be run here.
     """
     folder, content, _, scene = run
-    run_scene(scene, again, workers=workers, progress=progress)
-    made = orjson.loads((again / RUN_FILE).read_bytes())
     listed: FileList = content.get("files") or {}
+    run_scene(scene, again, thesis_json=_has_thesis_json(listed), workers=workers, progress=progress)
+    made = orjson.loads((again / RUN_FILE).read_bytes())
     names = sorted({name for name in {**listed, **made["files"]} if not _is_input(name)})
     files = [_compared(folder, again, name, listed, made["files"]) for name in names]
     files += [
@@ -89,6 +90,11 @@ def repeat_run(
     return Repetition(
         (*files, RepeatedFile(RUN_FILE, repeated=settings)), tuple(_versions(content, made)), bool(listed)
     )
+
+
+def _has_thesis_json(listed: FileList) -> bool:
+    """Whether a run wrote the thesis's JSON; one without a list of its files did."""
+    return not listed or any(name.startswith(tuple(THESIS_LINES)) and name.endswith(".json") for name in listed)
 
 
 def _is_input(name: str) -> bool:

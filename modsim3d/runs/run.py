@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -84,6 +84,7 @@ def run_scene(
     *,
     overwrite: bool = False,
     resume: bool = False,
+    thesis_json: bool = True,
     workers: WorkerCount = 1,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
@@ -97,6 +98,8 @@ def run_scene(
         folder: The run directory; folders that are missing are made.
         overwrite: Replace a run that is there.
         resume: Continue an interrupted run that is there.
+        thesis_json: Write the thesis's JSON, `annotations_<camera>.json` and `detections_<camera>.json`. Everything in
+            it is in the tables too, and nothing that reads a run needs it.
         workers: Number of processes, or `auto` for one for each CPU; the bytes of the files do not depend on it.
         progress: Called with the number of steps done since its last call.
 
@@ -118,6 +121,7 @@ def run_scene(
         lambda opened: settings_of(scene, backend_of(opened)),
         overwrite=overwrite,
         resume=resume,
+        thesis_json=thesis_json,
         progress=progress,
     )
 
@@ -130,6 +134,7 @@ def write_run(
     *,
     overwrite: bool = False,
     resume: bool = False,
+    thesis_json: bool = True,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
     """Write the run directory of a scene from the blocks that workers make; see `run_scene`.
@@ -141,6 +146,7 @@ def write_run(
         settings_by: Gives the settings, see `settings_of`.
         overwrite: Replace a run that is there.
         resume: Continue an interrupted run that is there.
+        thesis_json: Write the thesis's JSON.
         progress: Called with the number of steps done since its last call.
 
     Raises:
@@ -154,7 +160,8 @@ def write_run(
         )
     with locked_run(folder), opened_workers as workers:
         settings = settings_by(workers)
-        with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
+        directory = RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume, thesis_json=thesis_json)
+        with directory:
             total = _write_blocks(scene, directory, workers, progress)
             directory.write_live_own_ships(total.steps)
             truncation = total.boxes.truncation(scene)
@@ -200,7 +207,7 @@ def _write_blocks(
     if scene.detector.needs_census:
         counted, census = _take_census(scene, directory.work, workers, progress)
     total = Tally()
-    make = partial(BlockMaker.make, folder=directory.work, census=census)
+    make = partial(BlockMaker.make, folder=directory.work, census=census, kinds=directory.line_kinds)
     for tally, files in workers.map(make, _with_steps_kept(scene, directory.work)):
         directory.write(files)
         directory.write_poses(total.steps, total.steps + tally.steps)
@@ -258,5 +265,11 @@ def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
         "cameras": [camera.name for camera in scene.cameras],
         "backend": backend,
         "plugins": {f"{plugin.group}:{plugin.name}": plugin.package for plugin in scene.plugins},
-        "versions": {name: version(name) for name in VERSIONED},
+        "versions": dict(_versions()),
     }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """The versions of the packages that make a run; finding them reads files of each."""
+    return {name: version(name) for name in VERSIONED}

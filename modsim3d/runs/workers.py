@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ from modsim3d.detector.census import TargetCensus
 from modsim3d.processes import WorkerCount, Workers, open_workers
 from modsim3d.runs.box_sample import BoxSample
 from modsim3d.runs.counts import Counts, camera_counts
-from modsim3d.runs.files.block_files import BlockFiles, finished_truth, keep_truth, kept_truth_path
+from modsim3d.runs.files.block_files import BlockFiles, finished_truth, kept_truth_path, truth_kept
 from modsim3d.runs.files.reading import truth_of
 from modsim3d.runs.files.stored_tables import StoredTables
 from modsim3d.runs.pipeline import Range, Simulation, open_renderer, scene_census, truth_block
@@ -74,44 +74,51 @@ class BlockMaker:
     def count_targets(self, steps: Range, folder: Path) -> tuple[Tally, TargetCensus]:
         """The census of a block's targets, with a tally of its steps; its truth is kept in the folder."""
         first, stop = steps
-        truth, resumed_steps, damaged = self._truth(folder, first, stop)
-        return Tally(stop - first, resumed_steps, damaged), scene_census(self._scene, [(truth, first, stop)])
+        with self._truth(folder, first, stop) as (truth, resumed_steps, damaged):
+            return Tally(stop - first, resumed_steps, damaged), scene_census(self._scene, [(truth, first, stop)])
 
-    def make(self, steps: Range, folder: Path, census: TargetCensus) -> tuple[Tally, BlockFiles]:
+    def make(self, steps: Range, folder: Path, census: TargetCensus, kinds: Sequence[str]) -> tuple[Tally, BlockFiles]:
         """What happened in a block, and what it adds to the files.
 
         Args:
             steps: First step, and the step after the last.
             folder: Where truth is kept.
             census: The census of the whole scene, the same for all blocks.
+            kinds: The kinds of JSON lines, see `line_kinds`.
         """
         first, stop = steps
-        truth, resumed_steps, damaged_blocks = self._truth(folder, first, stop)
-        if self._simulation is None:
-            self._simulation = Simulation(self._scene, census)
-        block = self._simulation.detect(truth, first, stop)
-        tally = Tally(
-            steps=stop - first,
-            resumed_steps=resumed_steps,
-            damaged_blocks=damaged_blocks,
-            camera_counts=camera_counts(block, self._scene),
-            boxes=BoxSample.of(block, self._scene),
-            intersecting=frozenset((one, other) for one, other in truth.intersections[:, 2:].tolist()),
-        )
-        return tally, BlockFiles.of(block, self._scene)
+        with self._truth(folder, first, stop) as (truth, resumed_steps, damaged_blocks):
+            if self._simulation is None:
+                self._simulation = Simulation(self._scene, census)
+            block = self._simulation.detect(truth, first, stop)
+            tally = Tally(
+                steps=stop - first,
+                resumed_steps=resumed_steps,
+                damaged_blocks=damaged_blocks,
+                camera_counts=camera_counts(block, self._scene),
+                boxes=BoxSample.of(block, self._scene),
+                intersecting=frozenset((one, other) for one, other in truth.intersections[:, 2:].tolist()),
+            )
+            return tally, BlockFiles.of(block, self._scene, kinds)
 
-    def _truth(self, folder: Path, first: int, stop: int) -> tuple[Truth, int, int]:
-        """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks."""
+    @contextmanager
+    def _truth(self, folder: Path, first: int, stop: int) -> Iterator[tuple[Truth, int, int]]:
+        """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks.
+
+        Truth that is new is kept, at the latest when the context ends.
+        """
         if self._stored is not None:
-            return truth_of(self._stored.truth(first, stop), self._scene), 0, 0
+            yield truth_of(self._stored.truth(first, stop), self._scene), 0, 0
+            return
         truth = finished_truth(folder, self._scene, first, stop)
         if truth is not None:
-            return truth, stop - first, 0
+            yield truth, stop - first, 0
+            return
         damaged = kept_truth_path(folder, first, stop).exists()
         truth = truth_block(self._scene, first, stop, self._renderer)
-        if not self._scene.live:  # a live run cannot be resumed
-            keep_truth(folder, truth, first, stop)
-        return truth, 0, int(damaged)
+        # A live run cannot be resumed.
+        with nullcontext() if self._scene.live else truth_kept(folder, truth, first, stop):
+            yield truth, 0, int(damaged)
 
 
 BlockWorkers = Workers[BlockMaker]

@@ -74,6 +74,20 @@ def test_run_is_not_overwritten_unasked(monkeypatch, tmp_path, capsys):
     assert call(monkeypatch, *arguments, "--overwrite") == 0
 
 
+def test_a_run_without_json_can_be_read(monkeypatch, tmp_path):
+    run = tmp_path / "run"
+    arguments = ("--source", "analytic", "--steps", 20, "--no-sheet", "--no-json")
+    assert call(monkeypatch, "run", "strait", *arguments, "--out", run) == 0
+    assert [path.name for path in run.glob("*.json")] == ["run.json"]
+    for command in (
+        ("export", run, "--format", "coco", "--out", tmp_path / "coco"),
+        ("detect", run, "--seed", 7, "--out", tmp_path / "again"),
+        ("track", run, "--out", tmp_path / "tracks"),
+        ("score", run, tmp_path / "tracks"),
+    ):
+        assert call(monkeypatch, *command) in (0, 1), command
+
+
 def test_ctrl_c_before_a_command_begins_is_one_message(monkeypatch, capsys):
     def press_ctrl_c(**_: object) -> None:
         raise KeyboardInterrupt

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from shapely import affinity, box, intersects
 
-from benchmarks import bench, child, scenes
-from benchmarks.figures import differing_files
+from benchmarks import bench, child, pyrender_pass, scenes
 from benchmarks.growth import COUNTS
 from benchmarks.measured import Bench, significant
+from benchmarks.whole_commands import differing_files
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.scene.reading import load_scene
 
@@ -106,8 +106,8 @@ def test_boxes_in_an_id_image_are_half_open_and_none_where_an_id_is_not():
     ids = np.zeros((6, 8), dtype=np.uint8)
     ids[2:4, 1:3] = 1
     ids[3:5, 5] = 3
-    assert child.boxes_in(ids, 4) == [[1, 2, 3, 4], None, [5, 3, 6, 5], None]
-    assert child.boxes_in(np.zeros((6, 8), dtype=np.uint8), 2) == [None, None]
+    assert pyrender_pass.boxes_in(ids, 4) == [[1, 2, 3, 4], None, [5, 3, 6, 5], None]
+    assert pyrender_pass.boxes_in(np.zeros((6, 8), dtype=np.uint8), 2) == [None, None]
 
 
 def test_times_the_limit_is_the_time_over_that_of_filling_what_was_drawn(tmp_path):

@@ -152,3 +152,10 @@ def test_differences_of_tables_are_told_by_column(tmp_path: Path) -> None:
     assert difference(one, written("columns", y=[1.0])) == "the columns are others"
     pq.write_table(pq.read_table(one), tmp_path / "packed.parquet", compression="zstd")
     assert difference(one, tmp_path / "packed.parquet") == "the same rows, stored in other bytes"
+
+
+def test_a_run_without_the_thesis_json_is_repeated_without_it(tmp_path: Path) -> None:
+    run_scene(load_scene("simulation_1", steps=5, source="analytic"), tmp_path / "run", thesis_json=False)
+    repetition = repeat_run(read_finished(tmp_path / "run"), tmp_path / "again")
+    assert repetition.same
+    assert [path.name for path in (tmp_path / "again").glob("*.json")] == ["run.json"]

@@ -51,6 +51,41 @@ def test_run_directory_holds_what_is_promised_and_nothing_else(finished):
     assert {path.name for path in finished.iterdir()} == FILES
 
 
+THESIS_JSON = {"annotations_C0.json", "detections_C0.json"}
+
+
+def test_without_the_thesis_json_all_other_files_are_the_same_bytes(scene, finished, tmp_path):
+    run_scene(scene, tmp_path / "run", thesis_json=False)
+    with_json, without = content(finished), content(tmp_path / "run")
+    assert with_json.keys() - without.keys() == THESIS_JSON
+    run, expected = json.loads(without.pop("run.json")), json.loads(with_json["run.json"])
+    assert run == {**expected, "files": {key: expected["files"][key] for key in expected["files"].keys() - THESIS_JSON}}
+    assert without.items() <= with_json.items()
+
+
+def test_an_interrupted_run_goes_on_with_and_without_the_thesis_json(tmp_path):
+    scene = load_scene("simulation_1", mode=2, steps=300, source="analytic")
+
+    def stop(_: int) -> None:
+        raise KeyboardInterrupt
+
+    for first, then in ((True, False), (False, True)):
+        folder = tmp_path / f"{first}"
+        with pytest.raises(KeyboardInterrupt):
+            run_scene(scene, folder, thesis_json=first, progress=stop)
+        assert run_scene(scene, folder, resume=True, thesis_json=then).resumed_steps
+        assert {name.name for name in folder.glob("*.json*")} - {"run.json", "tracker_input_C0.jsonl"} == (
+            THESIS_JSON if then else set()
+        )
+
+
+def test_replacing_a_run_leaves_no_thesis_json_of_the_old_one(tmp_path):
+    scene = load_scene("simulation_1", steps=2, source="analytic")
+    run_scene(scene, tmp_path / "run")
+    run_scene(scene, tmp_path / "run", overwrite=True, thesis_json=False)
+    assert {path.name for path in (tmp_path / "run").iterdir()} == FILES - THESIS_JSON
+
+
 def test_same_seed_gives_the_same_bytes_and_another_seed_others(scene, finished, tmp_path):
     run_scene(scene, tmp_path / "again")
     assert content(tmp_path / "again") == content(finished)

@@ -6,6 +6,9 @@ import hashlib
 import io
 import zipfile
 import zlib
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,6 +38,11 @@ JSON_LINES = {**THESIS_LINES, TRACKER_INPUT: tracker_lines}
 """All kinds of JSON lines; there is a file of each for each camera."""
 
 
+def line_kinds(thesis_json: bool) -> tuple[str, ...]:
+    """The kinds of JSON lines of a run, with or without those of the thesis's JSON."""
+    return tuple(kind for kind in JSON_LINES if thesis_json or kind not in THESIS_LINES)
+
+
 def schemas_of(scene: Scene) -> dict[str, pa.Schema]:
     """The schema of each table that a run of the scene has."""
     own_ship = {OWN_SHIP: own_ships_table.OWN_SHIP} if scene.own_ships else {}
@@ -54,15 +62,15 @@ class BlockFiles:
     lines: dict[tuple[str, int], bytes]
 
     @classmethod
-    def of(cls, block: Block, scene: Scene) -> BlockFiles:
-        """Format a block."""
+    def of(cls, block: Block, scene: Scene, kinds: Sequence[str]) -> BlockFiles:
+        """Format a block, with these kinds of JSON lines."""
         rows = {name: table(block, scene) for name, (_, table) in TABLES.items()}
         if scene.own_ships and not scene.live:  # accelerations need later steps: written at the end
             rows[OWN_SHIP] = own_ships_table.own_ship_table(scene, block.first, block.stop)
         lines = {
-            (kind, part.camera): b"".join(lines_of(block, part, scene))
+            (kind, part.camera): b"".join(JSON_LINES[kind](block, part, scene))
             for part in block.cameras
-            for kind, lines_of in JSON_LINES.items()
+            for kind in kinds
         }
         return cls(rows, lines)
 
@@ -98,13 +106,24 @@ def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth |
         return None
 
 
-def keep_truth(folder: Path, truth: Truth, first: int, stop: int) -> None:
-    """Keep the truth of a block on the disk, so that an interrupted run can be resumed."""
+@contextmanager
+def truth_kept(folder: Path, truth: Truth, first: int, stop: int) -> Iterator[None]:
+    """Keep the truth of a block on the disk, so that an interrupted run can be resumed.
+
+    A thread waits for the disk, while what is made of the truth is made; at the end the truth is on the disk.
+    """
     path, packed = kept_truth_path(folder, first, stop), io.BytesIO()
     np.savez(packed, **{name: getattr(truth, name) for name in COLUMNS})
+    with ThreadPoolExecutor(1) as thread:
+        kept = thread.submit(_keep, path, packed.getbuffer())
+        yield
+        kept.result()
+
+
+def _keep(path: Path, packed: memoryview) -> None:
     with written_whole(path) as partial, partial.open("wb") as out:
-        out.write(packed.getbuffer())
-        out.write(_digest(path, packed.getbuffer()))
+        out.write(packed)
+        out.write(_digest(path, packed))
 
 
 def _digest(path: Path, packed: bytes | memoryview) -> bytes:

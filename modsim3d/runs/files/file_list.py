@@ -21,10 +21,11 @@ FileList = dict[str, ListedFile]
 
 def file_list(folder: Path, names: Iterable[str]) -> FileList:
     """The list of some files of a folder; `names` are their paths inside it."""
-    return {name: _listed(folder / name) for name in sorted(names)}
+    return {name: listed(folder / name) for name in sorted(names)}
 
 
-def _listed(path: Path) -> ListedFile:
+def listed(path: Path) -> ListedFile:
+    """What the list says of a file."""
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256")
         return {"bytes": file.tell(), "sha256": digest.hexdigest()}

@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from types import TracebackType
@@ -19,14 +20,14 @@ from modsim3d.outputs.placing import sync_file, sync_folder, written_whole
 from modsim3d.outputs.same_file import identities, identity, is_inside
 from modsim3d.runs.files import tables, thesis_json
 from modsim3d.runs.files.block_files import (
-    JSON_LINES,
     OWN_SHIP,
     SETTINGS_FILE,
     THESIS_LINES,
     BlockFiles,
+    line_kinds,
     schemas_of,
 )
-from modsim3d.runs.files.file_list import file_list
+from modsim3d.runs.files.file_list import FileList, ListedFile, listed
 from modsim3d.runs.files.own_ships_table import own_ship_table
 from modsim3d.runs.files.replacing import (
     LOG_FILE,
@@ -45,6 +46,8 @@ from modsim3d.runs.files.replacing import (
 from modsim3d.runs.files.thesis_json import pose_lines
 from modsim3d.scene.scene import Scene
 
+FILES_AT_ONCE = 8
+"""Most files that are put on the disk together: the disk takes hardly longer for several than for one."""
 REPLACES_FILE = "replaces.json"
 """In the folder of a run that goes on: the paths of the files of earlier runs that it replaces."""
 
@@ -75,7 +78,14 @@ class RunDirectory:
     """
 
     def __init__(
-        self, folder: Path, scene: Scene, settings: dict[str, Any], *, overwrite: bool = False, resume: bool = False
+        self,
+        folder: Path,
+        scene: Scene,
+        settings: dict[str, Any],
+        *,
+        overwrite: bool = False,
+        resume: bool = False,
+        thesis_json: bool = True,
     ) -> None:
         """Make the folder, or resume an interrupted run; a run that is replaced stays until the new one is finished.
 
@@ -85,12 +95,14 @@ class RunDirectory:
             settings: See `settings_of`; an interrupted run must have had the same.
             overwrite: Replace a run that is there.
             resume: Continue an interrupted run that is there.
+            thesis_json: Write the thesis's JSON.
 
         Raises:
             RunDirectoryError: The folder is taken, is no run directory, or cannot be written to.
         """
         self.folder = folder
         self.work = folder / UNFINISHED
+        self.line_kinds = line_kinds(thesis_json)
         self._scene = scene
         self._settings = orjson.dumps(settings, option=orjson.OPT_SORT_KEYS)
         try:
@@ -108,7 +120,7 @@ class RunDirectory:
         }
         self._lines: dict[tuple[str, int], IO[bytes]] = {
             (kind, index): self._lines_path(kind, index).open("wb")
-            for kind in JSON_LINES
+            for kind in self.line_kinds
             for index in range(len(self._scene.cameras))
         }
         self._poses = (self.work / POSES_FILE).open("wb") if self._scene.live else None
@@ -127,19 +139,22 @@ class RunDirectory:
             RunDirectoryError: The disk is full, or the files cannot be written for another reason.
         """
         try:
-            self._close_files()
+            self._close_lines()
+            self._close_tables()
         except OSError as failure:
             raise self._unwritable(failure) from failure
         if isinstance(error, OSError):
             raise self._unwritable(error) from error
 
-    def _close_files(self) -> None:
+    def _close_lines(self) -> None:
         for stream in self._lines.values():
             stream.close()
-        for writer in self._writers.values():
-            writer.close()
         if self._poses is not None:
             self._poses.close()
+
+    def _close_tables(self) -> None:
+        for writer in self._writers.values():
+            writer.close()
 
     def _unwritable(self, error: OSError) -> RunDirectoryError:
         problem = f"{self.folder} cannot be written to: {error.strerror or error}"
@@ -249,18 +264,10 @@ class RunDirectory:
             run: Content of `run.json`; the list of the files is added.
             log: Content of `run.log`.
         """
-        self._close_files()
-        for kind, camera in self._lines:
-            if kind not in THESIS_LINES:
-                continue
-            lines = self._lines_path(kind, camera)
-            with lines.with_suffix(".json").open("wb") as out:
-                thesis_json.join_lines(lines, out)
-        names = self._file_names()
-        content = {**run, "files": file_list(self.work, names)}
+        names, content = self._file_names(), {**run, "files": self._completed()}
         (self.work / LOG_FILE).write_text(log)
         (self.work / RUN_FILE).write_bytes(orjson.dumps(content, option=orjson.OPT_INDENT_2) + b"\n")
-        for name in (*names, LOG_FILE, RUN_FILE):
+        for name in (LOG_FILE, RUN_FILE):
             sync_file(self.work / name)
         _sync_folders(self.work, names)
         (self.folder / RUN_FILE).unlink(missing_ok=True)
@@ -276,11 +283,31 @@ class RunDirectory:
         with suppress(OSError):  # the run is there already
             sync_folder(self.folder)
 
+    def _completed(self) -> FileList:
+        """The list of all files, once each is complete and on the disk; several of them wait for the disk together."""
+        tables = {f"{name}.parquet" for name in self._writers}
+        self._close_lines()
+        with ThreadPoolExecutor(FILES_AT_ONCE) as threads:
+            files = {name: threads.submit(self._complete, name) for name in self._file_names() if name not in tables}
+            self._close_tables()
+            files |= {name: threads.submit(self._complete, name) for name in tables}
+            return {name: files[name].result() for name in sorted(files)}
+
+    def _complete(self, name: str) -> ListedFile:
+        """Complete a file, put it on the disk, and say what the list has of it."""
+        path = self.work / name
+        lines = path.with_suffix(".jsonl")
+        if lines in {self._lines_path(*key) for key in self._lines} and path != lines:
+            with path.open("wb") as out:
+                thesis_json.join_lines(lines, out)
+        sync_file(path)
+        return listed(path)
+
     def _file_names(self) -> list[str]:
         """Paths of the finished run's files inside the run directory, without `run.json` and `run.log`."""
         names = [f"{name}.parquet" for name in schemas_of(self._scene)]
-        ending = {kind: "json" if kind in THESIS_LINES else "jsonl" for kind in JSON_LINES}
-        names += [f"{kind}_{camera.name}.{ending[kind]}" for kind in JSON_LINES for camera in self._scene.cameras]
+        ending = {kind: "json" if kind in THESIS_LINES else "jsonl" for kind in self.line_kinds}
+        names += [f"{kind}_{camera.name}.{ending[kind]}" for kind in self.line_kinds for camera in self._scene.cameras]
         names += [f"{SCENE_FOLDER}/{name}" for name in self._scene.copy.names]
         return [*names, POSES_FILE] if self._scene.live else names
 

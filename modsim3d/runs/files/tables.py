@@ -187,6 +187,7 @@ class TableWriter:
     def _write_group(self, rows: pa.Table) -> None:
         with self._once():
             self._writer.write_table(rows.combine_chunks())
+        pa.default_memory_pool().release_unused()  # Arrow keeps what a row group took, until it is told not to
 
     @contextmanager
     def _once(self) -> Iterator[None]:

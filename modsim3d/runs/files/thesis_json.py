@@ -7,52 +7,58 @@ stay lines.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import orjson
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.runs.files.json_text import Text, frame_lines, number_texts, row_texts
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 
-JOINED_BYTES = 1 << 22
+JOINED_BYTES = 1 << 20
 """Bytes of lines that are joined at a time."""
 
 
-def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
+def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
     """The annotations of a camera, one line a frame: timestamp → vessel ID → label and box with depth."""
     truth, rows = part.truth, part.target_rows
-    boxes = centre_form(annotation_boxes(truth, scene.annotation.mode)[rows]).tolist()
-    vessels, depths = truth.vessel[rows].tolist(), truth.depth_m[rows].tolist()
-    names, labels = scene.vessel_names, [vessel.label for vessel in scene.vessels]
-    entries: list[dict[str, Any]] = [{} for _ in part.steps]
-    frames = np.searchsorted(part.steps, truth.step[rows]).tolist()
-    for frame, vessel, box, depth in zip(frames, vessels, boxes, depths, strict=True):
-        entries[frame][names[vessel]] = {"label": labels[vessel], "bbox": {**_bbox(box), "depth": depth}}
-    return _lines(block, part, entries)
+    heads = [_head(vessel.name, vessel.label, b"bbox") + b"{" for vessel in scene.vessels]
+    boxes = centre_form(annotation_boxes(truth, scene.annotation.mode)[rows])
+    texts = row_texts(
+        len(rows),
+        [heads[vessel] for vessel in truth.vessel[rows].tolist()],
+        *_box_texts(boxes),
+        b',"depth":',
+        number_texts(truth.depth_m[rows]),
+        b"}}",
+    )
+    return _lines(block, part, texts, np.searchsorted(part.steps, truth.step[rows]))
 
 
-def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
+def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
     """The detections of a camera, one line a frame: timestamp → vessel ID or `false_positive_<n>` → label and so on."""
-    detections, labels = part.detections, scene.detector.labels
-    boxes, confidence = centre_form(detections.boxes_px).tolist(), detections.confidence.tolist()
-    sources, frames, label_of = part.truth_row.tolist(), detections.frame.tolist(), detections.label.tolist()
-    names, vessels = scene.vessel_names, part.truth.vessel
-    entries: list[dict[str, Any]] = [{} for _ in part.steps]
+    detections = part.detections
     second = np.isin(detections.kind, (DUPLICATE, FRAGMENT))
-    for i in np.argsort(second, kind="stable").tolist():  # a vessel's first detection gets its plain name
-        entry, row, label = entries[frames[i]], sources[i], label_of[i]
-        entry[_free_key(entry, names[vessels[row]] if row >= 0 else None)] = {
-            "label": labels[label],
-            "confidenceScore": confidence[i],
-            "bbox": _bbox(boxes[i]),
-        }
-    return _lines(block, part, entries)
+    order = np.lexsort((second, detections.frame))  # a vessel's first detection gets its plain name
+    frame, rows = detections.frame[order], part.truth_row[order]
+    vessel = np.full(len(rows), -1)
+    vessel[rows >= 0] = part.truth.vessel[rows[rows >= 0]]
+    before = _before_in_group(frame * (len(scene.vessels) + 1) + vessel + 1)
+    texts = row_texts(
+        len(order),
+        _detection_heads(scene, vessel, before, detections.label[order]),
+        number_texts(detections.confidence[order]),
+        b',"bbox":{',
+        *_box_texts(centre_form(detections.boxes_px[order])),
+        b"}}",
+    )
+    return _lines(block, part, texts, frame)
 
 
 def pose_lines(scene: Scene, first: int, stop: int) -> bytes:
@@ -72,23 +78,51 @@ def pose_lines(scene: Scene, first: int, stop: int) -> bytes:
     return b"".join(lines)
 
 
-def _free_key(entry: dict[str, Any], vessel: str | None) -> str:
-    """The next free key: false positives are numbered from 1; the second box of a vessel is `<vessel ID>#2`."""
-    prefix, number = ("false_positive_", 1) if vessel is None else (f"{vessel}#", 2)
-    if vessel is not None and vessel not in entry:
-        return vessel
-    while f"{prefix}{number}" in entry:
-        number += 1
-    return f"{prefix}{number}"
+def _before_in_group(group: Indices) -> Indices:
+    """How many rows before each row are of its group, shape (n,)."""
+    order = np.argsort(group, kind="stable")
+    ordered, before = group[order], np.empty_like(order)
+    before[order] = np.arange(len(group)) - np.searchsorted(ordered, ordered)
+    return before
 
 
-def _bbox(box: list[float]) -> dict[str, Any]:
-    return {"centre": {"x": box[0], "y": box[1]}, "height": box[3], "width": box[2]}
+def _detection_heads(scene: Scene, vessel: Indices, before: Indices, label: Indices) -> list[bytes]:
+    """The beginning of each detection, up to its confidence.
+
+    False positives are numbered from 1; the second box of a vessel is `<vessel ID>#2`.
+
+    Args:
+        scene: The scene.
+        vessel: The vessel of each of m detections, −1 for a false positive, shape (m,).
+        before: How many detections of the frame before each are of its vessel, shape (m,).
+        label: The label of each, shape (m,).
+    """
+    names, labels = scene.vessel_names, scene.detector.labels
+
+    def head(vessel: int, before: int, label: int) -> bytes:
+        name = names[vessel] if vessel >= 0 else f"false_positive_{before + 1}"
+        key = f"{name}#{before + 1}" if before and vessel >= 0 else name
+        return _head(key, labels[label], b"confidenceScore")
+
+    rows = list(zip(vessel.tolist(), before.tolist(), label.tolist(), strict=True))
+    heads = {row: head(*row) for row in set(rows)}
+    return [heads[row] for row in rows]
 
 
-def _lines(block: Block, part: CameraBlock, entries: list[dict[str, Any]]) -> Iterator[bytes]:
-    timestamps = [block.timestamps[step - block.first] for step in part.steps.tolist()]
-    return (orjson.dumps({timestamp: entry}) + b"\n" for timestamp, entry in zip(timestamps, entries, strict=True))
+def _head(key: str, label: str, after: bytes) -> bytes:
+    """The beginning of an entry, up to what follows the label."""
+    return orjson.dumps(key) + b':{"label":' + orjson.dumps(label) + b',"' + after + b'":'
+
+
+def _box_texts(boxes: Array) -> tuple[Text, ...]:
+    """The texts of boxes in centre form, shape (n, 4), up to the width."""
+    x, y, width, height = (number_texts(column) for column in boxes.T)
+    return b'"centre":{"x":', x, b',"y":', y, b'},"height":', height, b',"width":', width
+
+
+def _lines(block: Block, part: CameraBlock, texts: list[bytes], frame: Indices) -> list[bytes]:
+    heads = [b"{" + orjson.dumps(block.timestamps[step - block.first]) + b":{" for step in part.steps.tolist()]
+    return frame_lines(heads, texts, frame, b"}}\n")
 
 
 def join_lines(lines: Path, out: IO[bytes]) -> None:
@@ -96,9 +130,14 @@ def join_lines(lines: Path, out: IO[bytes]) -> None:
 
     JSON escapes line breaks inside strings, so the bytes `}`, line break, `{` occur only between two lines.
     """
-    separator = b"{\n"
     with lines.open("rb") as source:
-        while some := source.readlines(JOINED_BYTES):
-            out.write(separator + b"".join(some)[1:-2].replace(b"}\n{", b",\n"))
-            separator = b",\n"
-    out.write(b"{}\n" if separator == b"{\n" else b"\n}\n")
+        if not source.read(1):
+            out.write(b"{}\n")
+            return
+        out.write(b"{\n")
+        end = b""  # perhaps a part of what is between two lines
+        while some := source.read(JOINED_BYTES):
+            text = (end + some).replace(b"}\n{", b",\n")
+            out.write(memoryview(text)[:-2])
+            end = text[-2:]
+        out.write(b"\n}\n")

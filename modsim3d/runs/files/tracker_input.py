@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
-import numpy as np
 import orjson
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.records import Detections
 from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.runs.files.json_text import frame_lines, number_texts, row_texts
 from modsim3d.runs.told import Told
 from modsim3d.scene.scene import Scene
 
 TRACKER_INPUT = "tracker_input"
 
 
-def tracker_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
+def tracker_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
     """The detections of a camera, one line for each of its frames."""
     times_s = scene.times_s(block.first, block.stop)[part.steps - block.first]
     return detection_lines(part.detections, scene.detector.labels, part.steps, times_s)
 
 
-def detection_lines(detections: Detections, labels: Sequence[str], steps: Indices, times_s: Array) -> Iterator[bytes]:
+def detection_lines(detections: Detections, labels: Sequence[str], steps: Indices, times_s: Array) -> list[bytes]:
     """Detections as a tracker may read them, one line for each frame; steps and times have shape (S,)."""
     found = Told.of(detections)
-    starts = np.searchsorted(found.frame, np.arange(len(steps) + 1)).tolist()
-    columns = found.boxes_px.tolist(), found.label.tolist(), found.confidence.tolist()
-    entries = [
-        {"box_px": box, "label": labels[label], "confidence": confidence}
-        for box, label, confidence in zip(*columns, strict=True)
+    names = [b'],"label":' + orjson.dumps(label) + b',"confidence":' for label in labels]
+    x_min, y_min, x_max, y_max = (number_texts(column) for column in found.boxes_px.T)
+    texts = row_texts(
+        len(found.frame),
+        b'{"box_px":[',
+        *(x_min, b",", y_min, b",", x_max, b",", y_max),
+        [names[label] for label in found.label.tolist()],
+        number_texts(found.confidence),
+        b"}",
+    )
+    heads = [
+        b'{"time_s":' + time_s + b',"step":' + step + b',"detections":['
+        for time_s, step in zip(number_texts(times_s), number_texts(steps), strict=True)
     ]
-    for frame, (time_s, step) in enumerate(zip(times_s.tolist(), steps.tolist(), strict=True)):
-        of_frame = entries[starts[frame] : starts[frame + 1]]
-        yield orjson.dumps({"time_s": time_s, "step": step, "detections": of_frame}) + b"\n"
+    return frame_lines(heads, texts, found.frame, b"]}\n")

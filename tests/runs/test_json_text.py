@@ -1,0 +1,149 @@
+"""The JSON of a run, made from columns, against the plain way: a dictionary for each row, written by orjson."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+
+from modsim3d.boxes import centre_form
+from modsim3d.detector.records import DUPLICATE, FRAGMENT
+from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.runs.files.json_text import frame_lines, number_texts, row_texts
+from modsim3d.runs.files.thesis_json import annotation_lines, detection_lines, join_lines
+from modsim3d.runs.files.tracker_input import tracker_lines
+from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
+from modsim3d.runs.told import Told
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+from modsim3d.truth.modes import annotation_boxes
+
+Made = tuple[Scene, Block]
+
+
+@pytest.fixture(scope="module", params=["strait", "simulation_3"])
+def made(request: pytest.FixtureRequest) -> Made:
+    """Two cameras and second boxes of a vessel; and frames without anything."""
+    keys = {"duplicates": 0.5, "splits": 0.2, "split_aspect": 2, "merges": 0.5}
+    settings = {f"detector.false_positives.{key}": value for key, value in keys.items()}
+    settings = settings if request.param == "strait" else {}
+    scene = load_scene(request.param, steps=60, source="analytic", settings=settings)
+    truth = truth_block(scene, 0, 60, None)
+    return scene, Simulation(scene, scene_census(scene, [(truth, 0, 60)])).detect(truth, 0, 60)
+
+
+def plain_annotations(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
+    truth, entries = part.truth, [{} for _ in part.steps]
+    boxes = centre_form(annotation_boxes(truth, scene.annotation.mode)).tolist()
+    for row in part.target_rows.tolist():
+        vessel, frame = scene.vessels[truth.vessel[row]], part.steps.tolist().index(truth.step[row])
+        box = {**plain_box(boxes[row]), "depth": float(truth.depth_m[row])}
+        entries[frame][vessel.name] = {"label": vessel.label, "bbox": box}
+    return plain_lines(block, part, entries)
+
+
+def plain_detections(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
+    found, entries = part.detections, [{} for _ in part.steps]
+    boxes, confidence = centre_form(found.boxes_px).tolist(), found.confidence.tolist()
+    for row in np.argsort(np.isin(found.kind, (DUPLICATE, FRAGMENT)), kind="stable").tolist():
+        entry, source = entries[found.frame[row]], part.truth_row[row]
+        entry[free_key(entry, scene.vessel_names[part.truth.vessel[source]] if source >= 0 else None)] = {
+            "label": scene.detector.labels[found.label[row]],
+            "confidenceScore": confidence[row],
+            "bbox": plain_box(boxes[row]),
+        }
+    return plain_lines(block, part, entries)
+
+
+def plain_tracker_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
+    told, labels, lines = Told.of(part.detections), scene.detector.labels, []
+    times_s = scene.times_s(block.first, block.stop)
+    for frame, step in enumerate(part.steps.tolist()):
+        entries = [
+            {"box_px": box, "label": labels[label], "confidence": confidence}
+            for number, box, label, confidence in zip(
+                told.frame, told.boxes_px.tolist(), told.label, told.confidence.tolist(), strict=True
+            )
+            if number == frame
+        ]
+        time_s = float(times_s[step - block.first])
+        lines.append(orjson.dumps({"time_s": time_s, "step": step, "detections": entries}) + b"\n")
+    return lines
+
+
+def free_key(entry: dict[str, Any], vessel: str | None) -> str:
+    prefix, number = ("false_positive_", 1) if vessel is None else (f"{vessel}#", 2)
+    if vessel is not None and vessel not in entry:
+        return vessel
+    while f"{prefix}{number}" in entry:
+        number += 1
+    return f"{prefix}{number}"
+
+
+def plain_box(box: Sequence[float]) -> dict[str, Any]:
+    return {"centre": {"x": box[0], "y": box[1]}, "height": box[3], "width": box[2]}
+
+
+def plain_lines(block: Block, part: CameraBlock, entries: list[dict[str, Any]]) -> list[bytes]:
+    timestamps = [block.timestamps[step - block.first] for step in part.steps]
+    return [orjson.dumps({timestamp: entry}) + b"\n" for timestamp, entry in zip(timestamps, entries, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("fast", "plain"),
+    [
+        (annotation_lines, plain_annotations),
+        (detection_lines, plain_detections),
+        (tracker_lines, plain_tracker_lines),
+    ],
+)
+def test_lines_are_those_of_a_dictionary_for_each_row(made: Made, fast: Callable, plain: Callable) -> None:
+    scene, block = made
+    for part in block.cameras:
+        assert fast(block, part, scene) == plain(block, part, scene)
+
+
+def test_the_scenes_have_second_boxes_false_positives_and_empty_frames(made: Made) -> None:
+    scene, block = made
+    text = b"".join(line for part in block.cameras for line in detection_lines(block, part, scene))
+    assert (b'#2":' in text and b'"false_positive_1":' in text) == (scene.name == "strait")
+    assert (b":{}}" in text) == (scene.name == "simulation_3")
+
+
+def test_names_are_escaped_and_a_missing_depth_is_null(made: Made) -> None:
+    scene, block = made
+    odd = replace(scene, vessels=tuple(replace(vessel, name=f'"ø\n{vessel.name}') for vessel in scene.vessels))
+    for part in block.cameras:
+        shallow = replace(part, truth=replace(part.truth, depth_m=np.full(len(part.truth), np.nan)))
+        assert annotation_lines(block, shallow, odd) == plain_annotations(block, shallow, odd)
+        assert detection_lines(block, shallow, odd) == plain_detections(block, shallow, odd)
+
+
+def test_number_texts_are_the_shortest_that_give_the_number_again() -> None:
+    numbers = [0.0, -0.0, 1e-7, 1e22, 0.1 + 0.2, 1800.0, 5e-324, float("nan")]
+    assert number_texts(np.array(numbers)) == [orjson.dumps(number) for number in numbers]
+    assert number_texts(np.empty(0)) == []
+    assert row_texts(0, b"{", [], b"}") == []
+    assert frame_lines([], [], np.empty(0, dtype=np.int64), b"}") == []
+
+
+@pytest.mark.parametrize("at_a_time", [1, 2, 7, 1 << 22])
+@pytest.mark.parametrize("entries", [[], [{}], [{}, {"a": {"b": "}\n{"}}, {}], [{"a": 1}] * 9])
+def test_joined_lines_are_one_object(
+    entries: list[dict[str, Any]], at_a_time: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("modsim3d.runs.files.thesis_json.JOINED_BYTES", at_a_time)
+    content = {str(number): entry for number, entry in enumerate(entries)}
+    lines = tmp_path / "lines.jsonl"
+    lines.write_bytes(b"".join(orjson.dumps({key: entry}) + b"\n" for key, entry in content.items()))
+    with (tmp_path / "out.json").open("wb") as out:
+        join_lines(lines, out)
+    joined = (tmp_path / "out.json").read_bytes()
+    assert orjson.loads(joined) == content
+    between = b",\n".join(orjson.dumps({key: entry})[1:-1] for key, entry in content.items())
+    assert joined == (b"{\n" + between + b"\n}\n" if content else b"{}\n")
