@@ -6,8 +6,10 @@ scan line through it at
 
     x = x0 + (256 y + 128 − y0) (x1 − x0) / (y1 − y0),
 
-so the first pixel centre at or to the right of the edge follows from one integer division, without rounding errors.
-The outline of a convex solid crosses each scan line twice: a left edge begins the span of pixels, a right edge ends it.
+so the first pixel centre at or to the right of the edge follows from one division of whole numbers. They are below
+2^53, so doubles hold them exactly. A quotient that is no whole number differs from the next by 1 / (256 (y1 − y0)) or
+more, which is far more than doubles round off, so rounding it up is exact too. The outline of a convex solid crosses
+each scan line twice: a left edge begins the span of pixels, a right edge ends it.
 
 A centre exactly on an edge belongs to the side that OpenGL's fill rule gives it to: left and upper edges are inside,
 right and lower edges are not (OpenGL 4.5 core specification, section 14.6.1, leaves the side open but demands that a
@@ -17,6 +19,7 @@ the result with drawn buffers.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -53,6 +56,42 @@ def facing(corners_px: Array) -> Indices:
     return doubled_areas(_on_grid(corners_px))
 
 
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Edges of outlines, ordered by silhouette, that all bound their silhouettes on the same side.
+
+    Attributes:
+        row: Silhouette of each edge, shape (e,).
+        upper: Upper end on the grid, shape (e, 2).
+        lower: Lower end, shape (e, 2).
+    """
+
+    row: Indices
+    upper: Array
+    lower: Array
+
+    def crossings(self, image_size_px: tuple[int, int]) -> tuple[Indices, Indices, Indices]:
+        """Silhouette, scan line, and first column at or to the right of the edge, for each line that an edge crosses.
+
+        All have shape (c,). Columns and lines are within the image.
+        """
+        width, height = image_size_px
+        # Pixel rows whose centre is at or below the upper end and above the lower: 256 y + 128 in [upper, lower).
+        first, stop = (
+            np.clip(np.ceil((end[:, 1] - HALF) / SUBPIXELS), 0, height).astype(np.int64)
+            for end in (self.upper, self.lower)
+        )
+        (x, y), (dx, dy) = self.upper.T, (self.lower - self.upper).T
+        line = ranges(first, stop - first)
+        # 256 dy times the crossing, counted from the centre of column 0, at line 0 and from one line to the next.
+        at_zero, step, scale = (
+            np.repeat(values, stop - first)
+            for values in ((HALF - y) * dx + (x - HALF) * dy, SUBPIXELS * dx, SUBPIXELS * dy)
+        )
+        column = np.clip(np.ceil((at_zero + step * line) / scale), 0, width).astype(np.int64)
+        return np.repeat(self.row, stop - first), line, column
+
+
 def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int]) -> tuple[Spans, Indices]:
     """The spans of n convex solids inside an image.
 
@@ -65,63 +104,54 @@ def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int
         The spans; and the silhouettes, shape (k,), that have to be drawn instead, because their rounded corners make no
         convex outline.
     """
-    width, height = image_size_px
-    row, upper, lower, is_start = _outline_edges(vertices_px, solid)
-    # Pixel rows whose centre is at or below the upper end and above the lower: 256 y + 128 in [upper, lower).
-    first = np.clip(-((HALF - upper[:, 1]) // SUBPIXELS), 0, height)
-    stop = np.clip(-((HALF - lower[:, 1]) // SUBPIXELS), 0, height)
-    lines = stop - first
-    which, y = np.repeat(np.arange(len(lines)), lines), ranges(first, lines)
-    dx, dy = (lower - upper)[which].T
-    # 256 dy times the crossing, counted from the centre of column 0; the quotient is rounded up.
-    crossing = (SUBPIXELS * y + HALF - upper[which, 1]) * dx + (upper[which, 0] - HALF) * dy
-    column = np.clip(-(-crossing // (SUBPIXELS * dy)), 0, width)
-    return _join(row[which], y, column, is_start[which], height)
+    left, right = (edges.crossings(image_size_px) for edges in _outline_edges(vertices_px, solid))
+    return _join(left, right, len(vertices_px), image_size_px[1])
 
 
-def _on_grid(points_px: Array) -> Indices:
-    """Points rounded to multiples of 1/256 px, same shape."""
-    return np.rint(points_px * SUBPIXELS).astype(np.int64)
+def _on_grid(points_px: Array) -> Array:
+    """Points in units of 1/256 px, rounded to whole numbers, same shape."""
+    return np.rint(points_px * SUBPIXELS)
 
 
-def _outline_edges(vertices_px: Array, solid: Solid) -> tuple[Indices, Indices, Indices, Mask]:
-    """The edges between a face turned to the camera and one turned away.
-
-    Returns:
-        Silhouette of each edge, shape (e,); its upper and lower end on the grid, both of shape (e, 2); whether it
-        bounds the silhouette on the left, shape (e,).
-    """
-    (start_vertex, end_vertex, left, right), grid = _edges_of(solid), _on_grid(vertices_px)
+def _outline_edges(vertices_px: Array, solid: Solid) -> tuple[_Edges, _Edges]:
+    """The edges between a face turned to the camera and one turned away: those on the left, and those on the right."""
+    (start, end, left, right), grid = _edges_of(solid), _on_grid(vertices_px)
     # A face seen edge-on is taken to be turned away: the outline then runs around it.
     towards = facing(vertices_px[:, solid.faces]) > 0
-    turn = towards[:, left].astype(np.int8) - towards[:, right]
-    row, edge = np.nonzero(turn)
-    start, end = grid[row, start_vertex[edge]], grid[row, end_vertex[edge]]
+    row, edge = np.nonzero(towards[:, left] != towards[:, right])
     # Walked with the face that is turned to the camera on the left, an edge that runs down is a left edge.
-    forward = turn[row, edge, None] > 0
-    tail, head = np.where(forward, start, end), np.where(forward, end, start)
-    is_left = head[:, 1] > tail[:, 1]
-    return row, np.where(is_left[:, None], tail, head), np.where(is_left[:, None], head, tail), is_left
+    forward = towards[row, left[edge]]
+    tail, head = (grid[row, np.where(forward, one[edge], other[edge])] for one, other in ((start, end), (end, start)))
+    down, up = head[:, 1] > tail[:, 1], head[:, 1] < tail[:, 1]
+    return _Edges(row[down], tail[down], head[down]), _Edges(row[up], head[up], tail[up])
 
 
-def _join(row: Indices, y: Indices, column: Indices, is_start: Mask, height: int) -> tuple[Spans, Indices]:
-    """Spans from the one start to the one end in each scan line of a silhouette; and silhouettes with other counts."""
-    line = row * height + y
-    starts, ends = np.flatnonzero(is_start), np.flatnonzero(~is_start)
-    starts, ends = starts[np.argsort(line[starts])], ends[np.argsort(line[ends])]
-    odd = np.empty(0, dtype=np.int64)
-    if not (np.array_equal(line[starts], line[ends]) and (np.diff(line[starts]) > 0).all()):
-        odd = _odd(line[starts], line[ends], height)
-        starts, ends = starts[~np.isin(row[starts], odd)], ends[~np.isin(row[ends], odd)]
-    filled = column[ends] > column[starts]
-    starts, ends = starts[filled], ends[filled]
-    return Spans(row[starts], y[starts], column[starts], column[ends]), odd
+def _join(
+    left: tuple[Indices, Indices, Indices], right: tuple[Indices, Indices, Indices], count: int, height: int
+) -> tuple[Spans, Indices]:
+    """Spans from the left to the right crossing of each scan line; and silhouettes with other numbers of crossings.
 
-
-def _odd(starts: Indices, ends: Indices, height: int) -> Indices:
-    """Silhouettes with a scan line that has not exactly one start and one end."""
-    lines, inverse = np.unique(np.concatenate([starts, ends]), return_inverse=True)
-    is_start = np.arange(len(inverse)) < len(starts)
-    n_starts = np.bincount(inverse[is_start], minlength=len(lines))
-    n_ends = np.bincount(inverse[~is_start], minlength=len(lines))
-    return np.unique(lines[(n_starts != 1) | (n_ends != 1)] // height)
+    Args:
+        left: Silhouette, scan line and column of each crossing with a left edge.
+        right: The same of right edges.
+        count: Number of silhouettes.
+        height: That of the image.
+    """
+    # Each scan line from the first to the last of a silhouette has a place of its own.
+    rows, lines = np.concatenate([left[0], right[0]]), np.concatenate([left[1], right[1]])
+    top, bottom = np.full(count, height), np.zeros(count, dtype=np.int64)
+    np.minimum.at(top, rows, lines)
+    np.maximum.at(bottom, rows, lines + 1)
+    heights = np.maximum(bottom - top, 0)
+    base = np.cumsum(heights) - heights - top
+    row, y = np.repeat(np.arange(count), heights), ranges(top, heights)
+    columns, crossings = np.empty((2, len(row)), dtype=np.int64), np.empty((2, len(row)), dtype=np.int64)
+    for side, (of_row, line, column) in enumerate((left, right)):
+        place = base[of_row] + line
+        columns[side, place] = column
+        crossings[side] = np.bincount(place, minlength=len(row))
+    wrong = (crossings[0] != crossings[1]) | (crossings[0] > 1)
+    odd = np.unique(row[wrong])
+    filled = (crossings[0] == 1) & (columns[0] < columns[1])
+    filled[np.isin(row, odd)] = False
+    return Spans(row[filled], y[filled], columns[0, filled], columns[1, filled]), odd
