@@ -24,7 +24,7 @@ from functools import cache
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, ranges
+from modsim3d.arrays import Array, Indices, ranges
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.truth.pixel_spans import Spans
 from modsim3d.truth.silhouettes import doubled_areas
@@ -48,7 +48,7 @@ def _edges_of(solid: Solid) -> Indices:
     return np.array(pairs, dtype=np.int64).T
 
 
-def facing(corners_px: Array) -> Indices:
+def facing(corners_px: Array) -> Array:
     """Whether triangles with rounded corners are turned to the camera (> 0), away from it (< 0), or have no area.
 
     They are in buffer pixels, counter-clockwise seen from outside. Shape (..., 3, 2) to (...).
@@ -64,32 +64,37 @@ class _Edges:
         row: Silhouette of each edge, shape (e,).
         upper: Upper end on the grid, shape (e, 2).
         lower: Lower end, shape (e, 2).
+        first: First scan line of the image that the edge crosses, shape (e,).
+        lines: Number of scan lines that it crosses, shape (e,).
     """
 
     row: Indices
     upper: Array
     lower: Array
+    first: Indices
+    lines: Indices
 
-    def crossings(self, image_size_px: tuple[int, int]) -> tuple[Indices, Indices, Indices]:
-        """Silhouette, scan line, and first column at or to the right of the edge, for each line that an edge crosses.
-
-        All have shape (c,). Columns and lines are within the image.
-        """
-        width, height = image_size_px
+    @classmethod
+    def of(cls, row: Indices, upper: Array, lower: Array, height: int) -> _Edges:
+        """Those edges that cross a scan line of an image of some height."""
         # Pixel rows whose centre is at or below the upper end and above the lower: 256 y + 128 in [upper, lower).
         first, stop = (
-            np.clip(np.ceil((end[:, 1] - HALF) / SUBPIXELS), 0, height).astype(np.int64)
-            for end in (self.upper, self.lower)
+            np.clip(np.ceil((end[:, 1] - HALF) / SUBPIXELS), 0, height).astype(np.int64) for end in (upper, lower)
         )
+        some = first < stop
+        return cls(row[some], upper[some], lower[some], first[some], (stop - first)[some])
+
+    def columns(self, width: int) -> Indices:
+        """First column at or to the right of each edge in each of its lines, one edge after another, shape (c,)."""
         (x, y), (dx, dy) = self.upper.T, (self.lower - self.upper).T
-        line = ranges(first, stop - first)
         # 256 dy times the crossing, counted from the centre of column 0, at line 0 and from one line to the next.
         at_zero, step, scale = (
-            np.repeat(values, stop - first)
+            np.repeat(values, self.lines)
             for values in ((HALF - y) * dx + (x - HALF) * dy, SUBPIXELS * dx, SUBPIXELS * dy)
         )
-        column = np.clip(np.ceil((at_zero + step * line) / scale), 0, width).astype(np.int64)
-        return np.repeat(self.row, stop - first), line, column
+        crossing = (at_zero + step * ranges(self.first, self.lines)) / scale
+        columns: Indices = np.clip(np.ceil(crossing), 0, width).astype(np.int64)
+        return columns
 
 
 def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int]) -> tuple[Spans, Indices]:
@@ -104,8 +109,27 @@ def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int
         The spans; and the silhouettes, shape (k,), that have to be drawn instead, because their rounded corners make no
         convex outline.
     """
-    left, right = (edges.crossings(image_size_px) for edges in _outline_edges(vertices_px, solid))
-    return _join(left, right, len(vertices_px), image_size_px[1])
+    (width, height), count = image_size_px, len(vertices_px)
+    sides = _outline_edges(vertices_px, solid, height)
+    # Each scan line from the first to the last of a silhouette has a place of its own.
+    top, bottom = np.full(count, height), np.zeros(count, dtype=np.int64)
+    for edges in sides:
+        np.minimum.at(top, edges.row, edges.first)
+        np.maximum.at(bottom, edges.row, edges.first + edges.lines)
+    heights = np.maximum(bottom - top, 0)
+    row, y = np.repeat(np.arange(count), heights), ranges(top, heights)
+    to_place = np.cumsum(heights) - heights - top
+    columns, crossings = [], []
+    for edges in sides:
+        place = ranges(to_place[edges.row] + edges.first, edges.lines)
+        columns.append(np.zeros(len(row), dtype=np.int64))
+        columns[-1][place] = edges.columns(width)
+        crossings.append(np.bincount(place, minlength=len(row)))
+    odd = np.unique(row[(crossings[0] != crossings[1]) | (crossings[0] > 1)])
+    filled = (columns[0] < columns[1]) & (crossings[0] == 1)
+    if len(odd):
+        filled &= ~np.isin(row, odd)
+    return Spans(row, y, *columns).take(filled), odd
 
 
 def _on_grid(points_px: Array) -> Array:
@@ -113,7 +137,7 @@ def _on_grid(points_px: Array) -> Array:
     return np.rint(points_px * SUBPIXELS)
 
 
-def _outline_edges(vertices_px: Array, solid: Solid) -> tuple[_Edges, _Edges]:
+def _outline_edges(vertices_px: Array, solid: Solid, height: int) -> tuple[_Edges, _Edges]:
     """The edges between a face turned to the camera and one turned away: those on the left, and those on the right."""
     (start, end, left, right), grid = _edges_of(solid), _on_grid(vertices_px)
     # A face seen edge-on is taken to be turned away: the outline then runs around it.
@@ -121,37 +145,7 @@ def _outline_edges(vertices_px: Array, solid: Solid) -> tuple[_Edges, _Edges]:
     row, edge = np.nonzero(towards[:, left] != towards[:, right])
     # Walked with the face that is turned to the camera on the left, an edge that runs down is a left edge.
     forward = towards[row, left[edge]]
-    tail, head = (grid[row, np.where(forward, one[edge], other[edge])] for one, other in ((start, end), (end, start)))
+    tail = grid[row, np.where(forward, start[edge], end[edge])]
+    head = grid[row, np.where(forward, end[edge], start[edge])]
     down, up = head[:, 1] > tail[:, 1], head[:, 1] < tail[:, 1]
-    return _Edges(row[down], tail[down], head[down]), _Edges(row[up], head[up], tail[up])
-
-
-def _join(
-    left: tuple[Indices, Indices, Indices], right: tuple[Indices, Indices, Indices], count: int, height: int
-) -> tuple[Spans, Indices]:
-    """Spans from the left to the right crossing of each scan line; and silhouettes with other numbers of crossings.
-
-    Args:
-        left: Silhouette, scan line and column of each crossing with a left edge.
-        right: The same of right edges.
-        count: Number of silhouettes.
-        height: That of the image.
-    """
-    # Each scan line from the first to the last of a silhouette has a place of its own.
-    rows, lines = np.concatenate([left[0], right[0]]), np.concatenate([left[1], right[1]])
-    top, bottom = np.full(count, height), np.zeros(count, dtype=np.int64)
-    np.minimum.at(top, rows, lines)
-    np.maximum.at(bottom, rows, lines + 1)
-    heights = np.maximum(bottom - top, 0)
-    base = np.cumsum(heights) - heights - top
-    row, y = np.repeat(np.arange(count), heights), ranges(top, heights)
-    columns, crossings = np.empty((2, len(row)), dtype=np.int64), np.empty((2, len(row)), dtype=np.int64)
-    for side, (of_row, line, column) in enumerate((left, right)):
-        place = base[of_row] + line
-        columns[side, place] = column
-        crossings[side] = np.bincount(place, minlength=len(row))
-    wrong = (crossings[0] != crossings[1]) | (crossings[0] > 1)
-    odd = np.unique(row[wrong])
-    filled = (crossings[0] == 1) & (columns[0] < columns[1])
-    filled[np.isin(row, odd)] = False
-    return Spans(row[filled], y[filled], columns[0, filled], columns[1, filled]), odd
+    return _Edges.of(row[down], tail[down], head[down], height), _Edges.of(row[up], head[up], tail[up], height)
