@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Indices, Mask, ranges
+from modsim3d.arrays import Indices, Mask, extents, ranges
 from modsim3d.render.id_pass import Ids, Region
 from modsim3d.truth.buffer_drawing import BufferDrawing
 from modsim3d.truth.clusters import Batch
@@ -107,3 +107,45 @@ def _cut_at_runs(ids: Ids, start: Indices, stop: Indices) -> tuple[tuple[Indices
     run, stretch = ranges(first, count), np.repeat(np.arange(len(start)), count)
     begin, end = np.maximum(run_start[run], start[stretch]), np.minimum(run_stop[run], stop[stretch])
     return (begin, end), run_id[run] - 1, stretch
+
+
+def visibility_in_order(
+    silhouettes: Spans, rows: Indices, cluster: Indices, ranks: Indices, image_size_px: tuple[int, int]
+) -> Visibility:
+    """Cut the silhouettes of vessels where another of their cluster is in front, by their ranks and without drawing.
+
+    Args:
+        silhouettes: The spans of all vessels, ordered by row.
+        rows: The rows whose visibility is asked for, shape (k,).
+        cluster: The cluster of each, shape (k,).
+        ranks: Of all rows; of two in a cluster that have a pixel in common, the one in front has the lower, shape (n,).
+        image_size_px: Width and height of the buffer.
+    """
+    width, height = image_size_px
+    farthest_first = np.argsort(-ranks[rows], kind="stable")
+    first, count = extents(silhouettes.row, rows[farthest_first])
+    spans = silhouettes.take(ranges(first, count))
+    # The scan lines of all clusters in a row: where a line begins there, and where spans begin and end.
+    line = (np.repeat(cluster[farthest_first], count) * height + spans.y) * (width + 1)
+    ends = np.concatenate([line + spans.start, line + spans.stop])
+    order = np.argsort(ends)
+    is_new = np.diff(ends[order], prepend=-1) > 0
+    number = np.empty(len(ends), dtype=np.int64)
+    number[order] = np.cumsum(is_new) - 1
+    cuts = ends[order[is_new]]
+    # Between two cuts, a piece of the line shows one span all along: the one that is painted last.
+    begin, end = np.split(number, 2)
+    piece, span = ranges(begin, end - begin), np.repeat(np.arange(len(begin)), end - begin)
+    front = np.full(len(cuts), -1)
+    front[piece] = span
+    seen = np.flatnonzero(front >= 0)
+    shown = front[seen]
+    hidden = np.flatnonzero(front[piece] != span)
+    piece = piece[hidden]
+    return Visibility(
+        rows,
+        Spans(spans.row[shown], spans.y[shown], cuts[seen] - line[shown], cuts[seen + 1] - line[shown]),
+        hidden_row=spans.row[span[hidden]],
+        hider=spans.row[front[piece]],
+        px=cuts[piece + 1] - cuts[piece],
+    )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.render.id_pass import Region
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.overlaps import overlapping_pairs
@@ -56,34 +56,63 @@ class Batch:
         return np.array([(region.x, region.y) for region in self.regions])
 
 
-def clusters_of(outlines: Outlines, boxes: Array) -> list[Cluster]:
-    """Connected groups of vessels whose pixel boxes (n, 4) overlap, each with the obstacles that overlap one of them.
+@dataclass(frozen=True, eq=False)
+class ClusteredPairs:
+    """Pairs of rows whose pixel boxes overlap, of which one at least is a vessel.
 
-    `boxes` are of whole pixels; their shape is that of `outlines.boxes_px`.
+    Attributes:
+        first: Row of the outlines, shape (P,).
+        second: Row of the same frame, greater than `first`, shape (P,).
+        cluster: Number of the cluster that the pair belongs to: its smallest row that is a vessel, shape (P,).
     """
-    boxed = outlines.boxed
-    first, second = overlapping_pairs(outlines.frame, boxes, boxed)
-    if not len(first):
+
+    first: Indices
+    second: Indices
+    cluster: Indices
+
+    @classmethod
+    def of(cls, outlines: Outlines, boxes: Array) -> ClusteredPairs:
+        """The pairs of vessels whose boxes (n, 4) overlap, and of vessels with obstacles.
+
+        `boxes` are of whole pixels; their shape is that of `outlines.boxes_px`.
+        """
+        boxed = outlines.boxed
+        first, second = overlapping_pairs(outlines.frame, boxes, boxed)
+        both = boxed[first] & boxed[second]
+        label = _components(first[both], second[both], len(boxed))
+        # A pair with one vessel belongs to the cluster of that vessel: a quay must not join all that lies along it.
+        return cls(first, second, label[np.where(boxed[first], first, second)])
+
+    def take(self, chosen: Mask) -> ClusteredPairs:
+        """The pairs that are chosen by a mask, shape (P,)."""
+        return ClusteredPairs(self.first[chosen], self.second[chosen], self.cluster[chosen])
+
+    def members(self) -> tuple[Indices, Indices]:
+        """The rows of all clusters in order of cluster and row, and the cluster of each, both of shape (k,)."""
+        count = int(self.second.max(initial=-1)) + 1
+        member = np.unique(np.concatenate([self.cluster * count + self.first, self.cluster * count + self.second]))
+        cluster, rows = np.divmod(member, max(count, 1))
+        return rows, cluster
+
+
+def clusters_of(outlines: Outlines, boxes: Array, pairs: ClusteredPairs) -> list[Cluster]:
+    """The clusters that pairs form; `boxes` (n, 4) are of whole pixels, as for `ClusteredPairs.of`."""
+    if not len(pairs.first):
         return []
-    both = boxed[first] & boxed[second]
-    label = _components(first[both], second[both], len(boxed))
-    # A pair with one vessel belongs to the cluster of that vessel: a quay must not join all that lies along it.
-    pair_label = label[np.where(boxed[first], first, second)]
-    order = np.argsort(pair_label, kind="stable")
-    first, second, pair_label = first[order], second[order], pair_label[order]
+    order = np.argsort(pairs.cluster, kind="stable")
+    first, second, pair_cluster = pairs.first[order], pairs.second[order], pairs.cluster[order]
     shared = np.concatenate(
         [np.maximum(boxes[first, :2], boxes[second, :2]), np.minimum(boxes[first, 2:], boxes[second, 2:])], axis=1
     )
-    with_first, with_second = np.stack([pair_label, first]), np.stack([pair_label, second])
-    member_label, members = np.unique(np.concatenate([with_first, with_second], axis=1), axis=1)
-    uncut = (outlines.in_frame_fraction == 1.0) & boxed
-    starts = np.flatnonzero(np.diff(member_label, prepend=-1))
+    members, member_cluster = pairs.members()
+    uncut = (outlines.in_frame_fraction == 1.0) & outlines.boxed
+    starts = np.flatnonzero(np.diff(member_cluster, prepend=-1))
     return [
         Cluster(rows, box, region, bool(uncut[rows].all()))
         for rows, box, region in zip(
             np.split(members, starts[1:]),
             _unions(boxes[members], starts),
-            _unions(shared, np.flatnonzero(np.diff(pair_label, prepend=-1))),
+            _unions(shared, np.flatnonzero(np.diff(pair_cluster, prepend=-1))),
             strict=True,
         )
     ]

@@ -15,13 +15,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.arrays import Indices
+from modsim3d.arrays import Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.truth.buffer_drawing import BufferDrawing, fits_a_buffer, tiles_of
-from modsim3d.truth.cluster_visibility import Visibility, visibility_in
-from modsim3d.truth.clusters import Batch, Cluster, batches_of, clusters_of
+from modsim3d.truth.cluster_visibility import Visibility, visibility_in, visibility_in_order
+from modsim3d.truth.clusters import Batch, Cluster, ClusteredPairs, batches_of, clusters_of
 from modsim3d.truth.full_frame import full_frame_occlusion
+from modsim3d.truth.nearer_first import ranks_of
 from modsim3d.truth.occlusion import HiddenPixels, Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.pixel_spans import Spans, concatenate_spans, counts_and_boxes, spans_of_ids
@@ -39,12 +40,23 @@ def rendered_occlusion(
     if intrinsics.distortion is not None:  # silhouettes are bent: draw everything
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)
     drawing = BufferDrawing(outlines, intrinsics, renderer, supersample)
-    silhouettes = _silhouettes(drawing)
+    whole = within_guard(outlines, intrinsics, supersample)
+    silhouettes = _silhouettes(drawing, whole & outlines.boxed)
     full_px, full_boxes = counts_and_boxes(silhouettes, len(outlines))
-    clusters = clusters_of(outlines, np.where(outlines.boxed[:, None], full_boxes, drawing.pixel_boxes))
+    boxes = np.where(outlines.boxed[:, None], full_boxes, drawing.pixel_boxes)
+    pairs = ClusteredPairs.of(outlines, boxes)
+    ranks, settled = ranks_of(outlines, pairs, whole & outlines.boxed, intrinsics, supersample)
+    to_draw = np.isin(pairs.cluster, pairs.cluster[~settled])
+    clusters = clusters_of(outlines, boxes, pairs.take(to_draw))
     if not all(fits_a_buffer((cluster.shared.width, cluster.shared.height)) for cluster in clusters):
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)  # which draws in tiles
-    seen = Visibility.joined([visibility_in(drawing, silhouettes, batch) for batch in batches_of(clusters)])
+    members, member_cluster = pairs.take(~to_draw).members()
+    in_order = visibility_in_order(
+        silhouettes, members, member_cluster, ranks, (drawing.image.width, drawing.image.height)
+    )
+    seen = Visibility.joined(
+        [in_order, *(visibility_in(drawing, silhouettes, batch) for batch in batches_of(clusters))]
+    )
     drawn_px, drawn_boxes = counts_and_boxes(seen.visible, len(outlines))
     visible_px, visible_boxes = full_px.copy(), full_boxes.copy()
     visible_px[seen.rows], visible_boxes[seen.rows] = drawn_px[seen.rows], drawn_boxes[seen.rows]
@@ -59,14 +71,13 @@ def rendered_occlusion(
     )
 
 
-def _silhouettes(drawing: BufferDrawing) -> Spans:
+def _silhouettes(drawing: BufferDrawing, whole: Mask) -> Spans:
     """The spans of all vessels' whole silhouettes: by scan conversion where that is exact, otherwise drawn alone.
 
     Scan conversion needs a convex solid that nothing is cut off. Meshes, and solids that the near plane cuts or that
     reach far outside the image, are drawn alone.
     """
     outlines, image = drawing.outlines, drawing.image
-    whole = within_guard(outlines, drawing.intrinsics, drawing.supersample) & outlines.boxed
     spans, to_draw = [Spans.none()], [np.flatnonzero(outlines.boxed & ~whole)]
     for part in outlines.parts:
         uncut = whole[part.rows]
