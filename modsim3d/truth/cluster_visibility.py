@@ -10,7 +10,7 @@ from modsim3d.arrays import Indices, Mask, extents, ranges
 from modsim3d.render.id_pass import Ids, Region
 from modsim3d.truth.buffer_drawing import BufferDrawing
 from modsim3d.truth.clusters import Batch
-from modsim3d.truth.pixel_spans import Spans, concatenate_spans, runs_of_ids
+from modsim3d.truth.pixel_spans import Spans, joined_spans, runs_of_ids
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Visibility:
         rows, hidden_row, hider, px = (
             np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "hidden_row", "hider", "px")
         )
-        return cls(rows, concatenate_spans([part.visible for part in parts]), hidden_row, hider, px)
+        return cls(rows, joined_spans([part.visible for part in parts]), hidden_row, hider, px)
 
 
 def visibility_in(drawing: BufferDrawing, silhouettes: Spans, batch: Batch) -> Visibility:
@@ -63,7 +63,7 @@ def visibility_in(drawing: BufferDrawing, silhouettes: Spans, batch: Batch) -> V
     hidden = pieces.take(~visible)
     return Visibility(
         rows,
-        concatenate_spans([*outside, pieces.take(visible)]),
+        joined_spans([*outside, pieces.take(visible)]),
         hidden_row=hidden.row,
         hider=seen_row[~visible],
         px=hidden.stop - hidden.start,
@@ -140,12 +140,18 @@ def visibility_in_order(
     front[piece] = span
     seen = np.flatnonzero(front >= 0)
     shown = front[seen]
-    hidden = np.flatnonzero(front[piece] != span)
-    piece = piece[hidden]
-    return Visibility(
-        rows,
-        Spans(spans.row[shown], spans.y[shown], cuts[seen] - line[shown], cuts[seen + 1] - line[shown]),
-        hidden_row=spans.row[span[hidden]],
-        hider=spans.row[front[piece]],
-        px=cuts[piece + 1] - cuts[piece],
-    )
+    behind = np.flatnonzero(front[piece] != span)
+    piece, span = piece[behind], span[behind]
+    # Many pieces of a row are hidden by the same other row.
+    pair, px = _sums(spans.row[span] * len(ranks) + spans.row[front[piece]], cuts[piece + 1] - cuts[piece])
+    hidden_row, hider = np.divmod(pair, len(ranks))
+    visible = Spans(spans.row[shown], spans.y[shown], cuts[seen] - line[shown], cuts[seen + 1] - line[shown])
+    return Visibility(rows, visible, hidden_row, hider, px)
+
+
+def _sums(keys: Indices, values: Indices) -> tuple[Indices, Indices]:
+    """The distinct keys, ascending, and the sum of the values of each; `keys` and `values` have shape (m,)."""
+    order = np.argsort(keys)
+    keys, values = keys[order], values[order]
+    first = np.flatnonzero(np.diff(keys, prepend=-1))
+    return keys[first], np.add.reduceat(values, first) if len(first) else values

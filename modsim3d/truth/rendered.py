@@ -25,7 +25,7 @@ from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.nearer_first import ranks_of
 from modsim3d.truth.occlusion import HiddenPixels, Occlusion
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.pixel_spans import Spans, concatenate_spans, counts_and_boxes, spans_of_ids
+from modsim3d.truth.pixel_spans import Spans, counts_and_boxes, joined_spans, spans_of_ids
 from modsim3d.truth.scan_conversion import scan_convert
 from modsim3d.truth.triangles import within_guard
 
@@ -90,7 +90,7 @@ def _silhouettes(drawing: BufferDrawing, whole: Mask) -> Spans:
         spans.append(Spans(rows[found.row], found.y, found.start, found.stop))
         to_draw.append(rows[odd])
     alone = _drawn_alone(drawing, np.sort(np.concatenate(to_draw)))
-    return spans[1] if len(spans) == 2 and not alone else concatenate_spans(spans + alone)
+    return spans[1] if len(spans) == 2 and not alone else joined_spans(spans + alone).ordered()
 
 
 def _drawn_alone(drawing: BufferDrawing, rows: Indices) -> list[Spans]:
