@@ -29,6 +29,9 @@ from modsim3d.truth.pixel_spans import Spans, counts_and_boxes, joined_spans, sp
 from modsim3d.truth.scan_conversion import scan_convert
 from modsim3d.truth.triangles import within_guard
 
+MOST_LINES = 32_768
+"""Most scan lines of silhouettes that are treated at once: few calls, but arrays that fit a cache."""
+
 
 def rendered_occlusion(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
@@ -39,6 +42,22 @@ def rendered_occlusion(
     """
     if intrinsics.distortion is not None:  # silhouettes are bent: draw everything
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)
+    portions = _portions(outlines, supersample)
+    if len(portions) == 1:
+        return _occlusion(outlines, intrinsics, renderer, supersample)
+    return Occlusion.joined([_occlusion(outlines.take(rows), intrinsics, renderer, supersample) for rows in portions])
+
+
+def _portions(outlines: Outlines, supersample: int) -> list[Indices]:
+    """The rows of runs of whole frames that have about `MOST_LINES` scan lines together; one run at least."""
+    heights = (outlines.boxes_px[:, 3] - outlines.boxes_px[:, 1]) * supersample
+    before = np.cumsum(heights) - heights
+    begins = np.flatnonzero(np.diff(outlines.frame, prepend=-1))
+    portion = before[begins] // MOST_LINES
+    return np.split(np.arange(len(outlines)), begins[np.flatnonzero(np.diff(portion)) + 1])
+
+
+def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> Occlusion:
     drawing = BufferDrawing(outlines, intrinsics, renderer, supersample)
     whole = within_guard(outlines, intrinsics, supersample)
     silhouettes = _silhouettes(drawing, whole & outlines.boxed)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modsim3d.render.id_pass import Region
-from modsim3d.truth.clusters import ATLAS_PX, SMALL_PX, Cluster, batches_of, clusters_of
+from modsim3d.truth.clusters import ATLAS_PX, SMALL_PX, Cluster, ClusteredPairs, batches_of, clusters_of
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.overlaps import overlapping_pairs
 
@@ -62,7 +62,7 @@ def around(boxes: np.ndarray) -> Region:
 @pytest.mark.parametrize("seed", range(12))
 def test_clusters_are_those_that_a_search_of_all_pairs_finds(seed):
     outlines = random_outlines(np.random.default_rng(seed), (0, 1, 5, 40, 90, 120)[seed % 6])
-    clusters = clusters_of(outlines, outlines.boxes_px)
+    clusters = clusters_of(outlines, outlines.boxes_px, ClusteredPairs.of(outlines, outlines.boxes_px))
     told = [(tuple(each.rows.tolist()), each.box, each.shared, each.uncut) for each in clusters]
     assert len(told) == len(set(told))
     assert set(told) == expected_clusters(outlines)
