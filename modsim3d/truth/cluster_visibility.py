@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Indices, Mask, extents, ranges
-from modsim3d.render.id_pass import Ids, Region
+from modsim3d.render.id_pass import Ids, Sheet
 from modsim3d.truth.buffer_drawing import BufferDrawing
 from modsim3d.truth.clusters import Batch
 from modsim3d.truth.pixel_spans import Spans, joined_spans, runs_of_ids
@@ -44,18 +44,16 @@ class Visibility:
 
 def visibility_in(drawing: BufferDrawing, silhouettes: Spans, batch: Batch) -> Visibility:
     """Draw a batch with a depth buffer, and cut the silhouettes of its vessels where something else is in front."""
-    rows = np.concatenate([cluster.rows for cluster in batch.clusters])
-    cluster = np.repeat(np.arange(len(batch.clusters)), [len(each.rows) for each in batch.clusters])
-    to_buffer = batch.places - batch.corners
-    triangles, member = drawing.triangles_of_rows(rows)
-    ids = drawing.draw(triangles, to_buffer[cluster[member]], Region(0, 0, *batch.size))
+    rows, counts, sheet = batch.rows, batch.counts, batch.sheet
+    ids = drawing.draw(rows, counts, sheet)
+    cluster, to_buffer = np.repeat(np.arange(len(counts)), counts), sheet.places - sheet.corners
     vessel = drawing.outlines.boxed[rows]
     rows, cluster = rows[vessel], cluster[vessel]
     first, stop = (np.searchsorted(silhouettes.row, rows, side=side) for side in ("left", "right"))
     own = silhouettes.take(ranges(first, stop - first))
     own_cluster = np.repeat(cluster, stop - first)
-    outside, inside, drawn = _split_at_regions(own, own_cluster, batch)
-    base = (inside.y + to_buffer[own_cluster[drawn], 1]) * batch.size[0] + to_buffer[own_cluster[drawn], 0]
+    outside, inside, drawn = _split_at_regions(own, own_cluster, sheet)
+    base = (inside.y + to_buffer[own_cluster[drawn], 1]) * sheet.size[0] + to_buffer[own_cluster[drawn], 0]
     (begin, end), seen_row, span = _cut_at_runs(ids, base + inside.start, base + inside.stop)
     # Where nothing was drawn, the rasteriser lost a pixel on an edge inside the silhouette: nothing hides it.
     visible = (seen_row == inside.row[span]) | (seen_row < 0)
@@ -70,18 +68,18 @@ def visibility_in(drawing: BufferDrawing, silhouettes: Spans, batch: Batch) -> V
     )
 
 
-def _split_at_regions(spans: Spans, cluster: Indices, batch: Batch) -> tuple[tuple[Spans, Spans], Spans, Mask]:
+def _split_at_regions(spans: Spans, cluster: Indices, sheet: Sheet) -> tuple[tuple[Spans, Spans], Spans, Mask]:
     """Cut spans at the borders of the drawn regions, outside of which no pixel is shared with anything else.
 
     Args:
         spans: m spans, in image coordinates.
         cluster: Index of the cluster of each, shape (m,).
-        batch: Has the regions of the clusters.
+        sheet: Has the regions of the clusters.
 
     Returns:
         The parts left and right of the regions; the parts inside; and which spans have a part inside, shape (m,).
     """
-    regions = np.array([(r.x, r.y, r.x + r.width, r.y + r.height) for r in batch.regions])
+    regions = np.array([(r.x, r.y, r.x + r.width, r.y + r.height) for r in sheet.regions])
     left, top, right, bottom = regions[cluster].T
     start, stop = np.clip(spans.start, left, right), np.clip(spans.stop, left, right)
     drawn = (spans.y >= top) & (spans.y < bottom) & (stop > start)

@@ -114,35 +114,21 @@ def _silhouettes(drawing: BufferDrawing, whole: Mask) -> Spans:
 
 def _drawn_alone(drawing: BufferDrawing, rows: Indices) -> list[Spans]:
     """The spans of silhouettes that are drawn, each at its own place; small ones share a buffer."""
-    uncut = drawing.outlines.in_frame_fraction == 1.0
-    clusters = []
+    image_size_px = drawing.image.width, drawing.image.height
+    small, batches = [], []
     for row in rows.tolist():
-        region = Region.around(drawing.pixel_boxes[row], (drawing.image.width, drawing.image.height))
-        if region.width and region.height:
-            clusters.append(Cluster(np.array([row]), region, region, bool(uncut[row])))
-    spans = []
-    for batch in batches_of(clusters):
-        spans += [_drawn_in_buffer(drawing, batch)] if fits_a_buffer(batch.size) else _drawn_in_tiles(drawing, batch)
-    return spans
+        tiles = tiles_of(Region.around(drawing.pixel_boxes[row], image_size_px))
+        clusters = [Cluster(np.array([row]), tile) for tile in tiles]
+        if len(tiles) <= 1:
+            small += clusters
+        else:  # of one silhouette, there must be only one tile in a buffer
+            batches += [batch for cluster in clusters for batch in batches_of([cluster])]
+    return [_drawn_in_buffer(drawing, batch) for batch in [*batches_of(small), *batches]]
 
 
 def _drawn_in_buffer(drawing: BufferDrawing, batch: Batch) -> Spans:
     """The spans of the silhouettes of a batch, of which each cluster is one row."""
-    rows = np.concatenate([cluster.rows for cluster in batch.clusters])
-    triangles, member = drawing.triangles_of_rows(rows)
-    to_buffer = batch.places - batch.corners
-    spans = spans_of_ids(drawing.draw(triangles, to_buffer[member], Region(0, 0, *batch.size)))
+    spans = spans_of_ids(drawing.draw(batch.rows, batch.counts, batch.sheet))
     to_image = np.zeros((len(drawing.outlines), 2), dtype=np.int64)
-    to_image[rows] = -to_buffer
-    dx, dy = to_image[spans.row].T
-    return spans.moved(dx, dy)
-
-
-def _drawn_in_tiles(drawing: BufferDrawing, batch: Batch) -> list[Spans]:
-    """The spans of one silhouette that is larger than a buffer."""
-    (cluster,) = batch.clusters
-    triangles, _ = drawing.triangles_of_rows(cluster.rows)
-    unmoved = np.zeros(2, dtype=np.int64)
-    return [
-        spans_of_ids(drawing.draw(triangles, unmoved, tile)).moved(tile.x, tile.y) for tile in tiles_of(cluster.shared)
-    ]
+    to_image[batch.rows] = batch.sheet.corners - batch.sheet.places
+    return spans.moved(*to_image[spans.row].T)
