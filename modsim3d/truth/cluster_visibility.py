@@ -9,7 +9,7 @@ import numpy as np
 from modsim3d.arrays import Indices, Mask, extents, ranges
 from modsim3d.render.id_pass import Ids, Sheet
 from modsim3d.truth.buffer_drawing import BufferDrawing
-from modsim3d.truth.clusters import Batch
+from modsim3d.truth.clusters import Batch, ClusteredPairs
 from modsim3d.truth.pixel_spans import Spans, joined_spans, runs_of_ids
 
 
@@ -107,22 +107,34 @@ def _cut_at_runs(ids: Ids, start: Indices, stop: Indices) -> tuple[tuple[Indices
     return (begin, end), run_id[run] - 1, stretch
 
 
-def visibility_in_order(
-    silhouettes: Spans, rows: Indices, cluster: Indices, ranks: Indices, image_size_px: tuple[int, int]
-) -> Visibility:
-    """Cut the silhouettes of vessels where another of their cluster is in front, by their ranks and without drawing.
+@dataclass(frozen=True, eq=False)
+class Ordered:
+    """Clusters whose solids are in order from near to far.
+
+    Attributes:
+        pairs: All pairs of these clusters.
+        ranks: Of all n rows; of two in a cluster with a pixel in common, the one in front has the lower, shape (n,).
+        silhouettes: The spans of their rows, and maybe of others, ordered by row.
+    """
+
+    pairs: ClusteredPairs
+    ranks: Indices
+    silhouettes: Spans
+
+
+def visibility_in_order(ordered: Ordered, boxed: Mask, image_size_px: tuple[int, int]) -> Visibility:
+    """Cut the silhouettes of vessels where something else of their cluster is in front, without drawing.
 
     Args:
-        silhouettes: The spans of all vessels, ordered by row.
-        rows: The rows whose visibility is asked for, shape (k,).
-        cluster: The cluster of each, shape (k,).
-        ranks: Of all rows; of two in a cluster that have a pixel in common, the one in front has the lower, shape (n,).
+        ordered: The clusters.
+        boxed: Which rows are vessels, shape (n,).
         image_size_px: Width and height of the buffer.
     """
     width, height = image_size_px
-    farthest_first = np.argsort(-ranks[rows], kind="stable")
-    first, count = extents(silhouettes.row, rows[farthest_first])
-    spans = silhouettes.take(ranges(first, count))
+    rows, cluster = ordered.pairs.members()
+    farthest_first = np.argsort(-ordered.ranks[rows], kind="stable")
+    first, count = extents(ordered.silhouettes.row, rows[farthest_first])
+    spans = ordered.silhouettes.take(ranges(first, count))
     # The scan lines of all clusters in a row: where a line begins there, and where spans begin and end.
     line = (np.repeat(cluster[farthest_first], count) * height + spans.y) * (width + 1)
     ends = np.concatenate([line + spans.start, line + spans.stop])
@@ -136,15 +148,16 @@ def visibility_in_order(
     piece, span = ranges(begin, end - begin), np.repeat(np.arange(len(begin)), end - begin)
     front = np.full(len(cuts), -1)
     front[piece] = span
-    seen = np.flatnonzero(front >= 0)
+    vessel = boxed[spans.row]
+    seen = np.flatnonzero((front >= 0) & vessel[front])
     shown = front[seen]
-    behind = np.flatnonzero(front[piece] != span)
+    visible = Spans(spans.row[shown], spans.y[shown], cuts[seen] - line[shown], cuts[seen + 1] - line[shown])
+    behind = np.flatnonzero((front[piece] != span) & vessel[span])
     piece, span = piece[behind], span[behind]
     # Many pieces of a row are hidden by the same other row.
-    pair, px = _sums(spans.row[span] * len(ranks) + spans.row[front[piece]], cuts[piece + 1] - cuts[piece])
-    hidden_row, hider = np.divmod(pair, len(ranks))
-    visible = Spans(spans.row[shown], spans.y[shown], cuts[seen] - line[shown], cuts[seen + 1] - line[shown])
-    return Visibility(rows, visible, hidden_row, hider, px)
+    pair, px = _sums(spans.row[span] * len(boxed) + spans.row[front[piece]], cuts[piece + 1] - cuts[piece])
+    hidden_row, hider = np.divmod(pair, len(boxed))
+    return Visibility(rows[boxed[rows]], visible, hidden_row, hider, px)
 
 
 def _sums(keys: Indices, values: Indices) -> tuple[Indices, Indices]:

@@ -7,14 +7,16 @@ apart in depth, which is seen without looking for a plane.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import SUBPIXELS
-from modsim3d.truth.clusters import ClusteredPairs
 from modsim3d.truth.occlusion_order import order_of_pairs
-from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.outlines import Outlines, Part
+from modsim3d.vessels.vessel import shoebox
 
 DEPTH_ERROR = 1e-4
 """Solids that are apart by less than this share of their distance are left to the depth buffer. Its 24 bits hold depths
@@ -24,39 +26,55 @@ MOST_ROUNDS = 64
 
 
 def ranks_of(
-    outlines: Outlines, pairs: ClusteredPairs, candidates: Mask, intrinsics: Intrinsics, supersample: int
+    outlines: Outlines, first: Indices, second: Indices, intrinsics: Intrinsics, supersample: int
 ) -> tuple[Indices, Mask]:
     """Ranks of solids, in which whatever is in front of another has the lower one.
 
     Args:
         outlines: The n solids.
-        pairs: P pairs of them that may have pixels in common.
-        candidates: Which solids are in front of the near plane and drawn without being cut, shape (n,).
+        first: Rows of solids that are in front of the near plane, shape (P,).
+        second: Those that they may have pixels in common with, shape (P,).
         intrinsics: Those of a pinhole camera.
         supersample: Buffer pixels per image pixel and axis.
 
     Returns:
         Ranks, shape (n,); and whether the order of the pair is known and its ranks agree with it, shape (P,).
     """
-    known = candidates[pairs.first] & candidates[pairs.second]
     nearest, farthest = _depths(outlines)
     # A corner is moved by at most 1/512 of a buffer pixel along each axis.
     per_metre = DEPTH_ERROR + 1 / (SUBPIXELS * supersample * min(intrinsics.focal_px))
-    gap_m = per_metre * np.maximum(farthest[pairs.first], farthest[pairs.second])
-    first_nearer = known & (farthest[pairs.first] + gap_m < nearest[pairs.second])
-    second_nearer = known & (farthest[pairs.second] + gap_m < nearest[pairs.first])
-    convex = outlines.convex
-    asked = np.flatnonzero(known & ~first_nearer & ~second_nearer & convex[pairs.first] & convex[pairs.second])
-    order = order_of_pairs(outlines, pairs.first[asked], pairs.second[asked], gap_m[asked])
+    gap_m = per_metre * np.maximum(farthest[first], farthest[second])
+    first_nearer = farthest[first] + gap_m < nearest[second]
+    second_nearer = farthest[second] + gap_m < nearest[first]
+    asked = np.flatnonzero(~first_nearer & ~second_nearer)
+    order = order_of_pairs(_as_convex(outlines), first[asked], second[asked], gap_m[asked])
     first_nearer[asked], second_nearer[asked] = order.first_can_hide, order.second_can_hide
-    apart = np.zeros(len(known), dtype=bool)
-    apart[asked] = ~(order.intersecting | order.first_can_hide | order.second_can_hide)
-    near = np.concatenate([pairs.first[first_nearer], pairs.second[second_nearer]])
-    far = np.concatenate([pairs.second[first_nearer], pairs.first[second_nearer]])
+    known = np.ones(len(first), dtype=bool)
+    known[asked] = ~order.intersecting
+    near = np.concatenate([first[first_nearer], second[second_nearer]])
+    far = np.concatenate([second[first_nearer], first[second_nearer]])
     ranks = _ranks(near, far, len(outlines))
-    lower, higher = ranks[pairs.first] < ranks[pairs.second], ranks[pairs.first] > ranks[pairs.second]
-    agrees = np.where(first_nearer, lower, True) & np.where(second_nearer, higher, True)
-    return ranks, agrees & (first_nearer | second_nearer | apart)
+    known &= (ranks[first] < ranks[second]) | ~first_nearer
+    known &= (ranks[first] > ranks[second]) | ~second_nearer
+    return ranks, known
+
+
+def _as_convex(outlines: Outlines) -> Outlines:
+    """The solids, with the boxes around them in place of those that are not convex."""
+    parts = [
+        part if part.solid.convex else Part(shoebox(), part.rows, _boxes_around(part), part.vertices_px)
+        for part in outlines.parts
+    ]
+    return replace(outlines, parts=tuple(parts))
+
+
+def _boxes_around(part: Part) -> Array:
+    """Corners of the boxes that the solids of vessels fill, in CCF, shape (m, 8, 3)."""
+    unit, corners = (
+        np.column_stack([solid.vertices, np.ones(len(solid.vertices))]) for solid in (part.solid, shoebox())
+    )
+    boxes: Array = corners @ np.linalg.pinv(unit) @ part.vertices_camera
+    return boxes
 
 
 def _depths(outlines: Outlines) -> tuple[Array, Array]:

@@ -15,16 +15,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.arrays import Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.truth.buffer_drawing import BufferDrawing, fits_a_buffer, tiles_of
-from modsim3d.truth.cluster_visibility import Visibility, visibility_in, visibility_in_order
+from modsim3d.truth.cluster_visibility import Ordered, Visibility, visibility_in, visibility_in_order
 from modsim3d.truth.clusters import Batch, Cluster, ClusteredPairs, batches_of, clusters_of
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.nearer_first import ranks_of
 from modsim3d.truth.occlusion import HiddenPixels, Occlusion
 from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.overlaps import overlapping_pairs
 from modsim3d.truth.pixel_spans import Spans, counts_and_boxes, joined_spans, spans_of_ids
 from modsim3d.truth.scan_conversion import scan_convert
 from modsim3d.truth.triangles import within_guard
@@ -60,19 +61,16 @@ def _portions(outlines: Outlines, supersample: int) -> list[Indices]:
 def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> Occlusion:
     drawing = BufferDrawing(outlines, intrinsics, renderer, supersample)
     whole = within_guard(outlines, intrinsics, supersample)
-    silhouettes = _silhouettes(drawing, whole & outlines.boxed)
+    silhouettes = _silhouettes(drawing, whole)
     full_px, full_boxes = counts_and_boxes(silhouettes, len(outlines))
     boxes = np.where(outlines.boxed[:, None], full_boxes, drawing.pixel_boxes)
     pairs = ClusteredPairs.of(outlines, boxes)
-    ranks, settled = ranks_of(outlines, pairs, whole & outlines.boxed, intrinsics, supersample)
-    to_draw = np.isin(pairs.cluster, pairs.cluster[~settled])
+    ordered = _in_order(drawing, silhouettes, boxes, pairs, whole)
+    to_draw = ~np.isin(pairs.cluster, ordered.pairs.cluster)
     clusters = clusters_of(outlines, boxes, pairs.take(to_draw))
     if not all(fits_a_buffer((cluster.shared.width, cluster.shared.height)) for cluster in clusters):
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)  # which draws in tiles
-    members, member_cluster = pairs.take(~to_draw).members()
-    in_order = visibility_in_order(
-        silhouettes, members, member_cluster, ranks, (drawing.image.width, drawing.image.height)
-    )
+    in_order = visibility_in_order(ordered, outlines.boxed, (drawing.image.width, drawing.image.height))
     seen = Visibility.joined(
         [in_order, *(visibility_in(drawing, silhouettes, batch) for batch in batches_of(clusters))]
     )
@@ -93,23 +91,65 @@ def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer,
 def _silhouettes(drawing: BufferDrawing, whole: Mask) -> Spans:
     """The spans of all vessels' whole silhouettes: by scan conversion where that is exact, otherwise drawn alone.
 
-    Scan conversion needs a convex solid that nothing is cut off. Meshes, and solids that the near plane cuts or that
-    reach far outside the image, are drawn alone.
+    Scan conversion needs a convex solid that is `whole` (n,), of which nothing is cut off. Meshes, and solids that the
+    near plane cuts or that reach far outside the image, are drawn alone.
     """
-    outlines, image = drawing.outlines, drawing.image
-    spans, to_draw = [Spans.none()], [np.flatnonzero(outlines.boxed & ~whole)]
-    for part in outlines.parts:
-        uncut = whole[part.rows]
-        rows = part.rows[uncut]
-        if not part.solid.convex:
-            to_draw.append(rows)
-            continue
-        vertices = part.vertices_px[uncut] * drawing.supersample
-        found, odd = scan_convert(vertices, part.solid, (image.width, image.height))
-        spans.append(Spans(rows[found.row], found.y, found.start, found.stop))
-        to_draw.append(rows[odd])
-    alone = _drawn_alone(drawing, np.sort(np.concatenate(to_draw)))
-    return spans[1] if len(spans) == 2 and not alone else joined_spans(spans + alone).ordered()
+    boxed = drawing.outlines.boxed
+    convex, odd = _scan_converted(drawing, boxed & whole)
+    to_draw = boxed & ~(whole & drawing.outlines.convex)
+    to_draw[odd] = True
+    alone = _drawn_alone(drawing, np.flatnonzero(to_draw))
+    return joined_spans([convex, *alone]).ordered() if alone else convex
+
+
+def _scan_converted(drawing: BufferDrawing, rows: Mask) -> tuple[Spans, Indices]:
+    """The spans of the convex solids among some rows (n,), in order; and those (k,) which scan conversion refused."""
+    found, refused = [Spans.none()], [np.empty(0, dtype=np.int64)]
+    for part in drawing.outlines.parts:
+        chosen = rows[part.rows]
+        if part.solid.convex and chosen.any():
+            vertices = part.vertices_px[chosen] * drawing.supersample
+            spans, odd = scan_convert(vertices, part.solid, (drawing.image.width, drawing.image.height))
+            of_part = part.rows[chosen]
+            found.append(Spans(of_part[spans.row], spans.y, spans.start, spans.stop))
+            refused.append(of_part[odd])
+    spans = found[-1] if len(found) <= 2 else joined_spans(found).ordered()
+    return spans, np.concatenate(refused)
+
+
+def _in_order(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, pairs: ClusteredPairs, whole: Mask) -> Ordered:
+    """The clusters in which geometry tells who is in front, with the silhouettes of the obstacles among them.
+
+    Obstacles must be convex and `whole` (n,), so that scan conversion gives their pixels.
+    """
+    outlines = drawing.outlines
+    hiding = np.zeros(len(outlines), dtype=bool)
+    hiding[pairs.first] = hiding[pairs.second] = True
+    hiding &= whole & outlines.convex & ~outlines.boxed
+    spans, odd = _scan_converted(drawing, hiding)
+    hiding[odd] = False
+    asked = np.flatnonzero((hiding | (whole & outlines.boxed))[np.stack([pairs.first, pairs.second])].all(axis=0))
+    # Of two obstacles that hide the same pixel of a vessel, the one in front is to be named.
+    obstacles = np.flatnonzero(hiding)
+    one, other = (obstacles[rows] for rows in overlapping_pairs(outlines.frame[obstacles], boxes[obstacles]))
+    differ = outlines.occluder[one] != outlines.occluder[other]
+    one, other = one[differ], other[differ]
+    ranks, known = ranks_of(
+        outlines,
+        np.concatenate([pairs.first[asked], one]),
+        np.concatenate([pairs.second[asked], other]),
+        drawing.intrinsics,
+        drawing.supersample,
+    )
+    doubtful = np.ones(len(pairs.first), dtype=bool)
+    doubtful[asked] = ~known[: len(asked)]
+    unknown = np.zeros(len(outlines), dtype=bool)
+    unknown[[one[~known[len(asked) :]], other[~known[len(asked) :]]]] = True
+    ahead = ranks[pairs.first] - ranks[pairs.second]
+    doubtful |= (unknown[pairs.first] & (ahead < 0)) | (unknown[pairs.second] & (ahead > 0))
+    in_order = pairs.take(~np.isin(pairs.cluster, pairs.cluster[doubtful]))
+    every = joined_spans([silhouettes, spans]).ordered() if len(spans.row) else silhouettes
+    return Ordered(in_order, ranks, every)
 
 
 def _drawn_alone(drawing: BufferDrawing, rows: Indices) -> list[Spans]:
