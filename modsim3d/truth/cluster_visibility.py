@@ -1,4 +1,4 @@
-"""What is visible of the vessels in a drawn buffer, and who hides the rest: silhouettes cut by runs of IDs."""
+"""What is visible of the vessels of clusters, and who hides the rest: silhouettes cut by runs of IDs, or in order."""
 
 from __future__ import annotations
 

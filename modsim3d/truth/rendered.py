@@ -1,9 +1,10 @@
-"""Truth from pixels, drawn only where vessels overlap.
+"""Truth from pixels, drawn only where geometry alone does not tell them.
 
-The pixels of a vessel whose box overlaps no other follow from its outline by exact scan conversion, so nothing is
-drawn. Vessels whose boxes overlap form clusters. Of each cluster only the part of the image in which boxes overlap is
-drawn, once, with all of its solids and a depth buffer. Silhouettes are spans of pixels and the ID image is runs of
-equal IDs; cutting the spans at the borders of the runs gives the visible pixels of each vessel and who hides the rest.
+The pixels of a convex vessel follow from its outline by exact scan conversion, as spans. Vessels whose boxes overlap
+form clusters. If planes between its solids put a cluster in order from near to far, its spans are cut in that order,
+and nothing is drawn. Of each other cluster only the part of the image in which boxes overlap is drawn, once, with all
+of its solids and a depth buffer. The ID image is runs of equal IDs; cutting the spans at the borders of the runs gives
+the visible pixels of each vessel and who hides the rest.
 
 Corners are rounded to a grid of 1/256 pixel, so a part of the image holds the same pixels as the whole. The result is
 therefore exactly that of `full_frame`, which draws everything and is the reference for the tests.
