@@ -8,10 +8,11 @@ from modsim3d.truth import nearer_first, rendered
 from modsim3d.truth.cluster_visibility import Ordered, visibility_in_order
 from modsim3d.truth.clusters import ClusteredPairs
 from modsim3d.truth.full_frame import full_frame_occlusion
-from modsim3d.truth.nearer_first import _ranks, ranks_of
+from modsim3d.truth.nearer_first import _boxes_around, _ranks, ranks_of
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.pixel_spans import Spans
 from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.vessels.vessel import shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 from tests.truth.test_regions_against_full import assert_same
 
@@ -102,6 +103,32 @@ def test_order_is_known_only_of_pairs_along_which_ranks_rise(monkeypatch):
     outlines = outlines_of([(boat, (distance, 0.0), 0.0) for distance in (100.0, 200.0, 300.0)])
     monkeypatch.setattr(nearer_first, "_ranks", lambda near, far, count: np.array([0, 1, 1]))
     assert ranks(outlines)[1] == [True, True, False]
+
+
+@pytest.fixture(scope="module")
+def strait():
+    scene = load_scene("strait", mode=2)
+    return scene, scene.sight(scene.cameras[0], np.arange(100, 102))
+
+
+def test_islands_with_hills_hide_ships_in_front_of_which_they_lie_as_if_all_were_drawn(renderer, strait):
+    scene, sight = strait
+    outlines, intrinsics = sight.outlines(), scene.cameras[0].intrinsics
+    cut = rendered_occlusion(outlines, intrinsics, renderer)
+    hiders = {occluder for entries in cut.occluders for occluder, _ in entries}
+    assert max(hiders) >= len(scene.vessels)
+    assert_same(cut, full_frame_occlusion(outlines, intrinsics, renderer))
+
+
+def test_boxes_around_meshes_are_the_shoeboxes_that_vessels_fill(strait):
+    _, sight = strait
+    (boxes,) = (part for part in sight.outlines(as_shoeboxes=True).parts if part.solid is shoebox())
+    outlines = sight.outlines()
+    meshes = [part for part in outlines.parts if not part.solid.convex and outlines.boxed[part.rows].all()]
+    assert meshes
+    for part in meshes:
+        for corners in _boxes_around(part):
+            assert np.abs(boxes.vertices_camera - corners).max(axis=(1, 2)).min() < 1e-6
 
 
 def test_frames_in_portions_have_the_truth_of_all_at_once(renderer, monkeypatch):
