@@ -49,15 +49,15 @@ def count_drawing() -> Drawn:
     """Let every drawing of this process be counted from now on."""
     from modsim3d.render.id_pass import IdRenderer
 
-    drawn, draw = Drawn(), IdRenderer.draw
+    drawn, draw = Drawn(), IdRenderer.draw_sheet
 
-    def counted(self: IdRenderer, corners: Any, depth: Any, ids: Any, region: Any) -> Any:
+    def counted(self: IdRenderer, corners: Any, depth: Any, ids: Any, counts: Any, sheet: Any) -> Any:
         if len(ids):
             drawn.draws += 1
-            drawn.pixels += region.width * region.height
-        return draw(self, corners, depth, ids, region)
+            drawn.pixels += sheet.size[0] * sheet.size[1]
+        return draw(self, corners, depth, ids, counts, sheet)
 
-    IdRenderer.draw = counted  # type: ignore[method-assign]
+    IdRenderer.draw_sheet = counted  # type: ignore[method-assign]
     return drawn
 
 

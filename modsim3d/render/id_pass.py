@@ -77,6 +77,26 @@ class Region:
         return Region(x, y, max(right - x, 0), max(bottom - y, 0))
 
 
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """Regions of an image that are drawn side by side in one buffer.
+
+    Attributes:
+        regions: The k regions.
+        places: Column and row of the top left corner of each in the buffer, shape (k, 2). No two overlap there.
+        size: Width and height of the buffer.
+    """
+
+    regions: list[Region]
+    places: NDArray[np.int64]
+    size: tuple[int, int]
+
+    @property
+    def corners(self) -> NDArray[np.int64]:
+        """Column and row of the top left corner of each region in the image, shape (k, 2)."""
+        return np.array([(region.x, region.y) for region in self.regions], dtype=np.int64).reshape(-1, 2)
+
+
 class IdRenderer:
     """Draws triangles into ID buffers of 32-bit integers with a float depth buffer.
 
@@ -114,37 +134,55 @@ class IdRenderer:
         Raises:
             RendererError: The region is larger than a buffer may be.
         """
-        out = np.zeros((region.height, region.width), dtype=np.uint32)
+        sheet = Sheet([region], np.zeros((1, 2), dtype=np.int64), (region.width, region.height))
+        return self.draw_sheet(corners_px, inverse_depth, ids, np.array([len(ids)]), sheet)
+
+    def draw_sheet(
+        self,
+        corners_px: Array,
+        inverse_depth: Array,
+        ids: NDArray[np.integer],
+        counts: NDArray[np.int64],
+        sheet: Sheet,
+    ) -> Ids:
+        """The ID at each pixel of a buffer with several regions, shape (height, width); zero where nothing is.
+
+        Args:
+            corners_px: As for `draw`; the triangles of the first region come first.
+            inverse_depth: As for `draw`.
+            ids: As for `draw`.
+            counts: How many triangles are drawn in each of the k regions, shape (k,).
+            sheet: Where the regions lie.
+
+        Raises:
+            RendererError: The buffer is larger than one may be.
+        """
+        width, height = sheet.size
+        out = np.zeros((height, width), dtype=np.uint32)
         if not len(ids) or not out.size:
             return out
-        if max(region.width, region.height) > MAX_REGION_PX:
+        if max(sheet.size) > MAX_REGION_PX:
             raise RendererError(
-                f"an ID buffer of {region.width} × {region.height} px is too large: at most {MAX_REGION_PX} px a side"
+                f"an ID buffer of {width} × {height} px is too large: at most {MAX_REGION_PX} px a side"
             )
-        vertices, origin = self._vertices(corners_px, inverse_depth, ids, region)
+        vertices, origins = _vertices(corners_px, inverse_depth, ids, counts, sheet)
         gl = self.context.gl
-        self._bind_buffer(region.width, region.height)
-        gl.glViewport(*origin, VIEWPORT_PX, VIEWPORT_PX)
+        self._bind_buffer(width, height)
         gl.glClearBufferuiv(gl.GL_COLOR, 0, np.zeros(4, dtype=np.uint32))
         gl.glClear(gl.GL_DEPTH_BUFFER_BIT)
         gl.glBufferData(gl.GL_ARRAY_BUFFER, vertices.nbytes, vertices, gl.GL_STREAM_DRAW)
-        gl.glDrawArrays(gl.GL_TRIANGLES, 0, len(vertices))
-        gl.glReadPixels(0, 0, region.width, region.height, gl.GL_RED_INTEGER, gl.GL_UNSIGNED_INT, out)
+        gl.glEnable(gl.GL_SCISSOR_TEST)
+        firsts = np.cumsum(counts) - counts
+        places = zip(
+            sheet.places.tolist(), sheet.regions, origins.tolist(), firsts.tolist(), counts.tolist(), strict=True
+        )
+        for (x, y), region, (left, top), first, count in places:
+            gl.glViewport(x + left, y + top, VIEWPORT_PX, VIEWPORT_PX)
+            gl.glScissor(x, y, region.width, region.height)
+            gl.glDrawArrays(gl.GL_TRIANGLES, 3 * first, 3 * count)
+        gl.glDisable(gl.GL_SCISSOR_TEST)
+        gl.glReadPixels(0, 0, width, height, gl.GL_RED_INTEGER, gl.GL_UNSIGNED_INT, out)
         return out
-
-    def _vertices(
-        self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region
-    ) -> tuple[NDArray[np.void], list[int]]:
-        """The vertices and the origin of the viewport. Row 0 of the region is row 0 in memory, OpenGL's lowest."""
-        vertices = np.empty((len(ids), 3), dtype=_VERTEX)
-        snapped = np.rint(corners_px * SUBPIXELS) / SUBPIXELS - (region.x, region.y)
-        # The viewport begins at the least corner, or as near to it as it can while containing the region.
-        side = np.array([region.width, region.height])
-        origin = np.clip(np.floor(snapped.min(axis=(0, 1))), side - VIEWPORT_PX, 0)
-        vertices["position"][..., :2] = (snapped - origin) * (2 / VIEWPORT_PX) - 1
-        vertices["position"][..., 2] = inverse_depth
-        vertices["id"] = np.asarray(ids)[:, None]
-        return vertices.reshape(-1), origin.astype(int).tolist()
 
     def _bind_buffer(self, width: int, height: int) -> None:
         """Bind a buffer that is little larger than a region, since all of it is cleared; make it at first use."""
@@ -159,6 +197,24 @@ class IdRenderer:
                 gl.glDeleteRenderbuffers(2, storages)
             self._buffers[size] = make_framebuffer(gl, size, gl.GL_R32UI, "an integer buffer")
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._buffers[size][0])
+
+
+def _vertices(
+    corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], counts: NDArray[np.int64], sheet: Sheet
+) -> tuple[NDArray[np.void], NDArray[np.int64]]:
+    """The vertices, and the origin of each region's viewport from its place. Row 0 of a region is OpenGL's lowest."""
+    vertices = np.empty((len(ids), 3), dtype=_VERTEX)
+    snapped = np.rint(corners_px * SUBPIXELS) / SUBPIXELS - np.repeat(sheet.corners, counts, axis=0)[:, None]
+    # A viewport begins at the least corner, or as near to it as it can while containing the region.
+    side = np.array([(region.width, region.height) for region in sheet.regions])
+    origins = np.zeros(side.shape)
+    some = counts > 0
+    origins[some] = np.minimum.reduceat(np.floor(snapped.min(axis=1)), (np.cumsum(counts) - counts)[some])
+    origins = np.clip(origins, side - VIEWPORT_PX, 0)
+    vertices["position"][..., :2] = (snapped - np.repeat(origins, counts, axis=0)[:, None]) * (2 / VIEWPORT_PX) - 1
+    vertices["position"][..., 2] = inverse_depth
+    vertices["id"] = np.asarray(ids)[:, None]
+    return vertices.reshape(-1), origins.astype(np.int64)
 
 
 def _buffer_side(pixels: int) -> int:

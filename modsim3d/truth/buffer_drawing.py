@@ -1,4 +1,4 @@
-"""The outlines of a run of frames in buffer pixels, ready to be drawn together or each by itself."""
+"""The outlines of a run of frames in buffer pixels, drawn region by region."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, ranges
+from modsim3d.arrays import Array, Indices, extents, ranges
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.render.id_pass import IdRenderer, Ids, Region
+from modsim3d.render.id_pass import IdRenderer, Ids, Region, Sheet
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.scan_conversion import facing
 from modsim3d.truth.triangles import Triangles, triangles_of
@@ -34,7 +34,7 @@ def tiles_of(region: Region) -> list[Region]:
 
 @dataclass(frozen=True, eq=False)
 class BufferDrawing:
-    """Outlines, what draws them at `supersample` buffer pixels per image pixel and axis, and their triangles."""
+    """Outlines, what draws them at `supersample` buffer pixels per image pixel and axis."""
 
     outlines: Outlines
     intrinsics: Intrinsics
@@ -53,26 +53,24 @@ class BufferDrawing:
         boxes = self.outlines.boxes_px * self.supersample
         return np.concatenate([np.floor(boxes[:, :2]), np.ceil(boxes[:, 2:])], axis=1)
 
-    @cached_property
-    def triangles(self) -> Triangles:
-        """The triangles of all rows, without those that their own solid hides."""
-        every = triangles_of(self.outlines, self.intrinsics, self.supersample)
-        # The faces of a whole closed solid that are turned to the camera hide the others.
-        return every.take(~every.of_whole | (facing(every.corners_px * self.supersample) > 0))
-
-    def triangles_of_rows(self, rows: Indices) -> tuple[Indices, Indices]:
-        """Indices of the triangles of rows (k,), one row after another, and each one's place in `rows`, shapes (t,)."""
-        first, stop = (np.searchsorted(self.triangles.row, rows, side=side) for side in ("left", "right"))
-        return ranges(first, stop - first), np.repeat(np.arange(len(rows)), stop - first)
-
-    def draw(self, triangles: Indices, shift_px: Indices, region: Region) -> Ids:
-        """Row + 1 at each pixel of a region, zero where nothing is, shape (region.height, region.width).
+    def draw(self, rows: Indices, counts: Indices, sheet: Sheet) -> Ids:
+        """Row + 1 at each pixel of a buffer with several regions, zero where nothing is, shape (height, width).
 
         Args:
-            triangles: Indices of what to draw, shape (t,).
-            shift_px: Whole buffer pixels by which each triangle is moved, shape (t, 2), or (2,) for all.
-            region: In buffer pixels.
+            rows: What to draw in the first region, in the second and so on, shape (m,).
+            counts: How many of `rows` are drawn in each region, shape (k,).
+            sheet: The k regions, in buffer pixels.
         """
-        chosen = self.triangles
-        corners = chosen.corners_px[triangles] * self.supersample + shift_px[..., None, :]
-        return self.renderer.draw(corners, chosen.inverse_depth[triangles], chosen.row[triangles] + 1, region)
+        drawn, number = np.unique(rows, return_inverse=True)
+        triangles = self._triangles(drawn)
+        first, count = extents(triangles.row, number)
+        chosen = triangles.take(ranges(first, count))
+        in_region = np.add.reduceat(count, np.cumsum(counts) - counts)
+        corners = chosen.corners_px * self.supersample
+        return self.renderer.draw_sheet(corners, chosen.inverse_depth, drawn[chosen.row] + 1, in_region, sheet)
+
+    def _triangles(self, rows: Indices) -> Triangles:
+        """The triangles of some rows, shape (k,), which ascend, without those that their own solid hides."""
+        every = triangles_of(self.outlines.take(rows), self.intrinsics, self.supersample)
+        # The faces of a whole closed solid that are turned to the camera hide the others.
+        return every.take(~every.of_whole | (facing(every.corners_px * self.supersample) > 0))

@@ -64,6 +64,22 @@ class Occlusion:
     hidden: HiddenPixels
     intersecting: Indices = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
 
+    @classmethod
+    def joined(cls, parts: list[Occlusion]) -> Occlusion:
+        """What is said about the rows of several parts, one part after another."""
+        counts = [len(part.silhouette_px) for part in parts]
+        before = np.cumsum(counts) - counts
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS}
+        return cls(
+            **columns,
+            hidden=HiddenPixels(
+                np.concatenate([part.hidden.row + first for part, first in zip(parts, before, strict=True)]),
+                np.concatenate([part.hidden.occluder for part in parts]),
+                np.concatenate([part.hidden.px for part in parts]),
+            ),
+            intersecting=np.concatenate([part.intersecting + first for part, first in zip(parts, before, strict=True)]),
+        )
+
     @property
     def occluders(self) -> tuple[tuple[tuple[int, float], ...], ...]:
         """For each row, who hides how much of it: (index into the scene's occluder names, pixels)."""
@@ -135,3 +151,6 @@ class Occlusion:
             intersections=np.column_stack([pair_step, pair_camera, outlines.occluder[self.intersecting]]),
         )
         return truth.take(outlines.boxed)
+
+
+_COLUMNS = ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px")

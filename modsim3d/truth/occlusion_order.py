@@ -56,8 +56,12 @@ def order_of(outlines: Outlines) -> Order:
     return order_of_pairs(outlines, *_pairs_that_matter(outlines))
 
 
-def order_of_pairs(outlines: Outlines, first: Indices, second: Indices) -> Order:
-    """The order of P pairs of convex solids: rows `first` and rows `second` of the same frames, both of shape (P,)."""
+def order_of_pairs(outlines: Outlines, first: Indices, second: Indices, gap_m: Array | float = -TOUCHING_M) -> Order:
+    """The order of P pairs of convex solids: rows `first` and rows `second` of the same frames, both of shape (P,).
+
+    A plane separates two of them if they are at least `gap_m` apart across it, a number or an array of shape (P,).
+    """
+    gap_m = np.broadcast_to(gap_m, first.shape)
     can_hide = np.zeros((len(first), 2), dtype=bool)
     separated = np.zeros(len(first), dtype=bool)
     part_of, member_of = _places(outlines)
@@ -68,7 +72,7 @@ def order_of_pairs(outlines: Outlines, first: Indices, second: Indices) -> Order
             vertices_a = a.vertices_camera[member_of[first[chosen]]]
             vertices_b = b.vertices_camera[member_of[second[chosen]]]
             axes = candidate_axes(vertices_a, a.solid, vertices_b, b.solid)
-            can_hide[chosen], separated[chosen] = _who_can_hide(vertices_a, vertices_b, axes)
+            can_hide[chosen], separated[chosen] = _who_can_hide(vertices_a, vertices_b, axes, gap_m[chosen])
     return Order(first, second, can_hide[:, 0], can_hide[:, 1], intersecting=~separated)
 
 
@@ -99,8 +103,10 @@ def _places(outlines: Outlines) -> tuple[Indices, Indices]:
     return part_of, member_of
 
 
-def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array) -> tuple[Mask, Mask]:
+def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array, gap_m: Array) -> tuple[Mask, Mask]:
     """Try the planes across all axes (P, A, 3) between solids in camera coordinates, shapes (P, K, 3) and (P, L, 3).
+
+    The solids must be at least `gap_m` (P,) apart.
 
     Returns:
         Whether the first can hide the second and the second the first, shape (P, 2); whether any plane separates them,
@@ -108,7 +114,8 @@ def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array) -> tuple[Ma
     """
     low_a, high_a = extents_along(vertices_a, axes)
     low_b, high_b = extents_along(vertices_b, axes)
-    a_below, b_below = high_a <= low_b + TOUCHING_M, high_b <= low_a + TOUCHING_M
+    gap_m = gap_m[:, None]
+    a_below, b_below = high_a <= low_b - gap_m, high_b <= low_a - gap_m
     # The camera is at zero. If a is below b, a plane may be anywhere from high_a to low_b: one has the camera on the
     # side of a if low_b >= 0, and one has it on the side of b if high_a <= 0.
     first_not_hidden = (a_below & (low_b >= 0)) | (b_below & (high_b <= 0))

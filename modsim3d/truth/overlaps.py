@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, ranges
 
 
 def frame_slices(frame: Indices) -> list[slice]:
@@ -18,6 +18,8 @@ def frame_slices(frame: Indices) -> list[slice]:
 def overlapping_pairs(frame: Indices, boxes_px: Array, some_of: Mask | None = None) -> tuple[Indices, Indices]:
     """Pairs of rows of the same frame whose boxes overlap.
 
+    All frames are swept at once from left to right: a box meets those that begin before it ends.
+
     Args:
         frame: Frame of each row, non-decreasing, shape (n,).
         boxes_px: x_min, y_min, x_max, y_max, shape (n, 4).
@@ -26,24 +28,41 @@ def overlapping_pairs(frame: Indices, boxes_px: Array, some_of: Mask | None = No
     Returns:
         First and second rows in ascending order, each of shape (P,), first < second.
     """
-    firsts, seconds = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
-    for rows in frame_slices(frame):
-        one, other = _overlapping(boxes_px[rows], None if some_of is None else np.flatnonzero(some_of[rows]))
-        firsts.append(one + rows.start)
-        seconds.append(other + rows.start)
-    return np.concatenate(firsts), np.concatenate(seconds)
-
-
-def _overlapping(boxes: Array, chosen: Indices | None) -> tuple[Indices, Indices]:
-    """Pairs of boxes (n, 4) that overlap, of which one is chosen; in order."""
-    every = np.arange(len(boxes))
-    chosen = every if chosen is None else chosen
-    low, high = boxes[chosen, None, :2], boxes[chosen, None, 2:]
-    overlap = ((low < boxes[None, :, 2:]) & (boxes[None, :, :2] < high)).all(axis=2)
-    not_chosen = np.ones(len(boxes), dtype=bool)
-    not_chosen[chosen] = False
-    # A pair of two chosen boxes is found from both of them: count it from the first.
-    place, other = np.nonzero(overlap & (not_chosen | (every > chosen[:, None])))
-    first, second = np.minimum(chosen[place], other), np.maximum(chosen[place], other)
-    order = np.lexsort((second, first))
+    n, chosen = len(frame), np.ones(len(frame), dtype=bool) if some_of is None else some_of
+    left, top, right, bottom = np.ascontiguousarray(boxes_px.T)
+    # Right sides come before left sides at the same place: boxes that only touch do not overlap.
+    side = np.lexsort((np.repeat([1, 0], n), np.concatenate([left, right]), np.tile(frame, 2)))
+    place = np.empty(2 * n, dtype=np.int64)
+    place[side] = np.arange(2 * n)
+    begun = side[side < n]
+    one, other = (
+        np.concatenate(pair)
+        for pair in zip(
+            _begins_within(place, side, np.flatnonzero(chosen), begun),
+            _begins_within(place, side, np.flatnonzero(~chosen), begun[chosen[begun]]),
+            strict=True,
+        )
+    )
+    overlap = (top[one] < bottom[other]) & (top[other] < bottom[one]) & (left[one] < right[other])
+    first, second = np.minimum(one, other)[overlap], np.maximum(one, other)[overlap]
+    order = np.argsort(first * n + second)
     return first[order], second[order]
+
+
+def _begins_within(place: Indices, side: Indices, rows: Indices, others: Indices) -> tuple[Indices, Indices]:
+    """Pairs of one of `rows` and one of `others` whose left side comes between the row's left and right sides.
+
+    Args:
+        place: Place in the sweep of the n left sides and then of the n right sides, shape (2n,).
+        side: The inverse of `place`.
+        rows: Shape (k,).
+        others: In the order of the sweep, shape (m,).
+    """
+    n = len(place) // 2
+    # How many of `others` begin before each place.
+    is_other = np.zeros(2 * n + 1, dtype=np.int64)
+    is_other[place[others] + 1] = 1
+    begun = np.cumsum(is_other)
+    first = begun[place[rows] + 1]
+    count = np.maximum(begun[place[rows + n]] - first, 0)
+    return np.repeat(rows, count), others[ranges(first, count)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from modsim3d.arrays import Array, Indices, Mask
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Runs of pixels of n silhouettes, ordered by silhouette, scan line and column unless said otherwise.
+    """Runs of pixels of n silhouettes.
 
     Attributes:
         row: Index of the silhouette, shape (m,).
@@ -36,33 +37,36 @@ class Spans:
         """The chosen spans, given by a mask, shape (m,), or by indices, shape (k,)."""
         return Spans(self.row[chosen], self.y[chosen], self.start[chosen], self.stop[chosen])
 
+    def ordered(self) -> Spans:
+        """The spans in order of silhouette."""
+        return self.take(np.argsort(self.row, kind="stable"))
+
     def moved(self, dx: Indices | int, dy: Indices | int) -> Spans:
         """The spans moved right by dx and down by dy, each a number or of shape (m,)."""
         return Spans(self.row, self.y + dy, self.start + dx, self.stop + dx)
 
 
 def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
-    """Numbers of pixels, shape (n,), and bounding boxes, shape (n, 4), of n = `count` silhouettes.
+    """Numbers of pixels, shape (n,), and bounding boxes, shape (n, 4), of n = `count` silhouettes; spans in any order.
 
-    The spans must be ordered by silhouette. Boxes are half-open, [x_min, x_max) × [y_min, y_max); the box of a
-    silhouette without a pixel is (inf, inf, −inf, −inf).
+    Boxes are half-open, [x_min, x_max) × [y_min, y_max); the box of a silhouette without a pixel is
+    (inf, inf, −inf, −inf).
     """
     pixels: Array = np.bincount(spans.row, spans.stop - spans.start, minlength=count).astype(np.float64)
     boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (count, 1))
-    if len(spans.row):
-        first = np.flatnonzero(np.diff(spans.row, prepend=-1))
-        rows = spans.row[first]
-        boxes[rows, 0] = np.minimum.reduceat(spans.start, first)
-        boxes[rows, 1] = np.minimum.reduceat(spans.y, first)
-        boxes[rows, 2] = np.maximum.reduceat(spans.stop, first)
-        boxes[rows, 3] = np.maximum.reduceat(spans.y, first) + 1
+    filled = pixels > 0
+    for column, (bound, values) in enumerate(
+        ((np.minimum, spans.start), (np.minimum, spans.y), (np.maximum, spans.stop), (np.maximum, spans.y + 1))
+    ):
+        bounds = np.full(count, np.iinfo(np.int64).max if bound is np.minimum else -1)
+        bound.at(bounds, spans.row, values)
+        boxes[filled, column] = bounds[filled]
     return pixels, boxes
 
 
-def concatenate_spans(parts: list[Spans]) -> Spans:
-    """Spans of several sets, in order."""
-    joined = Spans(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("row", "y", "start", "stop")))
-    return joined.take(np.lexsort((joined.start, joined.y, joined.row)))
+def joined_spans(parts: Sequence[Spans]) -> Spans:
+    """Spans of several sets, one set after another."""
+    return Spans(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("row", "y", "start", "stop")))
 
 
 def runs_of_ids(ids: NDArray[np.uint32]) -> tuple[Indices, Indices]:

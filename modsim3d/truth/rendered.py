@@ -1,9 +1,10 @@
-"""Truth from pixels, drawn only where vessels overlap.
+"""Truth from pixels, drawn only where geometry alone does not tell them.
 
-The pixels of a vessel whose box overlaps no other follow from its outline by exact scan conversion, so nothing is
-drawn. Vessels whose boxes overlap form clusters. Of each cluster only the part of the image in which boxes overlap is
-drawn, once, with all of its solids and a depth buffer. Silhouettes are spans of pixels and the ID image is runs of
-equal IDs; cutting the spans at the borders of the runs gives the visible pixels of each vessel and who hides the rest.
+The pixels of a convex vessel follow from its outline by exact scan conversion, as spans. Vessels whose boxes overlap
+form clusters. If planes between its solids put a cluster in order from near to far, its spans are cut in that order,
+and nothing is drawn. Of each other cluster only the part of the image in which boxes overlap is drawn, once, with all
+of its solids and a depth buffer. The ID image is runs of equal IDs; cutting the spans at the borders of the runs gives
+the visible pixels of each vessel and who hides the rest.
 
 Corners are rounded to a grid of 1/256 pixel, so a part of the image holds the same pixels as the whole. The result is
 therefore exactly that of `full_frame`, which draws everything and is the reference for the tests.
@@ -15,18 +16,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.arrays import Indices
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.truth.buffer_drawing import BufferDrawing, fits_a_buffer, tiles_of
-from modsim3d.truth.cluster_visibility import Visibility, visibility_in
-from modsim3d.truth.clusters import Batch, Cluster, batches_of, clusters_of
+from modsim3d.truth.cluster_visibility import Ordered, Visibility, visibility_in, visibility_in_order
+from modsim3d.truth.clusters import Batch, Cluster, ClusteredPairs, batches_of, clusters_of
 from modsim3d.truth.full_frame import full_frame_occlusion
+from modsim3d.truth.nearer_first import ranks_of
 from modsim3d.truth.occlusion import HiddenPixels, Occlusion
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.pixel_spans import Spans, concatenate_spans, counts_and_boxes, spans_of_ids
+from modsim3d.truth.overlaps import overlapping_pairs
+from modsim3d.truth.pixel_spans import Spans, counts_and_boxes, joined_spans, spans_of_ids
 from modsim3d.truth.scan_conversion import scan_convert
 from modsim3d.truth.triangles import within_guard
+
+MOST_LINES = 32_768
+"""Most scan lines of silhouettes that are treated at once: few calls, but arrays that fit a cache."""
 
 
 def rendered_occlusion(
@@ -38,13 +44,37 @@ def rendered_occlusion(
     """
     if intrinsics.distortion is not None:  # silhouettes are bent: draw everything
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)
+    portions = _portions(outlines, supersample)
+    if len(portions) == 1:
+        return _occlusion(outlines, intrinsics, renderer, supersample)
+    return Occlusion.joined([_occlusion(outlines.take(rows), intrinsics, renderer, supersample) for rows in portions])
+
+
+def _portions(outlines: Outlines, supersample: int) -> list[Indices]:
+    """The rows of runs of whole frames that have about `MOST_LINES` scan lines together; one run at least."""
+    heights = (outlines.boxes_px[:, 3] - outlines.boxes_px[:, 1]) * supersample
+    before = np.cumsum(heights) - heights
+    begins = np.flatnonzero(np.diff(outlines.frame, prepend=-1))
+    portion = before[begins] // MOST_LINES
+    return np.split(np.arange(len(outlines)), begins[np.flatnonzero(np.diff(portion)) + 1])
+
+
+def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> Occlusion:
     drawing = BufferDrawing(outlines, intrinsics, renderer, supersample)
-    silhouettes = _silhouettes(drawing)
+    whole = within_guard(outlines, intrinsics, supersample)
+    silhouettes = _silhouettes(drawing, whole)
     full_px, full_boxes = counts_and_boxes(silhouettes, len(outlines))
-    clusters = clusters_of(outlines, np.where(outlines.boxed[:, None], full_boxes, drawing.pixel_boxes))
+    boxes = np.where(outlines.boxed[:, None], full_boxes, drawing.pixel_boxes)
+    pairs = ClusteredPairs.of(outlines, boxes)
+    ordered = _in_order(drawing, silhouettes, boxes, pairs, whole)
+    to_draw = ~np.isin(pairs.cluster, ordered.pairs.cluster)
+    clusters = clusters_of(outlines, boxes, pairs.take(to_draw))
     if not all(fits_a_buffer((cluster.shared.width, cluster.shared.height)) for cluster in clusters):
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)  # which draws in tiles
-    seen = Visibility.joined([visibility_in(drawing, silhouettes, batch) for batch in batches_of(clusters)])
+    in_order = visibility_in_order(ordered, outlines.boxed, (drawing.image.width, drawing.image.height))
+    seen = Visibility.joined(
+        [in_order, *(visibility_in(drawing, silhouettes, batch) for batch in batches_of(clusters))]
+    )
     drawn_px, drawn_boxes = counts_and_boxes(seen.visible, len(outlines))
     visible_px, visible_boxes = full_px.copy(), full_boxes.copy()
     visible_px[seen.rows], visible_boxes[seen.rows] = drawn_px[seen.rows], drawn_boxes[seen.rows]
@@ -59,60 +89,87 @@ def rendered_occlusion(
     )
 
 
-def _silhouettes(drawing: BufferDrawing) -> Spans:
+def _silhouettes(drawing: BufferDrawing, whole: Mask) -> Spans:
     """The spans of all vessels' whole silhouettes: by scan conversion where that is exact, otherwise drawn alone.
 
-    Scan conversion needs a convex solid that nothing is cut off. Meshes, and solids that the near plane cuts or that
-    reach far outside the image, are drawn alone.
+    Scan conversion needs a convex solid that is `whole` (n,), of which nothing is cut off. Meshes, and solids that the
+    near plane cuts or that reach far outside the image, are drawn alone.
     """
-    outlines, image = drawing.outlines, drawing.image
-    whole = within_guard(outlines, drawing.intrinsics, drawing.supersample) & outlines.boxed
-    spans, to_draw = [Spans.none()], [np.flatnonzero(outlines.boxed & ~whole)]
-    for part in outlines.parts:
-        uncut = whole[part.rows]
-        rows = part.rows[uncut]
-        if not part.solid.convex:
-            to_draw.append(rows)
-            continue
-        vertices = part.vertices_px[uncut] * drawing.supersample
-        found, odd = scan_convert(vertices, part.solid, (image.width, image.height))
-        spans.append(Spans(rows[found.row], found.y, found.start, found.stop))
-        to_draw.append(rows[odd])
-    alone = _drawn_alone(drawing, np.sort(np.concatenate(to_draw)))
-    return spans[1] if len(spans) == 2 and not alone else concatenate_spans(spans + alone)
+    boxed = drawing.outlines.boxed
+    convex, odd = _scan_converted(drawing, boxed & whole)
+    to_draw = boxed & ~(whole & drawing.outlines.convex)
+    to_draw[odd] = True
+    alone = _drawn_alone(drawing, np.flatnonzero(to_draw))
+    return joined_spans([convex, *alone]).ordered() if alone else convex
+
+
+def _scan_converted(drawing: BufferDrawing, rows: Mask) -> tuple[Spans, Indices]:
+    """The spans of the convex solids among some rows (n,), in order; and those (k,) which scan conversion refused."""
+    found, refused = [Spans.none()], [np.empty(0, dtype=np.int64)]
+    for part in drawing.outlines.parts:
+        chosen = rows[part.rows]
+        if part.solid.convex and chosen.any():
+            vertices = part.vertices_px[chosen] * drawing.supersample
+            spans, odd = scan_convert(vertices, part.solid, (drawing.image.width, drawing.image.height))
+            of_part = part.rows[chosen]
+            found.append(Spans(of_part[spans.row], spans.y, spans.start, spans.stop))
+            refused.append(of_part[odd])
+    spans = found[-1] if len(found) <= 2 else joined_spans(found).ordered()
+    return spans, np.concatenate(refused)
+
+
+def _in_order(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, pairs: ClusteredPairs, whole: Mask) -> Ordered:
+    """The clusters in which geometry tells who is in front, with the silhouettes of the obstacles among them.
+
+    Obstacles must be convex and `whole` (n,), so that scan conversion gives their pixels.
+    """
+    outlines = drawing.outlines
+    hiding = np.zeros(len(outlines), dtype=bool)
+    hiding[pairs.first] = hiding[pairs.second] = True
+    hiding &= whole & outlines.convex & ~outlines.boxed
+    spans, odd = _scan_converted(drawing, hiding)
+    hiding[odd] = False
+    asked = np.flatnonzero((hiding | (whole & outlines.boxed))[np.stack([pairs.first, pairs.second])].all(axis=0))
+    # Of two obstacles that hide the same pixel of a vessel, the one in front is to be named.
+    obstacles = np.flatnonzero(hiding)
+    one, other = (obstacles[rows] for rows in overlapping_pairs(outlines.frame[obstacles], boxes[obstacles]))
+    differ = outlines.occluder[one] != outlines.occluder[other]
+    one, other = one[differ], other[differ]
+    ranks, known = ranks_of(
+        outlines,
+        np.concatenate([pairs.first[asked], one]),
+        np.concatenate([pairs.second[asked], other]),
+        drawing.intrinsics,
+        drawing.supersample,
+    )
+    doubtful = np.ones(len(pairs.first), dtype=bool)
+    doubtful[asked] = ~known[: len(asked)]
+    unknown = np.zeros(len(outlines), dtype=bool)
+    unknown[[one[~known[len(asked) :]], other[~known[len(asked) :]]]] = True
+    ahead = ranks[pairs.first] - ranks[pairs.second]
+    doubtful |= (unknown[pairs.first] & (ahead < 0)) | (unknown[pairs.second] & (ahead > 0))
+    in_order = pairs.take(~np.isin(pairs.cluster, pairs.cluster[doubtful]))
+    every = joined_spans([silhouettes, spans]).ordered() if len(spans.row) else silhouettes
+    return Ordered(in_order, ranks, every)
 
 
 def _drawn_alone(drawing: BufferDrawing, rows: Indices) -> list[Spans]:
     """The spans of silhouettes that are drawn, each at its own place; small ones share a buffer."""
-    uncut = drawing.outlines.in_frame_fraction == 1.0
-    clusters = []
+    image_size_px = drawing.image.width, drawing.image.height
+    small, batches = [], []
     for row in rows.tolist():
-        region = Region.around(drawing.pixel_boxes[row], (drawing.image.width, drawing.image.height))
-        if region.width and region.height:
-            clusters.append(Cluster(np.array([row]), region, region, bool(uncut[row])))
-    spans = []
-    for batch in batches_of(clusters):
-        spans += [_drawn_in_buffer(drawing, batch)] if fits_a_buffer(batch.size) else _drawn_in_tiles(drawing, batch)
-    return spans
+        tiles = tiles_of(Region.around(drawing.pixel_boxes[row], image_size_px))
+        clusters = [Cluster(np.array([row]), tile) for tile in tiles]
+        if len(tiles) <= 1:
+            small += clusters
+        else:  # of one silhouette, there must be only one tile in a buffer
+            batches += [batch for cluster in clusters for batch in batches_of([cluster])]
+    return [_drawn_in_buffer(drawing, batch) for batch in [*batches_of(small), *batches]]
 
 
 def _drawn_in_buffer(drawing: BufferDrawing, batch: Batch) -> Spans:
     """The spans of the silhouettes of a batch, of which each cluster is one row."""
-    rows = np.concatenate([cluster.rows for cluster in batch.clusters])
-    triangles, member = drawing.triangles_of_rows(rows)
-    to_buffer = batch.places - batch.corners
-    spans = spans_of_ids(drawing.draw(triangles, to_buffer[member], Region(0, 0, *batch.size)))
+    spans = spans_of_ids(drawing.draw(batch.rows, batch.counts, batch.sheet))
     to_image = np.zeros((len(drawing.outlines), 2), dtype=np.int64)
-    to_image[rows] = -to_buffer
-    dx, dy = to_image[spans.row].T
-    return spans.moved(dx, dy)
-
-
-def _drawn_in_tiles(drawing: BufferDrawing, batch: Batch) -> list[Spans]:
-    """The spans of one silhouette that is larger than a buffer."""
-    (cluster,) = batch.clusters
-    triangles, _ = drawing.triangles_of_rows(cluster.rows)
-    unmoved = np.zeros(2, dtype=np.int64)
-    return [
-        spans_of_ids(drawing.draw(triangles, unmoved, tile)).moved(tile.x, tile.y) for tile in tiles_of(cluster.shared)
-    ]
+    to_image[batch.rows] = batch.sheet.corners - batch.sheet.places
+    return spans.moved(*to_image[spans.row].T)

@@ -6,8 +6,10 @@ scan line through it at
 
     x = x0 + (256 y + 128 − y0) (x1 − x0) / (y1 − y0),
 
-so the first pixel centre at or to the right of the edge follows from one integer division, without rounding errors.
-The outline of a convex solid crosses each scan line twice: a left edge begins the span of pixels, a right edge ends it.
+so the first pixel centre at or to the right of the edge follows from one division of whole numbers. They are below
+2^53, so doubles hold them exactly. A quotient that is no whole number differs from the next by 1 / (256 (y1 − y0)) or
+more, which is far more than doubles round off, so rounding it up is exact too. The outline of a convex solid crosses
+each scan line twice: a left edge begins the span of pixels, a right edge ends it.
 
 A centre exactly on an edge belongs to the side that OpenGL's fill rule gives it to: left and upper edges are inside,
 right and lower edges are not (OpenGL 4.5 core specification, section 14.6.1, leaves the side open but demands that a
@@ -17,11 +19,12 @@ the result with drawn buffers.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, ranges
+from modsim3d.arrays import Array, Indices, ranges
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.truth.pixel_spans import Spans
 from modsim3d.truth.silhouettes import doubled_areas
@@ -45,12 +48,53 @@ def _edges_of(solid: Solid) -> Indices:
     return np.array(pairs, dtype=np.int64).T
 
 
-def facing(corners_px: Array) -> Indices:
+def facing(corners_px: Array) -> Array:
     """Whether triangles with rounded corners are turned to the camera (> 0), away from it (< 0), or have no area.
 
     They are in buffer pixels, counter-clockwise seen from outside. Shape (..., 3, 2) to (...).
     """
     return doubled_areas(_on_grid(corners_px))
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Edges of outlines, ordered by silhouette, that all bound their silhouettes on the same side.
+
+    Attributes:
+        row: Silhouette of each edge, shape (e,).
+        upper: Upper end on the grid, shape (e, 2).
+        lower: Lower end, shape (e, 2).
+        first: First scan line of the image that the edge crosses, shape (e,).
+        lines: Number of scan lines that it crosses, shape (e,).
+    """
+
+    row: Indices
+    upper: Array
+    lower: Array
+    first: Indices
+    lines: Indices
+
+    @classmethod
+    def of(cls, row: Indices, upper: Array, lower: Array, height: int) -> _Edges:
+        """Those edges that cross a scan line of an image of some height."""
+        # Pixel rows whose centre is at or below the upper end and above the lower: 256 y + 128 in [upper, lower).
+        first, stop = (
+            np.clip(np.ceil((end[:, 1] - HALF) / SUBPIXELS), 0, height).astype(np.int64) for end in (upper, lower)
+        )
+        some = first < stop
+        return cls(row[some], upper[some], lower[some], first[some], (stop - first)[some])
+
+    def columns(self, width: int) -> Indices:
+        """First column at or to the right of each edge in each of its lines, one edge after another, shape (c,)."""
+        (x, y), (dx, dy) = self.upper.T, (self.lower - self.upper).T
+        # 256 dy times the crossing, counted from the centre of column 0, at line 0 and from one line to the next.
+        at_zero, step, scale = (
+            np.repeat(values, self.lines)
+            for values in ((HALF - y) * dx + (x - HALF) * dy, SUBPIXELS * dx, SUBPIXELS * dy)
+        )
+        crossing = (at_zero + step * ranges(self.first, self.lines)) / scale
+        columns: Indices = np.clip(np.ceil(crossing), 0, width).astype(np.int64)
+        return columns
 
 
 def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int]) -> tuple[Spans, Indices]:
@@ -65,63 +109,43 @@ def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int
         The spans; and the silhouettes, shape (k,), that have to be drawn instead, because their rounded corners make no
         convex outline.
     """
-    width, height = image_size_px
-    row, upper, lower, is_start = _outline_edges(vertices_px, solid)
-    # Pixel rows whose centre is at or below the upper end and above the lower: 256 y + 128 in [upper, lower).
-    first = np.clip(-((HALF - upper[:, 1]) // SUBPIXELS), 0, height)
-    stop = np.clip(-((HALF - lower[:, 1]) // SUBPIXELS), 0, height)
-    lines = stop - first
-    which, y = np.repeat(np.arange(len(lines)), lines), ranges(first, lines)
-    dx, dy = (lower - upper)[which].T
-    # 256 dy times the crossing, counted from the centre of column 0; the quotient is rounded up.
-    crossing = (SUBPIXELS * y + HALF - upper[which, 1]) * dx + (upper[which, 0] - HALF) * dy
-    column = np.clip(-(-crossing // (SUBPIXELS * dy)), 0, width)
-    return _join(row[which], y, column, is_start[which], height)
+    (width, height), count = image_size_px, len(vertices_px)
+    sides = _outline_edges(vertices_px, solid, height)
+    # Each scan line from the first to the last of a silhouette has a place of its own.
+    top, bottom = np.full(count, height), np.zeros(count, dtype=np.int64)
+    for edges in sides:
+        np.minimum.at(top, edges.row, edges.first)
+        np.maximum.at(bottom, edges.row, edges.first + edges.lines)
+    heights = np.maximum(bottom - top, 0)
+    row, y = np.repeat(np.arange(count), heights), ranges(top, heights)
+    to_place = np.cumsum(heights) - heights - top
+    columns, crossings = [], []
+    for edges in sides:
+        place = ranges(to_place[edges.row] + edges.first, edges.lines)
+        columns.append(np.zeros(len(row), dtype=np.int64))
+        columns[-1][place] = edges.columns(width)
+        crossings.append(np.bincount(place, minlength=len(row)))
+    odd = np.unique(row[(crossings[0] != crossings[1]) | (crossings[0] > 1)])
+    filled = (columns[0] < columns[1]) & (crossings[0] == 1)
+    if len(odd):
+        filled &= ~np.isin(row, odd)
+    return Spans(row, y, *columns).take(filled), odd
 
 
-def _on_grid(points_px: Array) -> Indices:
-    """Points rounded to multiples of 1/256 px, same shape."""
-    return np.rint(points_px * SUBPIXELS).astype(np.int64)
+def _on_grid(points_px: Array) -> Array:
+    """Points in units of 1/256 px, rounded to whole numbers, same shape."""
+    return np.rint(points_px * SUBPIXELS)
 
 
-def _outline_edges(vertices_px: Array, solid: Solid) -> tuple[Indices, Indices, Indices, Mask]:
-    """The edges between a face turned to the camera and one turned away.
-
-    Returns:
-        Silhouette of each edge, shape (e,); its upper and lower end on the grid, both of shape (e, 2); whether it
-        bounds the silhouette on the left, shape (e,).
-    """
-    (start_vertex, end_vertex, left, right), grid = _edges_of(solid), _on_grid(vertices_px)
+def _outline_edges(vertices_px: Array, solid: Solid, height: int) -> tuple[_Edges, _Edges]:
+    """The edges between a face turned to the camera and one turned away: those on the left, and those on the right."""
+    (start, end, left, right), grid = _edges_of(solid), _on_grid(vertices_px)
     # A face seen edge-on is taken to be turned away: the outline then runs around it.
     towards = facing(vertices_px[:, solid.faces]) > 0
-    turn = towards[:, left].astype(np.int8) - towards[:, right]
-    row, edge = np.nonzero(turn)
-    start, end = grid[row, start_vertex[edge]], grid[row, end_vertex[edge]]
+    row, edge = np.nonzero(towards[:, left] != towards[:, right])
     # Walked with the face that is turned to the camera on the left, an edge that runs down is a left edge.
-    forward = turn[row, edge, None] > 0
-    tail, head = np.where(forward, start, end), np.where(forward, end, start)
-    is_left = head[:, 1] > tail[:, 1]
-    return row, np.where(is_left[:, None], tail, head), np.where(is_left[:, None], head, tail), is_left
-
-
-def _join(row: Indices, y: Indices, column: Indices, is_start: Mask, height: int) -> tuple[Spans, Indices]:
-    """Spans from the one start to the one end in each scan line of a silhouette; and silhouettes with other counts."""
-    line = row * height + y
-    starts, ends = np.flatnonzero(is_start), np.flatnonzero(~is_start)
-    starts, ends = starts[np.argsort(line[starts])], ends[np.argsort(line[ends])]
-    odd = np.empty(0, dtype=np.int64)
-    if not (np.array_equal(line[starts], line[ends]) and (np.diff(line[starts]) > 0).all()):
-        odd = _odd(line[starts], line[ends], height)
-        starts, ends = starts[~np.isin(row[starts], odd)], ends[~np.isin(row[ends], odd)]
-    filled = column[ends] > column[starts]
-    starts, ends = starts[filled], ends[filled]
-    return Spans(row[starts], y[starts], column[starts], column[ends]), odd
-
-
-def _odd(starts: Indices, ends: Indices, height: int) -> Indices:
-    """Silhouettes with a scan line that has not exactly one start and one end."""
-    lines, inverse = np.unique(np.concatenate([starts, ends]), return_inverse=True)
-    is_start = np.arange(len(inverse)) < len(starts)
-    n_starts = np.bincount(inverse[is_start], minlength=len(lines))
-    n_ends = np.bincount(inverse[~is_start], minlength=len(lines))
-    return np.unique(lines[(n_starts != 1) | (n_ends != 1)] // height)
+    forward = towards[row, left[edge]]
+    tail = grid[row, np.where(forward, start[edge], end[edge])]
+    head = grid[row, np.where(forward, end[edge], start[edge])]
+    down, up = head[:, 1] > tail[:, 1], head[:, 1] < tail[:, 1]
+    return _Edges.of(row[down], tail[down], head[down], height), _Edges.of(row[up], head[up], tail[up], height)

@@ -36,8 +36,8 @@ class Triangles:
     inverse_depth: Array
     of_whole: Mask
 
-    def take(self, chosen: Mask) -> Triangles:
-        """The triangles that are chosen by a mask, shape (T,)."""
+    def take(self, chosen: Mask | Indices) -> Triangles:
+        """The chosen triangles, given by a mask, shape (T,), or by indices, shape (k,)."""
         return Triangles(self.row[chosen], self.corners_px[chosen], self.inverse_depth[chosen], self.of_whole[chosen])
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.render.context import library_found
-from modsim3d.render.id_pass import Region
+from modsim3d.render.id_pass import Region, Sheet
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 
 WHOLE = Region(0, 0, 800, 600)
@@ -55,6 +55,23 @@ def test_region_of_a_wide_image_holds_its_pixels_too(renderer, size):
     for x in np.linspace(0, size[0] - 300, 9).astype(int):
         part = renderer.draw(corners, depth, ids, Region(int(x), 10, 300, 50))
         np.testing.assert_array_equal(part, whole[10:60, x : x + 300])
+
+
+def test_regions_drawn_side_by_side_hold_the_pixels_of_each_alone(renderer):
+    rng = np.random.default_rng(3)
+    regions = [Region(40, 10, 90, 50), Region(300, 200, 30, 80), Region(0, 0, 20, 20), Region(500, 90, 100, 33)]
+    places = np.array([[0, 0], [95, 5], [130, 0], [90, 90]])
+    counts = np.array([30, 25, 0, 40])
+    corners = rng.uniform(-300, 1100, (95, 3, 2))  # most reach beyond their region, over the others' places
+    depth, ids = rng.uniform(0.01, 1, (95, 3)), np.arange(1, 96)
+    sheet = renderer.draw_sheet(corners, depth, ids, counts, Sheet(regions, places, (200, 130)))
+    expected = np.zeros((130, 200), dtype=np.uint32)
+    for region, (x, y), first, stop in zip(regions, places, np.cumsum(counts) - counts, np.cumsum(counts), strict=True):
+        some = slice(first, stop)
+        alone = renderer.draw(corners[some], depth[some], ids[some], region)
+        expected[y : y + region.height, x : x + region.width] = alone
+    assert len(np.unique(expected)) > 6
+    np.testing.assert_array_equal(sheet, expected)
 
 
 def test_drawing_leaves_nothing_for_the_next(renderer):

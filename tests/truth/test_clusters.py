@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from modsim3d.render.id_pass import Region
-from modsim3d.truth.clusters import ATLAS_PX, SMALL_PX, Cluster, batches_of, clusters_of
+from modsim3d.truth.clusters import SHEET_PX, Cluster, ClusteredPairs, batches_of, clusters_of
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.overlaps import overlapping_pairs
 
 
 def random_outlines(rng: np.random.Generator, count: int) -> Outlines:
-    """Whole pixel boxes in three frames; a fifth are obstacles, a fifth are cut by the image edge."""
+    """Whole pixel boxes in three frames; a fifth are obstacles."""
     corner, size = rng.integers(0, 400, (count, 2)), rng.integers(1, 60, (count, 2))
     numbers, nothing = np.arange(count), np.empty(count)
     return Outlines(
@@ -19,7 +19,7 @@ def random_outlines(rng: np.random.Generator, count: int) -> Outlines:
         boxed=rng.random(count) < 0.8,
         boxes_px=np.concatenate([corner, corner + size], axis=1).astype(np.float64),
         areas_px=nothing,
-        in_frame_fraction=np.where(rng.random(count) < 0.8, 1.0, rng.choice([0.7, np.nan], count)),
+        in_frame_fraction=nothing,
         depth_m=nothing,
         crosses_near=np.zeros(count, dtype=bool),
         parts=(),
@@ -33,7 +33,7 @@ def overlap(outlines: Outlines, a: int, b: int) -> bool:
 
 
 def expected_clusters(outlines: Outlines) -> set[tuple]:
-    """Rows, box, shared region and uncut of each cluster, grown from one vessel at a time."""
+    """Rows and shared region of each cluster, grown from one vessel at a time."""
     every, found, seen = range(len(outlines)), set(), set()
     for first in np.flatnonzero(outlines.boxed).tolist():
         if first in seen:
@@ -49,8 +49,7 @@ def expected_clusters(outlines: Outlines) -> set[tuple]:
             common = [
                 [*np.maximum(boxes[a, :2], boxes[b, :2]), *np.minimum(boxes[a, 2:], boxes[b, 2:])] for a, b in pairs
             ]
-            uncut = all(outlines.boxed[row] and outlines.in_frame_fraction[row] == 1 for row in rows)
-            found.add((tuple(rows), around(boxes[rows]), around(np.array(common)), uncut))
+            found.add((tuple(rows), around(np.array(common))))
     return found
 
 
@@ -62,8 +61,8 @@ def around(boxes: np.ndarray) -> Region:
 @pytest.mark.parametrize("seed", range(12))
 def test_clusters_are_those_that_a_search_of_all_pairs_finds(seed):
     outlines = random_outlines(np.random.default_rng(seed), (0, 1, 5, 40, 90, 120)[seed % 6])
-    clusters = clusters_of(outlines, outlines.boxes_px)
-    told = [(tuple(each.rows.tolist()), each.box, each.shared, each.uncut) for each in clusters]
+    clusters = clusters_of(outlines, outlines.boxes_px, ClusteredPairs.of(outlines, outlines.boxes_px))
+    told = [(tuple(each.rows.tolist()), each.shared) for each in clusters]
     assert len(told) == len(set(told))
     assert set(told) == expected_clusters(outlines)
 
@@ -78,52 +77,38 @@ def test_overlapping_pairs_are_those_that_a_search_of_all_pairs_finds(seed):
         assert list(zip(*(rows.tolist() for rows in pairs), strict=True)) == expected
 
 
+def test_boxes_without_a_pixel_overlap_none_and_boxes_without_a_width_those_around_them():
+    boxes = np.array([[0, 0, 9, 9], [4, 2, 4, 6], [np.inf, np.inf, -np.inf, -np.inf], [9, 0, 12, 9]], dtype=np.float64)
+    pairs = overlapping_pairs(np.zeros(4, dtype=np.int64), boxes)
+    assert [rows.tolist() for rows in pairs] == [[0], [1]]
+
+
 def random_clusters(rng: np.random.Generator, count: int, most: int) -> list[Cluster]:
     sizes = rng.integers(1, most, (count, 2)).tolist()
-    return [
-        Cluster(
-            np.array([row]), Region(7 * row, 3, w, h), Region(7 * row, 4, w, max(1, h // 2)), bool(rng.random() < 0.9)
-        )
-        for row, (w, h) in enumerate(sizes)
-    ]
+    return [Cluster(np.array([row]), Region(7 * row, 3, w, h)) for row, (w, h) in enumerate(sizes)]
 
 
-@pytest.mark.parametrize(("count", "most"), [(1, 200), (40, 80), (150, 256), (30, 600), (3, 257), (0, 9)])
+@pytest.mark.parametrize(("count", "most"), [(1, 200), (40, 80), (150, 256), (30, 600), (20, 4000), (0, 9)])
 def test_every_cluster_has_a_place_of_its_own_in_one_buffer(count, most):
     clusters = random_clusters(np.random.default_rng(count), count, most)
     batches = batches_of(clusters)
     assert sorted(each.rows[0] for batch in batches for each in batch.clusters) == list(range(count))
     for batch in batches:
-        assert len(batch.clusters) == len(batch.regions) == len(batch.places)
-        taken = np.zeros(batch.size[::-1], dtype=int)
-        for region, (x, y) in zip(batch.regions, batch.places.tolist(), strict=True):
-            assert x + region.width <= batch.size[0]
-            assert y + region.height <= batch.size[1]
+        sheet = batch.sheet
+        assert sheet.regions == [each.shared for each in batch.clusters]
+        taken = np.zeros(sheet.size[::-1], dtype=int)
+        for region, (x, y) in zip(sheet.regions, sheet.places.tolist(), strict=True):
+            assert x + region.width <= sheet.size[0]
+            assert y + region.height <= sheet.size[1]
             taken[y : y + region.height, x : x + region.width] += 1
         assert taken.max() == 1
         assert taken.any(axis=1).all()  # no shelf is higher than what stands on it
 
 
-@pytest.mark.parametrize(("count", "most"), [(40, 80), (150, 256), (30, 600)])
-def test_small_whole_clusters_share_buffers_and_of_others_only_what_overlaps_is_drawn(count, most):
-    clusters = random_clusters(np.random.default_rng(count), count, most)
-    shared = 0
-    for batch in batches_of(clusters):
-        small = [max(each.box.width, each.box.height) <= SMALL_PX and each.uncut for each in batch.clusters]
-        assert all(small) or len(small) == 1
-        shared += len(small) > 1
-        assert batch.regions == [each.box if small[0] else each.shared for each in batch.clusters]
-        if small[0]:
-            assert batch.size[0] <= ATLAS_PX[0]
-            assert batch.size[1] <= ATLAS_PX[1]
-        else:
-            assert batch.size == (batch.clusters[0].shared.width, batch.clusters[0].shared.height)
-    assert shared > 0
-
-
-def test_cluster_of_256_px_is_small_and_one_of_257_is_not():
-    box = Region(0, 0, 256, 256)
-    two = [Cluster(np.array([row]), box, box, True) for row in range(2)]
-    assert len(batches_of(two)) == 1
-    wider = [Cluster(np.array([2]), Region(0, 0, 257, 9), box, True), Cluster(np.array([3]), box, box, False)]
-    assert len(batches_of([*two, *wider])) == 3
+def test_small_clusters_share_buffers_and_large_ones_have_their_own():
+    many = batches_of(random_clusters(np.random.default_rng(40), 40, 80))
+    assert len(many) == 1
+    assert all(side <= most for side, most in zip(many[0].sheet.size, SHEET_PX, strict=True))
+    tall, wide = Region(0, 0, 50, 1100), Region(0, 0, 3600, 700)
+    large = batches_of([Cluster(np.array([row]), region) for row, region in enumerate((tall, wide, tall, wide))])
+    assert sorted(batch.sheet.size for batch in large) == [(50, 1100), (50, 1100), (3600, 700), (3600, 700)]

@@ -1,0 +1,100 @@
+"""Solids in order from near to far, where geometry leaves no doubt what a depth buffer would show.
+
+A depth buffer compares rounded depths of solids with rounded corners. Of two solids that a plane separates by more than
+these errors, it shows the one on the camera's side wherever both have a pixel. Most neighbours in an image are far
+apart in depth, which is seen without looking for a plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.render.id_pass import SUBPIXELS
+from modsim3d.truth.occlusion_order import order_of_pairs
+from modsim3d.truth.outlines import Outlines, Part
+from modsim3d.vessels.vessel import shoebox
+
+DEPTH_ERROR = 1e-4
+"""Solids that are apart by less than this share of their distance are left to the depth buffer. Its 24 bits hold depths
+a thousand times more precisely, but it interpolates them across triangles that may be seen almost edge-on."""
+MOST_ROUNDS = 64
+"""Solids one behind the other in the longest chain whose order is looked for."""
+
+
+def ranks_of(
+    outlines: Outlines, first: Indices, second: Indices, intrinsics: Intrinsics, supersample: int
+) -> tuple[Indices, Mask]:
+    """Ranks of solids, in which whatever is in front of another has the lower one.
+
+    Args:
+        outlines: The n solids.
+        first: Rows of solids that are in front of the near plane, shape (P,).
+        second: Those that they may have pixels in common with, shape (P,).
+        intrinsics: Those of a pinhole camera.
+        supersample: Buffer pixels per image pixel and axis.
+
+    Returns:
+        Ranks, shape (n,); and whether the order of the pair is known and its ranks agree with it, shape (P,).
+    """
+    nearest, farthest = _depths(outlines)
+    # A corner is moved by at most 1/512 of a buffer pixel along each axis.
+    per_metre = DEPTH_ERROR + 1 / (SUBPIXELS * supersample * min(intrinsics.focal_px))
+    gap_m = per_metre * np.maximum(farthest[first], farthest[second])
+    first_nearer = farthest[first] + gap_m < nearest[second]
+    second_nearer = farthest[second] + gap_m < nearest[first]
+    asked = np.flatnonzero(~first_nearer & ~second_nearer)
+    order = order_of_pairs(_as_convex(outlines), first[asked], second[asked], gap_m[asked])
+    first_nearer[asked], second_nearer[asked] = order.first_can_hide, order.second_can_hide
+    known = np.ones(len(first), dtype=bool)
+    known[asked] = ~order.intersecting
+    near = np.concatenate([first[first_nearer], second[second_nearer]])
+    far = np.concatenate([second[first_nearer], first[second_nearer]])
+    ranks = _ranks(near, far, len(outlines))
+    known &= (ranks[first] < ranks[second]) | ~first_nearer
+    known &= (ranks[first] > ranks[second]) | ~second_nearer
+    return ranks, known
+
+
+def _as_convex(outlines: Outlines) -> Outlines:
+    """The solids, with the boxes around them in place of those that are not convex."""
+    parts = [
+        part if part.solid.convex else Part(shoebox(), part.rows, _boxes_around(part), part.vertices_px)
+        for part in outlines.parts
+    ]
+    return replace(outlines, parts=tuple(parts))
+
+
+def _boxes_around(part: Part) -> Array:
+    """Corners of the boxes that the solids of vessels fill, in CCF, shape (m, 8, 3)."""
+    unit, corners = (
+        np.column_stack([solid.vertices, np.ones(len(solid.vertices))]) for solid in (part.solid, shoebox())
+    )
+    boxes: Array = corners @ np.linalg.pinv(unit) @ part.vertices_camera
+    return boxes
+
+
+def _depths(outlines: Outlines) -> tuple[Array, Array]:
+    """Least and greatest c3 of each solid, both of shape (n,)."""
+    nearest, farthest = np.empty((2, len(outlines)))
+    for part in outlines.parts:
+        depths_m = part.vertices_camera[..., 2]
+        nearest[part.rows], farthest[part.rows] = depths_m.min(axis=1), depths_m.max(axis=1)
+    return nearest, farthest
+
+
+def _ranks(near: Indices, far: Indices, count: int) -> Indices:
+    """How many solids are in front of each of `count` in the longest chain of pairs from near to far, shape (count,).
+
+    Where pairs run in a circle, there is no such number; then some pair has ranks that do not rise.
+    """
+    ranks = np.zeros(count, dtype=np.int64)
+    for _ in range(MOST_ROUNDS):
+        behind = ranks[near] + 1
+        if (ranks[far] >= behind).all():
+            break
+        np.maximum.at(ranks, far, behind)
+    return ranks

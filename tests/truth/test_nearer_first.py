@@ -1,0 +1,141 @@
+"""Clusters cut without drawing: against drawn ones, against painting pixel by pixel, and where nobody can tell."""
+
+import numpy as np
+import pytest
+
+from modsim3d.scene.reading import load_scene
+from modsim3d.truth import nearer_first, rendered
+from modsim3d.truth.cluster_visibility import Ordered, visibility_in_order
+from modsim3d.truth.clusters import ClusteredPairs
+from modsim3d.truth.full_frame import full_frame_occlusion
+from modsim3d.truth.nearer_first import _boxes_around, _ranks, ranks_of
+from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.pixel_spans import Spans
+from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.vessels.vessel import shoebox
+from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
+from tests.truth.test_regions_against_full import assert_same
+
+WIDTH, HEIGHT = 60, 40
+
+
+class NoRenderer:
+    """In place of a renderer, where nothing should be drawn."""
+
+    def draw_sheet(self, *_):
+        raise AssertionError("something is drawn")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_ships_that_are_clear_of_each_other_are_cut_without_a_renderer_as_if_they_were_drawn(renderer, seed):
+    outlines = outlines_of(random_places(np.random.default_rng(700 + seed), 25, near_m=150.0))
+    cut = rendered_occlusion(outlines, INTRINSICS, NoRenderer())
+    assert (cut.visible_px < cut.silhouette_px).sum() > 3
+    assert_same(cut, full_frame_occlusion(outlines, INTRINSICS, renderer))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_cut_spans_are_those_of_painting_pixel_by_pixel_from_far_to_near(seed):
+    rng = np.random.default_rng(seed)
+    count = 12
+    ranks, boxed = rng.permutation(count), rng.random(count) < 0.8
+    masks = np.zeros((count, HEIGHT, WIDTH), dtype=bool)
+    spans = []
+    for row in range(count):
+        for y in range(*np.sort(rng.integers(0, HEIGHT, 2)).tolist()):
+            start, stop = np.sort(rng.integers(0, WIDTH + 1, 2)).tolist()
+            if start < stop:
+                masks[row, y, start:stop] = True
+                spans.append((row, y, start, stop))
+    front = np.full((HEIGHT, WIDTH), -1)
+    for row in np.argsort(-ranks).tolist():
+        front[masks[row]] = row
+    first, second = np.triu_indices(count, 1)
+    pairs = ClusteredPairs(first, second, np.zeros(len(first), dtype=np.int64))
+    ordered = Ordered(pairs, ranks, Spans(*np.array(spans, dtype=np.int64).reshape(-1, 4).T))
+    seen = visibility_in_order(ordered, boxed, (WIDTH, HEIGHT))
+    assert seen.rows.tolist() == np.flatnonzero(boxed).tolist()
+    painted = np.full((HEIGHT, WIDTH), -1)
+    for row, y, start, stop in zip(*(getattr(seen.visible, n) for n in ("row", "y", "start", "stop")), strict=True):
+        assert (painted[y, start:stop] == -1).all()
+        painted[y, start:stop] = row
+    np.testing.assert_array_equal(painted, np.where(boxed[front] & (front >= 0), front, -1))
+    hidden = {
+        (row, hider): int((masks[row] & (front == hider)).sum())
+        for row in np.flatnonzero(boxed).tolist()
+        for hider in range(count)
+        if hider != row
+    }
+    told = dict(zip(zip(seen.hidden_row.tolist(), seen.hider.tolist(), strict=True), seen.px.tolist(), strict=True))
+    assert told == {pair: px for pair, px in hidden.items() if px}
+
+
+def ranks(outlines: Outlines) -> tuple[list[int], list[bool]]:
+    found, known = ranks_of(outlines, *np.triu_indices(len(outlines), 1), INTRINSICS, 1)
+    return found.tolist(), known.tolist()
+
+
+def test_ranks_rise_from_near_to_far():
+    boat, ship = vessel("boat", 5, 2, 2), vessel("ship", 200, 30, 30)
+    # The centre of the ship is nearer than the boat, which lies in front of its stern.
+    assert ranks(outlines_of([(ship, (250.0, 90.0), 0.6), (boat, (300.0, 30.0), 0.0)])) == ([0, 1], [True])
+    assert ranks(outlines_of([(ship, (350.0, 90.0), 0.6), (boat, (250.0, -20.0), 0.0)])) == ([1, 0], [True])
+    queue = [(boat, (distance, 0.0), 0.0) for distance in (300.0, 100.0, 200.0)]
+    assert ranks(outlines_of(queue)) == ([2, 0, 1], [True, True, True])
+
+
+def test_solids_too_near_to_each_other_for_the_depth_buffer_have_no_known_order():
+    boat = vessel("boat", 5, 2, 2)
+    for gap_m, known in ((0.0, False), (0.01, False), (1.0, True)):
+        assert ranks(outlines_of([(boat, (500.0, 0.0), 0.0), (boat, (505.0 + gap_m, 0.0), 0.0)]))[1] == [known]
+
+
+def test_solids_that_hide_each_other_in_a_circle_have_no_ranks_that_rise_along_it():
+    near, far = np.array([0, 1, 2, 0, 4]), np.array([1, 2, 0, 3, 5])
+    found = _ranks(near, far, 6)
+    rises = found[near] < found[far]
+    assert not rises[:3].all()
+    assert rises[4]
+
+
+def test_order_is_known_only_of_pairs_along_which_ranks_rise(monkeypatch):
+    boat = vessel("boat", 5, 2, 2)
+    outlines = outlines_of([(boat, (distance, 0.0), 0.0) for distance in (100.0, 200.0, 300.0)])
+    monkeypatch.setattr(nearer_first, "_ranks", lambda near, far, count: np.array([0, 1, 1]))
+    assert ranks(outlines)[1] == [True, True, False]
+
+
+@pytest.fixture(scope="module")
+def strait():
+    scene = load_scene("strait", mode=2)
+    return scene, scene.sight(scene.cameras[0], np.arange(100, 102))
+
+
+def test_islands_with_hills_hide_ships_in_front_of_which_they_lie_as_if_all_were_drawn(renderer, strait):
+    scene, sight = strait
+    outlines, intrinsics = sight.outlines(), scene.cameras[0].intrinsics
+    cut = rendered_occlusion(outlines, intrinsics, renderer)
+    hiders = {occluder for entries in cut.occluders for occluder, _ in entries}
+    assert max(hiders) >= len(scene.vessels)
+    assert_same(cut, full_frame_occlusion(outlines, intrinsics, renderer))
+
+
+def test_boxes_around_meshes_are_the_shoeboxes_that_vessels_fill(strait):
+    _, sight = strait
+    (boxes,) = (part for part in sight.outlines(as_shoeboxes=True).parts if part.solid is shoebox())
+    outlines = sight.outlines()
+    meshes = [part for part in outlines.parts if not part.solid.convex and outlines.boxed[part.rows].all()]
+    assert meshes
+    for part in meshes:
+        for corners in _boxes_around(part):
+            assert np.abs(boxes.vertices_camera - corners).max(axis=(1, 2)).min() < 1e-6
+
+
+def test_frames_in_portions_have_the_truth_of_all_at_once(renderer, monkeypatch):
+    scene = load_scene("harbour", mode=2)
+    camera = scene.cameras[0]
+    outlines = scene.sight(camera, np.arange(100, 112)).outlines()
+    whole = rendered_occlusion(outlines, camera.intrinsics, renderer)
+    monkeypatch.setattr(rendered, "MOST_LINES", 400)
+    assert len(rendered._portions(outlines, 1)) > 4
+    assert_same(rendered_occlusion(outlines, camera.intrinsics, renderer), whole)
