@@ -17,7 +17,8 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
-from modsim3d.truth.silhouettes import cut_near, doubled_areas, in_image, share_in_image, silhouette_polygons
+from modsim3d.truth.cutting import cut_faces
+from modsim3d.truth.silhouettes import doubled_areas, in_image, share_in_image, silhouette_polygons
 from modsim3d.vessels.bodies import Bodies
 from modsim3d.vessels.vessel import Solid
 
@@ -148,11 +149,10 @@ def _outline(
     cut = np.flatnonzero(touching & ~(whole & (intrinsics.distortion is None)))
     if not measured:
         boxes[crosses], fractions[:] = [0, 0, *size], np.nan
-    elif not (solid.convex or bodies.boxed):
-        for row in cut.tolist():  # of an obstacle only a box is needed, which may be too large
-            boxes[row] = _box_in_image(cut_near(vertices[row][solid.faces], pinhole, solid), intrinsics)
+    elif not bodies.boxed:  # of an obstacle only a box is needed, which may be too large
+        boxes[cut] = _boxes_in_image(vertices[cut], crosses[cut], intrinsics, solid)
         touching &= np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
-        fractions[cut] = np.nan
+        areas[cut], fractions[cut] = np.nan, np.nan
     elif len(cut):
         silhouettes = silhouette_polygons(pinhole, vertices[cut], pixels[cut], crosses[cut], solid)
         inside = in_image(silhouettes, intrinsics)
@@ -177,16 +177,25 @@ def _outline(
     return columns, Part(solid, np.arange(len(rows)), vertices[rows], pixels[rows])
 
 
-def _box_in_image(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
-    """A box (4,) around what triangles (T, 3, 3) beyond the near plane show; (inf, inf, −inf, −inf) for nothing."""
+def _boxes_in_image(vertices_camera: Array, crosses: Mask, intrinsics: Intrinsics, solid: Solid) -> Array:
+    """Boxes (n, 4) around what n solids show in the image; (inf, inf, −inf, −inf) for nothing.
+
+    For the arguments see `cut_faces`.
+    """
     pinhole = intrinsics.pinhole
-    seen = clip_triangles(triangles_camera, guard_planes(pinhole, 0.0)).reshape(-1, 3)
-    if not len(seen):
-        return np.array([np.inf, np.inf, -np.inf, -np.inf])
-    pixels = np.clip(pinhole.project(seen), 0, pinhole.image_size_px)
-    around = np.array([shapely.box(*pixels.min(axis=0), *pixels.max(axis=0))])
-    bounds: Array = shapely.bounds(in_image(around, intrinsics))[0]
-    return bounds
+    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (len(crosses), 1))
+    for faces, member in cut_faces(vertices_camera, crosses, pinhole, solid):
+        seen, face = clip_triangles(faces, guard_planes(pinhole, 0.0))
+        pixels, of = np.clip(pinhole.project(seen), 0, pinhole.image_size_px), member[face]
+        order = np.argsort(of, kind="stable")
+        pixels, of = pixels[order], of[order]
+        first = np.flatnonzero(np.diff(of, prepend=-1))
+        boxes[of[first], :2] = np.minimum.reduceat(pixels.min(axis=1), first)
+        boxes[of[first], 2:] = np.maximum.reduceat(pixels.max(axis=1), first)
+    if intrinsics.distortion is not None:
+        known = np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
+        boxes[known] = shapely.bounds(in_image(shapely.box(*boxes[known].T), intrinsics))
+    return boxes
 
 
 def _least(pixels: Array) -> Array:

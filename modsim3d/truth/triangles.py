@@ -9,8 +9,8 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
+from modsim3d.truth.cutting import cut_faces
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.silhouettes import cut_near
 
 GUARD_PX = 2048.0
 """Triangles that reach further beyond the image are clipped there in double precision before they are drawn. It is in
@@ -73,15 +73,15 @@ def triangles_of(
         row.append(np.repeat(part.rows[uncut], len(faces)))
         whole.append(np.full(len(row[-1]), part.solid.closed))
         corners.append(part.vertices_camera[uncut][:, faces].reshape(-1, 3, 3))
-        for member in np.flatnonzero(~uncut):
-            camera = part.vertices_camera[member][faces]
-            if outlines.crosses_near[part.rows[member]]:
-                camera = cut_near(camera, intrinsics, part.solid)
-            clipped = clip_triangles(camera, guard)
+        rows_to_cut = part.rows[~uncut]
+        crosses = outlines.crosses_near[rows_to_cut]
+        for camera, member in cut_faces(part.vertices_camera[~uncut], crosses, intrinsics, part.solid):
+            clipped, source = clip_triangles(camera, guard)
             if bent:
-                clipped = subdivided(clipped, intrinsics.pinhole, intrinsics.chord_px / supersample**0.5)
+                clipped, piece_of = subdivided(clipped, intrinsics.pinhole, intrinsics.chord_px / supersample**0.5)
+                source = source[piece_of]
             clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
-            row.append(np.full(len(clipped), part.rows[member]))
+            row.append(rows_to_cut[member[source]])
             whole.append(np.zeros(len(clipped), dtype=bool))
             corners.append(clipped)
     rows = np.concatenate(row)
@@ -95,7 +95,7 @@ def triangles_of(
     )
 
 
-def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: float) -> Array:
+def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: float) -> tuple[Array, Indices]:
     """The same surface as triangles whose edges are short in the image.
 
     Whether an edge is halved depends on its own length only. Both triangles at an edge are therefore cut alike, and no
@@ -107,17 +107,21 @@ def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: floa
         longest_px: Greatest length of an edge in its image.
 
     Returns:
-        Triangles in CCF with the orientation of the given ones, shape (T', 3, 3).
+        Triangles in CCF with the orientation of the given ones, shape (T', 3, 3), and the given triangle that each is a
+        piece of, shape (T',).
     """
-    waiting, done = triangles_camera, [triangles_camera[:0]]
+    waiting, source = triangles_camera, np.arange(len(triangles_camera))
+    done, sources = [waiting[:0]], [source[:0]]
     while len(waiting):
         pixels = intrinsics.project(np.maximum(waiting, (-np.inf, -np.inf, intrinsics.near_clip_m)))
         # Edge i runs from corner i to corner i + 1.
         long = np.linalg.norm(np.roll(pixels, -1, axis=1) - pixels, axis=-1) > longest_px
         count = long.sum(axis=1)
         done.append(waiting[count == 0])
+        sources.append(source[count == 0])
         waiting = np.concatenate([_cut(waiting[count == k], long[count == k], k) for k in (1, 2, 3)])
-    return np.concatenate(done)
+        source = np.concatenate([np.tile(source[count == k], k + 1) for k in (1, 2, 3)])
+    return np.concatenate(done), np.concatenate(sources)
 
 
 def _cut(triangles: Array, long: Array, count: int) -> Array:
