@@ -11,7 +11,6 @@ from modsim3d.arrays import Array, Indices, ranges
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.scan_conversion import facing
 from modsim3d.truth.triangles import Triangles, triangles_of
 
 TILE_PX = (8192, 4096)
@@ -56,9 +55,7 @@ class BufferDrawing:
     @cached_property
     def triangles(self) -> Triangles:
         """The triangles of all rows, without those that their own solid hides."""
-        every = triangles_of(self.outlines, self.intrinsics, self.supersample)
-        # The faces of a whole closed solid that are turned to the camera hide the others.
-        return every.take(~every.of_whole | (facing(every.corners_px * self.supersample) > 0))
+        return triangles_of(self.outlines, self.intrinsics, self.supersample, facing_only=True)
 
     def triangles_of_rows(self, rows: Indices) -> tuple[Indices, Indices]:
         """Indices of the triangles of rows (k,), one row after another, and each one's place in `rows`, shapes (t,)."""

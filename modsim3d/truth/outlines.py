@@ -39,6 +39,10 @@ class Part:
     vertices_camera: Array
     vertices_px: Array
 
+    def take(self, chosen: Indices | Mask) -> Part:
+        """The solids that are chosen by ascending indices, shape (k,), or by a mask, shape (m,)."""
+        return Part(self.solid, self.rows[chosen], self.vertices_camera[chosen], self.vertices_px[chosen])
+
 
 @dataclass(frozen=True, eq=False)
 class Outlines:
@@ -143,22 +147,24 @@ def _outline(
     boxes = np.concatenate([_least(pixels), -_least(-pixels)], axis=-1)
     size = np.array(pinhole.image_size_px, dtype=np.float64)
     touching = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1) | crosses
-    areas = _projected_areas(pixels, solid) if solid.convex and measured else np.full(len(pixels), np.nan)
-    fractions = np.where(crosses, np.nan, 1.0)
-    whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
-    cut = np.flatnonzero(touching & ~(whole & (intrinsics.distortion is None)))
-    if not measured:
-        boxes[crosses], fractions[:] = [0, 0, *size], np.nan
-    elif not bodies.boxed:  # of an obstacle only a box is needed, which may be too large
-        boxes[cut] = _boxes_in_image(vertices[cut], crosses[cut], intrinsics, solid)
-        touching &= np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
-        areas[cut], fractions[cut] = np.nan, np.nan
-    elif len(cut):
-        silhouettes = silhouette_polygons(pinhole, vertices[cut], pixels[cut], crosses[cut], solid)
+    areas, fractions = np.full((2, len(boxes)), np.nan)
+    if measured:
+        whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
+        cut = touching & ~(whole & (intrinsics.distortion is None))
+        fractions[~cut] = 1.0
+        if solid.convex:
+            areas[~cut] = _projected_areas(pixels[~cut], solid)
+        # Of an obstacle only a box is needed, which may be too large. A mesh that the near plane cuts has no share.
+        box_only = cut & (crosses & (not solid.convex and intrinsics.distortion is None) | (not bodies.boxed))
+        boxes[box_only] = _boxes_in_image(vertices[box_only], crosses[box_only], intrinsics, solid)
+        rest = cut & ~box_only
+        silhouettes = silhouette_polygons(pinhole, vertices[rest], pixels[rest], crosses[rest], solid)
         inside = in_image(silhouettes, intrinsics)
-        areas[cut] = shapely.area(inside)
-        boxes[cut] = shapely.bounds(inside)
-        fractions[cut] = np.where(crosses[cut], np.nan, share_in_image(silhouettes, intrinsics))
+        boxes[rest], areas[rest] = shapely.bounds(inside), shapely.area(inside)
+        fractions[rest] = np.where(crosses[rest], np.nan, share_in_image(silhouettes, intrinsics))
+        touching &= ~box_only | np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
+    else:
+        boxes[crosses] = [0, 0, *size]
     rows = np.flatnonzero(touching & ~(areas <= 0))
     if solid.convex:
         depth = vertices[rows, :, 2].mean(axis=-1)
