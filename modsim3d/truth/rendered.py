@@ -27,6 +27,7 @@ from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.pixel_spans import Spans, concatenate_spans, counts_and_boxes, spans_of_ids
 from modsim3d.truth.scan_conversion import scan_convert
 from modsim3d.truth.triangles import within_guard
+from modsim3d.truth.winding import winding_spans
 
 
 def rendered_occlusion(
@@ -62,8 +63,8 @@ def rendered_occlusion(
 def _silhouettes(drawing: BufferDrawing) -> Spans:
     """The spans of all vessels' whole silhouettes: by scan conversion where that is exact, otherwise drawn alone.
 
-    Scan conversion needs a convex solid that nothing is cut off. Meshes, and solids that the near plane cuts or that
-    reach far outside the image, are drawn alone.
+    Scan conversion needs a closed solid that nothing is cut off. Meshes with holes, and solids that the near plane cuts
+    or that reach far outside the image, are drawn alone.
     """
     outlines, image = drawing.outlines, drawing.image
     whole = within_guard(outlines, drawing.intrinsics, drawing.supersample) & outlines.boxed
@@ -71,11 +72,13 @@ def _silhouettes(drawing: BufferDrawing) -> Spans:
     for part in outlines.parts:
         uncut = whole[part.rows]
         rows = part.rows[uncut]
-        if not part.solid.convex:
-            to_draw.append(rows)
-            continue
-        vertices = part.vertices_px[uncut] * drawing.supersample
-        found, odd = scan_convert(vertices, part.solid, (image.width, image.height))
+        vertices, odd = part.vertices_px[uncut] * drawing.supersample, rows[:0]
+        if part.solid.convex:
+            found, odd = scan_convert(vertices, part.solid, (image.width, image.height))
+        elif part.solid.closed:
+            found = winding_spans(vertices, part.solid, (image.width, image.height))
+        else:
+            found, odd = Spans.none(), np.arange(len(rows))
         spans.append(Spans(rows[found.row], found.y, found.start, found.stop))
         to_draw.append(rows[odd])
     alone = _drawn_alone(drawing, np.sort(np.concatenate(to_draw)))
