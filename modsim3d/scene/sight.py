@@ -65,7 +65,7 @@ class Sight:
         return first_body_around(self.camera_poses.positions_m, bodies)
 
     def vessels_within_reach(self) -> Indices:
-        """The other vessels that can have the camera inside at one of the steps, however waves move them, shape (k,)."""
+        """Other vessels that the camera may be inside of at one of the steps, however waves move them, shape (k,)."""
         reach_m = np.linalg.norm([vessel.extents_m for vessel in self.vessels], axis=1)
         away_m = self.poses.positions_m - self.camera_poses.positions_m[:, None]
         near = self.others & (np.hypot(away_m[..., 0], away_m[..., 1]) <= reach_m)

@@ -161,7 +161,7 @@ def _outline(
         silhouettes = silhouette_polygons(pinhole, vertices[rest], pixels[rest], crosses[rest], solid)
         inside = in_image(silhouettes, intrinsics)
         boxes[rest], areas[rest] = shapely.bounds(inside), shapely.area(inside)
-        fractions[rest] = np.where(crosses[rest], np.nan, share_in_image(silhouettes, intrinsics))
+        fractions[rest] = np.where(crosses[rest], np.nan, share_in_image(silhouettes, inside, intrinsics))
         touching &= ~box_only | np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
     else:
         boxes[crosses] = [0, 0, *size]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -37,13 +36,13 @@ def silhouette_polygons(
     else:
         for row in np.flatnonzero(~crosses).tolist():
             polygons[row] = union_of(pixels[row][solid.faces], both_sides=not solid.closed)
-    cut, row = cut_near(vertices[crosses][:, solid.faces], intrinsics, solid)
-    clipped, limits = intrinsics.project(cut), np.searchsorted(row, np.arange(np.count_nonzero(crosses) + 1))
-    for place, (first, stop) in zip(np.flatnonzero(crosses).tolist(), pairwise(limits.tolist()), strict=True):
+    triangles, member = cut_near(vertices[crosses][:, solid.faces], intrinsics, solid)
+    rows, clipped = np.flatnonzero(crosses).tolist(), intrinsics.project(triangles)
+    for row, own in zip(rows, np.split(clipped, np.searchsorted(member, np.arange(1, len(rows)))), strict=False):
         if solid.convex:
-            polygons[place] = shapely.convex_hull(shapely.multipoints(clipped[first:stop].reshape(-1, 2)))
+            polygons[row] = shapely.convex_hull(shapely.multipoints(own.reshape(-1, 2)))
         else:
-            polygons[place] = union_of(clipped[first:stop])
+            polygons[row] = union_of(own)
     return polygons
 
 
@@ -65,14 +64,16 @@ def in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> NDArra
     return np.asarray(shapely.intersection(shapely.make_valid(bent), _image(intrinsics)))
 
 
-def share_in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> Array:
-    """Share of each silhouette's area (n,) that is in the image, measured before the lens distorts it, shape (n,)."""
-    image = _image(intrinsics)
+def share_in_image(silhouettes: NDArray[np.object_], inside: NDArray[np.object_], intrinsics: Intrinsics) -> Array:
+    """Share of each silhouette's area that is in the image, measured before the lens distorts it, shape (n,).
+
+    `inside` are the parts of the silhouettes (n,) that `in_image` gives.
+    """
     if intrinsics.distortion is not None:
         border = intrinsics.image_border()
         seen = intrinsics.unproject(border, np.full(len(border), intrinsics.near_clip_m))
-        image = shapely.Polygon(intrinsics.pinhole.project(seen))
-    share: Array = shapely.area(shapely.intersection(silhouettes, image)) / shapely.area(silhouettes)
+        inside = shapely.intersection(silhouettes, shapely.Polygon(intrinsics.pinhole.project(seen)))
+    share: Array = shapely.area(inside) / shapely.area(silhouettes)
     return share
 
 

@@ -94,7 +94,7 @@ def triangles_of(
 
 
 def _uncut(part: Part, intrinsics: Intrinsics, supersample: int | None) -> Triangles:
-    """The faces of solids that need no clipping; those turned to the camera if `supersample` buffer pixels are given."""
+    """The faces of solids that need no clipping; with `supersample`, those that are turned to the camera."""
     faces = part.solid.faces
     if supersample is None:
         chosen = np.ones((len(part.rows), len(faces)), dtype=bool)
