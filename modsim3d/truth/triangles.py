@@ -43,8 +43,8 @@ class Triangles:
         nothing = np.empty(0, dtype=np.int64)
         return cls(nothing, np.empty((0, 3, 2)), np.empty((0, 3)), nothing.astype(bool))
 
-    def take(self, chosen: Indices | Mask) -> Triangles:
-        """The triangles that are chosen by indices, shape (k,), or by a mask, shape (T,)."""
+    def take(self, chosen: Mask | Indices) -> Triangles:
+        """The chosen triangles, given by a mask, shape (T,), or by indices, shape (k,)."""
         return Triangles(self.row[chosen], self.corners_px[chosen], self.inverse_depth[chosen], self.of_whole[chosen])
 
 
