@@ -18,7 +18,7 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
 from modsim3d.truth.cutting import cut_faces
-from modsim3d.truth.silhouettes import doubled_areas, in_image, share_in_image, silhouette_polygons
+from modsim3d.truth.silhouettes import doubled_face_areas, in_image, share_in_image, silhouette_polygons
 from modsim3d.vessels.bodies import Bodies
 from modsim3d.vessels.vessel import Solid
 
@@ -215,7 +215,7 @@ def _projected_areas(pixels: Array, solid: Solid) -> Array:
 
     It is half the area of the projected faces, as a ray through a convex solid meets two of them.
     """
-    doubled = doubled_areas(pixels[:, solid.faces])
+    doubled = doubled_face_areas(pixels, solid.faces)
     # The sum is rounded in order of memory, which must be the same for one silhouette as for many.
     areas: Array = np.ascontiguousarray(np.abs(doubled)).sum(axis=-1) / 4
     return areas

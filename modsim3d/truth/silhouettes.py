@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from modsim3d.arrays import Array, Mask
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.truth.cutting import cut_near
 from modsim3d.vessels.vessel import Solid
@@ -88,6 +88,14 @@ def doubled_areas(triangles_px: NDArray[Number]) -> NDArray[Number]:
     """
     (ax, ay), (bx, by) = (np.moveaxis(triangles_px[..., i, :] - triangles_px[..., 0, :], -1, 0) for i in (1, 2))
     areas: NDArray[Number] = ay * bx - ax * by  # pixel rows run downwards, which turns the sign
+    return areas
+
+
+def doubled_face_areas(vertices_px: Array, faces: Indices) -> Array:
+    """`doubled_areas` of the faces (F, 3) of n solids from their projected vertices (n, K, 2), shape (n, F)."""
+    (x, y), (a, b, c) = np.moveaxis(vertices_px, -1, 0), faces.T
+    ax, bx, ay, by = x[:, b] - x[:, a], x[:, c] - x[:, a], y[:, b] - y[:, a], y[:, c] - y[:, a]
+    areas: Array = ay * bx - ax * by
     return areas
 
 

@@ -11,7 +11,7 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
 from modsim3d.truth.cutting import cut_faces
 from modsim3d.truth.outlines import Outlines, Part
-from modsim3d.truth.scan_conversion import facing
+from modsim3d.truth.winding import faces_towards
 
 GUARD_PX = 2048.0
 """Triangles that reach further beyond the image are clipped there in double precision before they are drawn. It is in
@@ -99,7 +99,7 @@ def _uncut(part: Part, intrinsics: Intrinsics, supersample: int | None) -> Trian
     if supersample is None:
         chosen = np.ones((len(part.rows), len(faces)), dtype=bool)
     else:
-        chosen = facing((part.vertices_px * supersample)[:, faces]) > 0
+        chosen = faces_towards(part.vertices_px * supersample, part.solid)
     member, face = np.nonzero(chosen)
     corner = (member[:, None], faces[face])
     return Triangles(

@@ -13,10 +13,10 @@ from functools import cache
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, ranges
+from modsim3d.arrays import Array, Indices, Mask, ranges
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.truth.pixel_spans import Spans
-from modsim3d.truth.scan_conversion import facing
+from modsim3d.truth.silhouettes import doubled_face_areas
 from modsim3d.vessels.vessel import Solid
 
 HALF = SUBPIXELS // 2
@@ -44,6 +44,15 @@ def edges_of(solid: Solid) -> Indices:
     return np.array(edges, dtype=np.int64).reshape(-1, 4).T
 
 
+def faces_towards(vertices_px: Array, solid: Solid) -> Mask:
+    """Which faces of n solids with rounded corners are turned to the camera, shape (n, F).
+
+    The vertices are in buffer pixels, shape (n, K, 2).
+    """
+    towards: Mask = doubled_face_areas(np.rint(vertices_px * SUBPIXELS), solid.faces) > 0
+    return towards
+
+
 @dataclass(frozen=True, eq=False)
 class _Edges:
     """Edges between faces turned to the camera and faces turned away, ordered by silhouette.
@@ -68,7 +77,7 @@ class _Edges:
     def of(cls, vertices_px: Array, solid: Solid, height: int) -> _Edges:
         """Those of n solids in an image of some height; the vertices are in buffer pixels, shape (n, K, 2)."""
         (start, end, left, right), grid = edges_of(solid), np.rint(vertices_px * SUBPIXELS)
-        towards = facing(vertices_px[:, solid.faces]) > 0
+        towards = faces_towards(vertices_px, solid)
         turn = towards[:, left].astype(np.int64) - towards[:, right]
         row, edge = np.nonzero(turn)
         tail, head, turn = grid[row, start[edge]], grid[row, end[edge]], turn[row, edge]
@@ -90,9 +99,11 @@ class _Edges:
     def spans(self, width: int, height: int) -> Spans:
         """The spans between the edges in an image of some size."""
         which, y = np.repeat(np.arange(len(self.row)), self.lines), ranges(self.first, self.lines)
-        (dx, dy), (x0, y0) = (self.lower - self.upper)[which].T, self.upper[which].T
-        crossing = ((SUBPIXELS * y + HALF - y0) * dx + (x0 - HALF) * dy) / (SUBPIXELS * dy)
-        column = np.clip(np.ceil(crossing), 0, width).astype(np.int64)
+        (dx, dy), (x0, y0) = (self.lower - self.upper).T, self.upper.T
+        # 256 dy times the crossing, counted from the centre of column 0, at line 0 and from one line to the next.
+        at_zero, slope, scale = (HALF - y0) * dx + (x0 - HALF) * dy, SUBPIXELS * dx, SUBPIXELS * dy
+        column = np.ceil((at_zero[which] + slope[which] * y) / scale[which])
+        column = np.clip(column, 0, width).astype(np.int64)
         line = self.row[which] * height + y
         order = np.argsort(line * (width + 1) + column)
         line, column = line[order], column[order]
