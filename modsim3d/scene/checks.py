@@ -96,7 +96,7 @@ def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()
     for camera in scene.cameras:
         if camera.name not in leave_out:
             try:
-                calm = calm or scene.own_motion.at(steps)  # waves take time, and move few cameras into a vessel
+                calm = calm or scene.own_motion.at(steps)
                 _check_place(scene, scene.sight(camera, steps, calm))
             except InputError as error:
                 found[camera.name] = error.problems
@@ -104,7 +104,11 @@ def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()
 
 
 def _check_place(scene: Scene, calm: Sight) -> None:
-    """Raise an error if the camera is inside a body; `calm` shows the vessels that carry no camera without waves."""
+    """Raise an error if the camera is inside a body.
+
+    In `calm`, waves move only the vessels that carry cameras. Waves take time to compute, so those of other vessels are
+    added only for vessels that come within reach of the camera.
+    """
     if scene.annotation.allow_camera_inside:
         return
     sight, motion = calm, scene.motion

@@ -225,7 +225,7 @@ class Scene:
 
     @property
     def own_motion(self) -> VesselMotion:
-        """The same, but of the vessels that carry no camera without waves, which take time."""
+        """The same with waves only for the vessels that carry cameras: waves take time to compute."""
         return replace(self.motion, moved=self.own_ships)
 
     def sight(self, camera: Camera, steps: Indices, vessel_poses: PosesInWaves | None = None) -> Sight:
