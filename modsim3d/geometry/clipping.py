@@ -30,47 +30,56 @@ def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
     return np.column_stack([np.array(normals), np.zeros(4)])
 
 
-def clip_triangles(triangles_camera: Array, half_spaces: Array) -> Array:
+def clip_triangles(triangles_camera: Array, half_spaces: Array) -> tuple[Array, Indices]:
     """The parts of triangles that lie inside half-spaces, as triangles (Sutherland & Hodgman, 1974).
 
-    Triangles are in CCF, shape (T, 3, 3) to (T', 3, 3), and keep their order and orientation. A half-space is a row
-    (n, d), shape (P, 4): inside is n · p >= d.
+    Args:
+        triangles_camera: In CCF, shape (T, 3, 3).
+        half_spaces: Rows (n, d), shape (P, 4): inside is n · p >= d.
+
+    Returns:
+        The parts, in the order and with the orientation of the triangles, shape (T', 3, 3); the triangle that each is a
+        part of, shape (T',).
     """
-    kept = triangles_camera
+    kept, source = triangles_camera, np.arange(len(triangles_camera))
     for plane in half_spaces:
-        kept = _clip_by(kept, kept @ plane[:3] - plane[3])
-    return kept
+        height = kept @ plane[:3] - plane[3]
+        if not (height >= 0).all():
+            kept, cut = _clip_by(kept, height)
+            source = source[cut]
+    return kept, source
 
 
-def _clip_by(triangles: Array, height: Array) -> Array:
-    """The parts of triangles (T, 3, 3) where a linear function, `height` (T, 3) at the corners, is not negative."""
+def _clip_by(triangles: Array, height: Array) -> tuple[Array, Indices]:
+    """The parts of triangles (T, 3, 3) where a linear function, `height` (T, 3) at the corners, is not negative.
+
+    With the parts comes the triangle of each.
+    """
     inside = height >= 0
-    if inside.all():
-        return triangles
     count = inside.sum(axis=1)
-    # Turn each triangle so that its odd corner, the one inside or the one outside, comes first.
-    odd = np.where(count == 1, inside.argmax(axis=1), inside.argmin(axis=1))
-    turn = (odd[:, None] + np.arange(3)) % 3
-    corners = np.take_along_axis(triangles, turn[:, :, None], axis=1)
-    heights = np.take_along_axis(height, turn, axis=1)
-    one, two = np.flatnonzero(count == 1), np.flatnonzero(count == 2)
-    ends = _crossing(corners, heights, one, 0, 1), _crossing(corners, heights, one, 0, 2)
-    tip = np.stack([corners[one, 0], *ends], axis=1)
-    first, last = _crossing(corners, heights, two, 1, 0), _crossing(corners, heights, two, 2, 0)
-    near = np.stack([first, corners[two, 1], corners[two, 2]], axis=1)
-    far = np.stack([first, corners[two, 2], last], axis=1)
-    whole = np.flatnonzero(count == 3)
+    whole, one, two = (np.flatnonzero(count == k) for k in (3, 1, 2))
+    # Turned so that the odd corner, the one inside or the one outside, comes first.
+    corners, heights = _turned(triangles, height, one, inside[one].argmax(axis=1))
+    tip = np.stack([corners[0], _crossing(corners, heights, 0, 1), _crossing(corners, heights, 0, 2)], axis=1)
+    corners, heights = _turned(triangles, height, two, inside[two].argmin(axis=1))
+    first, last = _crossing(corners, heights, 1, 0), _crossing(corners, heights, 2, 0)
+    near = np.stack([first, corners[1], corners[2]], axis=1)
+    far = np.stack([first, corners[2], last], axis=1)
     source = np.concatenate([whole, one, two, two])
-    parts = np.concatenate([triangles[whole], tip, near, far])
-    return parts[np.argsort(source, kind="stable")]
+    order = np.argsort(source, kind="stable")
+    return np.concatenate([triangles[whole], tip, near, far])[order], source[order]
 
 
-def _crossing(corners: Array, heights: Array, rows: Indices, inner: int, outer: int) -> Array:
+def _turned(triangles: Array, height: Array, rows: Indices, first: Indices) -> tuple[list[Array], list[Array]]:
+    """The corners of some triangles, three of shape (k, 3), and their heights, (k, 1), from the corner `first` on."""
+    places = [(first + i) % 3 for i in range(3)]
+    return [triangles[rows, place] for place in places], [height[rows, place][:, None] for place in places]
+
+
+def _crossing(corners: list[Array], heights: list[Array], inner: int, outer: int) -> Array:
     """Points where edges leave the half-space, shape (k, 3).
 
     Computed from the inner corner, so that two triangles with a common edge get exactly the same point.
     """
-    a, b = corners[rows, inner], corners[rows, outer]
-    height_a, height_b = heights[rows, inner, None], heights[rows, outer, None]
-    crossing: Array = a + height_a / (height_a - height_b) * (b - a)
-    return crossing
+    share = heights[inner] / (heights[inner] - heights[outer])
+    return corners[inner] + share * (corners[outer] - corners[inner])

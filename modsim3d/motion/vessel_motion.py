@@ -100,9 +100,10 @@ class VesselMotion:
         calm = around.rows(rows)
         positions, angles = calm.positions_m.copy(), np.zeros(calm.positions_m.shape)
         for column in self.moved:
-            place, heading = calm.positions_m[:, column], calm.headings_rad[:, column]
-            passage = Passage(times[rows], steps, place, heading, velocity[:, column])
-            moved, present = motion.motion(self.names[column], passage), calm.present[:, column]
-            positions[present, column, 2] += moved.heave_m[present]
-            angles[present, column] = moved.angles_rad[present]
+            here = np.flatnonzero(calm.present[:, column])
+            place, heading = calm.positions_m[here, column], calm.headings_rad[here, column]
+            passage = Passage(times[rows[here]], steps[here], place, heading, velocity[here, column])
+            moved = motion.motion(self.names[column], passage)
+            positions[here, column, 2] += moved.heave_m
+            angles[here, column] = moved.angles_rad
         return Poses(calm.present, positions, calm.headings_rad), angles

@@ -15,11 +15,12 @@ from modsim3d.detector.census import TargetCensus, take_census
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.geometry.camera import Camera, Intrinsics
+from modsim3d.geometry.camera import Intrinsics
 from modsim3d.motion.poses import LivePoses
 from modsim3d.runs.blocks import Block, CameraBlock, Frame, frames_of
 from modsim3d.scene.checks import place_problems
 from modsim3d.scene.scene import Scene
+from modsim3d.scene.sight import Sight
 from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.modes import Annotation, annotated_rows, annotation_boxes
 from modsim3d.truth.occlusion import Occlusion
@@ -61,15 +62,22 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
         ModsimError: The vessel that carries a camera is missing.
     """
     taken = [(index, camera, scene.frame_steps(camera, first, stop)) for index, camera in enumerate(scene.cameras)]
-    parts = [_camera_truth(scene, index, camera, steps, renderer) for index, camera, steps in taken if len(steps)]
-    return concatenate(parts) if parts else no_truth()
+    every = np.unique(np.concatenate([steps for _, _, steps in taken]))
+    if not len(every):
+        return no_truth()
+    vessel_poses = scene.motion.at(every)  # waves take time: once for all cameras
+    sights = [
+        (index, scene.sight(camera, steps, vessel_poses.rows(np.searchsorted(every, steps))))
+        for index, camera, steps in taken
+        if len(steps)
+    ]
+    return concatenate([_camera_truth(scene, index, sight, renderer) for index, sight in sights])
 
 
-def _camera_truth(scene: Scene, index: int, camera: Camera, steps: Indices, renderer: IdRenderer | None) -> Truth:
-    sight = scene.sight(camera, steps)
+def _camera_truth(scene: Scene, index: int, sight: Sight, renderer: IdRenderer | None) -> Truth:
     outlines = sight.outlines(as_shoeboxes=scene.annotation.source != "rendered")
-    occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
-    truth = occlusion.truth(outlines, steps, index)
+    occlusion = occlusion_by(outlines, sight.camera.intrinsics, scene.annotation, renderer)
+    truth = occlusion.truth(outlines, sight.steps, index)
     return truth.with_annotated(annotated_rows(truth, scene.annotation))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,8 +11,8 @@ from modsim3d.arrays import Indices
 from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera
 from modsim3d.inputs.validation import nearest
-from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.scene.scene import Scene
+from modsim3d.scene.sight import Sight
 from modsim3d.vessels.obstacles import PREFIX
 
 CHECKED_STEPS = 1000
@@ -91,29 +92,39 @@ def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()
     Returns:
         Name of the camera → its problems; only cameras that have one and are not left out.
     """
-    found, vessel_poses = {}, None
+    found, calm = {}, None
     for camera in scene.cameras:
         if camera.name not in leave_out:
             try:
-                vessel_poses = vessel_poses or scene.motion.at(steps)  # waves take time: once for all cameras
-                _check_place(scene, camera, steps, vessel_poses)
+                calm = calm or scene.own_motion.at(steps)
+                _check_place(scene, scene.sight(camera, steps, calm))
             except InputError as error:
                 found[camera.name] = error.problems
     return found
 
 
-def _check_place(scene: Scene, camera: Camera, steps: Indices, vessel_poses: PosesInWaves) -> None:
-    sight = scene.sight(camera, steps, vessel_poses)
-    inside = None if scene.annotation.allow_camera_inside else sight.body_around()
+def _check_place(scene: Scene, calm: Sight) -> None:
+    """Raise an error if the camera is inside a body.
+
+    In `calm`, waves move only the vessels that carry cameras. Waves take time to compute, so those of other vessels are
+    added only for vessels that come within reach of the camera.
+    """
+    if scene.annotation.allow_camera_inside:
+        return
+    sight, motion = calm, scene.motion
+    if within_reach := {*calm.vessels_within_reach().tolist()}.intersection(motion.moved):
+        moved = tuple(sorted(within_reach.union(scene.own_ships)))
+        sight = scene.sight(calm.camera, calm.steps, replace(motion, moved=moved).at(calm.steps))
+    inside = sight.body_around()
     if inside is None:
         return
     frame, body = inside
-    when = scene.poses.timestamps[int(steps[frame])]
+    when = scene.poses.timestamps[int(sight.steps[frame])]
     kind, name = ("vessel", scene.occluder_names[body])
     if body >= len(scene.vessels):
         kind, name = "obstacle", name.removeprefix(PREFIX)
     problem = (
-        f"cameras.{camera.name}: is inside {kind} '{name}' at time {when} s: move one of them, or set "
+        f"cameras.{sight.camera.name}: is inside {kind} '{name}' at time {when} s: move one of them, or set "
         "annotation.allow_camera_inside: true"
     )
     raise InputError(scene.title, [problem])

@@ -49,9 +49,9 @@ def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
 
     The result does not depend on where a run is split into blocks.
     """
-    begin, end = scene.motion.with_neighbours(np.arange(first, stop), NEIGHBOURS)
+    begin, end = scene.own_motion.with_neighbours(np.arange(first, stop), NEIGHBOURS)
     own, times_s = list(scene.own_ships), scene.times_s(begin, end)
-    sea = scene.motion.at(np.arange(begin, end))
+    sea = scene.own_motion.at(np.arange(begin, end))
     attitude = sea.world_R_vessel[:, own]
     positions = sea.poses.positions_m[:, own]
     unit = positions + attitude @ np.array(scene.imu.position_m)
@@ -79,7 +79,7 @@ def measured_attitudes_at(scene: Scene, first: int, stop: int) -> Array:
 
     They need no motion at later steps, as rates and forces do.
     """
-    sea, own = scene.motion.at(np.arange(first, stop)), list(scene.own_ships)
+    sea, own = scene.own_motion.at(np.arange(first, stop)), list(scene.own_ships)
     return _as_measured(scene, sea.poses.headings_rad[:, own], sea.angles_rad[:, own], first)
 
 

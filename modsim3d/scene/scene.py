@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -223,6 +223,11 @@ class Scene:
             moved = tuple(range(len(self.vessels)))
         return VesselMotion(self.poses, self.vessel_names, self.waves, moved, self.steps)
 
+    @property
+    def own_motion(self) -> VesselMotion:
+        """The same with waves only for the vessels that carry cameras: waves take time to compute."""
+        return replace(self.motion, moved=self.own_ships)
+
     def sight(self, camera: Camera, steps: Indices, vessel_poses: PosesInWaves | None = None) -> Sight:
         """What a camera has in front of it at some ascending steps of shape (S,), and from where it looks.
 
@@ -261,7 +266,7 @@ class Scene:
         """
         if not len(steps):
             return np.empty((0, 3))
-        poses = self.camera_poses(camera, self.motion.at(steps), steps)
+        poses = self.camera_poses(camera, self.own_motion.at(steps), steps)
         return camera.intrinsics.sea_half_plane(poses.camera_R_world)
 
     def camera_poses(self, camera: Camera, vessel_poses: PosesInWaves, steps: Indices) -> CameraPoses:

@@ -64,6 +64,13 @@ class Sight:
         bodies = self._bodies(self.others) + self._own_hull() + self._obstacle_bodies()
         return first_body_around(self.camera_poses.positions_m, bodies)
 
+    def vessels_within_reach(self) -> Indices:
+        """Other vessels that the camera may be inside of at one of the steps, however waves move them, shape (k,)."""
+        reach_m = np.linalg.norm([vessel.extents_m for vessel in self.vessels], axis=1)
+        away_m = self.poses.positions_m - self.camera_poses.positions_m[:, None]
+        near = self.others & (np.hypot(away_m[..., 0], away_m[..., 1]) <= reach_m)
+        return np.flatnonzero(near.any(axis=0))
+
     def _own_hull(self) -> list[Bodies]:
         """The vessel that carries the camera, if it has a mesh: it hides others and has no box."""
         with_mesh = np.array([vessel.has_mesh for vessel in self.vessels])

@@ -11,7 +11,6 @@ from modsim3d.arrays import Array, Indices, extents, ranges
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import IdRenderer, Ids, Region, Sheet
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.scan_conversion import facing
 from modsim3d.truth.triangles import Triangles, triangles_of
 
 TILE_PX = (8192, 4096)
@@ -71,6 +70,4 @@ class BufferDrawing:
 
     def _triangles(self, rows: Indices) -> Triangles:
         """The triangles of some rows, shape (k,), which ascend, without those that their own solid hides."""
-        every = triangles_of(self.outlines.take(rows), self.intrinsics, self.supersample)
-        # The faces of a whole closed solid that are turned to the camera hide the others.
-        return every.take(~every.of_whole | (facing(every.corners_px * self.supersample) > 0))
+        return triangles_of(self.outlines.take(rows), self.intrinsics, self.supersample, facing_only=True)

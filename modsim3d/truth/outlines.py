@@ -17,7 +17,8 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
-from modsim3d.truth.silhouettes import cut_near, doubled_areas, in_image, share_in_image, silhouette_polygons
+from modsim3d.truth.cutting import cut_faces
+from modsim3d.truth.silhouettes import doubled_face_areas, in_image, share_in_image, silhouette_polygons
 from modsim3d.vessels.bodies import Bodies
 from modsim3d.vessels.vessel import Solid
 
@@ -37,6 +38,10 @@ class Part:
     rows: Indices
     vertices_camera: Array
     vertices_px: Array
+
+    def take(self, chosen: Indices | Mask) -> Part:
+        """The solids that are chosen by ascending indices, shape (k,), or by a mask, shape (m,)."""
+        return Part(self.solid, self.rows[chosen], self.vertices_camera[chosen], self.vertices_px[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,23 +147,24 @@ def _outline(
     boxes = np.concatenate([_least(pixels), -_least(-pixels)], axis=-1)
     size = np.array(pinhole.image_size_px, dtype=np.float64)
     touching = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1) | crosses
-    areas = _projected_areas(pixels, solid) if solid.convex and measured else np.full(len(pixels), np.nan)
-    fractions = np.where(crosses, np.nan, 1.0)
-    whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
-    cut = np.flatnonzero(touching & ~(whole & (intrinsics.distortion is None)))
-    if not measured:
-        boxes[crosses], fractions[:] = [0, 0, *size], np.nan
-    elif not (solid.convex or bodies.boxed):
-        for row in cut.tolist():  # of an obstacle only a box is needed, which may be too large
-            boxes[row] = _box_in_image(cut_near(vertices[row][solid.faces], pinhole, solid), intrinsics)
-        touching &= np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
-        fractions[cut] = np.nan
-    elif len(cut):
-        silhouettes = silhouette_polygons(pinhole, vertices[cut], pixels[cut], crosses[cut], solid)
+    areas, fractions = np.full((2, len(boxes)), np.nan)
+    if measured:
+        whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
+        cut = touching & ~(whole & (intrinsics.distortion is None))
+        fractions[~cut] = 1.0
+        if solid.convex:
+            areas[~cut] = _projected_areas(pixels[~cut], solid)
+        # Of an obstacle only a box is needed, which may be too large. A mesh that the near plane cuts has no share.
+        box_only = cut & (crosses & (not solid.convex and intrinsics.distortion is None) | (not bodies.boxed))
+        boxes[box_only] = _boxes_in_image(vertices[box_only], crosses[box_only], intrinsics, solid)
+        rest = cut & ~box_only
+        silhouettes = silhouette_polygons(pinhole, vertices[rest], pixels[rest], crosses[rest], solid)
         inside = in_image(silhouettes, intrinsics)
-        areas[cut] = shapely.area(inside)
-        boxes[cut] = shapely.bounds(inside)
-        fractions[cut] = np.where(crosses[cut], np.nan, share_in_image(silhouettes, intrinsics))
+        boxes[rest], areas[rest] = shapely.bounds(inside), shapely.area(inside)
+        fractions[rest] = np.where(crosses[rest], np.nan, share_in_image(silhouettes, inside, intrinsics))
+        touching &= ~box_only | np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
+    else:
+        boxes[crosses] = [0, 0, *size]
     rows = np.flatnonzero(touching & ~(areas <= 0))
     if solid.convex:
         depth = vertices[rows, :, 2].mean(axis=-1)
@@ -177,16 +183,25 @@ def _outline(
     return columns, Part(solid, np.arange(len(rows)), vertices[rows], pixels[rows])
 
 
-def _box_in_image(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
-    """A box (4,) around what triangles (T, 3, 3) beyond the near plane show; (inf, inf, −inf, −inf) for nothing."""
+def _boxes_in_image(vertices_camera: Array, crosses: Mask, intrinsics: Intrinsics, solid: Solid) -> Array:
+    """Boxes (n, 4) around what n solids show in the image; (inf, inf, −inf, −inf) for nothing.
+
+    For the arguments see `cut_faces`.
+    """
     pinhole = intrinsics.pinhole
-    seen = clip_triangles(triangles_camera, guard_planes(pinhole, 0.0)).reshape(-1, 3)
-    if not len(seen):
-        return np.array([np.inf, np.inf, -np.inf, -np.inf])
-    pixels = np.clip(pinhole.project(seen), 0, pinhole.image_size_px)
-    around = np.array([shapely.box(*pixels.min(axis=0), *pixels.max(axis=0))])
-    bounds: Array = shapely.bounds(in_image(around, intrinsics))[0]
-    return bounds
+    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (len(crosses), 1))
+    for faces, member in cut_faces(vertices_camera, crosses, pinhole, solid):
+        seen, face = clip_triangles(faces, guard_planes(pinhole, 0.0))
+        pixels, of = np.clip(pinhole.project(seen), 0, pinhole.image_size_px), member[face]
+        order = np.argsort(of, kind="stable")
+        pixels, of = pixels[order], of[order]
+        first = np.flatnonzero(np.diff(of, prepend=-1))
+        boxes[of[first], :2] = np.minimum.reduceat(pixels.min(axis=1), first)
+        boxes[of[first], 2:] = np.maximum.reduceat(pixels.max(axis=1), first)
+    if intrinsics.distortion is not None:
+        known = np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
+        boxes[known] = shapely.bounds(in_image(shapely.box(*boxes[known].T), intrinsics))
+    return boxes
 
 
 def _least(pixels: Array) -> Array:
@@ -200,7 +215,7 @@ def _projected_areas(pixels: Array, solid: Solid) -> Array:
 
     It is half the area of the projected faces, as a ray through a convex solid meets two of them.
     """
-    doubled = doubled_areas(pixels[:, solid.faces])
+    doubled = doubled_face_areas(pixels, solid.faces)
     # The sum is rounded in order of memory, which must be the same for one silhouette as for many.
     areas: Array = np.ascontiguousarray(np.abs(doubled)).sum(axis=-1) / 4
     return areas

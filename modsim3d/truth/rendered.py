@@ -1,6 +1,6 @@
 """Truth from pixels, drawn only where geometry alone does not tell them.
 
-The pixels of a convex vessel follow from its outline by exact scan conversion, as spans. Vessels whose boxes overlap
+The pixels of a closed solid follow from its outline by exact scan conversion, as spans. Vessels whose boxes overlap
 form clusters. If planes between its solids put a cluster in order from near to far, its spans are cut in that order,
 and nothing is drawn. Of each other cluster only the part of the image in which boxes overlap is drawn, once, with all
 of its solids and a depth buffer. The ID image is runs of equal IDs; cutting the spans at the borders of the runs gives
@@ -30,6 +30,7 @@ from modsim3d.truth.overlaps import overlapping_pairs
 from modsim3d.truth.pixel_spans import Spans, counts_and_boxes, joined_spans, spans_of_ids
 from modsim3d.truth.scan_conversion import scan_convert
 from modsim3d.truth.triangles import within_guard
+from modsim3d.truth.winding import winding_spans
 
 MOST_LINES = 32_768
 """Most scan lines of silhouettes that are treated at once: few calls, but arrays that fit a cache."""
@@ -92,28 +93,33 @@ def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer,
 def _silhouettes(drawing: BufferDrawing, whole: Mask) -> Spans:
     """The spans of all vessels' whole silhouettes: by scan conversion where that is exact, otherwise drawn alone.
 
-    Scan conversion needs a convex solid that is `whole` (n,), of which nothing is cut off. Meshes, and solids that the
-    near plane cuts or that reach far outside the image, are drawn alone.
+    Scan conversion needs a closed solid that is `whole` (n,), of which nothing is cut off. Meshes with holes, and
+    solids that the near plane cuts or that reach far outside the image, are drawn alone.
     """
     boxed = drawing.outlines.boxed
-    convex, odd = _scan_converted(drawing, boxed & whole)
-    to_draw = boxed & ~(whole & drawing.outlines.convex)
-    to_draw[odd] = True
+    found, refused = _scan_converted(drawing, boxed & whole)
+    to_draw = boxed & ~whole
+    to_draw[refused] = True
     alone = _drawn_alone(drawing, np.flatnonzero(to_draw))
-    return joined_spans([convex, *alone]).ordered() if alone else convex
+    return joined_spans([found, *alone]).ordered() if alone else found
 
 
 def _scan_converted(drawing: BufferDrawing, rows: Mask) -> tuple[Spans, Indices]:
-    """The spans of the convex solids among some rows (n,), in order; and those (k,) which scan conversion refused."""
+    """The spans of the closed solids among some rows (n,), in order; and the rows (k,) to be drawn instead."""
     found, refused = [Spans.none()], [np.empty(0, dtype=np.int64)]
     for part in drawing.outlines.parts:
-        chosen = rows[part.rows]
-        if part.solid.convex and chosen.any():
-            vertices = part.vertices_px[chosen] * drawing.supersample
-            spans, odd = scan_convert(vertices, part.solid, (drawing.image.width, drawing.image.height))
-            of_part = part.rows[chosen]
-            found.append(Spans(of_part[spans.row], spans.y, spans.start, spans.stop))
-            refused.append(of_part[odd])
+        chosen, size = rows[part.rows], (drawing.image.width, drawing.image.height)
+        if not chosen.any():
+            continue
+        vertices, of_part = part.vertices_px[chosen] * drawing.supersample, part.rows[chosen]
+        if part.solid.convex:
+            spans, odd = scan_convert(vertices, part.solid, size)
+        elif part.solid.closed:
+            spans, odd = winding_spans(vertices, part.solid, size), np.empty(0, dtype=np.int64)
+        else:
+            spans, odd = Spans.none(), np.arange(len(of_part))
+        found.append(Spans(of_part[spans.row], spans.y, spans.start, spans.stop))
+        refused.append(of_part[odd])
     spans = found[-1] if len(found) <= 2 else joined_spans(found).ordered()
     return spans, np.concatenate(refused)
 

@@ -8,9 +8,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from modsim3d.arrays import Array, Mask
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.geometry.clipping import clip_triangles, near_plane
+from modsim3d.truth.cutting import cut_near
 from modsim3d.vessels.vessel import Solid
 
 NO_AREA_PX2 = 1e-9
@@ -36,12 +36,13 @@ def silhouette_polygons(
     else:
         for row in np.flatnonzero(~crosses).tolist():
             polygons[row] = union_of(pixels[row][solid.faces], both_sides=not solid.closed)
-    for row in np.flatnonzero(crosses).tolist():
-        clipped = intrinsics.project(cut_near(vertices[row][solid.faces], intrinsics, solid))
+    triangles, member = cut_near(vertices[crosses][:, solid.faces], intrinsics, solid)
+    rows, clipped = np.flatnonzero(crosses).tolist(), intrinsics.project(triangles)
+    for row, own in zip(rows, np.split(clipped, np.searchsorted(member, np.arange(1, len(rows)))), strict=False):
         if solid.convex:
-            polygons[row] = shapely.convex_hull(shapely.multipoints(clipped.reshape(-1, 2)))
+            polygons[row] = shapely.convex_hull(shapely.multipoints(own.reshape(-1, 2)))
         else:
-            polygons[row] = union_of(clipped)
+            polygons[row] = union_of(own)
     return polygons
 
 
@@ -63,14 +64,16 @@ def in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> NDArra
     return np.asarray(shapely.intersection(shapely.make_valid(bent), _image(intrinsics)))
 
 
-def share_in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> Array:
-    """Share of each silhouette's area (n,) that is in the image, measured before the lens distorts it, shape (n,)."""
-    image = _image(intrinsics)
+def share_in_image(silhouettes: NDArray[np.object_], inside: NDArray[np.object_], intrinsics: Intrinsics) -> Array:
+    """Share of each silhouette's area that is in the image, measured before the lens distorts it, shape (n,).
+
+    `inside` are the parts of the silhouettes (n,) that `in_image` gives.
+    """
     if intrinsics.distortion is not None:
         border = intrinsics.image_border()
         seen = intrinsics.unproject(border, np.full(len(border), intrinsics.near_clip_m))
-        image = shapely.Polygon(intrinsics.pinhole.project(seen))
-    share: Array = shapely.area(shapely.intersection(silhouettes, image)) / shapely.area(silhouettes)
+        inside = shapely.intersection(silhouettes, shapely.Polygon(intrinsics.pinhole.project(seen)))
+    share: Array = shapely.area(inside) / shapely.area(silhouettes)
     return share
 
 
@@ -88,6 +91,14 @@ def doubled_areas(triangles_px: NDArray[Number]) -> NDArray[Number]:
     return areas
 
 
+def doubled_face_areas(vertices_px: Array, faces: Indices) -> Array:
+    """`doubled_areas` of the faces (F, 3) of n solids from their projected vertices (n, K, 2), shape (n, F)."""
+    (x, y), (a, b, c) = np.moveaxis(vertices_px, -1, 0), faces.T
+    ax, bx, ay, by = x[:, b] - x[:, a], x[:, c] - x[:, a], y[:, b] - y[:, a], y[:, c] - y[:, a]
+    areas: Array = ay * bx - ax * by
+    return areas
+
+
 def union_of(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometry:
     """The region that projected triangles, shape (T, 3, 2), cover together.
 
@@ -95,41 +106,3 @@ def union_of(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometr
     """
     doubled = doubled_areas(triangles_px)
     return shapely.union_all(shapely.polygons(triangles_px[(np.abs(doubled) if both_sides else doubled) > NO_AREA_PX2]))
-
-
-def cut_near(triangles_camera: Array, intrinsics: Intrinsics, solid: Solid) -> Array:
-    """The triangles of a solid beyond the near plane, and the section that closes it there if it was closed.
-
-    Without the section the camera would look into the solid, and see the faces of what touches it from behind.
-    Triangles are in CCF, shapes (T, 3, 3) and (T', 3, 3).
-    """
-    near = intrinsics.near_clip_m
-    clipped = clip_triangles(triangles_camera, near_plane(intrinsics))
-    # A corner that the cut puts on the plane is off it by a rounding error.
-    clipped[..., 2][clipped[..., 2] < near * (1 + 1e-9)] = near
-    if not solid.closed:
-        return clipped
-    section = _convex_section(clipped, near) if solid.convex else _section(clipped, near)
-    return np.concatenate([clipped, section])
-
-
-def _convex_section(clipped: Array, near: float) -> Array:
-    """A fan of triangles between the corners on the near plane, shape (k, 3, 3)."""
-    section = np.unique(clipped[clipped[..., 2] == near], axis=0)
-    offset = section - section.mean(axis=0) if len(section) else section
-    around = section[np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))]
-    fan = [[around[0], around[i], around[i + 1]] for i in range(1, len(around) - 1)]
-    return np.array(fan).reshape(-1, 3, 3)
-
-
-def _section(clipped: Array, near: float) -> Array:
-    """Triangles that fill what the edges on the near plane enclose, except holes, shape (k, 3, 3)."""
-    on_plane = clipped[..., 2] == near
-    cut = clipped[on_plane.sum(axis=1) == 2]
-    if not len(cut):
-        return np.empty((0, 3, 3))
-    ends = cut[on_plane[on_plane.sum(axis=1) == 2]].reshape(-1, 2, 3)[..., :2]
-    filled = shapely.build_area(shapely.node(shapely.multilinestrings(shapely.linestrings(ends))))
-    pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(filled))
-    corners = shapely.get_coordinates(pieces).reshape(-1, 4, 2)[:, :3]
-    return np.concatenate([corners, np.full((len(corners), 3, 1), near)], axis=-1)

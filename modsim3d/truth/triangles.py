@@ -9,8 +9,9 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
-from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.silhouettes import cut_near
+from modsim3d.truth.cutting import cut_faces
+from modsim3d.truth.outlines import Outlines, Part
+from modsim3d.truth.winding import faces_towards
 
 GUARD_PX = 2048.0
 """Triangles that reach further beyond the image are clipped there in double precision before they are drawn. It is in
@@ -36,6 +37,12 @@ class Triangles:
     inverse_depth: Array
     of_whole: Mask
 
+    @classmethod
+    def none(cls) -> Triangles:
+        """No triangles."""
+        nothing = np.empty(0, dtype=np.int64)
+        return cls(nothing, np.empty((0, 3, 2)), np.empty((0, 3)), nothing.astype(bool))
+
     def take(self, chosen: Mask | Indices) -> Triangles:
         """The chosen triangles, given by a mask, shape (T,), or by indices, shape (k,)."""
         return Triangles(self.row[chosen], self.corners_px[chosen], self.inverse_depth[chosen], self.of_whole[chosen])
@@ -58,44 +65,68 @@ def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 
 
 
 def triangles_of(
-    outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1, guard_px: float = GUARD_PX
+    outlines: Outlines,
+    intrinsics: Intrinsics,
+    supersample: int = 1,
+    guard_px: float = GUARD_PX,
+    *,
+    facing_only: bool = False,
 ) -> Triangles:
     """The triangles of all rows in image pixels, clipped at the near plane and well outside the image.
 
-    They reach at most `guard_px` buffer pixels outside it, and `LENS_GUARD_PX` if the lens distorts.
+    They reach at most `guard_px` buffer pixels outside it, and `LENS_GUARD_PX` if the lens distorts. With
+    `facing_only`, the faces of whole closed solids that are turned away from the camera are left out: the others hide
+    them.
     """
     inside = within_guard(outlines, intrinsics, supersample, guard_px)
-    bent = intrinsics.distortion is not None
-    guard = guard_planes(intrinsics.pinhole, LENS_GUARD_PX if bent else guard_px / supersample)
-    row, whole, corners = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=bool)], [np.empty((0, 3, 3))]
+    found = [Triangles.none()]
     for part in outlines.parts:
-        uncut, faces = inside[part.rows], part.solid.faces
-        row.append(np.repeat(part.rows[uncut], len(faces)))
-        whole.append(np.full(len(row[-1]), part.solid.closed))
-        corners.append(part.vertices_camera[uncut][:, faces].reshape(-1, 3, 3))
-        for member in np.flatnonzero(~uncut):
-            camera = part.vertices_camera[member][faces]
-            if outlines.crosses_near[part.rows[member]]:
-                camera = cut_near(camera, intrinsics, part.solid)
-            clipped = clip_triangles(camera, guard)
-            if bent:
-                clipped = subdivided(clipped, intrinsics.pinhole, intrinsics.chord_px / supersample**0.5)
-            clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
-            row.append(np.full(len(clipped), part.rows[member]))
-            whole.append(np.zeros(len(clipped), dtype=bool))
-            corners.append(clipped)
-    rows = np.concatenate(row)
-    order = np.argsort(rows, kind="stable")
-    ordered = np.concatenate(corners)[order]
+        uncut = inside[part.rows]
+        found.append(_uncut(part.take(uncut), intrinsics, supersample if facing_only and part.solid.closed else None))
+        if not uncut.all():
+            rest = part.take(~uncut)
+            found += _clipped(rest, outlines.crosses_near[rest.rows], intrinsics, supersample, guard_px)
+    row, corners, depths, whole = (
+        np.concatenate([getattr(some, name) for some in found])
+        for name in ("row", "corners_px", "inverse_depth", "of_whole")
+    )
+    return Triangles(row, corners, depths, whole).take(np.argsort(row, kind="stable"))
+
+
+def _uncut(part: Part, intrinsics: Intrinsics, supersample: int | None) -> Triangles:
+    """The faces of solids that need no clipping; with `supersample`, those that are turned to the camera."""
+    faces = part.solid.faces
+    if supersample is None:
+        chosen = np.ones((len(part.rows), len(faces)), dtype=bool)
+    else:
+        chosen = faces_towards(part.vertices_px * supersample, part.solid)
+    member, face = np.nonzero(chosen)
+    corner = (member[:, None], faces[face])
     return Triangles(
-        rows[order],
-        intrinsics.project(ordered),
-        intrinsics.near_clip_m / ordered[..., 2],
-        np.concatenate(whole)[order],
+        part.rows[member],
+        part.vertices_px[corner],
+        (intrinsics.near_clip_m / part.vertices_camera[..., 2])[corner],
+        np.full(len(member), part.solid.closed),
     )
 
 
-def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: float) -> Array:
+def _clipped(part: Part, crosses: Mask, intrinsics: Intrinsics, supersample: int, guard_px: float) -> list[Triangles]:
+    """The clipped faces of solids, of which the near plane crosses some, in portions."""
+    bent = intrinsics.distortion is not None
+    guard = guard_planes(intrinsics.pinhole, LENS_GUARD_PX if bent else guard_px / supersample)
+    portions = []
+    for triangles, member in cut_faces(part.vertices_camera, crosses, intrinsics, part.solid):
+        clipped, source = clip_triangles(triangles, guard)
+        if bent:
+            clipped, piece_of = subdivided(clipped, intrinsics.pinhole, intrinsics.chord_px / supersample**0.5)
+            source = source[piece_of]
+        clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
+        rows, depths = part.rows[member[source]], intrinsics.near_clip_m / clipped[..., 2]
+        portions.append(Triangles(rows, intrinsics.project(clipped), depths, np.zeros(len(rows), dtype=bool)))
+    return portions
+
+
+def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: float) -> tuple[Array, Indices]:
     """The same surface as triangles whose edges are short in the image.
 
     Whether an edge is halved depends on its own length only. Both triangles at an edge are therefore cut alike, and no
@@ -107,17 +138,21 @@ def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: floa
         longest_px: Greatest length of an edge in its image.
 
     Returns:
-        Triangles in CCF with the orientation of the given ones, shape (T', 3, 3).
+        Triangles in CCF with the orientation of the given ones, shape (T', 3, 3), and the given triangle that each is a
+        piece of, shape (T',).
     """
-    waiting, done = triangles_camera, [triangles_camera[:0]]
+    waiting, source = triangles_camera, np.arange(len(triangles_camera))
+    done, sources = [waiting[:0]], [source[:0]]
     while len(waiting):
         pixels = intrinsics.project(np.maximum(waiting, (-np.inf, -np.inf, intrinsics.near_clip_m)))
         # Edge i runs from corner i to corner i + 1.
         long = np.linalg.norm(np.roll(pixels, -1, axis=1) - pixels, axis=-1) > longest_px
         count = long.sum(axis=1)
         done.append(waiting[count == 0])
+        sources.append(source[count == 0])
         waiting = np.concatenate([_cut(waiting[count == k], long[count == k], k) for k in (1, 2, 3)])
-    return np.concatenate(done)
+        source = np.concatenate([np.tile(source[count == k], k + 1) for k in (1, 2, 3)])
+    return np.concatenate(done), np.concatenate(sources)
 
 
 def _cut(triangles: Array, long: Array, count: int) -> Array:

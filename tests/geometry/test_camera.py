@@ -121,7 +121,7 @@ def test_mounted_camera_moves_and_turns_with_its_vessel():
 
 def test_near_clipping_keeps_the_part_beyond_the_plane():
     triangle = np.array([[[0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [0.0, 0.0, -2.0]]])
-    clipped = clip_triangles(triangle, near_plane(LEGACY))
+    clipped = clip_triangles(triangle, near_plane(LEGACY))[0]
     assert clipped[..., 2].min() == pytest.approx(0.1)
     area = 0.5 * np.linalg.norm(np.cross(clipped[:, 1] - clipped[:, 0], clipped[:, 2] - clipped[:, 0]), axis=1).sum()
     assert area == pytest.approx(2.0 - 0.5 * 2.1 * 2.1 / 4)
@@ -129,14 +129,14 @@ def test_near_clipping_keeps_the_part_beyond_the_plane():
 
 def test_clipping_leaves_what_is_inside_and_drops_what_is_outside():
     inside = np.array([[[0.0, 0.0, 2.0], [0.1, 0.1, 2.0], [0.0, 0.1, 3.0]]])
-    np.testing.assert_array_equal(clip_triangles(inside, near_plane(LEGACY)), inside)
-    assert clip_triangles(-inside, near_plane(LEGACY)).shape == (0, 3, 3)
+    np.testing.assert_array_equal(clip_triangles(inside, near_plane(LEGACY))[0], inside)
+    assert clip_triangles(-inside, near_plane(LEGACY))[0].shape == (0, 3, 3)
 
 
 @pytest.mark.parametrize("depths", [(2.0, 2.5, 3.0), (0.1, 0.2, 0.3), (0.1, 0.1, 0.2), (0.1, 0.1, 0.1)])
 def test_triangle_that_touches_the_plane_is_left_as_it_is(depths):
     triangle = np.array([[[0.0, 0.0, depths[0]], [0.1, 0.1, depths[1]], [0.0, 0.1, depths[2]]]])
-    np.testing.assert_array_equal(clip_triangles(triangle, near_plane(LEGACY)), triangle)
+    np.testing.assert_array_equal(clip_triangles(triangle, near_plane(LEGACY))[0], triangle)
 
 
 def area_vectors(triangles):
@@ -148,7 +148,7 @@ def test_two_halves_of_a_triangle_make_up_the_whole_with_its_orientation():
     for triangle in rng.normal(size=(200, 1, 3, 3)):
         normal, whole = rng.normal(size=3), area_vectors(triangle)[0]
         plane = np.array([[*normal, normal @ triangle[0].mean(axis=0) + rng.normal(scale=0.3)]])
-        parts = [clip_triangles(triangle, side) for side in (plane, -plane)]
+        parts = [clip_triangles(triangle, side)[0] for side in (plane, -plane)]
         for side, part in zip((plane[0], -plane[0]), parts, strict=True):
             assert (part @ side[:3] - side[3] > -1e-12).all()
             assert (area_vectors(part) @ whole > -1e-12).all()
@@ -158,17 +158,17 @@ def test_two_halves_of_a_triangle_make_up_the_whole_with_its_orientation():
 def test_parts_of_triangles_are_in_the_order_of_the_triangles():
     rng = np.random.default_rng(5)
     triangles = rng.normal(size=(30, 3, 3)) + 100 * np.arange(30)[:, None, None] * [1.0, 0.0, 0.0]
-    parts = clip_triangles(triangles, np.array([[0.0, 0.3, 1.0, 0.1]]))
+    parts = clip_triangles(triangles, np.array([[0.0, 0.3, 1.0, 0.1]]))[0]
     assert (np.diff(np.rint(parts[..., 0].mean(axis=1) / 100)) >= 0).all()
 
 
 def test_guard_planes_cut_at_the_guard_band():
     everything = np.array([[[-500.0, -300.0, 5.0], [600.0, -300.0, 5.0], [0.0, 700.0, 5.0]]])
-    shown = SKEWED.project(clip_triangles(everything, guard_planes(SKEWED, 100.0)))
+    shown = SKEWED.project(clip_triangles(everything, guard_planes(SKEWED, 100.0))[0])
     np.testing.assert_allclose(shown.min(axis=(0, 1)), [-100, -100], atol=1e-6)
     np.testing.assert_allclose(shown.max(axis=(0, 1)), [900, 700], atol=1e-6)
     triangle = np.array([[[-50.0, -3.0, 5.0], [60.0, 2.0, 5.0], [0.0, 70.0, 5.0]]])
     planes = np.concatenate([near_plane(SKEWED), guard_planes(SKEWED, 100.0)])
-    pixels = SKEWED.project(clip_triangles(triangle, planes))
+    pixels = SKEWED.project(clip_triangles(triangle, planes)[0])
     np.testing.assert_allclose([pixels[..., 0].min(), pixels[..., 0].max()], [-100, 900], atol=1e-6)
     assert pixels[..., 1].max() == pytest.approx(700)

@@ -242,7 +242,7 @@ def test_fraction_in_the_image_is_that_of_the_undistorted_area():
 def test_subdivision_keeps_the_area_and_makes_edges_short():
     rng = np.random.default_rng(3)
     triangles = rng.uniform([-3, -3, 5], [3, 3, 9], (20, 3, 3))
-    small = subdivided(triangles, INTRINSICS, 20.0)
+    small, _ = subdivided(triangles, INTRINSICS, 20.0)
     pixels = INTRINSICS.project(small)
     assert np.linalg.norm(np.roll(pixels, -1, axis=1) - pixels, axis=-1).max() <= 20.0
 

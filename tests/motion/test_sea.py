@@ -252,6 +252,26 @@ def test_sight_does_not_depend_on_how_steps_are_split(tmp_path):
             np.testing.assert_array_equal(piece.camera_poses.positions_m, whole.camera_poses.positions_m[part])
 
 
+def test_camera_that_a_vessel_reaches_in_waves_alone_is_refused(tmp_path):
+    path = own_ship_scene(tmp_path, {**SWELL, "apply_to": "all"})
+    data = json.loads(path.read_text())
+    data["cameras"]["C0"]["pose"]["position_m"] = [90, -15, 3.2]  # 0.2 m above the other's roof
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError, match=r"cameras\.C0: is inside vessel 'other' at time "):
+        load_scene(path)
+    path.write_text(json.dumps({**data, "waves": SWELL}))
+    load_scene(path)
+
+
+def test_own_ships_move_the_same_when_the_others_stay_on_calm_water(tmp_path):
+    scene, steps = load_scene(own_ship_scene(tmp_path, {**SWELL, "apply_to": "all"})), np.arange(30)
+    every, own = scene.motion.at(steps), scene.own_motion.at(steps)
+    np.testing.assert_array_equal(own.poses.positions_m[:, 0], every.poses.positions_m[:, 0])
+    np.testing.assert_array_equal(own.world_R_vessel[:, 0], every.world_R_vessel[:, 0])
+    assert not own.angles_rad[:, 1].any()
+    assert every.angles_rad[:, 1].all(axis=0)[:2].all()
+
+
 def test_additive_rule_takes_the_heave_and_not_the_lever_arm(tmp_path):
     scene = load_scene(own_ship_scene(tmp_path, {**SWELL, "composition": "additive"}))
     sight = scene.sight(scene.cameras[1], np.arange(30))

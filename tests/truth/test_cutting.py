@@ -8,7 +8,8 @@ import shapely
 from scipy.spatial.transform import Rotation
 
 from modsim3d.geometry.clipping import clip_triangles, near_plane
-from modsim3d.truth.silhouettes import cut_near
+from modsim3d.truth.cutting import cut_faces, cut_near
+from modsim3d.truth.scan_conversion import facing
 from modsim3d.truth.triangles import subdivided, triangles_of, within_guard
 from modsim3d.vessels.vessel import shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_places
@@ -28,6 +29,11 @@ def box_across_the_plane(rng):
     return corners[shoebox().faces], (a + share[:, None] * (b - a))[crossing]
 
 
+def cut_alone(triangles, solid):
+    """What `cut_near` leaves of one solid."""
+    return cut_near(triangles[None], LENS, solid)[0]
+
+
 @pytest.mark.parametrize("convex", [True, False])
 def test_section_closes_what_the_plane_cuts_open(convex):
     rng, solid = np.random.default_rng(0), replace(shoebox(), convex=convex)
@@ -36,8 +42,8 @@ def test_section_closes_what_the_plane_cuts_open(convex):
         triangles, met = box_across_the_plane(rng)
         if not len(met):
             continue
-        clipped = clip_triangles(triangles, near_plane(LENS))
-        section = cut_near(triangles, LENS, solid)[len(clipped) :]
+        clipped, _ = clip_triangles(triangles, near_plane(LENS))
+        section = cut_alone(triangles, solid)[len(clipped) :]
         assert (section[..., 2] == 2.0).all()
         parts = shapely.polygons(section[..., :2])
         hull = shapely.convex_hull(shapely.multipoints(met[:, :2]))
@@ -50,16 +56,48 @@ def test_section_closes_what_the_plane_cuts_open(convex):
 def test_section_leaves_holes_open_and_surfaces_without_an_inside_get_none():
     outer, inner = ((shoebox().vertices - [0, 0, 0.5]) * size + [0, 0, 2.0] for size in ([6, 6, 4], [2, 3, 5]))
     tube = np.concatenate([outer[shoebox().faces], inner[shoebox().faces][:, ::-1]])
-    section = cut_near(tube, LENS, replace(shoebox(), convex=False))[len(clip_triangles(tube, near_plane(LENS))) :]
+    clipped, _ = clip_triangles(tube, near_plane(LENS))
+    section = cut_alone(tube, replace(shoebox(), convex=False))[len(clipped) :]
     assert shapely.union_all(shapely.polygons(section[..., :2])).area == pytest.approx(6 * 6 - 2 * 3)
-    sheet = cut_near(tube, LENS, replace(shoebox(), convex=False, closed=False))
-    np.testing.assert_allclose(sheet, clip_triangles(tube, near_plane(LENS)), rtol=1e-9)
+    sheet = cut_alone(tube, replace(shoebox(), convex=False, closed=False))
+    np.testing.assert_allclose(sheet, clipped, rtol=1e-9)
 
 
 def test_solid_that_the_plane_does_not_meet_gets_no_section():
     beyond = shoebox().vertices[shoebox().faces] + [0, 0, 5.0]
     for convex in (True, False):
-        np.testing.assert_array_equal(cut_near(beyond, LENS, replace(shoebox(), convex=convex)), beyond)
+        np.testing.assert_array_equal(cut_alone(beyond, replace(shoebox(), convex=convex)), beyond)
+
+
+@pytest.mark.parametrize("convex", [True, False])
+def test_solids_are_cut_together_as_each_by_itself(convex, monkeypatch):
+    """Bit for bit, also in portions: those that the plane does not cross are left as they are."""
+    rng, solid = np.random.default_rng(5), replace(shoebox(), convex=convex)
+    vertices = shoebox().vertices * rng.uniform(1, 6, (40, 1, 3)) @ Rotation.random(40, rng=rng).as_matrix()
+    vertices += rng.normal([0, 0, 4], [1, 1, 2], (40, 1, 3))
+    vertices = vertices[(vertices[..., 2] > 2.0).any(axis=1)]
+    crosses = (vertices[..., 2] < 2.0).any(axis=1)
+    assert 5 < crosses.sum() < len(crosses) - 5
+    monkeypatch.setattr("modsim3d.truth.cutting.PORTION_FACES", 100)
+    portions = list(cut_faces(vertices, crosses, LENS, solid))
+    assert len(portions) > 3
+    triangles, member = (np.concatenate(parts) for parts in zip(*portions, strict=True))
+    for index, cut in enumerate(crosses):
+        faces = vertices[index, shoebox().faces]
+        np.testing.assert_array_equal(triangles[member == index], cut_alone(faces, solid) if cut else faces)
+
+
+def test_pieces_of_triangles_name_the_triangle_that_they_are_of():
+    rng = np.random.default_rng(6)
+    triangles = rng.normal([0, 0, 2], 1.5, (50, 3, 3))
+    for cut in (
+        lambda some: clip_triangles(some, np.concatenate([near_plane(LENS), [[1.0, 0.0, 0.0, -0.5]]])),
+        lambda some: subdivided(some + np.array([0, 0, 9.0]), INTRINSICS, 15.0),
+    ):
+        pieces, source = cut(triangles)
+        assert set(np.bincount(source)) - {1}
+        for index in range(len(triangles)):
+            np.testing.assert_array_equal(pieces[source == index], cut(triangles[[index]])[0])
 
 
 @pytest.mark.parametrize("factor", [1, 3])
@@ -83,7 +121,7 @@ def test_triangles_on_both_sides_of_an_edge_are_cut_at_the_same_points():
     rng = np.random.default_rng(21)
     for a, b, c, d in rng.uniform([-2, -2, 6], [2, 2, 9], (60, 4, 3)):
         along = [
-            {tuple(p) for p in subdivided(triangle[None], INTRINSICS, 90.0).reshape(-1, 3) if on_segment(p, a, b)}
+            {tuple(p) for p in subdivided(triangle[None], INTRINSICS, 90.0)[0].reshape(-1, 3) if on_segment(p, a, b)}
             for triangle in (np.array([a, b, c]), np.array([b, a, d]), np.array([d, b, a]), np.array([c, a, b]))
         ]
         assert along[0] == along[1] == along[2] == along[3]
@@ -97,6 +135,17 @@ def test_only_long_edges_are_cut():
     """Edges of 300, 300 and 30 px: the short one stays whole, as it is no longer than 40 px."""
     corners = np.array([[-0.3, -0.3, 20.0], [0.3, -0.3, 20.0], [0.0, 5.7, 20.0]])
     for turn in range(3):
-        small = subdivided(np.roll(corners, turn, axis=0)[None], INTRINSICS, 40.0)
+        small, _ = subdivided(np.roll(corners, turn, axis=0)[None], INTRINSICS, 40.0)
         lowest = small[np.isclose(small[..., 1], -0.3).sum(axis=1) == 2]
         assert len(lowest) == 1
+
+
+@pytest.mark.parametrize("factor", [1, 3])
+def test_without_faces_turned_away_the_others_are_the_same(factor):
+    outlines = outlines_of(random_places(np.random.default_rng(22), 60, near_m=5.0, far_m=150.0))
+    every, some = (triangles_of(outlines, INTRINSICS, factor, facing_only=only) for only in (False, True))
+    kept = ~every.of_whole | (facing(every.corners_px * factor) > 0)
+    assert (every.of_whole & kept).sum() > 100
+    assert len(some.row) < len(every.row) * 0.7
+    for name in ("row", "corners_px", "inverse_depth", "of_whole"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(every, name)[kept], err_msg=name)

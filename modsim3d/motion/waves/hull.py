@@ -80,9 +80,10 @@ def response(hull: Hull, frequencies_rad_s: Array, encounter_rad_s: Array, relat
             for waves that travel to port.
     """
     number = frequencies_rad_s**2 / GRAVITY_M_S2
-    along, across = number * np.cos(relative_rad)[:, None], number * np.sin(relative_rad)[:, None]
-    lengthwise, pitching = _over(hull.length_m, along)
-    beamwise, rolling = _over(hull.beam_m, across)
+    courses, which = np.unique(relative_rad, return_inverse=True)  # a vessel keeps its heading for long
+    along, across = number * np.cos(courses)[:, None], number * np.sin(courses)[:, None]
+    lengthwise, pitching = (factor[which] for factor in _over(hull.length_m, along))
+    beamwise, rolling = (factor[which] for factor in _over(hull.beam_m, across))
     draught = number * hull.draught_m
     ratio = encounter_rad_s / frequencies_rad_s  # α
     band = number * hull.beam_m * ratio**2  # k B α²; with A = 2 sin(band / 2) e^(−k T α²) …
