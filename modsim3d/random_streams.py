@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from enum import Enum, unique
 from typing import Any
 
@@ -10,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from modsim3d.arrays import Array
+from modsim3d import philox
+from modsim3d.arrays import Array, Indices
+from modsim3d.philox import NUMBERS_PER_BLOCK
 
-_NUMBERS_PER_BLOCK = 4  # one value of Philox4x64's counter gives four 64-bit numbers
 _UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps differently and would overlap
 _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
 GRID = 2.0**-20
@@ -138,9 +140,9 @@ class Streams:
             ValueError: The purpose has a generator for each step.
         """
         width = purpose.uniforms
-        blocks = -(-width // _NUMBERS_PER_BLOCK)
+        blocks = -(-width // NUMBERS_PER_BLOCK)
         self._scratch.state = self._state(_UNIFORMS, purpose, names, counter=first * blocks)
-        return self._scratch_generator.random((count, blocks * _NUMBERS_PER_BLOCK))[:, :width]
+        return self._scratch_generator.random((count, blocks * NUMBERS_PER_BLOCK))[:, :width]
 
     def generator(self, purpose: Purpose, *names: str, step: int) -> np.random.Generator:
         """A separate generator for one step, for an unknown number of draws; `names` are the rest of the key.
@@ -148,11 +150,41 @@ class Streams:
         Raises:
             ValueError: The purpose has a fixed number of uniform numbers a step.
         """
-        if purpose.width is not None:
-            raise ValueError(f"{purpose} has {purpose.width} uniform numbers a step and no generator")
+        _check_has_generators(purpose)
         bits = np.random.Philox(self._root)
         bits.state = self._state(_GENERATOR, purpose, names, counter=step << 192)
         return np.random.Generator(bits)
+
+    def generated(
+        self,
+        purpose: Purpose,
+        *names: str,
+        owners: Sequence[str],
+        owner: Indices,
+        steps: Indices,
+        first: int,
+        count: int,
+    ) -> Array:
+        """Uniform numbers of many of the generators that `generator` gives, shape (n, count).
+
+        Args:
+            purpose: What the numbers are used for.
+            *names: Rest of the key but for its last name.
+            owners: Last names of keys.
+            owner: Index of the last name of each of n generators, shape (n,).
+            steps: Its step, shape (n,).
+            first: How many numbers of each generator are left out.
+            count: How many numbers of each are given.
+
+        Raises:
+            ValueError: The purpose has a fixed number of uniform numbers a step.
+        """
+        _check_has_generators(purpose)
+        used, place = np.unique(owner, return_inverse=True)
+        keys = [self._key(_GENERATOR, purpose, (*names, owners[index])) for index in used.tolist()]
+        of_rows = np.array(keys, dtype=np.uint64).reshape(-1, 2)[place]
+        low, high = np.zeros(len(steps), dtype=np.uint64), steps.astype(np.uint64)
+        return philox.uniforms(of_rows, low, high, first, count)
 
     def _state(self, kind: int, purpose: Purpose, names: tuple[str, ...], counter: int) -> Any:
         """Philox at a counter. `Philox(key=..., counter=...)` does the same but gathers entropy first."""
@@ -160,8 +192,8 @@ class Streams:
         return {
             "bit_generator": "Philox",
             "state": {"counter": np.array(words, dtype=np.uint64), "key": self._key(kind, purpose, names)},
-            "buffer": np.zeros(_NUMBERS_PER_BLOCK, dtype=np.uint64),
-            "buffer_pos": _NUMBERS_PER_BLOCK,
+            "buffer": np.zeros(NUMBERS_PER_BLOCK, dtype=np.uint64),
+            "buffer_pos": NUMBERS_PER_BLOCK,
             "has_uint32": 0,
             "uinteger": 0,
         }
@@ -173,6 +205,11 @@ class Streams:
             sequence = np.random.SeedSequence(self.seed, spawn_key=spawn_key)
             self._keys[stream] = sequence.generate_state(2, np.uint64).astype(np.uint64)
         return self._keys[stream]
+
+
+def _check_has_generators(purpose: Purpose) -> None:
+    if purpose.width is not None:
+        raise ValueError(f"{purpose} has {purpose.width} uniform numbers a step and no generator")
 
 
 def normals(uniforms: Array) -> Array:

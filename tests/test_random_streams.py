@@ -56,6 +56,10 @@ def test_a_purpose_has_one_width() -> None:
         Streams(3).uniforms(Purpose.AGENTS, first=0, count=1)
     with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step and no generator"):
         Streams(3).generator(Purpose.BOX_ERROR, "C0", "a", step=0)
+    with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step and no generator"):
+        Streams(3).generated(
+            Purpose.BOX_ERROR, owners=("a",), owner=np.zeros(1, int), steps=np.zeros(1, int), first=0, count=1
+        )
 
 
 @given(
@@ -114,6 +118,15 @@ def test_generators_are_repeatable_and_independent_of_each_other() -> None:
     one, two = streams.generator(Purpose.AGENTS, "a", step=1), streams.generator(Purpose.AGENTS, "a", step=1)
     two.random(5)
     assert np.array_equal(one.random(3), Streams(3).generator(Purpose.AGENTS, "a", step=1).random(3))
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2**40)), max_size=6), st.integers(0, 9), st.integers(0, 9))
+def test_numbers_of_many_generators_are_those_of_each(rows: list[tuple[int, int]], first: int, count: int) -> None:
+    streams, owners, purpose = Streams(3), ("a", "b", "c"), Purpose.BOX_ERROR_REDRAW
+    owner, steps = np.array(rows, dtype=np.int64).reshape(-1, 2).T
+    ours = streams.generated(purpose, "C0", owners=owners, owner=owner, steps=steps, first=first, count=count)
+    each = [streams.generator(purpose, "C0", owners[index], step=step).random(first + count) for index, step in rows]
+    assert np.array_equal(ours, np.reshape(each, (len(rows), first + count))[:, first:])
 
 
 def test_numbers_are_the_same_in_every_process() -> None:

@@ -19,8 +19,7 @@ from modsim3d.random_streams import Streams, grid_normals
 
 MOST_DRAWS = 10_000
 """Draws of the error of one box before its state counts as impossible for it."""
-_ROWS_AT_ONCE = 256
-_FIRST_BATCH, _LARGEST_BATCH = 8, 2048
+_FIRST_DRAWS, _LEAST_DRAWS, _DRAWS_AT_ONCE = 4, 2, 2048  # of a box, of a box, of all boxes: they fit a cache
 _SWEEPS = 10  # twice what four rows need
 
 
@@ -144,10 +143,8 @@ class BoxErrorSource:
         image, truth = true.frames.image_size_px, true.boxes_px
         errors = self.errors_px(true.state, sizes(truth), latent)
         redrawn = ~inside_image(move(truth, errors), image)
-        bad = np.flatnonzero(redrawn)
-        for start in range(0, len(bad), _ROWS_AT_ONCE):
-            rows = bad[start : start + _ROWS_AT_ONCE]
-            errors[rows] = self._redraw(streams, purposes, true, rows)
+        rows = np.flatnonzero(redrawn)
+        errors[rows] = self._redraw(streams, purposes, true, rows)
         return MisplacedBoxes(clip(move(truth, errors), image), errors, redrawn)
 
     def errors_px(self, state: Indices, sizes_px: Array, latent: Array) -> Array:
@@ -200,29 +197,41 @@ class BoxErrorSource:
 
         Each row has streams of its own, so resampling one leaves the first draws of other steps as they were.
         """
-        targets, frames, widths = true.targets, true.frames, purposes.widths(self.extra_normals)
-        generators = [
-            [
-                (streams.generator(purpose, frames.camera, targets.vessel_ids[vessel], step=step), width)
-                for purpose, width in widths.items()
-            ]
-            for vessel, step in zip(targets.vessel[rows], frames.steps[targets.frame[rows]].tolist(), strict=True)
-        ]
         errors = np.empty((len(rows), 4))
-        pending, drawn, batch = np.arange(len(rows)), 0, _FIRST_BATCH
+        pending, drawn, draws = np.arange(len(rows)), 0, _FIRST_DRAWS
         while len(pending):
+            left = rows[pending]
             if drawn == MOST_DRAWS:
-                raise ModsimError(self._hopeless(true, rows[pending[0]]))
-            batch = min(batch, MOST_DRAWS - drawn)
-            draws = [[g.random((batch, width)) for g, width in generators[row]] for row in pending]
-            latent = grid_normals(np.stack([np.concatenate(parts, axis=1) for parts in draws]))
-            state, truth = true.state[rows[pending]], true.boxes_px[rows[pending]]
-            candidates = self.errors_px(state, sizes(truth), latent)
-            accepted = inside_image(move(truth[:, None], candidates), frames.image_size_px)
+                raise ModsimError(self._hopeless(true, left[0]))
+            draws = min(max(min(draws, _DRAWS_AT_ONCE // len(left)), _LEAST_DRAWS), MOST_DRAWS - drawn)
+            latent = self._redrawn_normals(streams, purposes, true, left, drawn, draws)
+            truth = true.boxes_px[left]
+            candidates = self.errors_px(true.state[left], sizes(truth), latent)
+            accepted = inside_image(move(truth[:, None], candidates), true.frames.image_size_px)
             found, first = accepted.any(axis=1), accepted.argmax(axis=1)
             errors[pending[found]] = candidates[found, first[found]]
-            pending, drawn, batch = pending[~found], drawn + batch, min(4 * batch, _LARGEST_BATCH)
+            pending, drawn, draws = pending[~found], drawn + draws, 4 * draws
         return errors
+
+    def _redrawn_normals(
+        self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices, drawn: int, count: int
+    ) -> Array:
+        """Standard normal numbers of `count` redraws of some rows after those drawn, shape (r, count, 4 + extra)."""
+        targets, frames = true.targets, true.frames
+        owner, steps = targets.vessel[rows], frames.steps[targets.frame[rows]]
+        parts = [
+            streams.generated(
+                purpose,
+                frames.camera,
+                owners=targets.vessel_ids,
+                owner=owner,
+                steps=steps,
+                first=drawn * width,
+                count=count * width,
+            ).reshape(len(rows), count, width)
+            for purpose, width in purposes.widths(self.extra_normals).items()
+        ]
+        return grid_normals(np.concatenate(parts, axis=2))
 
     def _hopeless(self, true: TrueBoxes, row: int) -> str:
         targets, frames, state = true.targets, true.frames, true.state[row]
