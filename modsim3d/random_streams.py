@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from enum import Enum, unique
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,8 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.philox import NUMBERS_PER_BLOCK
 
 _UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps differently and would overlap
+# Below so many streams, and with so many rows for each, NumPy's own generator of one stream after the other is faster.
+_STREAMS_IN_TURN, _ROWS_AS_A_STREAM = 20, 25
 _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
 GRID = 2.0**-20
 """Step of the numbers that the detector draws: coarse against the rounding of a function, fine against any noise."""
@@ -124,6 +125,8 @@ class Streams:
         self._keys: dict[tuple[int, Purpose, tuple[str, ...]], NDArray[np.uint64]] = {}
         self._scratch = np.random.Philox(self._root)
         self._scratch_generator = np.random.Generator(self._scratch)
+        self._counter = np.zeros(NUMBERS_PER_BLOCK, dtype=np.uint64)
+        self._buffer = np.zeros(NUMBERS_PER_BLOCK, dtype=np.uint64)
 
     def uniforms(self, purpose: Purpose, *names: str, first: int, count: int) -> Array:
         """Uniform numbers in [0, 1) for `count` steps from `first` on, shape (count, width of the purpose).
@@ -141,8 +144,40 @@ class Streams:
         """
         width = purpose.uniforms
         blocks = -(-width // NUMBERS_PER_BLOCK)
-        self._scratch.state = self._state(_UNIFORMS, purpose, names, counter=first * blocks)
+        self._start(self._scratch, self._key(_UNIFORMS, purpose, names), low=first * blocks)
         return self._scratch_generator.random((count, blocks * NUMBERS_PER_BLOCK))[:, :width]
+
+    def uniforms_of(
+        self, purpose: Purpose, *names: str, owners: Sequence[str], owner: Indices, steps: Indices
+    ) -> Array:
+        """Uniform numbers of many streams that `uniforms` gives, shape (n, width of the purpose).
+
+        Args:
+            purpose: What the numbers are used for.
+            *names: Rest of the key but for its last name.
+            owners: Last names of keys.
+            owner: Index of the last name of each row, shape (n,).
+            steps: Step of each row, shape (n,).
+
+        Raises:
+            ValueError: The purpose has a generator for each step.
+        """
+        width = purpose.uniforms
+        used, place = np.unique(owner, return_inverse=True)
+        of_used = [(*names, owners[index]) for index in used.tolist()]
+        if len(used) > _STREAMS_IN_TURN + len(steps) // _ROWS_AS_A_STREAM:
+            blocks = -(-width // NUMBERS_PER_BLOCK)
+            low = steps.astype(np.uint64) * np.uint64(blocks)
+            return philox.uniforms(self._keys_of(_UNIFORMS, purpose, of_used)[place], low, np.zeros_like(low), 0, width)
+        first, last = np.full(len(used), np.iinfo(np.int64).max), np.zeros(len(used), dtype=np.int64)
+        np.minimum.at(first, place, steps)
+        np.maximum.at(last, place, steps)
+        counts = last - first + 1
+        ranges = zip(of_used, first.tolist(), counts.tolist(), strict=True)
+        parts = [self.uniforms(purpose, *key, first=start, count=count) for key, start, count in ranges]
+        starts = np.cumsum(counts) - counts
+        result: Array = np.concatenate([np.empty((0, width)), *parts])[(starts - first)[place] + steps]
+        return result
 
     def generator(self, purpose: Purpose, *names: str, step: int) -> np.random.Generator:
         """A separate generator for one step, for an unknown number of draws; `names` are the rest of the key.
@@ -152,7 +187,7 @@ class Streams:
         """
         _check_has_generators(purpose)
         bits = np.random.Philox(self._root)
-        bits.state = self._state(_GENERATOR, purpose, names, counter=step << 192)
+        self._start(bits, self._key(_GENERATOR, purpose, names), high=step)
         return np.random.Generator(bits)
 
     def generated(
@@ -181,22 +216,26 @@ class Streams:
         """
         _check_has_generators(purpose)
         used, place = np.unique(owner, return_inverse=True)
-        keys = [self._key(_GENERATOR, purpose, (*names, owners[index])) for index in used.tolist()]
-        of_rows = np.array(keys, dtype=np.uint64).reshape(-1, 2)[place]
+        keys = self._keys_of(_GENERATOR, purpose, [(*names, owners[index]) for index in used.tolist()])[place]
         low, high = np.zeros(len(steps), dtype=np.uint64), steps.astype(np.uint64)
-        return philox.uniforms(of_rows, low, high, first, count)
+        return philox.uniforms(keys, low, high, first, count)
 
-    def _state(self, kind: int, purpose: Purpose, names: tuple[str, ...], counter: int) -> Any:
-        """Philox at a counter. `Philox(key=..., counter=...)` does the same but gathers entropy first."""
-        words = [(counter >> shift) & 0xFFFF_FFFF_FFFF_FFFF for shift in (0, 64, 128, 192)]
-        return {
+    def _start(self, bits: np.random.Philox, key: NDArray[np.uint64], low: int = 0, high: int = 0) -> None:
+        """Set words 0 and 3 of Philox's counter. `Philox(key=..., counter=...)` does that too but gathers entropy."""
+        self._counter[0], self._counter[3] = low, high
+        bits.state = {
             "bit_generator": "Philox",
-            "state": {"counter": np.array(words, dtype=np.uint64), "key": self._key(kind, purpose, names)},
-            "buffer": np.zeros(NUMBERS_PER_BLOCK, dtype=np.uint64),
+            "state": {"counter": self._counter, "key": key},
+            "buffer": self._buffer,
             "buffer_pos": NUMBERS_PER_BLOCK,
             "has_uint32": 0,
             "uinteger": 0,
         }
+
+    def _keys_of(self, kind: int, purpose: Purpose, names: Sequence[tuple[str, ...]]) -> NDArray[np.uint64]:
+        """Keys of k streams, shape (k, 2)."""
+        keys = [self._key(kind, purpose, each) for each in names]
+        return np.array(keys, dtype=np.uint64).reshape(-1, 2)
 
     def _key(self, kind: int, purpose: Purpose, names: tuple[str, ...]) -> NDArray[np.uint64]:
         stream = (kind, purpose, names)

@@ -62,14 +62,16 @@ def symmetric_root(covariance: Array) -> Array:
     By Jacobi's rotations (Golub & Van Loan (2013), "Matrix Computations", section 8.5): they need no more than sums,
     products, quotients and square roots, so the root has the same bits everywhere, which a library's has not.
     """
-    matrix, vectors = np.array(covariance, dtype=np.float64), np.eye(len(covariance))
+    matrix, vectors = covariance.tolist(), np.eye(len(covariance)).tolist()  # so few numbers are faster in lists
     for p, q in list(itertools.combinations(range(len(matrix)), 2)) * _SWEEPS:
-        cosine, sine = _rotation(*matrix[[p, q, p], [p, q, q]].tolist())
-        for turned in (matrix, matrix.T, vectors):
-            one, other = turned[:, p].copy(), turned[:, q].copy()
-            turned[:, p], turned[:, q] = cosine * one - sine * other, sine * one + cosine * other
+        cosine, sine = _rotation(matrix[p][p], matrix[q][q], matrix[p][q])
+        for row in (*matrix, *vectors):
+            row[p], row[q] = cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]
+        pairs = list(zip(matrix[p], matrix[q], strict=True))
+        matrix[p] = [cosine * one - sine * other for one, other in pairs]
+        matrix[q] = [sine * one + cosine * other for one, other in pairs]
     roots = np.sqrt(np.maximum(np.diag(matrix), 0))
-    terms = [root * column[:, None] * column for root, column in zip(roots, vectors.T, strict=True)]
+    terms = [root * column[:, None] * column for root, column in zip(roots, np.array(vectors).T, strict=True)]
     total: Array = sum(terms[1:], terms[0])
     return total
 
