@@ -161,7 +161,9 @@ class BoxErrorSource:
         errors = np.broadcast_to(means, standard.shape)
         for j in range(4):
             errors = errors + self.roots[state, :, j].reshape(shape) * standard[..., j, None]
-        return factor * np.where(spread > 1, means + spread * (errors - means), errors)
+        if self.growths.any():
+            errors = np.where(spread > 1, means + spread * (errors - means), errors)
+        return factor * errors
 
     def _size_factors(self, state: Indices, sizes_px: Array) -> tuple[Array, Array]:
         return size_factors(sizes_px, self.relative[state][:, None], self.growths[state])
@@ -192,7 +194,7 @@ class BoxErrorSource:
         shape = (len(state), *([1] * (errors_px.ndim - 2)), 4)
         factor, spread = (array.reshape(shape) for array in self._size_factors(state, sizes_px))
         means, scaled = self.means[state].reshape(shape), errors_px / factor
-        return np.where(spread > 1, means + (scaled - means) / spread, scaled)
+        return np.where(spread > 1, means + (scaled - means) / spread, scaled) if self.growths.any() else scaled
 
     def _redraw(self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices) -> Array:
         """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generators.
