@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import platform
 import time
 from collections.abc import Callable, Iterator
@@ -258,5 +259,8 @@ def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
         "cameras": [camera.name for camera in scene.cameras],
         "backend": backend,
         "plugins": {f"{plugin.group}:{plugin.name}": plugin.package for plugin in scene.plugins},
-        "versions": {name: version(name) for name in VERSIONED},
+        "versions": {name: _version(name) for name in VERSIONED},
     }
+
+
+_version = functools.cache(version)
