@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from benchmarks.detect_again import detect_again
 from benchmarks.growth import growth
 from benchmarks.measured import Bench, Found, Row, profile_of_run, profile_text, ratios, significant, spread
 from benchmarks.processes import ROOT, Answer, child, environment, modsim3d, say, server
@@ -272,6 +273,7 @@ FIGURES: dict[str, Callable[[Bench], Found]] = {
     "dense": frame_rate("dense", "50 vessels of 5–300 m at 300–2500 m, all files, one process", 60),
     "image_size": image_size,
     "growth": growth,
+    "detect_again": detect_again,
     "workers": workers,
     "memory": memory,
     "cold_start": cold_start,
