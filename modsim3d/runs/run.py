@@ -129,9 +129,9 @@ def write_run(
     opened_workers: AbstractContextManager[BlockWorkers],
     settings_by: Callable[[BlockWorkers], dict[str, Any]],
     *,
+    most_steps: int | None = None,
     overwrite: bool = False,
     resume: bool = False,
-    most_steps: int | None = None,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
     """Write the run directory of a scene from the blocks that workers make; see `run_scene`.
@@ -141,9 +141,9 @@ def write_run(
         folder: The run directory; it is locked until the workers have ended.
         opened_workers: From `open_block_workers`.
         settings_by: Gives the settings, see `settings_of`.
+        most_steps: Most steps of a block, as for `step_ranges`.
         overwrite: Replace a run that is there.
         resume: Continue an interrupted run that is there.
-        most_steps: Most steps of a block, as for `step_ranges`.
         progress: Called with the number of steps done since its last call.
 
     Raises:
