@@ -17,6 +17,7 @@ from modsim3d.philox import NUMBERS_PER_BLOCK
 _UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps differently and would overlap
 # Below so many streams, and with so many rows for each, NumPy's own generator of one stream after the other is faster.
 _STREAMS_IN_TURN, _ROWS_AS_A_STREAM = 20, 25
+_NO_STEP = np.iinfo(np.int64).max
 _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
 GRID = 2.0**-20
 """Step of the numbers that the detector draws: coarse against the rounding of a function, fine against any noise."""
@@ -163,13 +164,13 @@ class Streams:
             ValueError: The purpose has a generator for each step.
         """
         width = purpose.uniforms
-        used, place = np.unique(owner, return_inverse=True)
+        used, place = _distinct(owner, len(owners))
         of_used = [(*names, owners[index]) for index in used.tolist()]
         if len(used) > _STREAMS_IN_TURN + len(steps) // _ROWS_AS_A_STREAM:
             blocks = -(-width // NUMBERS_PER_BLOCK)
             low = steps.astype(np.uint64) * np.uint64(blocks)
             return philox.uniforms(self._keys_of(_UNIFORMS, purpose, of_used)[place], low, np.zeros_like(low), 0, width)
-        first, last = np.full(len(used), np.iinfo(np.int64).max), np.zeros(len(used), dtype=np.int64)
+        first, last = np.full(len(used), _NO_STEP), np.zeros(len(used), dtype=np.int64)
         np.minimum.at(first, place, steps)
         np.maximum.at(last, place, steps)
         counts = last - first + 1
@@ -215,7 +216,7 @@ class Streams:
             ValueError: The purpose has a fixed number of uniform numbers a step.
         """
         _check_has_generators(purpose)
-        used, place = np.unique(owner, return_inverse=True)
+        used, place = _distinct(owner, len(owners))
         keys = self._keys_of(_GENERATOR, purpose, [(*names, owners[index]) for index in used.tolist()])[place]
         low, high = np.zeros(len(steps), dtype=np.uint64), steps.astype(np.uint64)
         return philox.uniforms(keys, low, high, first, count)
@@ -244,6 +245,16 @@ class Streams:
             sequence = np.random.SeedSequence(self.seed, spawn_key=spawn_key)
             self._keys[stream] = sequence.generate_state(2, np.uint64).astype(np.uint64)
         return self._keys[stream]
+
+
+def _distinct(indices: Indices, count: int) -> tuple[Indices, Indices]:
+    """Which of `count` indices occur, ascending, and the place of each of n indices among them, shapes (k,) and (n,).
+
+    What `np.unique` gives, but faster for few indices.
+    """
+    occurs = np.zeros(count, dtype=bool)
+    occurs[indices] = True
+    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[indices]
 
 
 def _check_has_generators(purpose: Purpose) -> None:

@@ -114,6 +114,8 @@ def poisson_quantile(uniforms: Array, mean: Array) -> Indices:
     counts = np.zeros(len(uniforms), dtype=np.int64)
     some = np.flatnonzero(mean > 0)
     for _ in range(_MOST_COUNTED):  # to count up is faster than the inverse, and enough for most
+        if not len(some):
+            break
         some = some[special.pdtr(counts[some], mean[some]) < uniforms[some]]
         counts[some] += 1
     u, m = uniforms[some], mean[some]

@@ -90,6 +90,8 @@ class Placement:
             uniforms: Uniform numbers, shape (m, 3).
             drift_px: How far each point has moved along the horizon, shape (m,); None for points that do not move.
         """
+        if not len(uniforms):  # most single frames
+            return np.empty((0, 2))
         return on_grid(self._places(half_planes, image_size_px, uniforms, drift_px), PLACE_STEP_PX)
 
     def _places(
