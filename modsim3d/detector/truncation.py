@@ -31,7 +31,7 @@ Against 3 million draws for boxes of Simulation 1's sizes and at the edges, in a
 by less than 0.005 of a standard deviation and standard deviations by less than 0.8 %; with 1024 points by 0.021 and
 2.3 %.
 """
-_POINTS_AT_ONCE = 1 << 14  # these arrays fit a cache
+_POINTS_AT_ONCE, _POINTS_IN_CACHE = 1 << 16, 1 << 14
 _ORDER = np.array([2, 3, 0, 1])  # e_w, e_h, e_x, e_y
 _LEAST_SIDE_PX = 1.0
 _ROUNDING_PX, _NO_SPREAD = 1e-9, 1e-30
@@ -66,6 +66,7 @@ def accepted_errors(
     covariance: Array,
     distribution: ErrorDistribution = _NORMAL,
     points: int = POINTS,
+    at_once: int = _POINTS_AT_ONCE,
 ) -> Iterator[Accepted]:
     """Points of the truncated law of every box, some rows at a time.
 
@@ -75,13 +76,14 @@ def accepted_errors(
         mean: Mean of e_x, e_y, e_w, e_h before truncation in pixels, shape (4,) or (n, 4).
         covariance: Their covariance in px², shape (4, 4) or (n, 4, 4).
         points: Number of points for each box, a power of two.
+        at_once: Number of points of all boxes at a time; the points do not depend on it, but sums over parts may.
     """
     means = np.broadcast_to(mean, (len(boxes_px), 4))
     roots = np.broadcast_to(ordered_root(covariance), (len(boxes_px), 4, 4))
     width = ERROR_NORMALS + distribution.extra_normals
     sequence = _sobol(width, points)
     generator = np.random.default_rng(1)
-    rows_at_once = max(1, _POINTS_AT_ONCE // points)
+    rows_at_once = max(1, at_once // points)
     for start in range(0, len(boxes_px), rows_at_once):
         rows = slice(start, min(start + rows_at_once, len(boxes_px)))
         uniforms = sequence + generator.random((rows.stop - start, 1, width))
@@ -206,7 +208,7 @@ def truncated_errors(
     states: Indices = np.full(len(truth), state)
     images = np.tile(np.array(image_size_px, dtype=np.float64), (len(truth), 1))
     law = source.moments_px(states, sizes(truth))
-    for part in accepted_errors(truth, images, *law, source.distributions[state], points):
+    for part in accepted_errors(truth, images, *law, source.distributions[state], points, _POINTS_IN_CACHE):
         errors, rows = part.errors, part.rows
         if in_file_units:
             errors = source.in_file_units(states[rows], sizes(truth[rows]), errors)
