@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarks import scenes
+from benchmarks.detect_again import detect_again
 from benchmarks.growth import growth
 from benchmarks.measured import Bench, Found, Row, profile_of_run, profile_text, ratios, significant, spread
 from benchmarks.processes import ROOT, Answer, child, modsim3d, server
@@ -186,6 +187,7 @@ FIGURES: dict[str, Callable[[Bench], Found]] = {
     "thousand": thousand,
     "image_size": image_size,
     "growth": growth,
+    "detect_again": detect_again,
     "workers": workers,
     "memory": memory,
     "cold_start": cold_start,

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from enum import Enum, unique
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from modsim3d.arrays import Array
+from modsim3d import philox
+from modsim3d.arrays import Array, Indices
+from modsim3d.philox import NUMBERS_PER_BLOCK
 
-_NUMBERS_PER_BLOCK = 4  # one value of Philox4x64's counter gives four 64-bit numbers
 _UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps differently and would overlap
+# Below so many streams, and with so many rows for each, NumPy's own generator of one stream after the other is faster.
+_STREAMS_IN_TURN, _ROWS_AS_A_STREAM = 20, 25
+_NO_STEP = np.iinfo(np.int64).max
 _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
 GRID = 2.0**-20
 """Step of the numbers that the detector draws: coarse against the rounding of a function, fine against any noise."""
@@ -122,6 +126,8 @@ class Streams:
         self._keys: dict[tuple[int, Purpose, tuple[str, ...]], NDArray[np.uint64]] = {}
         self._scratch = np.random.Philox(self._root)
         self._scratch_generator = np.random.Generator(self._scratch)
+        self._counter = np.zeros(NUMBERS_PER_BLOCK, dtype=np.uint64)
+        self._buffer = np.zeros(NUMBERS_PER_BLOCK, dtype=np.uint64)
 
     def uniforms(self, purpose: Purpose, *names: str, first: int, count: int) -> Array:
         """Uniform numbers in [0, 1) for `count` steps from `first` on, shape (count, width of the purpose).
@@ -138,9 +144,41 @@ class Streams:
             ValueError: The purpose has a generator for each step.
         """
         width = purpose.uniforms
-        blocks = -(-width // _NUMBERS_PER_BLOCK)
-        self._scratch.state = self._state(_UNIFORMS, purpose, names, counter=first * blocks)
-        return self._scratch_generator.random((count, blocks * _NUMBERS_PER_BLOCK))[:, :width]
+        blocks = -(-width // NUMBERS_PER_BLOCK)
+        self._start(self._scratch, self._key(_UNIFORMS, purpose, names), low=first * blocks)
+        return self._scratch_generator.random((count, blocks * NUMBERS_PER_BLOCK))[:, :width]
+
+    def uniforms_of(
+        self, purpose: Purpose, *names: str, owners: Sequence[str], owner: Indices, steps: Indices
+    ) -> Array:
+        """Uniform numbers of many streams that `uniforms` gives, shape (n, width of the purpose).
+
+        Args:
+            purpose: What the numbers are used for.
+            *names: Rest of the key but for its last name.
+            owners: Last names of keys.
+            owner: Index of the last name of each row, shape (n,).
+            steps: Step of each row, shape (n,).
+
+        Raises:
+            ValueError: The purpose has a generator for each step.
+        """
+        width = purpose.uniforms
+        used, place = _distinct(owner, len(owners))
+        of_used = [(*names, owners[index]) for index in used.tolist()]
+        if len(used) > _STREAMS_IN_TURN + len(steps) // _ROWS_AS_A_STREAM:
+            blocks = -(-width // NUMBERS_PER_BLOCK)
+            low = steps.astype(np.uint64) * np.uint64(blocks)
+            return philox.uniforms(self._keys_of(_UNIFORMS, purpose, of_used)[place], low, np.zeros_like(low), 0, width)
+        first, last = np.full(len(used), _NO_STEP), np.zeros(len(used), dtype=np.int64)
+        np.minimum.at(first, place, steps)
+        np.maximum.at(last, place, steps)
+        counts = last - first + 1
+        ranges = zip(of_used, first.tolist(), counts.tolist(), strict=True)
+        parts = [self.uniforms(purpose, *key, first=start, count=count) for key, start, count in ranges]
+        starts = np.cumsum(counts) - counts
+        result: Array = np.concatenate([np.empty((0, width)), *parts])[(starts - first)[place] + steps]
+        return result
 
     def generator(self, purpose: Purpose, *names: str, step: int) -> np.random.Generator:
         """A separate generator for one step, for an unknown number of draws; `names` are the rest of the key.
@@ -148,23 +186,57 @@ class Streams:
         Raises:
             ValueError: The purpose has a fixed number of uniform numbers a step.
         """
-        if purpose.width is not None:
-            raise ValueError(f"{purpose} has {purpose.width} uniform numbers a step and no generator")
+        _check_has_generators(purpose)
         bits = np.random.Philox(self._root)
-        bits.state = self._state(_GENERATOR, purpose, names, counter=step << 192)
+        self._start(bits, self._key(_GENERATOR, purpose, names), high=step)
         return np.random.Generator(bits)
 
-    def _state(self, kind: int, purpose: Purpose, names: tuple[str, ...], counter: int) -> Any:
-        """Philox at a counter. `Philox(key=..., counter=...)` does the same but gathers entropy first."""
-        words = [(counter >> shift) & 0xFFFF_FFFF_FFFF_FFFF for shift in (0, 64, 128, 192)]
-        return {
+    def generated(
+        self,
+        purpose: Purpose,
+        *names: str,
+        owners: Sequence[str],
+        owner: Indices,
+        steps: Indices,
+        first: int,
+        count: int,
+    ) -> Array:
+        """Uniform numbers of many of the generators that `generator` gives, shape (n, count).
+
+        Args:
+            purpose: What the numbers are used for.
+            *names: Rest of the key but for its last name.
+            owners: Last names of keys.
+            owner: Index of the last name of each of n generators, shape (n,).
+            steps: Its step, shape (n,).
+            first: How many numbers of each generator are left out.
+            count: How many numbers of each are given.
+
+        Raises:
+            ValueError: The purpose has a fixed number of uniform numbers a step.
+        """
+        _check_has_generators(purpose)
+        used, place = _distinct(owner, len(owners))
+        keys = self._keys_of(_GENERATOR, purpose, [(*names, owners[index]) for index in used.tolist()])[place]
+        low, high = np.zeros(len(steps), dtype=np.uint64), steps.astype(np.uint64)
+        return philox.uniforms(keys, low, high, first, count)
+
+    def _start(self, bits: np.random.Philox, key: NDArray[np.uint64], low: int = 0, high: int = 0) -> None:
+        """Set words 0 and 3 of Philox's counter. `Philox(key=..., counter=...)` does that too but gathers entropy."""
+        self._counter[0], self._counter[3] = low, high
+        bits.state = {
             "bit_generator": "Philox",
-            "state": {"counter": np.array(words, dtype=np.uint64), "key": self._key(kind, purpose, names)},
-            "buffer": np.zeros(_NUMBERS_PER_BLOCK, dtype=np.uint64),
-            "buffer_pos": _NUMBERS_PER_BLOCK,
+            "state": {"counter": self._counter, "key": key},
+            "buffer": self._buffer,
+            "buffer_pos": NUMBERS_PER_BLOCK,
             "has_uint32": 0,
             "uinteger": 0,
         }
+
+    def _keys_of(self, kind: int, purpose: Purpose, names: Sequence[tuple[str, ...]]) -> NDArray[np.uint64]:
+        """Keys of k streams, shape (k, 2)."""
+        keys = [self._key(kind, purpose, each) for each in names]
+        return np.array(keys, dtype=np.uint64).reshape(-1, 2)
 
     def _key(self, kind: int, purpose: Purpose, names: tuple[str, ...]) -> NDArray[np.uint64]:
         stream = (kind, purpose, names)
@@ -173,6 +245,21 @@ class Streams:
             sequence = np.random.SeedSequence(self.seed, spawn_key=spawn_key)
             self._keys[stream] = sequence.generate_state(2, np.uint64).astype(np.uint64)
         return self._keys[stream]
+
+
+def _distinct(indices: Indices, count: int) -> tuple[Indices, Indices]:
+    """Which of `count` indices occur, ascending, and the place of each of n indices among them, shapes (k,) and (n,).
+
+    What `np.unique` gives, but faster for few indices.
+    """
+    occurs = np.zeros(count, dtype=bool)
+    occurs[indices] = True
+    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[indices]
+
+
+def _check_has_generators(purpose: Purpose) -> None:
+    if purpose.width is not None:
+        raise ValueError(f"{purpose} has {purpose.width} uniform numbers a step and no generator")
 
 
 def normals(uniforms: Array) -> Array:

@@ -56,6 +56,10 @@ def test_a_purpose_has_one_width() -> None:
         Streams(3).uniforms(Purpose.AGENTS, first=0, count=1)
     with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step and no generator"):
         Streams(3).generator(Purpose.BOX_ERROR, "C0", "a", step=0)
+    with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step and no generator"):
+        Streams(3).generated(
+            Purpose.BOX_ERROR, owners=("a",), owner=np.zeros(1, int), steps=np.zeros(1, int), first=0, count=1
+        )
 
 
 @given(
@@ -114,6 +118,31 @@ def test_generators_are_repeatable_and_independent_of_each_other() -> None:
     one, two = streams.generator(Purpose.AGENTS, "a", step=1), streams.generator(Purpose.AGENTS, "a", step=1)
     two.random(5)
     assert np.array_equal(one.random(3), Streams(3).generator(Purpose.AGENTS, "a", step=1).random(3))
+
+
+@pytest.mark.parametrize("owners", [1, 3, 200], ids=["one", "in turn", "at once"])
+@pytest.mark.parametrize("purpose", [Purpose.CLASS, Purpose.CLUTTER], ids=["a block a step", "two blocks a step"])
+def test_numbers_of_many_streams_are_those_of_each(owners: int, purpose: Purpose) -> None:
+    random, names = np.random.default_rng(owners), [f"vessel{index}" for index in range(owners)]
+    owner, steps = random.integers(0, owners, 2 * owners + 5), 2**40 + random.integers(0, 50, 2 * owners + 5)
+    ours = Streams(3).uniforms_of(purpose, "C0", owners=names, owner=owner, steps=steps)
+    rows = zip(owner.tolist(), steps.tolist(), strict=True)
+    each = [Streams(3).uniforms(purpose, "C0", names[index], first=step, count=1)[0] for index, step in rows]
+    assert np.array_equal(ours, each)
+
+
+def test_no_rows_of_streams_give_no_numbers() -> None:
+    nothing = np.empty(0, dtype=np.int64)
+    assert Streams(3).uniforms_of(Purpose.CLASS, owners=["a"], owner=nothing, steps=nothing).shape == (0, 1)
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2**40)), max_size=6), st.integers(0, 9), st.integers(0, 9))
+def test_numbers_of_many_generators_are_those_of_each(rows: list[tuple[int, int]], first: int, count: int) -> None:
+    streams, owners, purpose = Streams(3), ("a", "b", "c"), Purpose.BOX_ERROR_REDRAW
+    owner, steps = np.array(rows, dtype=np.int64).reshape(-1, 2).T
+    ours = streams.generated(purpose, "C0", owners=owners, owner=owner, steps=steps, first=first, count=count)
+    each = [streams.generator(purpose, "C0", owners[index], step=step).random(first + count) for index, step in rows]
+    assert np.array_equal(ours, np.reshape(each, (len(rows), first + count))[:, first:])
 
 
 def test_numbers_are_the_same_in_every_process() -> None:

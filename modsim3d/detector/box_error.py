@@ -19,8 +19,7 @@ from modsim3d.random_streams import Streams, grid_normals
 
 MOST_DRAWS = 10_000
 """Draws of the error of one box before its state counts as impossible for it."""
-_ROWS_AT_ONCE = 256
-_FIRST_BATCH, _LARGEST_BATCH = 8, 2048
+_FIRST_DRAWS, _LEAST_DRAWS, _DRAWS_AT_ONCE = 4, 2, 2048  # of a box, of a box, of all boxes: they fit a cache
 _SWEEPS = 10  # twice what four rows need
 
 
@@ -63,14 +62,16 @@ def symmetric_root(covariance: Array) -> Array:
     By Jacobi's rotations (Golub & Van Loan (2013), "Matrix Computations", section 8.5): they need no more than sums,
     products, quotients and square roots, so the root has the same bits everywhere, which a library's has not.
     """
-    matrix, vectors = np.array(covariance, dtype=np.float64), np.eye(len(covariance))
+    matrix, vectors = covariance.tolist(), np.eye(len(covariance)).tolist()  # so few numbers are faster in lists
     for p, q in list(itertools.combinations(range(len(matrix)), 2)) * _SWEEPS:
-        cosine, sine = _rotation(*matrix[[p, q, p], [p, q, q]].tolist())
-        for turned in (matrix, matrix.T, vectors):
-            one, other = turned[:, p].copy(), turned[:, q].copy()
-            turned[:, p], turned[:, q] = cosine * one - sine * other, sine * one + cosine * other
+        cosine, sine = _rotation(matrix[p][p], matrix[q][q], matrix[p][q])
+        for row in (*matrix, *vectors):
+            row[p], row[q] = cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]
+        pairs = list(zip(matrix[p], matrix[q], strict=True))
+        matrix[p] = [cosine * one - sine * other for one, other in pairs]
+        matrix[q] = [sine * one + cosine * other for one, other in pairs]
     roots = np.sqrt(np.maximum(np.diag(matrix), 0))
-    terms = [root * column[:, None] * column for root, column in zip(roots, vectors.T, strict=True)]
+    terms = [root * column[:, None] * column for root, column in zip(roots, np.array(vectors).T, strict=True)]
     total: Array = sum(terms[1:], terms[0])
     return total
 
@@ -144,10 +145,8 @@ class BoxErrorSource:
         image, truth = true.frames.image_size_px, true.boxes_px
         errors = self.errors_px(true.state, sizes(truth), latent)
         redrawn = ~inside_image(move(truth, errors), image)
-        bad = np.flatnonzero(redrawn)
-        for start in range(0, len(bad), _ROWS_AT_ONCE):
-            rows = bad[start : start + _ROWS_AT_ONCE]
-            errors[rows] = self._redraw(streams, purposes, true, rows)
+        rows = np.flatnonzero(redrawn)
+        errors[rows] = self._redraw(streams, purposes, true, rows)
         return MisplacedBoxes(clip(move(truth, errors), image), errors, redrawn)
 
     def errors_px(self, state: Indices, sizes_px: Array, latent: Array) -> Array:
@@ -162,7 +161,9 @@ class BoxErrorSource:
         errors = np.broadcast_to(means, standard.shape)
         for j in range(4):
             errors = errors + self.roots[state, :, j].reshape(shape) * standard[..., j, None]
-        return factor * np.where(spread > 1, means + spread * (errors - means), errors)
+        if self.growths.any():
+            errors = np.where(spread > 1, means + spread * (errors - means), errors)
+        return factor * errors
 
     def _size_factors(self, state: Indices, sizes_px: Array) -> tuple[Array, Array]:
         return size_factors(sizes_px, self.relative[state][:, None], self.growths[state])
@@ -193,36 +194,48 @@ class BoxErrorSource:
         shape = (len(state), *([1] * (errors_px.ndim - 2)), 4)
         factor, spread = (array.reshape(shape) for array in self._size_factors(state, sizes_px))
         means, scaled = self.means[state].reshape(shape), errors_px / factor
-        return np.where(spread > 1, means + (scaled - means) / spread, scaled)
+        return np.where(spread > 1, means + (scaled - means) / spread, scaled) if self.growths.any() else scaled
 
     def _redraw(self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices) -> Array:
         """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generators.
 
         Each row has streams of its own, so resampling one leaves the first draws of other steps as they were.
         """
-        targets, frames, widths = true.targets, true.frames, purposes.widths(self.extra_normals)
-        generators = [
-            [
-                (streams.generator(purpose, frames.camera, targets.vessel_ids[vessel], step=step), width)
-                for purpose, width in widths.items()
-            ]
-            for vessel, step in zip(targets.vessel[rows], frames.steps[targets.frame[rows]].tolist(), strict=True)
-        ]
         errors = np.empty((len(rows), 4))
-        pending, drawn, batch = np.arange(len(rows)), 0, _FIRST_BATCH
+        pending, drawn, draws = np.arange(len(rows)), 0, _FIRST_DRAWS
         while len(pending):
+            left = rows[pending]
             if drawn == MOST_DRAWS:
-                raise ModsimError(self._hopeless(true, rows[pending[0]]))
-            batch = min(batch, MOST_DRAWS - drawn)
-            draws = [[g.random((batch, width)) for g, width in generators[row]] for row in pending]
-            latent = grid_normals(np.stack([np.concatenate(parts, axis=1) for parts in draws]))
-            state, truth = true.state[rows[pending]], true.boxes_px[rows[pending]]
-            candidates = self.errors_px(state, sizes(truth), latent)
-            accepted = inside_image(move(truth[:, None], candidates), frames.image_size_px)
+                raise ModsimError(self._hopeless(true, left[0]))
+            draws = min(max(min(draws, _DRAWS_AT_ONCE // len(left)), _LEAST_DRAWS), MOST_DRAWS - drawn)
+            latent = self._redrawn_normals(streams, purposes, true, left, drawn, draws)
+            truth = true.boxes_px[left]
+            candidates = self.errors_px(true.state[left], sizes(truth), latent)
+            accepted = inside_image(move(truth[:, None], candidates), true.frames.image_size_px)
             found, first = accepted.any(axis=1), accepted.argmax(axis=1)
             errors[pending[found]] = candidates[found, first[found]]
-            pending, drawn, batch = pending[~found], drawn + batch, min(4 * batch, _LARGEST_BATCH)
+            pending, drawn, draws = pending[~found], drawn + draws, 4 * draws
         return errors
+
+    def _redrawn_normals(
+        self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices, drawn: int, count: int
+    ) -> Array:
+        """Standard normal numbers of `count` redraws of some rows after those drawn, shape (r, count, 4 + extra)."""
+        targets, frames = true.targets, true.frames
+        owner, steps = targets.vessel[rows], frames.steps[targets.frame[rows]]
+        parts = [
+            streams.generated(
+                purpose,
+                frames.camera,
+                owners=targets.vessel_ids,
+                owner=owner,
+                steps=steps,
+                first=drawn * width,
+                count=count * width,
+            ).reshape(len(rows), count, width)
+            for purpose, width in purposes.widths(self.extra_normals).items()
+        ]
+        return grid_normals(np.concatenate(parts, axis=2))
 
     def _hopeless(self, true: TrueBoxes, row: int) -> str:
         targets, frames, state = true.targets, true.frames, true.state[row]

@@ -21,6 +21,7 @@ from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.random_streams import Purpose, Streams, grid_normals, on_grid
 
 _LN_2 = math.log(2)
+_MOST_COUNTED = 16
 
 
 def keyed_uniforms(
@@ -35,13 +36,8 @@ def keyed_uniforms(
 
     `frame` and `owner` are the index of each row into the frames and into `owners`, shapes (n,).
     """
-    result = np.empty((len(frame), purpose.uniforms))
-    order = np.argsort(owner, kind="stable")
-    starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
-    for rows in np.split(order, starts[1:]) if len(order) else []:
-        name, steps = owners[owner[rows[0]]], frames.steps[frame[rows]]
-        result[rows] = step_uniforms(streams, purpose, frames.camera, name, steps=steps)
-    return result
+    steps = frames.steps[frame]
+    return streams.uniforms_of(purpose, frames.camera, owners=owners, owner=owner, steps=steps)
 
 
 def step_uniforms(streams: Streams, purpose: Purpose, *names: str, steps: Indices) -> Array:
@@ -117,6 +113,11 @@ def poisson_quantile(uniforms: Array, mean: Array) -> Indices:
     """Least k with Pr(Poisson(mean) <= k) >= u; 0 where the mean is 0. Shapes (n,)."""
     counts = np.zeros(len(uniforms), dtype=np.int64)
     some = np.flatnonzero(mean > 0)
+    for _ in range(_MOST_COUNTED):  # to count up is faster than the inverse, and enough for most
+        if not len(some):
+            break
+        some = some[special.pdtr(counts[some], mean[some]) < uniforms[some]]
+        counts[some] += 1
     u, m = uniforms[some], mean[some]
     upper = np.ceil(special.pdtrik(u, m))
     lower = np.maximum(upper - 1, 0)

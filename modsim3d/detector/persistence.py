@@ -7,6 +7,7 @@ vanishing correlation time the output is the same (confidence to its rounding).
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable
@@ -28,6 +29,7 @@ _UNIFORM_STEP = 2.0**-40
 NEVER_CHANGES_S = 1e9
 """A correlation time that no run is long enough to tell from an endless one."""
 _DECAY_STEP = 2.0**-40  # finer than the grid of drawn numbers: a decay close to one must stay what it is
+_DECAYS_KEPT = 4096  # steps take few different times
 _MOST_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the memory
 
 
@@ -142,6 +144,7 @@ class AutoregressiveScore(Autoregressive):
         return grid_normals(streams.uniforms(Purpose.CONFIDENCE, camera, vessel, first=first, count=count)[:, :1])
 
 
+@functools.lru_cache(_DECAYS_KEPT)
 def decay(seconds: float, correlation_s: float) -> float:
     """e^(−Δt/τ), one at a time: how a run is split must not show in how an array of exponentials is rounded."""
     return float(on_grid(np.array(math.exp(-seconds / correlation_s)), _DECAY_STEP))

@@ -90,6 +90,8 @@ class Placement:
             uniforms: Uniform numbers, shape (m, 3).
             drift_px: How far each point has moved along the horizon, shape (m,); None for points that do not move.
         """
+        if not len(uniforms):  # most single frames
+            return np.empty((0, 2))
         return on_grid(self._places(half_planes, image_size_px, uniforms, drift_px), PLACE_STEP_PX)
 
     def _places(
@@ -118,7 +120,7 @@ class Placement:
         offset = half_planes[:, 2] / _length(half_planes)
         depth, across = _corners(half_planes, image_size_px)
         level = _inverse(self._level_weights(depth, across), self._levels(depth), uniforms[:, 0])
-        low, high = _slice(depth, across, level)
+        low, high = (ends[:, 0] for ends in _slice(depth, across, level[:, None]))
         width = np.maximum(high - low, 1e-9)
         place = low + _reflected(uniforms[:, 1] * width + (0 if drift_px is None else drift_px), width)
         points = (level - offset)[:, None] * down + place[:, None] * along
@@ -128,8 +130,8 @@ class Placement:
     def _level_weights(self, depth: Array, across: Array) -> Array:
         """Weight of levels evenly spaced over each polygon's depths, shape (m, nodes)."""
         nodes = self._levels(depth)
-        lengths = np.stack([np.subtract(*_slice(depth, across, nodes[:, k])[::-1]) for k in range(_NODES)], axis=1)
-        weights: Array = self._weights(np.maximum(nodes, 0)) * lengths
+        low, high = _slice(depth, across, nodes)
+        weights: Array = self._weights(np.maximum(nodes, 0)) * (high - low)
         weights[weights.sum(axis=1) <= 0] = 1.0  # sea along one edge or at one corner only
         return weights
 
@@ -185,17 +187,20 @@ def _axes(half_planes: Array) -> tuple[Array, Array]:
     return down, np.stack([down[:, 1], -down[:, 0]], axis=1)
 
 
-def _slice(depth: Array, across: Array, level: Array) -> tuple[Array, Array]:
-    """Where a level enters and leaves each convex polygon, shapes (m,)."""
-    next_depth, next_across = np.roll(depth, -1, axis=1), np.roll(across, -1, axis=1)
-    rise = next_depth - depth
-    share = (level[:, None] - depth) / np.where(rise == 0, 1.0, rise)
-    met: Mask = (share >= 0) & (share <= 1) & (rise != 0)
-    crossing = across + share * (next_across - across)
-    low = np.where(met, crossing, np.inf).min(axis=1)
-    high = np.where(met, crossing, -np.inf).max(axis=1)
-    some = met.any(axis=1)
-    return np.where(some, low, across.min(axis=1)), np.where(some, high, across.max(axis=1))
+def _slice(depth: Array, across: Array, levels: Array) -> tuple[Array, Array]:
+    """Where levels (m, k) enter and leave each convex polygon, whose corners have shapes (m, 8); shapes (m, k)."""
+    rise, run = np.roll(depth, -1, axis=1) - depth, np.roll(across, -1, axis=1) - across
+    low, high = np.full(levels.shape, np.inf), np.full(levels.shape, -np.inf)
+    for edge in range(depth.shape[1]):
+        start, up = depth[:, edge, None], rise[:, edge, None]
+        share = (levels - start) / np.where(up == 0, 1.0, up)
+        met: Mask = (share >= 0) & (share <= 1) & (up != 0)
+        crossing = across[:, edge, None] + share * run[:, edge, None]
+        np.minimum(low, crossing, out=low, where=met)
+        np.maximum(high, crossing, out=high, where=met)
+    some = low <= high
+    least, most = across.min(axis=1, keepdims=True), across.max(axis=1, keepdims=True)
+    return np.where(some, low, least), np.where(some, high, most)
 
 
 def _inverse(weights: Array, nodes: Array, uniforms: Array) -> Array:

@@ -18,6 +18,13 @@ which counts as its detection, and `fragment`, the other.
 TRUE, FALSE_POSITIVE, PERSISTENT, DUPLICATE, MERGED, SPLIT, FRAGMENT = range(len(KINDS))
 FALSE_KINDS = (FALSE_POSITIVE, PERSISTENT, DUPLICATE, FRAGMENT)
 """Kinds that count as false, as in an evaluation: all but the one detection of a vessel."""
+_IS_FALSE = np.isin(np.arange(len(KINDS)), FALSE_KINDS)
+
+
+def are_false(kind: Indices) -> Mask:
+    """Which kinds count as false, same shape."""
+    false: Mask = _IS_FALSE[kind]
+    return false
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,4 +114,4 @@ class Detections:
 
     def false(self) -> Mask:
         """Which are not the one detection of a vessel, shape (m,)."""
-        return np.isin(self.kind, FALSE_KINDS)
+        return are_false(self.kind)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import bisect
-
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.detector.draws import cumulative
+from modsim3d.detector.draws import choose, cumulative
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames
 from modsim3d.errors import ModsimError
@@ -59,7 +57,7 @@ class StateSequence:
         """Start in the model's initial state; `owner` is the camera that has the chain for itself, if one has."""
         self._streams, self._owner = streams, owner
         self._interval_s = model.transition_interval_s
-        self._columns = cumulative(model.transition_matrix.T).tolist()
+        self._columns = cumulative(model.transition_matrix.T)
         self._states = np.array([model.initial_state], dtype=np.int16)
 
     def at(self, frames: CameraFrames) -> Indices:
@@ -76,14 +74,24 @@ class StateSequence:
                 + (f" than {self._interval_s:g}" if self._interval_s else "")
             )
         pieces = [self._states]
-        known, state = len(self._states), int(self._states[-1])
+        known = len(self._states)
         while known <= last:
             # Transition k, from step k − 1 to step k, uses row k.
-            uniforms = self._streams.uniforms(Purpose.STATE, *self._owner, first=known, count=_BLOCK)[:, 0].tolist()
-            block = np.empty(_BLOCK, dtype=np.int16)
-            for k, uniform in enumerate(uniforms):
-                state = bisect.bisect_right(self._columns[state], uniform)
-                block[k] = state
-            pieces.append(block)
+            uniforms = self._streams.uniforms(Purpose.STATE, *self._owner, first=known, count=_BLOCK)[:, 0]
+            following = np.stack([choose(column, uniforms) for column in self._columns], axis=1)
+            pieces.append(composed(following)[:, pieces[-1][-1]].astype(np.int16))
             known += _BLOCK
         self._states = np.concatenate(pieces)
+
+
+def composed(following: Indices) -> Indices:
+    """The state after each of n transitions, from each state before the first, shapes (n, states).
+
+    `following` has the state after each transition from each state before it. Transitions are joined to ever longer
+    ones (Hillis & Steele (1986), "Data parallel algorithms").
+    """
+    after, joined = following, 1
+    while joined < len(after):
+        after = np.concatenate([after[:joined], np.take_along_axis(after[joined:], after[:-joined], axis=1)])
+        joined *= 2
+    return after

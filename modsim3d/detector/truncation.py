@@ -9,13 +9,14 @@ every point has its weight. Distributions that are normal with a random scale ar
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, read_only
 from modsim3d.boxes import at_least_a_pixel, sizes
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.box_error_law import ERROR_NORMALS, ErrorDistribution, Normal
@@ -30,9 +31,10 @@ Against 3 million draws for boxes of Simulation 1's sizes and at the edges, in a
 by less than 0.005 of a standard deviation and standard deviations by less than 0.8 %; with 1024 points by 0.021 and
 2.3 %.
 """
-_POINTS_AT_ONCE = 1 << 16
+_POINTS_AT_ONCE, _POINTS_IN_CACHE = 1 << 16, 1 << 14
 _ORDER = np.array([2, 3, 0, 1])  # e_w, e_h, e_x, e_y
 _LEAST_SIDE_PX = 1.0
+_ROUNDING_PX, _NO_SPREAD = 1e-9, 1e-30
 _NORMAL = Normal()
 
 
@@ -64,6 +66,7 @@ def accepted_errors(
     covariance: Array,
     distribution: ErrorDistribution = _NORMAL,
     points: int = POINTS,
+    at_once: int = _POINTS_AT_ONCE,
 ) -> Iterator[Accepted]:
     """Points of the truncated law of every box, some rows at a time.
 
@@ -73,20 +76,30 @@ def accepted_errors(
         mean: Mean of e_x, e_y, e_w, e_h before truncation in pixels, shape (4,) or (n, 4).
         covariance: Their covariance in px², shape (4, 4) or (n, 4, 4).
         points: Number of points for each box, a power of two.
+        at_once: Number of points of all boxes at a time; the points do not depend on it, but sums over parts may.
     """
-    from scipy.stats import qmc  # slow to import, and a simulation draws no such points
-
     means = np.broadcast_to(mean, (len(boxes_px), 4))
     roots = np.broadcast_to(ordered_root(covariance), (len(boxes_px), 4, 4))
     width = ERROR_NORMALS + distribution.extra_normals
-    sequence = qmc.Sobol(width, rng=np.random.default_rng(0)).random(points)
+    sequence = _sobol(width, points)
     generator = np.random.default_rng(1)
-    rows_at_once = max(1, _POINTS_AT_ONCE // points)
+    rows_at_once = max(1, at_once // points)
     for start in range(0, len(boxes_px), rows_at_once):
         rows = slice(start, min(start + rows_at_once, len(boxes_px)))
-        uniforms = (sequence + generator.random((rows.stop - start, 1, width))) % 1
-        scales = distribution.scales(special.ndtri(uniforms[..., ERROR_NORMALS:]))
+        uniforms = sequence + generator.random((rows.stop - start, 1, width))
+        uniforms -= np.floor(uniforms)
+        # One scale for all points if it is not random: what is then the same for them is worked out once.
+        drawn = uniforms[..., ERROR_NORMALS:] if distribution.extra_normals else uniforms[:, :1, ERROR_NORMALS:]
+        scales = distribution.scales(special.ndtri(drawn))
         yield _draw(rows, boxes_px[rows], images_px[rows], means[rows], roots[rows], uniforms, scales)
+
+
+@functools.cache
+def _sobol(width: int, points: int) -> Array:
+    """Points of a scrambled sequence in the unit cube, shape (points, width)."""
+    from scipy.stats import qmc  # slow to import, and only the end of a run needs such points
+
+    return read_only(qmc.Sobol(width, rng=np.random.default_rng(0)).random(points))
 
 
 def ordered_root(covariance: Array) -> Array:
@@ -111,17 +124,22 @@ def ordered_root(covariance: Array) -> Array:
 def _draw(
     rows: slice, boxes: Array, images: Array, means: Array, roots: Array, uniforms: Array, scales: Array
 ) -> Accepted:
-    """Draw one error after the other within its bounds, given those before it."""
+    """Draw one error after the other within its bounds, given those before it.
+
+    Scales have shape (rows, points) or, if they are the same for all points, (rows, 1).
+    """
     count, points = uniforms.shape[:2]
     standard = np.zeros((count, points, 4))
     errors = np.empty((count, points, 4))
     chance = np.ones((count, points))
     for j, component in enumerate(_ORDER):
-        given = means[:, component, None] + scales * np.einsum("npk,nk->np", standard[..., :j], roots[:, j, :j])
+        given = means[:, component, None]
+        if j:
+            given = given + scales * np.einsum("npk,nk->np", standard[..., :j], roots[:, j, :j])
         low, high = _bounds(component, boxes, images, errors)
         spread = scales * roots[:, j, j, None]
-        standard[..., j], inside = _within(low - given, high - given, spread, uniforms[..., j])
-        errors[..., component] = given + spread * standard[..., j]
+        drawn, inside = _within(low - given, high - given, spread, uniforms[..., j])
+        standard[..., j], errors[..., component] = drawn, given + spread * drawn
         chance *= inside
     acceptance = chance.mean(axis=1)
     weights = chance / np.where(acceptance > 0, acceptance, 1)[:, None] / points
@@ -141,17 +159,16 @@ def _bounds(component: int, boxes: Array, images: Array, errors: Array) -> tuple
 def _within(low: Array, high: Array, spread: Array, uniforms: Array) -> tuple[Array, Array]:
     """Standard normal numbers between bounds given in units of 1 / spread, and the probability between them."""
     fixed = spread <= 0
-    scale = np.where(fixed, 1, spread)
     # A determined error has a whole pixel's rounding to either side of what the detector allows.
-    a = np.where(fixed, np.where(low <= 1e-9, -np.inf, np.inf), low / scale)
-    b = np.where(fixed, np.where(high >= -1e-9, np.inf, -np.inf), high / scale)
-    mirror = a > 0  # the lower tail is the accurate one
-    first, second = np.where(mirror, -b, a), np.where(mirror, -a, b)
-    below, above = special.ndtr(first), special.ndtr(second)
+    scale, slack = np.where(fixed, _NO_SPREAD, spread), np.where(fixed, _ROUNDING_PX, 0.0)
+    a, b = (low - slack) / scale, (high + slack) / scale
+    sign = 1.0 - 2.0 * (a > 0)  # mirrored: the lower tail is the accurate one
+    a, b = sign * a, sign * b
+    below, above = special.ndtr(np.minimum(a, b)), special.ndtr(np.maximum(a, b))
     inside = np.maximum(above - below, 0)
-    z = special.ndtri(below + uniforms * inside)
-    z = np.where(inside > 0, np.where(mirror, -z, z), 0)
-    return np.where(fixed, 0, z), inside
+    z = sign * special.ndtri(below + uniforms * inside)
+    np.copyto(z, 0, where=fixed | (inside == 0))
+    return z, inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +208,7 @@ def truncated_errors(
     states: Indices = np.full(len(truth), state)
     images = np.tile(np.array(image_size_px, dtype=np.float64), (len(truth), 1))
     law = source.moments_px(states, sizes(truth))
-    for part in accepted_errors(truth, images, *law, source.distributions[state], points):
+    for part in accepted_errors(truth, images, *law, source.distributions[state], points, _POINTS_IN_CACHE):
         errors, rows = part.errors, part.rows
         if in_file_units:
             errors = source.in_file_units(states[rows], sizes(truth[rows]), errors)

@@ -10,6 +10,7 @@ from typing import Any
 from modsim3d.errors import InputError, RunDirectoryError
 from modsim3d.paths import StrPath, as_path
 from modsim3d.processes import WorkerCount
+from modsim3d.runs.pipeline import BLOCK_VESSELS
 from modsim3d.runs.run import RunResult, settings_of, write_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.runs.workers import open_block_workers
@@ -59,7 +60,15 @@ def detect_run(
     if facts["versions"] != run.settings["versions"]:
         facts["truth_versions"] = run.settings["versions"]
     block_workers = open_block_workers(scene, workers, truth_run=run.folder)
-    return write_run(scene, folder, block_workers, lambda _: facts, overwrite=overwrite, progress=progress)
+    return write_run(
+        scene,
+        folder,
+        block_workers,
+        lambda _: facts,
+        overwrite=overwrite,
+        most_steps=max(1, BLOCK_VESSELS // len(scene.vessels)),  # no images, so that only the rows count
+        progress=progress,
+    )
 
 
 def _with_detector(run: StoredRun, seed: int | None, *, settings: Mapping[str, object], **detector: Any) -> Scene:

@@ -132,6 +132,7 @@ def write_run(
     opened_workers: AbstractContextManager[BlockWorkers],
     settings_by: Callable[[BlockWorkers], dict[str, Any]],
     *,
+    most_steps: int | None = None,
     overwrite: bool = False,
     resume: bool = False,
     thesis_json: bool = True,
@@ -144,6 +145,7 @@ def write_run(
         folder: The run directory; it is locked until the workers have ended.
         opened_workers: From `open_block_workers`.
         settings_by: Gives the settings, see `settings_of`.
+        most_steps: Most steps of a block, as for `step_ranges`.
         overwrite: Replace a run that is there.
         resume: Continue an interrupted run that is there.
         thesis_json: Write the thesis's JSON.
@@ -162,7 +164,7 @@ def write_run(
         settings = settings_by(workers)
         directory = RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume, thesis_json=thesis_json)
         with directory:
-            total = _write_blocks(scene, directory, workers, progress)
+            total = _write_blocks(scene, directory, workers, most_steps, progress)
             directory.write_live_own_ships(total.steps)
             truncation = total.boxes.truncation(scene)
             known = {**settings, **directory.live_settings(total.steps)}
@@ -200,15 +202,19 @@ def _log(total: Tally, seconds: float) -> str:
 
 
 def _write_blocks(
-    scene: Scene, directory: RunDirectory, workers: BlockWorkers, progress: Callable[[int], None]
+    scene: Scene,
+    directory: RunDirectory,
+    workers: BlockWorkers,
+    most_steps: int | None,
+    progress: Callable[[int], None],
 ) -> Tally:
     """Make all blocks and write them; a detector that needs a census needs all truth first."""
     counted, census = Tally(), TargetCensus()
     if scene.detector.needs_census:
-        counted, census = _take_census(scene, directory.work, workers, progress)
+        counted, census = _take_census(scene, directory.work, workers, most_steps, progress)
     total = Tally()
     make = partial(BlockMaker.make, folder=directory.work, census=census, kinds=directory.line_kinds)
-    for tally, files in workers.map(make, _with_steps_kept(scene, directory.work)):
+    for tally, files in workers.map(make, _with_steps_kept(scene, directory.work, most_steps)):
         directory.write(files)
         directory.write_poses(total.steps, total.steps + tally.steps)
         total += tally
@@ -221,21 +227,21 @@ def _write_blocks(
 
 
 def _take_census(
-    scene: Scene, folder: Path, workers: BlockWorkers, progress: Callable[[int], None]
+    scene: Scene, folder: Path, workers: BlockWorkers, most_steps: int | None, progress: Callable[[int], None]
 ) -> tuple[Tally, TargetCensus]:
     """Make and keep all truth; a tally of its steps, and the census of its targets."""
     total, census = Tally(), TargetCensus()
-    for tally, part in workers.map(partial(BlockMaker.count_targets, folder=folder), step_ranges(scene)):
+    for tally, part in workers.map(partial(BlockMaker.count_targets, folder=folder), step_ranges(scene, most_steps)):
         total, census = total + tally, census + part
         progress(tally.steps)
     return total, census
 
 
-def _with_steps_kept(scene: Scene, folder: Path) -> Iterator[Range]:
+def _with_steps_kept(scene: Scene, folder: Path, most_steps: int | None) -> Iterator[Range]:
     """The blocks of a scene; an error in the input of a stream also says where the earlier steps are kept."""
     done = 0
     try:
-        for first, stop in step_ranges(scene):
+        for first, stop in step_ranges(scene, most_steps):
             yield first, stop
             done = stop
     except InputError as error:

@@ -14,7 +14,7 @@ from modsim3d.runs.box_sample import BoxSample
 from modsim3d.runs.counts import Counts, camera_counts
 from modsim3d.runs.files.block_files import BlockFiles, finished_truth, kept_truth_path, truth_kept
 from modsim3d.runs.files.reading import truth_of
-from modsim3d.runs.files.stored_tables import StoredTables
+from modsim3d.runs.files.stored_tables import StoredTable
 from modsim3d.runs.pipeline import Range, Simulation, open_renderer, scene_census, truth_block
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.truth_record import Truth
@@ -63,8 +63,8 @@ class Tally:
 class BlockMaker:
     """Makes the blocks of a scene, from truth to the rows and lines of files."""
 
-    def __init__(self, scene: Scene, renderer: IdRenderer | None, stored: StoredTables | None = None) -> None:
-        """Take the renderer of the truth, or the tables of a finished run of the scene to take the truth from."""
+    def __init__(self, scene: Scene, renderer: IdRenderer | None, stored: StoredTable | None = None) -> None:
+        """Take the renderer of the truth, or the table of a finished run of the scene to take the truth from."""
         self._scene = scene
         self._renderer = renderer
         self._stored = stored
@@ -108,7 +108,7 @@ class BlockMaker:
         Truth that is new is kept, at the latest when the context ends.
         """
         if self._stored is not None:
-            yield truth_of(self._stored.truth(first, stop), self._scene), 0, 0
+            yield truth_of(self._stored.rows(first, stop).table, self._scene), 0, 0
             return
         truth = finished_truth(folder, self._scene, first, stop)
         if truth is not None:
@@ -153,7 +153,7 @@ def _backend(maker: BlockMaker, _: None) -> str:
 @contextmanager
 def _open_block_maker(scene: Scene, truth_run: Path | None) -> Iterator[BlockMaker]:
     if truth_run is not None:
-        yield BlockMaker(scene, None, StoredTables(truth_run, scene))
+        yield BlockMaker(scene, None, StoredTable(truth_run, "truth", scene))
         return
     with open_renderer(scene) as renderer:  # in a worker process an OpenGL context of its own
         yield BlockMaker(scene, renderer)

@@ -217,8 +217,9 @@ def test_levels_at_shares_of_a_weight_are_those_of_interpolation() -> None:
 def test_level_meets_a_polygon_where_a_line_does() -> None:
     planes = np.array(HORIZONS[:4])
     polygons = sea_polygons(planes, (800, 600))
-    for level in (0.0, 20.0, 150.0, 299.0, 590.0, 700.0):
-        low, high = _slice(polygons[..., 1], polygons[..., 0], np.full(4, level))
+    levels = (0.0, 20.0, 150.0, 299.0, 590.0, 700.0)
+    lows, highs = _slice(polygons[..., 1], polygons[..., 0], np.tile(levels, (4, 1)))
+    for level, low, high in zip(levels, lows.T, highs.T, strict=True):
         for row, corners in enumerate(polygons):
             shape = shapely.Polygon(corners)
             line = shapely.intersection(shape, shapely.LineString([(-1, level), (801, level)]))

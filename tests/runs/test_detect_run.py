@@ -4,11 +4,13 @@ import shutil
 import sys
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 import yaml
 
 from modsim3d import cli
 from modsim3d.errors import InputError, RunDirectoryError
+from modsim3d.runs import detect_run as detecting
 from modsim3d.runs.detect_run import detect_run
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
@@ -56,6 +58,18 @@ def test_bytes_are_those_of_a_whole_run_where_the_truth_has_no_seed(tmp_path, wo
     whole = load_scene(scene, mode=2, steps=60, source="analytic", seed=7, detector=EXPERIMENT)
     run_scene(whole, tmp_path / "whole")
     assert files_of(tmp_path / "new") == files_of(tmp_path / "whole")
+
+
+def test_short_blocks_give_the_same_bytes_and_read_the_truth_once(first, tmp_path, monkeypatch):
+    read, names = pq.ParquetFile.read_row_groups, []
+    monkeypatch.setattr(
+        pq.ParquetFile, "read_row_groups", lambda file, *given, **how: names.append(given) or read(file, *given, **how)
+    )
+    detect_run(first, tmp_path / "whole", seed=7)
+    monkeypatch.setattr(detecting, "BLOCK_VESSELS", 250)
+    detect_run(first, tmp_path / "in blocks", seed=7)
+    assert names.count((range(1),)) == 2
+    assert files_of(tmp_path / "in blocks") == files_of(tmp_path / "whole")
 
 
 def test_bytes_are_those_of_a_whole_run_with_the_labels_of_a_confusion_matrix(tmp_path):

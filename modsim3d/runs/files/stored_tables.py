@@ -44,6 +44,7 @@ class StoredTable:
         """
         self.path = folder / f"{name}.parquet"
         self._name, self._scene, self._run = name, scene, _identity(folder / RUN_FILE)
+        self._kept: tuple[tuple[int, int], pa.Table] | None = None
         with damage_named(self.path):
             self._metadata = pq.read_metadata(self.path)
             found, wanted = self._metadata.schema.to_arrow_schema(), schemas_of(scene)[name]
@@ -84,18 +85,26 @@ class StoredTable:
 
     def _checked(self, begin: int, end: int, first: int, stop: int) -> Rows:
         """The checked rows of steps first to stop − 1 in row groups begin to end − 1."""
-        with self._of_one_run(), damage_named(self.path), pq.ParquetFile(self.path, metadata=self._metadata) as file:
-            table = file.read_row_groups(range(begin, end), use_threads=False).combine_chunks()
-            table.validate()
-        if self._of_format_1:
-            table = from_format_1(table)
-        whole = Rows(self.path, int(self._first_row[begin]), table, first, stop)
+        whole = Rows(self.path, int(self._first_row[begin]), self._groups(begin, end), first, stop)
         steps = whole.integers("step")
         whole.refuse("step", np.diff(steps, prepend=-1) < 0, "in ascending order")
         low, high = np.searchsorted(steps, (first, stop)).tolist()
-        rows = Rows(self.path, whole.first_row + low, table.slice(low, high - low), first, stop)
+        rows = Rows(self.path, whole.first_row + low, whole.table.slice(low, high - low), first, stop)
         CHECKS[self._name](rows, self._scene)
         return rows
+
+    def _groups(self, begin: int, end: int) -> pa.Table:
+        """The rows of row groups begin to end − 1; a single one is kept, as many readers ask for a few steps a time."""
+        with self._of_one_run(), damage_named(self.path):
+            if self._kept is not None and self._kept[0] == (begin, end):
+                return self._kept[1]
+            with pq.ParquetFile(self.path, metadata=self._metadata) as file:
+                table = file.read_row_groups(range(begin, end), use_threads=False).combine_chunks()
+            table.validate()
+        if self._of_format_1:
+            table = from_format_1(table)
+        self._kept = ((begin, end), table) if end == begin + 1 else None
+        return table
 
     @contextmanager
     def _of_one_run(self) -> Iterator[None]:
