@@ -19,6 +19,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import at_least_a_pixel, sizes
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.box_error_law import ERROR_NORMALS, ErrorDistribution, Normal
+from modsim3d.detector.sobol import sobol_points
 
 POINTS = 128
 """Points of Sobol's sequence for each box, shifted for each box by an amount of its own (Cranley & Patterson, 1976),
@@ -74,12 +75,10 @@ def accepted_errors(
         covariance: Their covariance in px², shape (4, 4) or (n, 4, 4).
         points: Number of points for each box, a power of two.
     """
-    from scipy.stats import qmc  # slow to import, and a simulation draws no such points
-
     means = np.broadcast_to(mean, (len(boxes_px), 4))
     roots = np.broadcast_to(ordered_root(covariance), (len(boxes_px), 4, 4))
     width = ERROR_NORMALS + distribution.extra_normals
-    sequence = qmc.Sobol(width, rng=np.random.default_rng(0)).random(points)
+    sequence = sobol_points(width, points, np.random.default_rng(0).spawn(1)[0])
     generator = np.random.default_rng(1)
     rows_at_once = max(1, _POINTS_AT_ONCE // points)
     for start in range(0, len(boxes_px), rows_at_once):
