@@ -22,7 +22,6 @@ from modsim3d.detector.pair_noise import PairNoise
 from modsim3d.detector.persistence import Clock, VesselNoise
 from modsim3d.detector.records import (
     DUPLICATE,
-    FALSE_KINDS,
     FALSE_POSITIVE,
     FRAGMENT,
     MERGED,
@@ -32,6 +31,7 @@ from modsim3d.detector.records import (
     CameraFrames,
     Detections,
     Targets,
+    are_false,
 )
 from modsim3d.detector.states import PerformanceStates
 from modsim3d.random_streams import Purpose, Streams
@@ -234,7 +234,7 @@ class Detector:
         names = [field.name for field in fields(_Unscored)]
         every = _Unscored(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
         width, height = sizes(every.boxes_px).T
-        false, (uniforms, ties) = np.isin(every.kind, FALSE_KINDS), every.uniforms.T
+        false, (uniforms, ties) = are_false(every.kind), every.uniforms.T
         confidence = self._confidence.score(
             states[every.frame], false, every.visible_fraction, np.sqrt(width * height), uniforms
         )
@@ -243,7 +243,7 @@ class Detector:
         order = order[output[order]]
         gated = ~passed
         gated[every.target[~output & ~false]] = True
-        gated[np.setdiff1d(every.partner[~output], [-1])] = True
+        gated[every.partner[~output & (every.partner >= 0)]] = True
         columns = {name: getattr(every, name)[order] for name in names if name in Detections.__dataclass_fields__}
         return Detections(states=states, confidence=confidence[order], gated=gated, **columns)
 

@@ -18,6 +18,7 @@ which counts as its detection, and `fragment`, the other.
 TRUE, FALSE_POSITIVE, PERSISTENT, DUPLICATE, MERGED, SPLIT, FRAGMENT = range(len(KINDS))
 FALSE_KINDS = (FALSE_POSITIVE, PERSISTENT, DUPLICATE, FRAGMENT)
 """Kinds that count as false, as in an evaluation: all but the one detection of a vessel."""
+_IS_FALSE = np.isin(np.arange(len(KINDS)), FALSE_KINDS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,4 +108,10 @@ class Detections:
 
     def false(self) -> Mask:
         """Which are not the one detection of a vessel, shape (m,)."""
-        return np.isin(self.kind, FALSE_KINDS)
+        return are_false(self.kind)
+
+
+def are_false(kinds: Indices) -> Mask:
+    """Whether each of m kinds is one of `FALSE_KINDS`, shape (m,)."""
+    false: Mask = _IS_FALSE[kinds]
+    return false
