@@ -30,6 +30,7 @@ from modsim3d.scene.reading import load_scene
 RESULTS = ROOT / "benchmarks" / "LATENCY.md"
 SCENES = {
     "simulation_1": (ROOT / "scenes" / "simulation_1.yaml", "five vessels, one camera"),
+    "simulation_2": (ROOT / "scenes" / "simulation_2.yaml", "six vessels, one camera on board in waves"),
     "strait": (ROOT / "scenes" / "strait.yaml", "9 vessels with meshes and 11 obstacles, two cameras"),
     "small": (ROOT / "benchmarks" / "small.yaml", "50 boats far apart, one camera"),
 }
@@ -64,7 +65,7 @@ def live_scene(scene: Path, folder: Path, steps: int) -> list[bytes]:
     for key in ("detector", "vessels"):
         if isinstance(keys[key], str):
             keys[key] = str((scene.parent / keys[key]).resolve())
-    if "waves" in keys:
+    if "spectrum" in keys.get("waves", {}):
         keys["waves"] = {"level": "small", "apply_to": "all"}
     (folder / "live.yaml").write_text(yaml.safe_dump(keys), encoding="utf-8")
     return lines

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -141,15 +141,19 @@ def _finish_what_came(server: LineServer) -> None:
 
 def _send_steps(scene: Scene, realtime: bool, send: Callable[[bytes], bool]) -> None:
     """Simulate a scene and send the lines of each step, until there are no more or `send` returns False."""
+    from modsim3d.streaming.garbage import short_collections
     from modsim3d.streaming.lines import step_lines
     from modsim3d.streaming.pace import Pace
 
     pace = Pace() if realtime else None
-    for step in step_lines(scene, one_by_one=realtime):
-        if pace is not None:
-            pace.wait(step.step, step.time_s)
-        if not send(b"".join(step.lines)):
-            break
+    with ExitStack() as started:
+        for step in step_lines(scene, one_by_one=realtime):
+            if pace is not None:
+                pace.wait(step.step, step.time_s)
+            if not send(b"".join(step.lines)):
+                break
+            if step.step == 0:  # all libraries are loaded
+                started.enter_context(short_collections())
     if pace is not None:
         remark(f"latest: step {pace.latest} left {pace.late_s:.3f} s after its time")
 

@@ -178,6 +178,8 @@ class ClutterSource:
         streams, frames, share = around.streams, around.frames, 1 - self.options.persistent_share
         counts = self.options.numbers.draw(streams, frames, self.rates, around.counts, share)
         frame, ordinal = numbered_rows(counts)
+        if not len(frame):  # most frames have none, and a live step is one frame
+            return Clutter(frame, ordinal, np.empty((0, 4)), np.empty(0, dtype=np.int64))
         uniforms = ordinal_uniforms(streams, Purpose.CLUTTER, frames, frame, ordinal)
         return self._clutter(around, frame, ordinal, uniforms, None)
 

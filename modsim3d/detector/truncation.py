@@ -20,6 +20,7 @@ from modsim3d.arrays import Array, Indices, read_only
 from modsim3d.boxes import at_least_a_pixel, sizes
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.box_error_law import ERROR_NORMALS, ErrorDistribution, Normal
+from modsim3d.detector.sobol import sobol_points
 
 POINTS = 128
 """Points of Sobol's sequence for each box, shifted for each box by an amount of its own (Cranley & Patterson, 1976),
@@ -97,9 +98,7 @@ def accepted_errors(
 @functools.cache
 def _sobol(width: int, points: int) -> Array:
     """Points of a scrambled sequence in the unit cube, shape (points, width)."""
-    from scipy.stats import qmc  # slow to import, and only the end of a run needs such points
-
-    return read_only(qmc.Sobol(width, rng=np.random.default_rng(0)).random(points))
+    return read_only(sobol_points(width, points, np.random.default_rng(0).spawn(1)[0]))
 
 
 def ordered_root(covariance: Array) -> Array:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, read_only
 from modsim3d.geometry.rotations import camera_R_parent, vehicle_R_nominal, world_R_vehicle
 
 
@@ -27,6 +28,11 @@ class Mount:
     pitch_rad: float = 0.0
     yaw_rad: float = 0.0
     vessel: str | None = None
+
+    @cached_property
+    def camera_R_parent(self) -> Array:
+        """Rotation from the world or the VCF of the vessel to CCF, shape (3, 3)."""
+        return read_only(camera_R_parent(self.roll_rad, self.pitch_rad, self.yaw_rad))
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +56,8 @@ class CameraPoses:
 
 def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
     """The same pose in the world at each of S steps (Jessen & Mohr (2023), eq. 7.15, 7.16)."""
-    rotation = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
     position = np.array(mount.position_m, dtype=np.float64)
-    return CameraPoses(np.broadcast_to(rotation, (steps, 3, 3)), np.broadcast_to(position, (steps, 3)))
+    return CameraPoses(np.broadcast_to(mount.camera_R_parent, (steps, 3, 3)), np.broadcast_to(position, (steps, 3)))
 
 
 def poses_on_board(
@@ -78,5 +83,4 @@ def poses_on_board(
         turned = camera_R_parent(mount.roll_rad + roll, mount.pitch_rad + pitch, mount.yaw_rad + headings_rad + yaw)
         return CameraPoses(turned, positions_m + nominal @ place)
     vcf_R_world = vehicle_R_nominal(waves_rad) @ np.swapaxes(nominal, -1, -2)
-    camera_R_vcf = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
-    return CameraPoses(camera_R_vcf @ vcf_R_world, positions_m + np.swapaxes(vcf_R_world, -1, -2) @ place)
+    return CameraPoses(mount.camera_R_parent @ vcf_R_world, positions_m + np.swapaxes(vcf_R_world, -1, -2) @ place)

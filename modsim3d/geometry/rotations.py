@@ -59,8 +59,8 @@ def vehicle_R_nominal(angles_rad: ArrayLike) -> Array:
     It is eq. 7.25 in vehicle axes. The angles are roll, pitch and yaw of a camera that looks forward: positive roll
     lowers the port side, positive pitch the bow, positive yaw turns to port.
     """
-    roll, pitch, yaw = np.moveaxis(np.asarray(angles_rad, dtype=np.float64), -1, 0)
-    return BASE_R_WORLD.T @ attitude(roll, pitch, yaw) @ BASE_R_WORLD
+    angles = np.asarray(angles_rad, dtype=np.float64)
+    return BASE_R_WORLD.T @ attitude(angles[..., 0], angles[..., 1], angles[..., 2]) @ BASE_R_WORLD
 
 
 def rotation_vector(matrix: ArrayLike) -> Array:

@@ -39,7 +39,8 @@ class Strict(BaseModel):
 
     alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # Most models are never used in a process: each is built when it is, which takes as long as importing NumPy in all.
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 def join_path(*parts: object) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -70,9 +70,24 @@ class VesselMotion:
     waves: Waves | None
     moved: tuple[int, ...]
     steps: int
+    _latest: dict[bytes, PosesInWaves] = field(init=False, repr=False, default_factory=dict)
 
     def at(self, steps: Indices) -> PosesInWaves:
-        """Poses at ascending steps, shape (S,)."""
+        """Poses at ascending steps, shape (S,); arrays that cannot be written to.
+
+        Truth, horizon, attitudes and checks ask for the same steps one after the other: the latest ones are kept.
+        """
+        key = steps.tobytes()
+        found = self._latest.get(key)
+        if found is None:
+            found = self._at(steps)
+            for values in (*vars(found.poses).values(), found.angles_rad, found.world_R_vessel):
+                values.setflags(write=False)
+            self._latest.clear()
+            self._latest[key] = found
+        return found
+
+    def _at(self, steps: Indices) -> PosesInWaves:
         if self.waves is None:
             first, stop = int(steps[0]), int(steps[-1]) + 1
             poses = self.source.poses(first, stop).rows(steps - first)
@@ -96,7 +111,9 @@ class VesselMotion:
         first, stop = self.with_neighbours(steps, 1 if motion.needs_velocity else 0)
         around, times = self.source.poses(first, stop), times_s(self.source.timestamps, first, stop)
         rows = steps - first
-        velocity = velocities(times, around.positions_m, around.present)[rows]
+        velocity = np.zeros_like(around.positions_m[rows])
+        if motion.needs_velocity:
+            velocity = velocities(times, around.positions_m, around.present)[rows]
         calm = around.rows(rows)
         positions, angles = calm.positions_m.copy(), np.zeros(calm.positions_m.shape)
         for column in self.moved:

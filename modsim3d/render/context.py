@@ -30,14 +30,18 @@ or run without one: --source analytic"""
 def library_found(backend: str) -> bool:
     """Whether the shared library of a backend can be loaded."""
     short_name, file_names = LIBRARIES[backend]
-    found = ctypes.util.find_library(short_name)
-    for name in (*file_names, *([found] if found else [])):
-        try:
-            ctypes.CDLL(name)
-        except OSError:
-            continue
+    if any(map(_loads, file_names)):  # looking for another name starts other programs
         return True
-    return False
+    found = ctypes.util.find_library(short_name)
+    return found is not None and _loads(found)
+
+
+def _loads(file_name: str) -> bool:
+    try:
+        ctypes.CDLL(file_name)
+    except OSError:
+        return False
+    return True
 
 
 def _wanted() -> str:

@@ -70,22 +70,22 @@ def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
         forces_m_s2=forces[wanted],
         measured_rates_rad_s=rates[wanted] + np.stack([rate for rate, _ in errors], axis=1),
         measured_forces_m_s2=forces[wanted] + np.stack([force for _, force in errors], axis=1),
-        measured_attitudes_rad=_as_measured(scene, headings, angles, first),
+        measured_attitudes_rad=_as_measured(scene, streams, headings, angles, first),
     )
 
 
-def measured_attitudes_at(scene: Scene, first: int, stop: int) -> Array:
+def measured_attitudes_at(scene: Scene, streams: Streams, first: int, stop: int) -> Array:
     """Measured roll, pitch and heading of the K vessels that carry cameras, shape (S, K, 3), as in `OwnShips`.
 
-    They need no motion at later steps, as rates and forces do.
+    They need no motion at later steps, as rates and forces do. The streams are those of the scene's seed.
     """
     sea, own = scene.own_motion.at(np.arange(first, stop)), list(scene.own_ships)
-    return _as_measured(scene, sea.poses.headings_rad[:, own], sea.angles_rad[:, own], first)
+    return _as_measured(scene, streams, sea.poses.headings_rad[:, own], sea.angles_rad[:, own], first)
 
 
-def _as_measured(scene: Scene, headings_rad: Array, angles_rad: Array, first: int) -> Array:
+def _as_measured(scene: Scene, streams: Streams, headings_rad: Array, angles_rad: Array, first: int) -> Array:
     """True attitudes from step `first` on, shapes (S, K) and (S, K, 3), with the errors of the units, (S, K, 3)."""
-    streams, names = Streams(scene.seed), [scene.vessel_names[index] for index in scene.own_ships]
+    names = [scene.vessel_names[index] for index in scene.own_ships]
     errors = [scene.imu.attitude_errors(streams, name, first, len(headings_rad)) for name in names]
     return true_attitudes(headings_rad, angles_rad) + np.stack(errors, axis=1)
 

@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -215,7 +216,7 @@ class Scene:
         carriers = {camera.mount.vessel for camera in self.cameras}
         return tuple(i for i, name in enumerate(self.vessel_names) if name in carriers)
 
-    @property
+    @cached_property
     def motion(self) -> VesselMotion:
         """The motion of its vessels."""
         moved = self.own_ships
@@ -223,7 +224,7 @@ class Scene:
             moved = tuple(range(len(self.vessels)))
         return VesselMotion(self.poses, self.vessel_names, self.waves, moved, self.steps)
 
-    @property
+    @cached_property
     def own_motion(self) -> VesselMotion:
         """The same with waves only for the vessels that carry cameras: waves take time to compute."""
         return replace(self.motion, moved=self.own_ships)

@@ -9,6 +9,7 @@ from typing import Any
 import orjson
 
 from modsim3d.geometry.camera import Camera
+from modsim3d.random_streams import Streams
 from modsim3d.runs.blocks import Block
 from modsim3d.runs.files.tracker_input import tracker_lines
 from modsim3d.runs.pipeline import simulate_blocks
@@ -68,12 +69,13 @@ def step_lines(scene: Scene, *, one_by_one: bool) -> Iterator[StepLines]:
     Raises:
         ModsimError: The scene asks for what cannot be, or the poses that came are wrong.
     """
+    streams = Streams(scene.seed)  # once, since to make them takes as long as to draw from them
     for block in simulate_blocks(scene, 1 if one_by_one else None):
-        yield from _lines_of(block, scene)
+        yield from _lines_of(block, scene, streams)
 
 
-def _lines_of(block: Block, scene: Scene) -> Iterator[StepLines]:
-    attitudes = _attitudes(block, scene)
+def _lines_of(block: Block, scene: Scene, streams: Streams) -> Iterator[StepLines]:
+    attitudes = _attitudes(block, scene, streams)
     cameras = [
         (
             orjson.dumps(scene.cameras[part.camera].name),
@@ -96,11 +98,11 @@ def _lines_of(block: Block, scene: Scene) -> Iterator[StepLines]:
         yield StepLines(step, time_s, lines)
 
 
-def _attitudes(block: Block, scene: Scene) -> dict[str | None, list[bytes]]:
+def _attitudes(block: Block, scene: Scene, streams: Streams) -> dict[str | None, list[bytes]]:
     """Measured roll, pitch and heading at each step, as JSON, of each vessel that carries a camera, by its name."""
     if not scene.own_ships:
         return {}
-    measured = measured_attitudes_at(scene, block.first, block.stop)
+    measured = measured_attitudes_at(scene, streams, block.first, block.stop)
     return {
         scene.vessel_names[vessel]: [orjson.dumps(each) for each in measured[:, column].tolist()]
         for column, vessel in enumerate(scene.own_ships)

@@ -89,9 +89,9 @@ def test_a_run_without_json_can_be_read(monkeypatch, tmp_path):
 
 
 def test_ctrl_c_before_a_command_begins_is_one_message(monkeypatch, capsys):
-    def press_ctrl_c(**_: object) -> None:
+    def press_ctrl_c(_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "app", press_ctrl_c)
+    monkeypatch.setattr(cli, "_asked", press_ctrl_c)
     assert call(monkeypatch, "run", "simulation_1") == 130
     assert capsys.readouterr().err == "modsim3d: interrupted\n"

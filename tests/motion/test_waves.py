@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from modsim3d.geometry.camera_poses import Mount, poses_on_board
 from modsim3d.geometry.rotations import camera_R_parent, vehicle_R_nominal
@@ -52,6 +53,15 @@ def test_process_is_the_recursion_of_the_source():
     found, state = second_order(noise, axis, (0.3, -0.2))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
     np.testing.assert_allclose(state, (x, y), rtol=1e-12)
+
+
+def test_process_is_that_of_scipys_filter():
+    noise, axis = np.random.default_rng(1).normal(size=500), Axis(0.97, 0.9, 1.0)
+    first, _ = lfilter([1.0], [1.0, -axis.a], noise, zi=[axis.a * 0.3])
+    second, _ = lfilter([1.0], [1.0, -axis.b], first, zi=[axis.b * -0.2])
+    found, state = second_order(noise, axis, (0.3, -0.2))
+    np.testing.assert_array_equal(found, second)
+    assert state == (first[-1], second[-1])
 
 
 def test_variance_from_zero_start_is_that_of_figure_7_13():

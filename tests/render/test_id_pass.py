@@ -161,13 +161,6 @@ def test_context_can_be_opened_again_after_it_was_closed():
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
 
 
-def test_importing_the_package_loads_no_opengl_plotting_or_parquet():
-    heavy = ("OpenGL", "matplotlib", "PIL", "pyarrow")
-    script = f"import sys, modsim3d, modsim3d.cli; print([name for name in {heavy} if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_ids_in_the_image_are_those_of_the_vessels_drawn(renderer, seed):
     from modsim3d.truth.triangles import triangles_of

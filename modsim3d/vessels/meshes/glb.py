@@ -37,7 +37,9 @@ Item = TypeVar("Item")
 class _Part(BaseModel):
     """The keys of an object of the description that are read; others are ignored."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True, alias_generator=to_camel, populate_by_name=True)
+    model_config = ConfigDict(
+        extra="ignore", frozen=True, alias_generator=to_camel, populate_by_name=True, defer_build=True
+    )
 
 
 class _Accessor(_Part):
