@@ -74,7 +74,7 @@ over all films is nearer to 0 than each of them. Films with *much* occlusion hav
 """
 LATER = """
 The detector files are learned from other films, but which models there are was decided by people who had seen how the
-first {first} films compare. The later films were made afterwards; one small change to how slopes of single states are
+first {first} films compare. The later films were made afterwards; two small changes to how slopes of misses are
 found came after a first look at them. If the models suited
 the first films alone, the later ones would differ by more. HOTA, simulated minus real, at the last rung:
 """
