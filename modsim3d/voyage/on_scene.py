@@ -110,28 +110,31 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
 def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[DetectionLog, list[int]]:
     """The log of the wanted cameras, and the number in the scene of each of its cameras."""
     names = [camera.name for camera in scene.cameras]
+    known = _names_in_logs(names)
     if wanted is not None:
         if wanted not in names:
             raise InputError("--camera", [f"{scene.title} has no camera {shown(wanted)} ({nearest(wanted, names)})"])
-        given = [name for name in log.cameras if name in (wanted, ros_name(wanted))]
+        number = names.index(wanted)
+        given = [index for index, name in enumerate(log.cameras) if known.get(str(name)) == number]
         if not given and len(log.cameras) > 1:
-            known = ", ".join(str(each) for each in log.cameras)
-            raise InputError(log.source, [f"has no frame of camera {shown(wanted)} (its cameras: {known})"])
-        index = log.cameras.index(given[0] if given else log.cameras[0])
-        return log.of_one_camera(index), [names.index(wanted)]
+            there = ", ".join(map(shown, log.cameras))
+            raise InputError(log.source, [f"has no frame of camera {shown(wanted)} (its cameras: {there})"])
+        return log.of_one_camera(given[0] if given else 0), [number]
     if log.cameras == (None,):
         if len(names) > 1:
             problem = f"does not say which camera of the scene it is of ({', '.join(names)}): give --camera"
             raise InputError(log.source, [problem])
         return log, [0]
-    by_name = {ros_name(name): number for number, name in enumerate(names)}
-    by_name |= {name: number for number, name in enumerate(names)}
-    wrong = [name for name in log.cameras if name not in by_name]
-    if wrong:
-        hint = nearest(str(wrong[0]), names)
-        problem = f"the scene has no camera {shown(wrong[0])} ({hint}); --camera says which one a log of one camera is"
-        raise InputError(log.source, [problem])
-    return log, [by_name[str(name)] for name in log.cameras]
+    if wrong := [str(name) for name in log.cameras if name not in known]:
+        hint = f"{nearest(wrong[0], names)}; if the log is of one camera, --camera says which"
+        raise InputError(log.source, [f"the scene has no camera {shown(wrong[0])} ({hint})"])
+    return log, [known[str(name)] for name in log.cameras]
+
+
+def _names_in_logs(names: Sequence[str]) -> dict[str, int]:
+    """Number of each camera of a scene by what logs may call it: its number, its name in ROS, its name."""
+    numbers = {str(number): number for number in range(len(names))}  # as the sequences of `modsim3d export`
+    return numbers | {ros_name(name): k for k, name in enumerate(names)} | {name: k for k, name in enumerate(names)}
 
 
 def _check_sizes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> None:

@@ -1,7 +1,7 @@
 """COCO: results with the file of their images, or one file whose annotations have scores.
 
 The time of an image is its `time_s`, `utc` or `date_captured`, or its `frame_id` with a frame rate. Its camera is
-`camera`, or `sequence` where that is a text.
+`camera`, or `sequence` (or `video_id`) where that is a text or there are several.
 """
 
 from __future__ import annotations
@@ -93,8 +93,9 @@ def _frames(truth: Mapping[str, Any], source: str, options: LogOptions, rows: Lo
         raise InputError(source, ["images: some times are UTC and others are not"])
     frame_of: dict[Any, int] = {}
     problems = []
-    for index, (entry, (time_s, _)) in enumerate(zip(truth["images"], times, strict=True)):
-        where, identity, camera = f"images[{index}]", _key(entry.get("id")), _camera(entry)
+    cameras = _cameras(truth["images"])
+    for index, (entry, camera, (time_s, _)) in enumerate(zip(truth["images"], cameras, times, strict=True)):
+        where, identity = f"images[{index}]", _key(entry.get("id"))
         if identity is None or identity in frame_of:
             problems.append(f"{where}: must have an id of its own (got {shown(entry.get('id'))})")
         elif rows.has(camera, time_s):
@@ -120,9 +121,15 @@ def _time(entry: Any, frame_rate_hz: float | None) -> tuple[float, bool]:
     return (frame / frame_rate_hz, False) if frame_rate_hz and is_number(frame) else (math.nan, False)
 
 
-def _camera(entry: Mapping[str, Any]) -> str | None:
-    names: Sequence[Any] = (entry.get("camera"), entry.get("sequence"), entry.get("video_id"))
-    return next((name for name in names if isinstance(name, str)), None)
+def _cameras(images: Sequence[Any]) -> list[str | None]:
+    """The camera of each image: its `camera`, or its sequence if that is a text or there are several."""
+    sequences = [entry.get("sequence", entry.get("video_id")) for entry in images]
+    several = len({str(each) for each in sequences}) > 1
+    names = []
+    for entry, sequence in zip(images, sequences, strict=True):
+        camera = entry.get("camera", sequence if several or isinstance(sequence, str) else None)
+        names.append(None if camera is None else str(camera))
+    return names
 
 
 def _size(entry: Mapping[str, Any]) -> tuple[float, float]:

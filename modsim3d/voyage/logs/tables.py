@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.arrays import Array, Mask
+from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems
 from modsim3d.formats.reading.confidences import Confidences
@@ -45,7 +45,7 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
     time_s, clock = _times(table, source)
     form = _form(table, source)
     boxes = np.column_stack([table.numbers(name, needed=False) for name in form.names])
-    empty: Mask = np.isnan(boxes).all(axis=1)
+    empty = np.asarray(np.isnan(boxes).all(axis=1), dtype=bool)
     partial = np.isnan(boxes).any(axis=1) & ~empty
     table.problems.refuse(partial, lambda _: f"{', '.join(form.names)} must be numbers, or all be empty")
     table.problems.settle()
