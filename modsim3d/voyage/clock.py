@@ -85,7 +85,7 @@ def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneC
     apart_s = times_s.min() - clock.length_s if later else -times_s.max()
     between_starts = times_s.min() / _HOUR_S
     zones = ""
-    if abs(between_starts) > 0.5 and abs(between_starts - round(between_starts)) < _WHOLE_HOURS:
+    if log.clock is Clock.UTC and abs(between_starts) > 0.5 and abs(between_starts - round(between_starts)) < _WHOLE_HOURS:
         zones = f"; the starts differ by {abs(round(between_starts))} h: is one of the clocks in local time?"
     order = "after the scene's last step" if later else "before the scene's first step"
     raise InputError(
