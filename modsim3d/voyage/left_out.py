@@ -34,7 +34,7 @@ class Reason(Enum):
     """Why a vessel is left out of a frame."""
 
     STALE = "stale, no report within {stale_s:g} s"
-    JUMP = "jumps"
+    JUMP = "jumping"
     OFF = "off"
 
 

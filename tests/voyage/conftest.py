@@ -16,7 +16,7 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.streaming.lines import header_line, step_lines
 
-STEPS = 40
+STEPS = 24
 
 
 @pytest.fixture(scope="session")
