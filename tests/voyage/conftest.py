@@ -15,6 +15,7 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.streaming.lines import header_line, step_lines
+from tests.commands.bad_input.conftest import call  # noqa: F401 (a fixture)
 
 STEPS = 24
 
