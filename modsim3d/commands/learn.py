@@ -19,7 +19,14 @@ from modsim3d.commands.labelled_options import (
     read_options,
 )
 from modsim3d.commands.learn_json import learn_json
-from modsim3d.commands.learn_voyage import CameraOption, ImagesOption, SceneOption, StartOption, asked_voyage
+from modsim3d.commands.learn_voyage import (
+    AttitudeOption,
+    CameraOption,
+    ImagesOption,
+    SceneOption,
+    StartOption,
+    asked_voyage,
+)
 from modsim3d.commands.shared import (
     JsonOption,
     OverwriteOption,
@@ -89,6 +96,7 @@ def learn_command(
     camera: CameraOption = None,
     start: StartOption = None,
     images: ImagesOption = None,
+    attitude: AttitudeOption = None,
     state: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=COND,...", help="Performance state, and the conditions it is made of; repeatable."),
@@ -202,7 +210,7 @@ def learn_command(
             "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "
             "centre for both, or learn from each alone"
         )
-    voyage = asked_voyage(scene, truth, run, camera, start, images)
+    voyage = asked_voyage(scene, truth, run, camera, start, images, attitude)
     with timed("reading"), inputs_noted() as read:  # also of files that no option names, such as data.yaml
         runs: tuple[StoredRun, ...] = ()
         if voyage:

@@ -38,6 +38,10 @@ ImagesOption = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="COCO file with the times of the images that COCO results name, for --scene."),
 ]
+AttitudeOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Table of own ship's roll, pitch and heading by time, for --scene."),
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +52,7 @@ class AskedVoyage:
     camera: str | None
     start: Start | None
     images: Path | None
+    attitude: Path | None
 
     def labelled(self, logs: Sequence[Path], conditions: Sequence[str], options: ReadOptions) -> LabelledSet:
         """The logs with the truth of the scene.
@@ -56,6 +61,7 @@ class AskedVoyage:
             ModsimError: There is no log, not a name for each, or a log is wrong.
         """
         from modsim3d.formats.labelled import joined
+        from modsim3d.voyage.attitude import read_attitude
         from modsim3d.voyage.labelled_voyage import CONDITION, VoyageOptions, labelled_voyage
         from modsim3d.voyage.logs.log import LogOptions
         from modsim3d.voyage.logs.reading import read_log
@@ -74,11 +80,12 @@ class AskedVoyage:
             options.category_offset,
             options.skip_bad,
         )
+        attitude = None if self.attitude is None else read_attitude(self.attitude, self.scene)
         names = conditions or [CONDITION] * len(logs)
         parts = []
         for path, name in zip(logs, names, strict=True):
             log = on_scene(read_log(path, said), self.scene, self.camera)
-            parts.append(labelled_voyage(log, VoyageOptions(condition=name)))
+            parts.append(labelled_voyage(log, VoyageOptions(attitude=attitude, condition=name)))
         return joined(parts)
 
     def truth(self, logs: Sequence[Path]) -> tuple[Path, ...]:
@@ -99,6 +106,7 @@ def asked_voyage(
     camera: str | None,
     start: str | None,
     images: Path | None,
+    attitude: Path | None,
 ) -> AskedVoyage | None:
     """What the options ask for; None without `--scene`.
 
@@ -106,7 +114,7 @@ def asked_voyage(
         ModsimError: Options do not go together, or the scene is wrong.
     """
     if scene is None:
-        given = {"--camera": camera, "--start": start, "--images": images}
+        given = {"--camera": camera, "--start": start, "--images": images, "--attitude": attitude}
         if stray := [name for name, value in given.items() if value is not None]:
             raise ModsimError(f"{stray[0]} is for --scene: a voyage whose vessels' tracks are known")
         return None
@@ -117,7 +125,7 @@ def asked_voyage(
         )
     from modsim3d.scene.reading import load_scene
 
-    return AskedVoyage(load_scene(scene), camera, None if start is None else _start(start), images)
+    return AskedVoyage(load_scene(scene), camera, None if start is None else _start(start), images, attitude)
 
 
 def _start(text: str) -> Start:

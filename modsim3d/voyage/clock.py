@@ -52,19 +52,27 @@ def scene_times(log: DetectionLog, scene: Scene, clock: SceneClock) -> Array:
     Raises:
         InputError: The log is in UTC and the scene does not say when it starts.
     """
-    if log.clock is Clock.STEP:
-        return log.time_s
-    if log.clock is Clock.STAMP:
-        return log.time_s - clock.first_s
+    return on_scene_clock(log.time_s, log.clock, log.source, scene, clock)
+
+
+def on_scene_clock(times_s: Array, kind: Clock, source: str, scene: Scene, clock: SceneClock) -> Array:
+    """Times by a clock, shape (n,), as times since the scene's first step, shape (n,).
+
+    Raises:
+        InputError: They are UTC and the scene does not say when it starts; `source` is what they are of.
+    """
+    if kind is Clock.STEP:
+        return times_s
+    if kind is Clock.STAMP:
+        return times_s - clock.first_s
     if clock.start_s is None:
-        raise InputError(
-            log.source,
-            [
-                f"its times are UTC ({log.span}), and {scene.title} does not say when it starts: a scene made by "
-                "modsim3d ais has report.json beside it, which does; or let the poses have Unix times"
-            ],
+        problem = (
+            f"its times are UTC (from {time_text(float(times_s.min()))}), and {scene.title} does not say when it "
+            "starts: a scene made by modsim3d ais has report.json beside it, which does; or let its poses have Unix "
+            "times"
         )
-    return log.time_s - clock.start_s
+        raise InputError(source, [problem])
+    return times_s - clock.start_s
 
 
 def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneClock) -> None:
@@ -85,7 +93,11 @@ def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneC
     apart_s = times_s.min() - clock.length_s if later else -times_s.max()
     between_starts = times_s.min() / _HOUR_S
     zones = ""
-    if log.clock is Clock.UTC and abs(between_starts) > 0.5 and abs(between_starts - round(between_starts)) < _WHOLE_HOURS:
+    if (
+        log.clock is Clock.UTC
+        and abs(between_starts) > 0.5
+        and abs(between_starts - round(between_starts)) < _WHOLE_HOURS
+    ):
         zones = f"; the starts differ by {abs(round(between_starts))} h: is one of the clocks in local time?"
     order = "after the scene's last step" if later else "before the scene's first step"
     raise InputError(

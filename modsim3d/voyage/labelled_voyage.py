@@ -14,6 +14,7 @@ from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results,
 from modsim3d.runs.pipeline import open_renderer
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
+from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
 from modsim3d.voyage.left_out import STALE_S, Freshness, Regions, freshness, grown, off_regions, told
 from modsim3d.voyage.on_scene import CameraLog, SceneLog
@@ -37,11 +38,13 @@ class VoyageOptions:
     Attributes:
         registration: What is added to the camera and to the clock, or what finds it for each camera.
         stale_s: Least time without a report of a vessel under way that is left out.
+        attitude: That of own ship as it was measured; its frames without one are left out.
         condition: Name of the condition.
     """
 
     registration: Correction | Registrar = NO_CORRECTION
     stale_s: float = STALE_S
+    attitude: Attitude | None = None
     condition: str = CONDITION
 
 
@@ -89,12 +92,20 @@ class _CameraSet:
         times_s = of_camera.time_s + correction.clock_s
         inside = (times_s >= -NEAR_S) & (times_s <= log.length_s + NEAR_S)
         times_s = np.clip(times_s, 0, log.length_s)
-        carried = inside & _carrier_there(log.scene, self.camera.mount.vessel, times_s)
-        self.notes = list(_said_of_frames(self.camera.name, inside, carried, self.camera.mount.vessel))
+        carrier, attitude = self.camera.mount.vessel, options.attitude
+        carried = inside & _carrier_there(log.scene, carrier, times_s)
+        self.notes = list(_said_of_frames(self.camera.name, inside, carried, carrier))
+        if attitude is not None and attitude.vessel != carrier:
+            attitude = None
+        if attitude is not None:
+            measured = attitude.known(times_s)
+            if lacking := int((carried & ~measured).sum()):
+                self.notes.append(f"camera '{self.camera.name}': {lacking:,} frames without attitude are left out")
+            carried &= measured
         if not carried.any():
             raise InputError(log.source, self.notes)
         self.frames, self.times_s = of_camera.take(carried), times_s[carried]
-        self.truth = camera_truth(log.scene, of_camera.camera, self.camera, self.times_s, renderer)
+        self.truth = camera_truth(log.scene, of_camera.camera, self.camera, self.times_s, renderer, attitude)
         self.found = freshness(log.scene, reports, self.times_s, options.stale_s)
 
     def labelled(self) -> LabelledSet:

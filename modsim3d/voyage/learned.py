@@ -18,6 +18,7 @@ from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.files.replacing import RUN_FILE, read_of_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
+from modsim3d.voyage.attitude import read_attitude
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
 from modsim3d.voyage.labelled_voyage import Registrar, VoyageOptions, labelled_voyage
 from modsim3d.voyage.left_out import STALE_S
@@ -35,6 +36,7 @@ def learn_voyage(
     camera: str | None = None,
     registration: Correction | Registrar = NO_CORRECTION,
     stale_s: float = STALE_S,
+    attitude: StrPath | None = None,
     log_options: LogOptions = NO_OPTIONS,
     match: Method | None = None,
     least_iou: float = 0.5,
@@ -52,6 +54,7 @@ def learn_voyage(
         camera: The scene's camera that the log is of; needed where neither says it.
         registration: What is added to the camera and to the clock, or what finds it for each camera.
         stale_s: Least time without an AIS report of a vessel under way that is left out.
+        attitude: File of own ship's roll, pitch and heading, in place of the scene's waves.
         log_options: What the log does not say itself.
         match: As that of `modsim3d.learn_detector`; as are the following.
         least_iou: Least IoU.
@@ -68,7 +71,8 @@ def learn_voyage(
     with inputs_noted() as inputs:
         loaded = scene if isinstance(scene, Scene) else load_scene(scene)
         read = on_scene(read_log(path, log_options), loaded, camera)
-        labelled = labelled_voyage(read, VoyageOptions(registration, stale_s))
+        measured = None if attitude is None else read_attitude(as_path(attitude, "attitude"), loaded)
+        labelled = labelled_voyage(read, VoyageOptions(registration, stale_s, measured))
     rule = Rule(match or usual_method(labelled), least_iou, most_distance_px)
     least = labelled_sets.least_confidence(labelled, confidence)
     settings = Settings(rule, least, replicates, seed, without=left_out(without, "learn_voyage: without"))

@@ -9,12 +9,13 @@ from modsim3d.geometry.rotations import vehicle_R_nominal, world_R_vehicle
 from modsim3d.motion.poses import Poses
 from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.scene.scene import Scene
+from modsim3d.voyage.attitude import Attitude
 
 NEAR_S = 1e-6
 """A time nearer than this to a step is that of the step."""
 
 
-def poses_at(scene: Scene, times_s: Array) -> PosesInWaves:
+def poses_at(scene: Scene, times_s: Array, attitude: Attitude | None = None) -> PosesInWaves:
     """Poses of the V vessels at some times, waves included.
 
     Places, heave and angles are linear between two steps, headings turn along the shorter arc, and a vessel is there
@@ -23,6 +24,7 @@ def poses_at(scene: Scene, times_s: Array) -> PosesInWaves:
     Args:
         scene: The scene.
         times_s: Times since its first step, from 0 to that of its last, ascending, shape (n,).
+        attitude: That of a vessel as it was measured, in place of the scene's waves.
     """
     every = scene.times_s(0, scene.steps)
     before = np.clip(np.searchsorted(every, times_s + NEAR_S, side="right") - 1, 0, scene.steps - 1)
@@ -43,8 +45,12 @@ def poses_at(scene: Scene, times_s: Array) -> PosesInWaves:
     )
     angles = _between(first.angles_rad, second.angles_rad, u[..., None])
     rotations = world_R_vehicle(poses.headings_rad)
-    if scene.waves is not None:
-        moved = list(scene.motion.moved)
+    moved = [] if scene.waves is None else list(scene.motion.moved)
+    if attitude is not None:
+        column = scene.vessel_names.index(attitude.vessel)
+        angles[:, column] = attitude.at(times_s, poses.headings_rad[:, column])
+        moved = sorted({*moved, column})
+    if moved:
         rotations[:, moved] = rotations[:, moved] @ np.swapaxes(vehicle_R_nominal(angles[:, moved]), -1, -2)
     return PosesInWaves(poses, angles, rotations)
 

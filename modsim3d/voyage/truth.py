@@ -14,6 +14,7 @@ from modsim3d.runs.pipeline import block_steps, occlusion_by
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotated_rows
 from modsim3d.truth.truth_record import Truth, concatenate
+from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.sampling import poses_at
 
 if TYPE_CHECKING:
@@ -35,7 +36,14 @@ class CameraTruth:
     camera_poses: CameraPoses
 
 
-def camera_truth(scene: Scene, number: int, camera: Camera, times_s: Array, renderer: IdRenderer | None) -> CameraTruth:
+def camera_truth(
+    scene: Scene,
+    number: int,
+    camera: Camera,
+    times_s: Array,
+    renderer: IdRenderer | None,
+    attitude: Attitude | None = None,
+) -> CameraTruth:
     """The truth of one camera at some times, as that of a run is made, hidden vessels included.
 
     Args:
@@ -45,6 +53,7 @@ def camera_truth(scene: Scene, number: int, camera: Camera, times_s: Array, rend
         times_s: Times since the scene's first step at which the vessel that carries it is there, at least one,
             ascending, shape (n,).
         renderer: That of `open_renderer`.
+        attitude: That of own ship as it was measured, in place of the scene's waves.
 
     Raises:
         ModsimError: The camera has no place at a time.
@@ -52,7 +61,7 @@ def camera_truth(scene: Scene, number: int, camera: Camera, times_s: Array, rend
     parts, looks, length = [], [], block_steps(scene)
     for first in range(0, len(times_s), length):
         frames = np.arange(first, min(first + length, len(times_s)))
-        poses = poses_at(scene, times_s[frames])
+        poses = poses_at(scene, times_s[frames], attitude)
         sight = scene.sight(camera, np.arange(len(frames)), poses)
         outlines = sight.outlines(as_shoeboxes=scene.annotation.source != "rendered")
         occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)

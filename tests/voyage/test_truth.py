@@ -13,6 +13,7 @@ from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
+from modsim3d.voyage.attitude import read_attitude
 from modsim3d.voyage.correction import Correction
 from modsim3d.voyage.labelled_voyage import VoyageOptions, labelled_voyage
 from modsim3d.voyage.logs.reading import read_log
@@ -135,3 +136,44 @@ def test_clocks_hours_apart_are_refused_with_both_spans(voyage: Path, strait: Sc
 def test_a_correction_that_moves_all_frames_out_of_the_scene_is_refused(log: SceneLog) -> None:
     with pytest.raises(InputError, match="24 of 24 frames are before or after the scene"):
         labelled_voyage(log, VoyageOptions(Correction(clock_s=100)))
+
+
+def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scene, tmp_path: Path) -> None:
+    """The exported attitude on a calm sea looks the same way as the waves that it is of."""
+    calm = load_scene("strait", steps=24, settings={"waves.level": "none"})
+    attitude = read_attitude(voyage / "csv" / "ownship.csv", calm)
+    assert attitude.vessel == "own"
+    times = strait.times_s(0, 24)
+    rough, mine, still = (
+        scene.camera_poses(scene.cameras[0], poses_at(scene, times, measured), np.arange(24)).camera_R_world
+        for scene, measured in ((strait, None), (calm, attitude), (calm, None))
+    )
+    np.testing.assert_allclose(mine, rough, atol=1e-7)
+    assert np.abs(still - rough).max() > 1e-3
+    parquet = read_attitude(voyage / "run" / "ownship.parquet", calm)
+    np.testing.assert_allclose(parquet.angles_rad, attitude.angles_rad, atol=1e-7)
+
+
+def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> None:
+    rows = [f"{time},0,0.01,0.02" for time in (1, 1.5, 2, 4.2, 4.6)]
+    path = tmp_path / "attitude.csv"
+    path.write_text("\n".join(["time_s,roll_rad,pitch_rad,heading_rad", *rows]) + "\n")
+    found = labelled_voyage(log, VoyageOptions(attitude=read_attitude(path, log.scene)))
+    bow = found.images.sequence == 0
+    np.testing.assert_allclose(found.images.time_s[bow], [1, 1.2, 1.4, 1.6, 1.8, 2, 4.2, 4.4, 4.6])
+    assert "camera 'bow': 15 frames without attitude are left out" in found.notes
+
+
+WRONG = {
+    "columns": ("time_s,roll_rad\n0,1\n", "the columns pitch_rad, heading_rad are missing"),
+    "a number": ("time_s,roll_rad,pitch_rad,heading_rad\n0,1,2,3\n1,x,2,3\n", "line 3: roll_rad must be a number"),
+    "the order": ("time_s,roll_rad,pitch_rad,heading_rad\n1,1,2,3\n0,1,2,3\n", "their times must increase"),
+    "the vessel": ("vessel,time_s,roll_rad,pitch_rad,heading_rad\nowl,0,1,2,3\n", "no row of own"),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), WRONG.values(), ids=WRONG)
+def test_a_wrong_attitude_is_refused(strait: Scene, tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "attitude.csv").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_attitude(tmp_path / "attitude.csv", strait)

@@ -41,8 +41,8 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
         InputError: The file cannot be read, or is wrong; each problem names its line.
     """
     source = f"detections {path}"
-    table = _table(path, source)
-    time_s, clock = _times(table, source)
+    table = read_table(path, source)
+    time_s, clock = times_of(table, source)
     form = _form(table, source)
     boxes = np.column_stack([table.numbers(name, needed=False) for name in form.names])
     empty = np.asarray(np.isnan(boxes).all(axis=1), dtype=bool)
@@ -67,8 +67,12 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
     return rows.log(clock, _add_frames(path, rows, cameras, time_s, clock, bool(empty.any()), options))
 
 
-def _table(path: Path, source: str) -> TextTable:
-    """The columns as texts."""
+def read_table(path: Path, source: str) -> TextTable:
+    """The columns of a table, as CSV or Parquet, as texts.
+
+    Raises:
+        InputError: It cannot be read.
+    """
     if path.suffix == ".parquet":
         note_input(path)
         try:
@@ -108,8 +112,12 @@ def _texts(table: TextTable, name: str) -> list[str | None]:
     return [text or None for text in table.columns[name].to_pylist()]
 
 
-def _times(table: TextTable, source: str) -> tuple[Array, Clock]:
-    """The time of each row, shape (k,), and what it counts from."""
+def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
+    """The time of each row, shape (k,), and what it counts from.
+
+    Raises:
+        InputError: There is no column of times, or a time is wrong.
+    """
     name = _first(table, _TIMES)
     if not name:
         raise InputError(source, [f"line 1: a column with the time is missing; needed are {_NEEDED}"])
@@ -148,8 +156,8 @@ def _add_frames(
     """Add the frames without detections to the rows, and say how they are known."""
     beside = path.with_name(path.name.replace("detections", "frames", 1))
     if beside != path and beside.is_file():
-        frames = _table(beside, f"frames {beside}")
-        times, other = _times(frames, f"frames {beside}")
+        frames = read_table(beside, f"frames {beside}")
+        times, other = times_of(frames, f"frames {beside}")
         if other is not clock:
             raise InputError(f"frames {beside}", [f"has times in {other.value}, and {path.name} in {clock.value}"])
         for camera, time in zip(_texts(frames, "camera"), times.tolist(), strict=True):

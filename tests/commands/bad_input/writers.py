@@ -93,7 +93,10 @@ DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]
     "view: sheet": (("contact_sheet.png",), lambda run: ("view", run, "--sheet")),
 }
 """What a command writes into the run directory unless told otherwise."""
-READ = {"scene", "campaign", "run", "other", "truth", "detections", "detector", "sequence", "files", "tracks", "images"}
+READ = {
+    *("scene", "campaign", "run", "other", "truth", "detections", "detector", "sequence", "files", "tracks"),
+    *("images", "attitude"),
+}
 """Parameters that name what is read."""
 WRITTEN = {"out", "page", "cache"}
 """Parameters that name what is written."""
