@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results, joined
 from modsim3d.runs.pipeline import open_renderer
@@ -16,9 +16,9 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
-from modsim3d.voyage.left_out import STALE_S, Freshness, Regions, freshness, grown, off_regions, told
+from modsim3d.voyage.left_out import STALE_S, Freshness, Regions, left_out
 from modsim3d.voyage.on_scene import CameraLog, SceneLog
-from modsim3d.voyage.reports import Reports, read_reports
+from modsim3d.voyage.reports import read_reports
 from modsim3d.voyage.sampling import NEAR_S
 from modsim3d.voyage.truth import CameraTruth, camera_truth
 
@@ -61,8 +61,9 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
         ModsimError: The truth cannot be made.
     """
     reports = read_reports(log.scene.path)
+    fresh = Freshness(log.scene, reports, options.stale_s)
     with open_renderer(log.scene) as renderer:
-        parts = [_CameraSet(log, each, reports, options, renderer).labelled() for each in log.cameras]
+        parts = [_CameraSet(log, each, fresh, options, renderer).labelled() for each in log.cameras]
     notes = list(log.notes)
     if reports is not None and not reports.used_s:
         notes.append(f"{log.scene.title}: has no report times beside it, so stale AIS is not left out: make it again")
@@ -80,12 +81,12 @@ class _CameraSet:
         self,
         log: SceneLog,
         of_camera: CameraLog,
-        reports: Reports | None,
+        fresh: Freshness,
         options: VoyageOptions,
         renderer: IdRenderer | None,
     ) -> None:
         """Take the frames that are within the scene."""
-        self.scene, self.options, self.log = log.scene, options, log
+        self.scene, self.options, self.log, self.fresh = log.scene, options, log, fresh
         given = options.registration
         correction = given if isinstance(given, Correction) else given(log.scene, of_camera)
         self.camera = correction.camera(log.scene.cameras[of_camera.camera])
@@ -106,12 +107,11 @@ class _CameraSet:
             raise InputError(log.source, self.notes)
         self.frames, self.times_s = of_camera.take(carried), times_s[carried]
         self.truth = camera_truth(log.scene, of_camera.camera, self.camera, self.times_s, renderer, attitude)
-        self.found = freshness(log.scene, reports, self.times_s, options.stale_s)
 
     def labelled(self) -> LabelledSet:
         """The set."""
         frames, number = self.frames, len(self.frames.names)
-        annotations = self._annotations(self.truth, self.found)
+        annotations = self._annotations(self.truth)
         images = Images(
             names=frames.names,
             sizes_px=np.tile(np.array(self.camera.intrinsics.image_size_px, dtype=np.float64), (number, 1)),
@@ -124,36 +124,29 @@ class _CameraSet:
         results = Results(frames.frame, frames.label, frames.boxes_px, frames.confidence)
         return LabelledSet(self.log.labels, (self.options.condition,), images, annotations, results, tuple(self.notes))
 
-    def _annotations(self, seen: CameraTruth, found: Freshness) -> Annotations:
+    def _annotations(self, seen: CameraTruth) -> Annotations:
         """The annotated vessels, and the regions of those that are left out."""
         truth = seen.truth.take(seen.truth.annotated)
-        left_out = found.left_out[truth.step, truth.vessel]
         boxes = annotation_boxes(truth, self.scene.annotation.mode)
-        at, fraction = truth.step[left_out], truth.visible_fraction
-        doubtful = grown(
-            Regions(at, truth.vessel[left_out], boxes[left_out], truth.depth_m[left_out]), self.camera, found
-        )
-        boxes[left_out] = doubtful.boxes_px
-        off = off_regions(self.scene, self.camera, seen.camera_poses, found)
-        frame, vessel = np.concatenate([truth.step, off.frame]), np.concatenate([truth.vessel, off.vessel])
-        ignored = np.concatenate([left_out, np.ones(len(off.frame), dtype=bool)])
-        in_image = np.zeros(found.since_s.shape, dtype=bool)
-        in_image[frame, vessel] = True
-        self.notes += told(self.scene, found, in_image, self.options.stale_s)
-        nothing: Array = np.full(len(off.frame), np.nan)
+        rows = Regions(truth.step, truth.vessel, boxes, truth.depth_m)
+        out = left_out(self.fresh, self.scene, self.camera, seen.camera_poses, self.times_s, rows)
+        self.notes += out.notes
+        boxes[out.rows] = out.boxes_px
+        vessel = np.concatenate([truth.vessel, out.off.vessel])
+        ignored = np.concatenate([out.rows, np.ones(len(out.off.frame), dtype=bool)])
         return Annotations(
-            image=frame,
+            image=np.concatenate([truth.step, out.off.frame]),
             label=self.log.vessel_label[vessel],
-            boxes_px=np.concatenate([boxes, off.boxes_px]),
+            boxes_px=np.concatenate([boxes, out.off.boxes_px]),
             ignored=ignored,
             crowd=ignored.copy(),
             identity=vessel,
-            visible_fraction=np.concatenate([fraction, nothing]),
-            depth_m=np.concatenate([truth.depth_m, off.depth_m]),
+            visible_fraction=np.concatenate([truth.visible_fraction, np.full(len(out.off.frame), np.nan)]),
+            depth_m=np.concatenate([truth.depth_m, out.off.depth_m]),
         ).by_image()
 
 
-def _carrier_there(scene: Scene, vessel: str | None, times_s: Array) -> np.ndarray:
+def _carrier_there(scene: Scene, vessel: str | None, times_s: Array) -> Mask:
     """Whether the vessel that carries a camera is in the scene at some times, shape (n,)."""
     if vessel is None:
         return np.ones(len(times_s), dtype=bool)
@@ -161,11 +154,11 @@ def _carrier_there(scene: Scene, vessel: str | None, times_s: Array) -> np.ndarr
     every_s = scene.times_s(0, scene.steps)
     before = np.clip(np.searchsorted(every_s, times_s + NEAR_S, side="right") - 1, 0, len(every_s) - 1)
     after = np.where(times_s - every_s[before] > NEAR_S, np.minimum(before + 1, len(every_s) - 1), before)
-    found: np.ndarray = there[before] & there[after]
+    found: Mask = there[before] & there[after]
     return found
 
 
-def _said_of_frames(camera: str, inside: np.ndarray, carried: np.ndarray, vessel: str | None) -> Iterator[str]:
+def _said_of_frames(camera: str, inside: Mask, carried: Mask, vessel: str | None) -> Iterator[str]:
     """What became of frames that have no truth."""
     if outside := int((~inside).sum()):
         yield f"camera '{camera}': {outside:,} of {len(inside):,} frames are before or after the scene and left out"

@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 
 from modsim3d.ais.headings import KNOT_M_S
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.rotations import world_R_vehicle
@@ -54,10 +54,14 @@ class Regions:
     boxes_px: Array
     depth_m: Array
 
+    def rows(self, rows: Mask | slice, later: int = 0) -> Regions:
+        """Some of the regions, shape (k,), with a number added to that of their frames."""
+        return Regions(self.frame[rows] + later, self.vessel[rows], self.boxes_px[rows], self.depth_m[rows])
+
 
 @dataclass(frozen=True, eq=False)
-class Freshness:
-    """How well the places of a scene's vessels are known at some times.
+class Known:
+    """How well the places of V vessels are known at n times.
 
     Attributes:
         reason: Reason → whether it holds, shape (n, V).
@@ -65,87 +69,151 @@ class Freshness:
         off: Poses of the vessels that are off, straight between the last place before and the first after.
     """
 
-    reason: Mapping[Reason, np.ndarray]
+    reason: Mapping[Reason, Mask]
     since_s: Array
     off: Poses
 
-    @property
-    def left_out(self) -> np.ndarray:
-        """Whether each vessel is left out, shape (n, V)."""
-        found: np.ndarray = np.logical_or.reduce(list(self.reason.values()))
-        return found
 
+class Freshness:
+    """How well the places of a scene's vessels are known."""
 
-def freshness(scene: Scene, reports: Reports | None, times_s: Array, stale_s: float = STALE_S) -> Freshness:
-    """How well the places of the scene's V vessels are known.
+    def __init__(self, scene: Scene, reports: Reports | None, stale_s: float = STALE_S) -> None:
+        """Look at the poses of all steps.
 
-    Args:
-        scene: The scene.
-        reports: When its vessels have reported, if it was made from AIS.
-        times_s: Ascending times within the scene, shape (n,).
-        stale_s: Least time without a report of a vessel under way that is left out.
-    """
-    every_s, poses = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
-    count, vessels = len(times_s), len(scene.vessels)
-    reason = {each: np.zeros((count, vessels), dtype=bool) for each in Reason}
-    since, off = np.zeros((count, vessels)), Poses.absent(count, vessels)
-    for column, name in enumerate(scene.vessel_names):
-        known = np.flatnonzero(poses.present[:, column])
-        if not len(known):
-            continue
-        at_s, places_m = every_s[known], poses.positions_m[known, column]
+        Args:
+            scene: The scene.
+            reports: When its vessels have reported, if it was made from AIS.
+            stale_s: Least time without a report of a vessel under way that is left out.
+        """
+        self._scene, self._reports, self.stale_s = scene, reports, stale_s
+        self._every_s, self._poses = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
+
+    def at(self, times_s: Array) -> Known:
+        """How well they are known at ascending times within the scene, shape (n,)."""
+        count, vessels = len(times_s), len(self._scene.vessels)
+        reason = {each: np.zeros((count, vessels), dtype=bool) for each in Reason}
+        known = Known(reason, np.zeros((count, vessels)), Poses.absent(count, vessels))
+        for column, name in enumerate(self._scene.vessel_names):
+            steps = np.flatnonzero(self._poses.present[:, column])
+            if len(steps):
+                self._fill(known, column, name, steps, times_s)
+        return known
+
+    def _fill(self, known: Known, column: int, name: str, steps: Indices, times_s: Array) -> None:
+        """Fill in the column of a vessel that is there at some steps, shape (k,)."""
+        at_s, places_m = self._every_s[steps], self._poses.positions_m[steps, column]
         before = np.clip(np.searchsorted(at_s, times_s + NEAR_S, side="right") - 1, 0, len(at_s) - 1)
         after = np.minimum(before + 1, len(at_s) - 1)
         inside = (times_s >= at_s[0] - NEAR_S) & (times_s <= at_s[-1] + NEAR_S)
-        gap = (known[after] - known[before] > 1) & (times_s - at_s[before] > NEAR_S) & inside
-        span = np.where(after > before, at_s[after] - at_s[before], 1.0)
-        speed = np.linalg.norm(places_m[after] - places_m[before], axis=1) / span
-        reason[Reason.OFF][:, column] = gap
-        reason[Reason.JUMP][:, column] = inside & ~gap & (speed > MOST_KN * KNOT_M_S)
-        since[gap, column] = np.minimum(times_s - at_s[before], at_s[after] - times_s)[gap]
+        off = (steps[after] - steps[before] > 1) & (times_s - at_s[before] > NEAR_S) & inside
+        there, span = inside & ~off, np.where(after > before, at_s[after] - at_s[before], 1.0)
+        way_m = places_m[after] - places_m[before]
+        speed = np.linalg.norm(way_m, axis=1) / span
+        known.reason[Reason.OFF][:, column] = off
+        known.reason[Reason.JUMP][:, column] = there & (speed > MOST_KN * KNOT_M_S)
+        known.since_s[:, column] = np.where(off, np.minimum(times_s - at_s[before], at_s[after] - times_s), 0.0)
+        known.off.present[:, column] = off
         share = np.clip((times_s - at_s[before]) / span, 0, 1)[:, None]
-        off.present[:, column] = gap
-        off.positions_m[:, column] = places_m[before] + share * (places_m[after] - places_m[before])
-        off.headings_rad[:, column] = poses.headings_rad[known[before], column]
-        if reports is not None and len(used := reports.used_s.get(name, np.empty(0))):
-            previous = np.searchsorted(used, times_s, side="right") - 1
-            last, first = used[np.maximum(previous, 0)], used[np.minimum(previous + 1, len(used) - 1)]
-            near = np.minimum(np.abs(times_s - last), np.abs(first - times_s))
-            reason[Reason.STALE][:, column] = inside & ~gap & (near > stale_s) & (speed > LYING_M_S)
-            jumps = reports.jumps_s.get(name, np.empty(0))
-            between = np.searchsorted(jumps, first) > np.searchsorted(jumps, last)
-            reason[Reason.JUMP][:, column] |= inside & ~gap & between
-            since[:, column] = np.where(gap, since[:, column], near)
-    return Freshness(reason, since, off)
+        known.off.positions_m[:, column] = places_m[before] + share * way_m
+        known.off.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
+        used = self._reports.used_s.get(name) if self._reports else None
+        if self._reports is None or used is None or not len(used):
+            return
+        previous = np.searchsorted(used, times_s, side="right") - 1
+        last, first = used[np.maximum(previous, 0)], used[np.minimum(previous + 1, len(used) - 1)]
+        near = np.minimum(np.abs(times_s - last), np.abs(first - times_s))
+        known.reason[Reason.STALE][:, column] = there & (near > self.stale_s) & (speed > LYING_M_S)
+        jumps = self._reports.jumps_s.get(name, np.empty(0))
+        between = np.searchsorted(jumps, first) > np.searchsorted(jumps, last)
+        known.reason[Reason.JUMP][:, column] |= there & between
+        known.since_s[:, column] = np.where(off, known.since_s[:, column], near)
 
 
-def told(scene: Scene, found: Freshness, in_image: np.ndarray, stale_s: float) -> Iterator[str]:
-    """A line for each vessel that is left out of frames in which it is seen or would be, shape (n, V)."""
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """What is left out of the frames of one camera.
+
+    Attributes:
+        rows: Whether each row of the truth is, shape (T,).
+        boxes_px: Where it may be instead, of those rows, shape (k, 4).
+        off: Where vessels may be that the truth lacks.
+        notes: A line for each vessel that is left out of frames in which it is, or would be.
+    """
+
+    rows: Mask
+    boxes_px: Array
+    off: Regions
+    notes: tuple[str, ...]
+
+
+def left_out(
+    fresh: Freshness,
+    scene: Scene,
+    camera: Camera,
+    camera_poses: CameraPoses,
+    times_s: Array,
+    seen: Regions,
+) -> LeftOut:
+    """What is left out of the n frames of a camera.
+
+    Args:
+        fresh: How well the places of the vessels are known.
+        scene: The scene.
+        camera: The camera.
+        camera_poses: From where it looks in each frame.
+        times_s: Ascending times of the frames, shape (n,).
+        seen: The T rows of the truth.
+    """
+    rows, pieces, boxes = np.zeros(len(seen.frame), dtype=bool), [_NOTHING], [np.empty((0, 4))]
+    counts = {each: np.zeros(len(scene.vessels), dtype=np.int64) for each in Reason}
+    length = max(1, _AT_ONCE // len(scene.vessels))
+    for first in range(0, len(times_s), length):
+        frames = np.arange(first, min(first + length, len(times_s)))
+        known = fresh.at(times_s[frames])
+        start, stop = np.searchsorted(seen.frame, (frames[0], frames[-1] + 1))
+        part = seen.rows(slice(start, stop), -first)
+        for each, holds in known.reason.items():
+            ours = holds[part.frame, part.vessel]
+            rows[start:stop] |= ours
+            counts[each] += np.bincount(part.vessel[ours], minlength=len(scene.vessels))
+        boxes.append(_grown(part.rows(rows[start:stop]), camera, known).boxes_px)
+        look = CameraPoses(camera_poses.camera_R_world[frames], camera_poses.positions_m[frames])
+        away = _off_regions(scene, camera, look, known)
+        counts[Reason.OFF] += np.bincount(away.vessel, minlength=len(scene.vessels))
+        pieces.append(away.rows(slice(None), first))
+    off = Regions(*(np.concatenate(columns) for columns in zip(*(vars(each).values() for each in pieces), strict=True)))
+    return LeftOut(rows, np.concatenate(boxes), off, tuple(_told(scene, counts, len(times_s), fresh.stale_s)))
+
+
+_NOTHING = Regions(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty(0))
+_AT_ONCE = 1_000_000
+"""Frames times vessels, at some 60 bytes each."""
+
+
+def _told(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: float) -> Iterator[str]:
     for column, name in enumerate(scene.vessel_names):
-        seen = in_image[:, column]
-        parts = [
-            f"{each.value.format(stale_s=stale_s)} in {count:,}"
-            for each in Reason
-            if (count := int((found.reason[each][:, column] & seen).sum()))
-        ]
-        if parts:
-            yield f"vessel '{name}' is left out of frames: its AIS is {'; '.join(parts)} of {len(seen):,}"
+        if parts := [
+            f"{each.value.format(stale_s=stale_s)} in {count[column]:,}"
+            for each, count in counts.items()
+            if count[column]
+        ]:
+            yield f"vessel '{name}' is left out of frames: its AIS is {'; '.join(parts)} of {frames:,}"
 
 
-def off_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, found: Freshness) -> Regions:
+def _off_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
     """Where vessels without AIS may be in the frames of a camera with some poses, one for each frame."""
-    poses, frames = found.off, np.arange(len(found.since_s))
-    empty = np.zeros((*poses.present.shape, 3))
-    places = PosesInWaves(poses, empty, world_R_vehicle(poses.headings_rad))
+    poses, frames = known.off, np.arange(len(known.since_s))
+    calm = np.zeros((*poses.present.shape, 3))
+    places = PosesInWaves(poses, calm, world_R_vehicle(poses.headings_rad))
     sight = line_of_sight(camera, camera_poses, frames, scene.vessels, places, (), scene.sea == "curved")
     outlines = sight.outlines(as_shoeboxes=True)
-    regions = Regions(outlines.frame, outlines.occluder, outlines.boxes_px, outlines.depth_m)
-    return grown(regions, camera, found)
+    found = Regions(outlines.frame, outlines.occluder, outlines.boxes_px, outlines.depth_m)
+    return _grown(found, camera, known)
 
 
-def grown(regions: Regions, camera: Camera, found: Freshness) -> Regions:
+def _grown(regions: Regions, camera: Camera, known: Known) -> Regions:
     """Regions that are as much larger as the places may be off."""
-    off_m = ALWAYS_OFF_M + OFF_M_S * found.since_s[regions.frame, regions.vessel]
+    off_m = ALWAYS_OFF_M + OFF_M_S * known.since_s[regions.frame, regions.vessel]
     share = off_m / np.maximum(regions.depth_m, camera.intrinsics.near_clip_m)
     low, high = regions.boxes_px[:, :2], regions.boxes_px[:, 2:]
     more = np.column_stack([camera.intrinsics.focal_px[0] * share, (high - low)[:, 1] * share])

@@ -15,7 +15,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotated_rows
 from modsim3d.truth.truth_record import Truth, concatenate
 from modsim3d.voyage.attitude import Attitude
-from modsim3d.voyage.sampling import poses_at
+from modsim3d.voyage.sampling import Sampler
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
@@ -58,11 +58,10 @@ def camera_truth(
     Raises:
         ModsimError: The camera has no place at a time.
     """
-    parts, looks, length = [], [], block_steps(scene)
+    sampler, parts, looks, length = Sampler(scene, attitude), [], [], block_steps(scene)
     for first in range(0, len(times_s), length):
         frames = np.arange(first, min(first + length, len(times_s)))
-        poses = poses_at(scene, times_s[frames], attitude)
-        sight = scene.sight(camera, np.arange(len(frames)), poses)
+        sight = scene.sight(camera, np.arange(len(frames)), sampler.at(times_s[frames]))
         outlines = sight.outlines(as_shoeboxes=scene.annotation.source != "rendered")
         occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
         parts.append(occlusion.truth(outlines, frames, number))

@@ -18,7 +18,7 @@ from modsim3d.voyage.correction import Correction
 from modsim3d.voyage.labelled_voyage import VoyageOptions, labelled_voyage
 from modsim3d.voyage.logs.reading import read_log
 from modsim3d.voyage.on_scene import SceneLog, on_scene
-from modsim3d.voyage.sampling import poses_at
+from modsim3d.voyage.sampling import Sampler
 from modsim3d.voyage.truth import camera_truth
 from tests.scenes import crossing
 
@@ -49,7 +49,7 @@ def test_between_two_steps_vessels_are_between_their_places(crossed: Scene) -> N
     times = crossed.times_s(0, 3)
     step = float(times[1])
     asked = np.array([0, 0.25 * step, step, 1.5 * step])
-    found, known = poses_at(crossed, asked), crossed.motion.at(np.arange(3))
+    found, known = Sampler(crossed).at(asked), crossed.motion.at(np.arange(3))
     shares = np.array([[1, 0, 0], [0.75, 0.25, 0], [0, 1, 0], [0, 0.5, 0.5]])
     expected = np.einsum("ts,svk->tvk", shares, known.poses.positions_m)
     np.testing.assert_allclose(found.poses.positions_m, expected, atol=1e-9)
@@ -72,7 +72,7 @@ def test_headings_turn_along_the_shorter_arc() -> None:
             "detector": "thesis",
         }
     )
-    found = poses_at(scene, np.array([0.0, 0.5]))
+    found = Sampler(scene).at(np.array([0.0, 0.5]))
     assert math.isclose(math.cos(found.poses.headings_rad[1, 0]), -1)
     assert found.poses.present.tolist() == [[True, True], [True, False]]
 
@@ -145,7 +145,7 @@ def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scen
     assert attitude.vessel == "own"
     times = strait.times_s(0, 24)
     rough, mine, still = (
-        scene.camera_poses(scene.cameras[0], poses_at(scene, times, measured), np.arange(24)).camera_R_world
+        scene.camera_poses(scene.cameras[0], Sampler(scene, measured).at(times), np.arange(24)).camera_R_world
         for scene, measured in ((strait, None), (calm, attitude), (calm, None))
     )
     np.testing.assert_allclose(mine, rough, atol=1e-7)
