@@ -83,20 +83,21 @@ def test_a_scene_of_ais_knows_when_its_vessels_have_reported(scene: Scene) -> No
 
 
 def test_vessels_are_left_out_while_their_ais_is_stale_jumps_or_is_off(scene: Scene, tmp_path: Path) -> None:
-    labelled = labelled_at(scene, tmp_path, [50, 200, 207, 400, 700])
+    """The one that lies still has reported 90 s before the fourth frame, and after it."""
+    labelled = labelled_at(scene, tmp_path, [50, 200, 207, 270, 400, 700])
     expected = {
-        FRESH: [False, False, False, False, False],
-        STALE: [False, True, True, False, False],
-        JUMPING: [False, True, True, False, False],
-        OFF: [False, True, True, True, False],
-        LYING: [False, False, False, False, False],
+        FRESH: [False, False, False, False, False, False],
+        STALE: [False, True, True, False, False, False],
+        JUMPING: [False, True, True, False, False, False],
+        OFF: [False, True, True, True, True, False],
+        LYING: [False, False, False, False, False, False],
     }
     for mmsi, left_out in expected.items():
-        assert [ignored(scene, labelled, mmsi, image) for image in range(5)] == [[each] for each in left_out], mmsi
+        assert [ignored(scene, labelled, mmsi, image) for image in range(6)] == [[each] for each in left_out], mmsi
     said = "\n".join(labelled.notes)
-    assert f"vessel '{STALE}' is left out of frames: its AIS is stale, no report within 60 s in 2 of 5" in said
-    assert f"vessel '{JUMPING}' is left out of frames: its AIS is jumping in 2 of 5" in said
-    assert f"vessel '{OFF}' is left out of frames: its AIS is off in 3 of 5" in said
+    assert f"vessel '{STALE}' is left out of frames: its AIS is stale, no report within 60 s in 2 of 6" in said
+    assert f"vessel '{JUMPING}' is left out of frames: its AIS is jumping in 2 of 6" in said
+    assert f"vessel '{OFF}' is left out of frames: its AIS is off in 4 of 6" in said
     assert str(FRESH) not in said
     assert str(LYING) not in said
 
@@ -107,15 +108,16 @@ def test_the_nearest_report_may_be_before_or_after(scene: Scene, tmp_path: Path)
 
 
 def test_a_vessel_that_is_left_out_is_neither_missed_nor_a_false_detection(scene: Scene, tmp_path: Path) -> None:
-    """Detections of a stale vessel and of one that is off, both some metres away, and one of nothing at all."""
+    """Detections of a stale vessel and of one that is off, both beside their straight ways, and one of nothing."""
     plain = labelled_at(scene, tmp_path, [200])
     rows = plain.annotations
     boxes = [rows.boxes_px[rows.identity == vessel(scene, mmsi)][0] for mmsi in (STALE, OFF)]
     boxes.append(np.array([100.0, 100.0, 120.0, 110.0]))
-    found = [
-        f"2024-01-04T10:03:20Z,{(left + right) / 2},{(top + bottom) / 2},{right - 2},{bottom - 2},Vessel,0.9"
+    found = [  # the regions are some 60 m, 80 px, wider than the vessels at both sides
+        f"2024-01-04T10:03:20Z,{left + 10},{(top + bottom) / 2},{left + 30},{bottom - 2},Vessel,0.9"
         for left, top, right, bottom in boxes
     ]
+    assert all(right - left > 130 for left, _, right, _ in boxes[:2])
     labelled = labelled_at(scene, tmp_path, [], *found)
     matched = match(labelled, Rule())
     assert matched.counts.sum() == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from modsim3d.errors import InputError
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, Start
 from modsim3d.voyage.logs.reading import read_log
+from modsim3d.voyage.logs.times import utc_s
 from modsim3d.voyage.on_scene import CameraLog, on_scene
 
 HEAD = "time_s,left,top,width,height,label,score\n"
@@ -144,6 +146,16 @@ def test_confidences_on_another_scale_are_mapped(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--confidence-scale"):
         read_log(path)
     assert read_log(path, LogOptions(confidence_scale=(0, 100))).confidence.tolist() == [0.5, 0.75]
+
+
+def test_a_time_without_a_zone_is_utc_wherever_the_log_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setenv("TZ", "Asia/Tokyo")
+        time.tzset()
+        found = [utc_s(text) for text in ("1970-01-02T00:00:00", "1970/01/02 09:00:00+09:00", "1970-01-02", "noon")]
+    time.tzset()
+    assert found[:3] == [86400] * 3
+    assert np.isnan(found[3])
 
 
 ROW = "0,1,2,3,4,boat,0.5"

@@ -138,7 +138,7 @@ def test_a_correction_that_moves_all_frames_out_of_the_scene_is_refused(log: Sce
         labelled_voyage(log, VoyageOptions(Correction(clock_s=100)))
 
 
-def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scene, tmp_path: Path) -> None:
+def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scene) -> None:
     """The exported attitude on a calm sea looks the same way as the waves that it is of."""
     calm = load_scene("strait", steps=24, settings={"waves.level": "none"})
     attitude = read_attitude(voyage / "csv" / "ownship.csv", calm)
@@ -152,6 +152,13 @@ def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scen
     assert np.abs(still - rough).max() > 1e-3
     parquet = read_attitude(voyage / "run" / "ownship.parquet", calm)
     np.testing.assert_allclose(parquet.angles_rad, attitude.angles_rad, atol=1e-7)
+
+
+def test_the_yaw_of_an_attitude_is_added_to_its_heading(strait: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "attitude.csv"
+    path.write_text("time_s,roll_rad,pitch_rad,heading_rad,yaw_rad\n0,0,0,3,0.1\n1,0,0,3,0.3\n")
+    measured = read_attitude(path, strait)
+    assert measured.at(np.array([0.5]), np.array([-3.0])).round(9).tolist() == [[0, 0, round(6.2 - 2 * math.pi, 9)]]
 
 
 def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> None:
