@@ -71,6 +71,9 @@ class AskedVoyage:
             raise ModsimError("nothing to learn from: --scene needs --detections, the log of its camera's detector")
         if conditions and len(conditions) != len(logs):
             raise ModsimError(f"--condition is given {len(conditions)} times, with {len(logs)} logs: name each")
+        for name, value in (("--image-size", options.image_size_px), ("--horizon", options.horizon)):
+            if value is not None:
+                raise ModsimError(f"{name} is not for --scene, whose camera says it")
         said = LogOptions(
             options.frame_rate_hz,
             self.start,

@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
 CONDITION = "voyage"
+WITHOUT_AIS = (
+    "vessels without AIS have no truth, so that detections of them count as false: the false discovery rate and the "
+    "numbers of false positives are upper bounds"
+)
 
 Registrar = Callable[[Scene, CameraLog], Correction]
 """Finds the correction of a camera from its log and the scene."""
@@ -65,6 +69,8 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     with open_renderer(log.scene) as renderer:
         parts = [_CameraSet(log, each, fresh, options, renderer).labelled() for each in log.cameras]
     notes = list(log.notes)
+    if reports is not None:
+        notes.append(WITHOUT_AIS)
     if reports is not None and not reports.used_s:
         notes.append(f"{log.scene.title}: has no report times beside it, so stale AIS is not left out: make it again")
     for part in parts:

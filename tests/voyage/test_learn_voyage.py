@@ -99,6 +99,7 @@ WRONG = {
     "another camera": (("--detections", "run", "--camera", "mast"), "has no camera 'mast'"),
     "no start": (("--detections", "run", "--start", "noon"), "--start"),
     "conditions": (("--detections", "run", "--condition", "a", "--condition", "b"), "with 1 logs: name each"),
+    "a size": (("--detections", "run", "--image-size", "10,10"), "--image-size is not for --scene"),
     "another time": (("--detections", "run", "--start", "9000"), "is from 0 s to 4.6 s"),
 }
 

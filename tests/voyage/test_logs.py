@@ -170,6 +170,7 @@ WRONG = {
     "some scores": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,boat,\n", "line 3: score must be from 0 to 1"),
     "nothing": ("log.csv", HEAD, "holds no frame"),
     "MOT without a rate": ("log.txt", "1,-1,1,2,3,4,0.5\n", "the frame rate is not known: give --frame-rate"),
+    "a MOT frame": ("log.txt", "900000,-1,1,2,3,4,0.5\n", "frame must be a whole number from 1 to 101000"),
     "COCO without images": ("log.json", "[]", "give the COCO file of these with --images"),
     "COCO without times": (
         "log.json",
@@ -194,8 +195,9 @@ WRONG = {
 @pytest.mark.parametrize(("name", "text", "said"), WRONG.values(), ids=WRONG)
 def test_a_wrong_log_is_refused_with_its_place(tmp_path: Path, name: str, text: str, said: str) -> None:
     (tmp_path / name).write_text(text)
+    options = LogOptions(frame_rate_hz=2 if "frame must" in said else None)
     with pytest.raises(InputError) as error:
-        read_log(tmp_path / name)
+        read_log(tmp_path / name, options)
     assert said in str(error.value)
     assert str(tmp_path / name) in str(error.value)
 

@@ -10,7 +10,7 @@ from modsim3d.formats.reading.builder import Problems
 from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.formats.reading.mot import sequence_info
 from modsim3d.formats.reading.text_lines import number_lines
-from modsim3d.inputs.budgets import MAX_FRAMES
+from modsim3d.inputs.budgets import FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
 
 
@@ -31,11 +31,12 @@ def read_mot_log(path: Path, options: LogOptions) -> DetectionLog:
     classes = any(len(numbers) > 7 and numbers[7] >= 1 for _, numbers in lines)
     scores = ((where, numbers[6]) for where, numbers in lines)
     rows = LogRows(source, problems, Confidences.of(scores, options.confidence_scale, problems))
-    last = max([info.frames, *(int(numbers[0]) for _, numbers in lines if 1 <= numbers[0] <= MAX_FRAMES)])
+    most = min(max(info.frames, FREE_FRAMES + FRAMES_A_ROW * len(lines)), MAX_FRAMES)
+    last = max([info.frames, *(int(numbers[0]) for _, numbers in lines if 1 <= numbers[0] <= most)])
     frames = [rows.frame(None, number / rate_hz, info.size_px) for number in range(last)]
     for where, numbers in lines:
-        if not 1 <= numbers[0] <= MAX_FRAMES or numbers[0] != int(numbers[0]):
-            problems.add(f"{where}: frame must be a whole number from 1 to {MAX_FRAMES:,} (got {numbers[0]:.15g})")
+        if not 1 <= numbers[0] <= most or numbers[0] != int(numbers[0]):
+            problems.add(f"{where}: frame must be a whole number from 1 to {most} (got {numbers[0]:.15g})")
             continue
         x, y, width, height = numbers[2:6]
         label = _label(int(numbers[7]), options.labels) if classes and len(numbers) > 7 else None

@@ -82,7 +82,7 @@ def read_table(path: Path, source: str) -> TextTable:
                 for name in read.column_names
                 if not pa.types.is_nested(read[name].type)
             }
-        except (OSError, pa.ArrowException) as error:
+        except (OSError, KeyError, pa.ArrowException) as error:  # KeyError: two columns of one name
             raise InputError(source, [f"cannot be read as Parquet: {error}"]) from None
         return TextTable(columns, RowProblems(source, np.arange(len(read)), "row"))
     text = read_text(path, "detections").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
