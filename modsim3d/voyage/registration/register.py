@@ -1,0 +1,208 @@
+"""Registers a camera and its detector's clock against the truth that AIS and a scene give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import centre_form, corner_form
+from modsim3d.errors import ModsimError
+from modsim3d.geometry.camera import Camera
+from modsim3d.inputs.validation import nearest
+from modsim3d.scene.scene import Scene
+from modsim3d.voyage.registration.aligning import Aligner, Alignment
+from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
+from modsim3d.voyage.registration.checks import check_matches, check_search, check_times
+from modsim3d.voyage.registration.covariance import Knowledge, Linear, wider
+from modsim3d.voyage.registration.determined import Group, confounded, exchange, undetermined
+from modsim3d.voyage.registration.fitting import SOFT, Unknowns, derivatives
+from modsim3d.voyage.registration.hiding import Hiding
+from modsim3d.voyage.registration.model import BoxModel
+from modsim3d.voyage.registration.parameters import SHARED, SHARED_NAMES, Values, held, plausible
+from modsim3d.voyage.registration.registration import Estimate, Registration
+from modsim3d.voyage.registration.residuals import Residuals
+from modsim3d.voyage.registration.search import search
+from modsim3d.voyage.registration.traffic import Traffic
+
+SEARCHED_S = 60.0
+CLOCK_STEP_S = 0.5
+MOST_TURN_DEG = 15.0
+FIRST_FRAMES = 150
+BLOCK_S = 10.0
+"""Stretches of time within which a vessel's box errors are taken to go together."""
+BY_RULE = ("mean_x_px", "mean_y_px")
+"""Mean errors are zero, or given: in the images nothing else looks like yaw and pitch."""
+PROBED = (*SHARED_NAMES, "common_delay_s")
+
+
+def register(
+    scene: Scene,
+    camera: str,
+    found: BoxesAtTimes,
+    *,
+    fixed: Sequence[str] = (),
+    mean_errors: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    use_sizes: bool = True,
+    searched_s: float = SEARCHED_S,
+) -> Registration:
+    """Estimate how a camera and its detector's clock differ from what the scene says.
+
+        registration = register(scene, "quay", BoxesAtTimes(times_s, frame, boxes_px))
+        print(registration)
+
+    Args:
+        scene: The scene.
+        camera: Name of the camera.
+        found: What its detector wrote.
+        fixed: Names of parameters that are held at the scene's values, such as `pitch`.
+        mean_errors: Mean box errors in x and y, in pixels, and in width and height, as shares; they are taken off.
+        use_sizes: Whether widths and heights of boxes count: not if the vessels' dimensions are guesses.
+        searched_s: Greatest offset of the clock that is looked for.
+
+    Raises:
+        ModsimError: The data cannot tell, with the reason.
+    """
+    eye = _camera(scene, camera)
+    model = BoxModel.of(scene, Traffic.of(scene, eye))
+    check_times(model, found, searched_s)
+    given = _corrected(found, np.asarray(mean_errors, dtype=np.float64))
+    stays = held([*fixed, *BY_RULE]) | (~held(()) & (np.array([not use_sizes] * len(SHARED)) & held(_SIZES)))
+    free = tuple(name for name, stay in zip(SHARED_NAMES, stays, strict=True) if not stay)
+    hiding = Hiding.of(scene, model)
+    start = _guess(model, hiding, given, free, use_sizes, searched_s, scene)
+    aligner = Aligner(model, hiding, given, free, use_sizes)
+    aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
+    check_matches(model, aligned, scene.vessel_names)
+    linear, names, blocks = _linear(model, aligned), PROBED, _blocks(aligned.residuals)
+    columns = [names.index(name) for name in free]
+    groups = undetermined(Linear(linear.slopes[:, columns], linear.residuals), free, blocks)
+    lost = {group.held for group in groups}
+    free = tuple(name for name in free if name not in lost)
+    aligned = _settled(Aligner(model, hiding, given, free, use_sizes), aligned, lost)
+    linear = _linear(model, aligned)
+    known = _known(linear, free, aligned)
+    rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
+    rules |= {name: "mean errors are zero, or given" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
+    rules |= {group.held: f"not determined: {group.words()}" for group in groups}
+    settled = [name for name in (*BY_RULE, "common_delay_s") if confounded(linear, names, name, free, known)]
+    groups += [exchange(linear, names, name, list(free)) for name in settled]
+    return _registration(camera, model, aligned, free, known, rules, groups, len(found.frame))
+
+
+_SIZES = ("mean_width_share", "mean_height_share")
+
+
+def _camera(scene: Scene, name: str) -> Camera:
+    cameras = {camera.name: camera for camera in scene.cameras}
+    if name not in cameras:
+        raise ModsimError(f"{scene.title}: no camera '{name}' ({nearest(name, list(cameras))})")
+    return cameras[name]
+
+
+def _corrected(found: BoxesAtTimes, mean: Array) -> BoxesAtTimes:
+    """The detections with given mean errors taken off: x and y in pixels, width and height as shares."""
+    if mean.shape != (4,) or not np.isfinite(mean).all() or np.any(mean[2:] <= -1):
+        raise ModsimError(f"mean_errors: four numbers x, y, width, height are needed (got {mean.tolist()})")
+    boxes = centre_form(found.boxes_px)
+    boxes[:, :2] -= mean[:2]
+    boxes[:, 2:] /= 1 + mean[2:]
+    return BoxesAtTimes(found.times_s, found.frame, corner_form(boxes))
+
+
+def _guess(
+    model: BoxModel,
+    hiding: Hiding,
+    found: BoxesAtTimes,
+    free: tuple[str, ...],
+    use_sizes: bool,
+    searched_s: float,
+    scene: Scene,
+) -> Values:
+    """The best of the guesses of the search, each aligned roughly with some of the frames."""
+    clocks = np.arange(-searched_s, searched_s + CLOCK_STEP_S / 2, CLOCK_STEP_S) if "clock_s" in free else np.zeros(1)
+    turn = np.radians(MOST_TURN_DEG if "yaw_deg" in free else 2.0)
+    voted = search(model, found, clocks, turn)
+    check_search(voted, model, found, clocks, scene)
+    aligner = Aligner(model, hiding, found.some(FIRST_FRAMES), free, use_sizes)
+    starts = []
+    for guess in voted.guesses[:4]:
+        start = guess.values(len(model.hulls_m))
+        zero = {name: 0.0 for name in ("clock_s", "yaw_deg", "pitch_deg") if name not in free}
+        rough = aligner.first(start.changed(**zero))
+        starts.append((aligner.explained(rough.values), rough.values))
+    return max(starts, key=lambda scored: scored[0])[1]
+
+
+def _settled(aligner: Aligner, aligned: Alignment, lost: set[str]) -> Alignment:
+    """The alignment with undetermined values back at the scene's, and without ties to them."""
+    back = aligned.values.changed(**dict.fromkeys(lost, 0.0))
+    again = Alignment(back, aligned.sightings, aligned.residuals, aligned.spreads_px)
+    return aligner.until_stable(again, aligner.all_unknowns(), tied=False)
+
+
+def _linear(model: BoxModel, aligned: Alignment) -> Linear:
+    """The fit as a regression in plausible distances, with a column for each of `PROBED`."""
+    names = (*SHARED_NAMES, "delay_s")
+    slopes = derivatives(model, aligned.residuals, aligned.values, names) * plausible(names)
+    px = aligned.residuals.px(model, aligned.values)
+    known = np.isfinite(px)[:, None] & np.isfinite(slopes)
+    scaled = np.where(known, slopes, 0.0) / aligned.spreads_px[:, None]
+    return Linear.of_soft_loss(scaled, np.nan_to_num(px, nan=0.0) / aligned.spreads_px, SOFT)
+
+
+def _blocks(residuals: Residuals) -> Indices:
+    """Stretches of time of each vessel, as numbers of clusters, shape (m,)."""
+    times_s = residuals.sightings.time_s[residuals.row]
+    stretch = ((times_s - times_s.min()) // BLOCK_S).astype(np.int64) if len(times_s) else np.empty(0, np.int64)
+    return residuals.vessel * (stretch.max(initial=0) + 1) + stretch
+
+
+def _known(linear: Linear, free: tuple[str, ...], aligned: Alignment) -> Knowledge:
+    part = Linear(linear.slopes[:, [PROBED.index(name) for name in free]], linear.residuals)
+    return wider(part.known_by(aligned.residuals.vessel), part.known_by(_blocks(aligned.residuals)))
+
+
+def _registration(
+    camera: str,
+    model: BoxModel,
+    aligned: Alignment,
+    free: tuple[str, ...],
+    known: Knowledge,
+    rules: dict[str, str],
+    groups: list[Group],
+    detections: int,
+) -> Registration:
+    scales, estimates, nan = plausible(free), [], float("nan")
+    for parameter in SHARED:
+        value = aligned.values[parameter.name]
+        error, half = nan, nan
+        if parameter.name in free:
+            place = free.index(parameter.name)
+            error, half = float(known.errors[place] * scales[place]), float(known.half_widths[place] * scales[place])
+        about = parameter.name, parameter.words, parameter.unit
+        estimates.append(Estimate(*about, value, error, value - half, value + half, rules.get(parameter.name, "")))
+    before, after = (_rms(model, aligned, values) for values in (Values.none(len(model.hulls_m)), aligned.values))
+    covariance = known.covariance * scales[:, None] * scales
+    return Registration(
+        camera,
+        aligned.values,
+        tuple(estimates),
+        (),
+        covariance,
+        tuple(groups),
+        aligned.sightings,
+        detections,
+        before,
+        after,
+    )
+
+
+def _rms(model: BoxModel, aligned: Alignment, values: Values) -> float:
+    """Root mean square of bearings' and waterlines' residuals in pixels."""
+    px = aligned.residuals.px(model, values)[aligned.residuals.kind <= 3]
+    return float(np.sqrt(np.mean(px**2))) if len(px) else float("nan")
+
+
+__all__ = ["Unknowns", "register"]
