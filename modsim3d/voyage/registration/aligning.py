@@ -27,6 +27,8 @@ MOST_ROUNDS = 10
 SAME = 0.003
 """The matches stay if fewer than this share of them change."""
 LEAST_FIT = 10
+ROUGH = 4
+"""Iterations of a rough fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +63,7 @@ class Aligner:
             predicted = predict(self.model, self.hiding, values, self.found.times_s)
             gate = np.radians(gate_deg) * self.model.traffic.camera.intrinsics.focal_px[0]
             sightings = self._match(predicted, gate + GATE_SHARE * sizes(predicted.boxes_px))
-            aligned = self._fitted(sightings, values, self._unknowns(names), tied=True)
+            aligned = self._fitted(sightings, values, self._unknowns(names), tied=True, most=ROUGH)
             values = aligned.values
         return aligned
 
@@ -93,14 +95,16 @@ class Aligner:
     def _match(self, predicted: Predictions, gates_px: Array) -> Sightings:
         return match(self.found, predicted, self.model.traffic.camera.intrinsics.image_size_px, gates_px)
 
-    def _fitted(self, sightings: Sightings, start: Values, unknowns: Unknowns, *, tied: bool) -> Alignment:
+    def _fitted(
+        self, sightings: Sightings, start: Values, unknowns: Unknowns, *, tied: bool, most: int | None = None
+    ) -> Alignment:
         residuals = Residuals.of(sightings, use_sizes=self.use_sizes)
         values = start
         for _ in range(2):  # the spreads follow from the residuals, which follow from the fit
             spreads = residuals.spreads_px(np.nan_to_num(residuals.px(self.model, values), nan=0.0))
             if len(residuals.row) < LEAST_FIT or not unknowns.shared:
                 break
-            values = fit(self.model, residuals, values, unknowns, spreads, tied=tied)
+            values = fit(self.model, residuals, values, unknowns, spreads, tied=tied, most=most)
         return Alignment(values, sightings, residuals, spreads)
 
     def _close_gates(self, aligned: Alignment, predicted: Predictions) -> Array:

@@ -76,12 +76,20 @@ def derivatives(model: BoxModel, residuals: Residuals, values: Values, names: tu
 
 
 def fit(
-    model: BoxModel, residuals: Residuals, start: Values, unknowns: Unknowns, spreads_px: Array, *, tied: bool = False
+    model: BoxModel,
+    residuals: Residuals,
+    start: Values,
+    unknowns: Unknowns,
+    spreads_px: Array,
+    *,
+    tied: bool = False,
+    most: int | None = None,
 ) -> Values:
     """The values that fit best, from a start; see `Unknowns` for those that are looked for.
 
     With `tied`, shared ones are held near the scene's values, each as by one measurement with the plausible distance
-    as its standard deviation, so that what the data do not determine stays where it is.
+    as its standard deviation, so that what the data do not determine stays where it is. `most` ends a rough fit after
+    so many evaluations.
     """
     vessel_names = [OF_A_VESSEL[own].name for own in unknowns.own]
     place = np.full(len(model.hulls_m), -1)
@@ -107,7 +115,8 @@ def fit(
         jacobian[len(each) :, count - ties :] = np.eye(ties + priors)
         return jacobian
 
-    found = least_squares(of, unknowns.vector(start), slopes, loss="soft_l1", f_scale=SOFT, xtol=1e-8, ftol=1e-8)
+    first = unknowns.vector(start)
+    found = least_squares(of, first, slopes, loss="soft_l1", f_scale=SOFT, xtol=1e-5, ftol=1e-7, max_nfev=most)
     return unknowns.values(found.x, start)
 
 

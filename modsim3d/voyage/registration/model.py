@@ -106,7 +106,7 @@ class BoxModel:
 
 @lru_cache(maxsize=256)
 def hull_of(solid: Solid) -> Array:
-    """The vertices of a solid that lie on its convex hull, in the unit box of VCF, shape (K, 3): no other is an edge."""
+    """The vertices of a solid on its convex hull, in the unit box of VCF, shape (K, 3): no other makes an edge."""
     if len(solid.vertices) <= 8:
         return solid.vertices
     try:

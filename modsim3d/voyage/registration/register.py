@@ -17,7 +17,7 @@ from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.voyage.registration.checks import check_matches, check_search, check_times
 from modsim3d.voyage.registration.covariance import Knowledge, Linear, wider
 from modsim3d.voyage.registration.determined import Group, confounded, exchange, undetermined
-from modsim3d.voyage.registration.fitting import SOFT, Unknowns, derivatives
+from modsim3d.voyage.registration.fitting import SOFT, derivatives
 from modsim3d.voyage.registration.hiding import Hiding
 from modsim3d.voyage.registration.model import BoxModel
 from modsim3d.voyage.registration.parameters import SHARED, SHARED_NAMES, Values, held, plausible
@@ -30,6 +30,8 @@ SEARCHED_S = 60.0
 CLOCK_STEP_S = 0.5
 MOST_TURN_DEG = 15.0
 FIRST_FRAMES = 150
+MOST_GUESSES, LIKELY = 4, 0.6
+"""How many guesses are tried, and with how many votes in shares of the best one's."""
 BLOCK_S = 10.0
 """Stretches of time within which a vessel's box errors are taken to go together."""
 BY_RULE = ("mean_x_px", "mean_y_px")
@@ -127,7 +129,9 @@ def _guess(
     check_search(voted, model, found, clocks, scene)
     aligner = Aligner(model, hiding, found.some(FIRST_FRAMES), free, use_sizes)
     starts = []
-    for guess in voted.guesses[:4]:
+    for guess in voted.guesses[:MOST_GUESSES]:
+        if guess.votes < LIKELY * voted.guesses[0].votes:
+            break
         start = guess.values(len(model.hulls_m))
         zero = {name: 0.0 for name in ("clock_s", "yaw_deg", "pitch_deg") if name not in free}
         rough = aligner.first(start.changed(**zero))
@@ -203,6 +207,3 @@ def _rms(model: BoxModel, aligned: Alignment, values: Values) -> float:
     """Root mean square of bearings' and waterlines' residuals in pixels."""
     px = aligned.residuals.px(model, values)[aligned.residuals.kind <= 3]
     return float(np.sqrt(np.mean(px**2))) if len(px) else float("nan")
-
-
-__all__ = ["Unknowns", "register"]

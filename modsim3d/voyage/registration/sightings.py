@@ -75,7 +75,9 @@ def predict(model: BoxModel, hiding: Hiding, values: Values, times_s: Array) -> 
     frame, vessel, boxes, corners = frame[shown], vessel[shown], boxes[shown], corners[shown]
     hidden = hiding.hidden(values, times_s[frame], vessel, corners, frame)
     seen = np.flatnonzero(~hidden.all(axis=1))
-    usable = inside(boxes, size) & ~hidden
+    tips = model.pixels(values, times_s[frame], vessel, corners)
+    # Of a ship that a side of the image cuts, the highest and lowest points may lie beyond that side.
+    usable = np.all((tips > EDGE_PX) & (tips < size - EDGE_PX), axis=-1) & ~hidden
     return Predictions(frame[seen], vessel[seen], boxes[seen], corners[seen], usable[seen])
 
 
