@@ -73,8 +73,8 @@ class Aligner:
             predicted = predict(self.model, self.hiding, aligned.values, self.found.times_s)
             sightings = self._match(predicted, self._close_gates(aligned, predicted))
             before, aligned = aligned.sightings, self._fitted(sightings, aligned.values, unknowns, tied=tied)
-            pairs = [s.detection * len(self.model.hulls_m) + s.vessel for s in (before, sightings)]
-            if len(np.setxor1d(*pairs)) <= SAME * max(len(sightings), 1):
+            was, now = (seen.detection * len(self.model.hulls_m) + seen.vessel for seen in (before, sightings))
+            if len(np.setxor1d(was, now)) <= SAME * max(len(sightings), 1):
                 break
         return aligned
 

@@ -97,7 +97,7 @@ class Linear:
         sums = np.array(scores)
         covariance = bread @ (sums.T @ sums) @ bread
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        degrees = _degrees(np.array(reaches), np.array(squares), bread)
+        degrees = _degrees(np.array(reaches), np.array(squares), np.asarray(bread, dtype=np.float64))
         half = errors * student_t.ppf((1 + LEVEL) / 2, degrees)
         return Knowledge(covariance, half, errors)
 

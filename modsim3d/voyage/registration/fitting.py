@@ -35,9 +35,9 @@ class Unknowns:
     vessels: Indices
 
     @property
-    def own(self) -> list[int]:
+    def own(self) -> Indices:
         """Which of along, across and delay are looked for."""
-        return np.flatnonzero(self.spreads > 0).tolist()
+        return np.flatnonzero(self.spreads > 0)
 
     @property
     def places(self) -> list[int]:

@@ -55,8 +55,8 @@ class Hiding:
         row, other = _pairs(group)
         delay = values.vessels[vessel[other], 2]
         places, rotations = self.model.traffic.at(times_s[other] + values["clock_s"] + delay, vessel[other])
-        local = [(points - places[:, None]) @ rotations for points in (starts[row], ends[row])]
-        inside = crosses_box(*local, self.extents_m[vessel[other]])
+        begin, stop = ((points - places[:, None]) @ rotations for points in (starts[row], ends[row]))
+        inside = crosses_box(begin, stop, self.extents_m[vessel[other]])
         np.logical_or.at(hidden, row, inside)
         return hidden
 

@@ -110,6 +110,7 @@ def hull_of(solid: Solid) -> Array:
     if len(solid.vertices) <= 8:
         return solid.vertices
     try:
-        return solid.vertices[ConvexHull(solid.vertices).vertices]
+        hull: Array = solid.vertices[ConvexHull(solid.vertices).vertices]
     except QhullError:  # a flat mesh
         return solid.vertices
+    return hull

@@ -160,7 +160,7 @@ def _blocks(residuals: Residuals) -> Indices:
     """Stretches of time of each vessel, as numbers of clusters, shape (m,)."""
     times_s = residuals.sightings.time_s[residuals.row]
     stretch = ((times_s - times_s.min()) // BLOCK_S).astype(np.int64) if len(times_s) else np.empty(0, np.int64)
-    return residuals.vessel * (stretch.max(initial=0) + 1) + stretch
+    return np.asarray(residuals.vessel * (stretch.max(initial=0) + 1) + stretch, dtype=np.int64)
 
 
 def _known(linear: Linear, free: tuple[str, ...], aligned: Alignment) -> Knowledge:

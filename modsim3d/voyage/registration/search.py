@@ -160,7 +160,7 @@ def _votes(seen: _Seen, vessels: _Seen, most_turn_rad: float) -> tuple[int, floa
     level = ((down + MOST_DOWN_RAD) // CELL_RAD).astype(int) + 1
     cells = np.bincount(column * rows + level, minlength=columns * rows)[: columns * rows].reshape(columns, rows)
     around = np.pad(cells, 1)
-    smooth = sum(around[i : i + columns, j : j + rows] for i in range(3) for j in range(3))
+    smooth = np.sum([around[i : i + columns, j : j + rows] for i in range(3) for j in range(3)], axis=0)
     best = np.unravel_index(int(np.argmax(smooth)), smooth.shape)
     near = (np.abs(column - best[0]) <= 1) & (np.abs(level - best[1]) <= 1)
     return len(np.unique(box[near])), float(np.median(side[near])), float(np.median(down[near]))
