@@ -27,6 +27,11 @@ def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None
     """
     if not len(found.frame):
         raise ModsimError("registration: there are no detections")
+    others = int(model.traffic.present.any(axis=0).sum()) - (model.traffic.carrier is not None)
+    if others < LEAST_VESSELS:
+        raise ModsimError(
+            f"registration: the scene has {others} vessels for the camera to see; at least {LEAST_VESSELS} are needed"
+        )
     low, high = model.traffic.times_s[[0, -1]]
     first, last = found.times_s[[0, -1]]
     if last + searched_s < low or first - searched_s > high:
@@ -44,10 +49,11 @@ def check_search(voted: Search, model: BoxModel, found: BoxesAtTimes, clocks_s: 
     Raises:
         ModsimError: It does not, with what else would explain them.
     """
+    _check_bearings(model, found.boxes_px, "detections")
     best = voted.guesses[0].votes if voted.guesses else 0
     if best > OVER_CHANCE * voted.chance and best >= LEAST_SHARE * voted.searched:
         return
-    around = search(model, found, clocks_s[:: max(len(clocks_s) // 60, 1)], np.pi, 1)
+    around = search(model, found, clocks_s[:: max(len(clocks_s) // 20, 1)], np.pi, 1)
     most = around.guesses[0].votes if around.guesses else 0
     if most > OVER_CHANCE * around.chance and most >= LEAST_SHARE * around.searched and most > 2 * best:
         turn = around.guesses[0].yaw_deg
@@ -57,9 +63,9 @@ def check_search(voted: Search, model: BoxModel, found: BoxesAtTimes, clocks_s: 
             " as the scene says. Correct the yaw in the scene"
         )
     raise ModsimError(
-        f"registration: the detections do not fit the vessels of {scene.title}: the best clock and yaw explain {best}"
-        f" of {voted.searched} detections, and mirrored detections, which cannot be right, {voted.chance}. The log may"
-        " be of another place, camera or time"
+        f"registration: the detections do not fit the vessels of {scene.title}: the best clock, within"
+        f" {max(abs(clocks_s)):g} s, and the best yaw explain {best} of {voted.searched} detections, and"
+        f" {voted.chance} of mirrored detections, which cannot be right. The log may be of another place, camera or time"
     )
 
 
@@ -77,13 +83,18 @@ def check_matches(model: BoxModel, aligned: Alignment, names: tuple[str, ...]) -
             f"registration: too little to go by: {len(seen)} matches of {len(vessels)} vessels ({who}); at least"
             f" {LEAST_MATCHES} matches of {LEAST_VESSELS} vessels are needed"
         )
+    _check_bearings(model, seen.boxes_px, "matched vessels")
+
+
+def _check_bearings(model: BoxModel, boxes_px: Array, what: str) -> None:
+    """Refuse what is all in one direction."""
     lens = model.traffic.camera.intrinsics
-    pixels = np.stack([(seen.boxes_px[:, 0] + seen.boxes_px[:, 2]) / 2, seen.boxes_px[:, 3]], axis=-1)
+    pixels = np.stack([(boxes_px[:, 0] + boxes_px[:, 2]) / 2, boxes_px[:, 3]], axis=-1)
     rays = lens.unproject(pixels, np.ones(len(pixels)))
     low, high = np.nanpercentile(np.degrees(np.arctan2(rays[:, 0], rays[:, 2])), [2, 98])
     if high - low < LEAST_BEARINGS_DEG:
         raise ModsimError(
-            f"registration: all matched vessels lie within {high - low:.1f}° of one bearing; at least"
+            f"registration: all {what} lie within {high - low:.1f}° of one bearing; at least"
             f" {LEAST_BEARINGS_DEG:g}° are needed to tell the clock, the yaw and the lens apart"
         )
 

@@ -15,6 +15,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.voyage.registration.covariance import Knowledge, Linear
 from modsim3d.voyage.registration.parameters import SHARED, SHARED_NAMES, plausible
 
+COMMON_DELAY = "common_delay_s"
 KNOWN = 0.5
 """A value is determined if its standard error is below this share of its plausible distance."""
 IN_GROUP = 0.2
@@ -40,7 +41,7 @@ class Group:
 
     def words(self) -> str:
         """For example: `mean_y_px and pitch_deg: 1 px of the first looks like -0.044° of the second`."""
-        units = {parameter.name: parameter.unit for parameter in SHARED} | {"common_delay_s": "s"}
+        units = {parameter.name: parameter.unit for parameter in SHARED} | {COMMON_DELAY: "s"}
         if not self.exchange:
             return f"{self.held}: the detections say nothing of it"
         one = "0.01" if units[self.held] == "" else "1"
@@ -91,7 +92,7 @@ def exchange(linear: Linear, names: tuple[str, ...], held: str, others: list[str
     share, *_ = np.linalg.lstsq(linear.slopes[:, columns], slope, rcond=None)
     scales = {
         **dict(zip(SHARED_NAMES, plausible(SHARED_NAMES), strict=True)),
-        "common_delay_s": plausible(["delay_s"])[0],
+        COMMON_DELAY: plausible(["delay_s"])[0],
     }
     sizes = np.abs(share) * np.linalg.norm(linear.slopes[:, columns], axis=0)
     carried = sizes >= IN_GROUP * max(float(np.linalg.norm(slope)), 1e-300)
@@ -101,18 +102,3 @@ def exchange(linear: Linear, names: tuple[str, ...], held: str, others: list[str
         if large
     ]
     return Group(held, tuple(changes))
-
-
-def confounded(linear: Linear, names: tuple[str, ...], held: str, free: tuple[str, ...], known: Knowledge) -> bool:
-    """Whether a held value could not be told from the free ones, had it been free too.
-
-    Its standard error would be that of the part of its slopes that the others do not make. Errors that go together are
-    taken to widen it as they widen, in the middle, those of the free ones.
-    """
-    columns = [names.index(name) for name in free]
-    slope, others = linear.slopes[:, names.index(held)], linear.slopes[:, columns]
-    share, *_ = np.linalg.lstsq(others, slope, rcond=None)
-    own = float(np.linalg.norm(slope - others @ share))
-    alone = np.sqrt(np.diagonal(np.linalg.pinv(others.T @ others, hermitian=True)))
-    wider = float(np.median(known.errors / np.maximum(alone, 1e-300))) if columns else 1.0
-    return own * KNOWN <= max(wider, 1.0) or own <= 1e-6 * float(np.linalg.norm(slope))

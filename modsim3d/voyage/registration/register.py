@@ -16,8 +16,8 @@ from modsim3d.voyage.registration.aligning import Aligner, Alignment
 from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.voyage.registration.checks import check_matches, check_search, check_times
 from modsim3d.voyage.registration.covariance import Knowledge, Linear, wider
-from modsim3d.voyage.registration.determined import Group, confounded, exchange, undetermined
-from modsim3d.voyage.registration.fitting import SOFT, derivatives
+from modsim3d.voyage.registration.determined import COMMON_DELAY, Group, exchange, undetermined
+from modsim3d.voyage.registration.fitting import SOFT, Unknowns, derivatives
 from modsim3d.voyage.registration.hiding import Hiding
 from modsim3d.voyage.registration.model import BoxModel
 from modsim3d.voyage.registration.parameters import SHARED, SHARED_NAMES, Values, held, plausible
@@ -25,6 +25,8 @@ from modsim3d.voyage.registration.registration import Estimate, Registration
 from modsim3d.voyage.registration.residuals import Residuals
 from modsim3d.voyage.registration.search import search
 from modsim3d.voyage.registration.traffic import Traffic
+from modsim3d.voyage.registration.vessel_effects import NAMES as OF_A_VESSEL_NAMES
+from modsim3d.voyage.registration.vessel_effects import VesselEffects, known_of, vessel_effects, with_camera
 
 SEARCHED_S = 60.0
 CLOCK_STEP_S = 0.5
@@ -36,7 +38,11 @@ BLOCK_S = 10.0
 """Stretches of time within which a vessel's box errors are taken to go together."""
 BY_RULE = ("mean_x_px", "mean_y_px")
 """Mean errors are zero, or given: in the images nothing else looks like yaw and pitch."""
-PROBED = (*SHARED_NAMES, "common_delay_s")
+PROBED = (*SHARED_NAMES, "along_m", "across_m", COMMON_DELAY)
+"""A common delay is a delay of all vessels; the columns of single vessels' values are the same, each for its rows."""
+OWN = slice(len(SHARED_NAMES), len(PROBED))
+EFFECT_ROUNDS = 3
+NORMAL = 1.96
 
 
 def register(
@@ -78,19 +84,24 @@ def register(
     aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
     check_matches(model, aligned, scene.vessel_names)
     linear, names, blocks = _linear(model, aligned), PROBED, _blocks(aligned.residuals)
-    columns = [names.index(name) for name in free]
-    groups = undetermined(Linear(linear.slopes[:, columns], linear.residuals), free, blocks)
+    groups = undetermined(Linear(_columns(linear, free), linear.residuals), free, blocks)
     lost = {group.held for group in groups}
     free = tuple(name for name in free if name not in lost)
     aligned = _settled(Aligner(model, hiding, given, free, use_sizes), aligned, lost)
+    last = Aligner(model, hiding, given, free, use_sizes)
+    aligned, effects, together = _with_effects(last, aligned, free)
     linear = _linear(model, aligned)
-    known = _known(linear, free, aligned)
+    known = _known(linear, free, aligned, effects, together)
     rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
     rules |= {name: "mean errors are zero, or given" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
     rules |= {group.held: f"not determined: {group.words()}" for group in groups}
-    settled = [name for name in (*BY_RULE, "common_delay_s") if confounded(linear, names, name, free, known)]
-    groups += [exchange(linear, names, name, list(free)) for name in settled]
-    return _registration(camera, model, aligned, free, known, rules, groups, len(found.frame))
+    effects = with_camera(
+        effects, linear.slopes[:, OWN], _columns(linear, free), aligned.residuals.vessel, together, known.covariance
+    )
+    vessels = _vessel_estimates(scene, model, aligned, effects)
+    # Held by a rule: what the others would be under another one.
+    groups += [exchange(linear, PROBED, name, list(free)) for name in (*BY_RULE, COMMON_DELAY)]
+    return _registration(camera, model, aligned, free, known, rules, groups, vessels, len(found.frame))
 
 
 _SIZES = ("mean_width_share", "mean_height_share")
@@ -148,7 +159,7 @@ def _settled(aligner: Aligner, aligned: Alignment, lost: set[str]) -> Alignment:
 
 def _linear(model: BoxModel, aligned: Alignment) -> Linear:
     """The fit as a regression in plausible distances, with a column for each of `PROBED`."""
-    names = (*SHARED_NAMES, "delay_s")
+    names = (*SHARED_NAMES, *OF_A_VESSEL_NAMES)
     slopes = derivatives(model, aligned.residuals, aligned.values, names) * plausible(names)
     px = aligned.residuals.px(model, aligned.values)
     known = np.isfinite(px)[:, None] & np.isfinite(slopes)
@@ -163,9 +174,67 @@ def _blocks(residuals: Residuals) -> Indices:
     return np.asarray(residuals.vessel * (stretch.max(initial=0) + 1) + stretch, dtype=np.int64)
 
 
-def _known(linear: Linear, free: tuple[str, ...], aligned: Alignment) -> Knowledge:
-    part = Linear(linear.slopes[:, [PROBED.index(name) for name in free]], linear.residuals)
-    return wider(part.known_by(aligned.residuals.vessel), part.known_by(_blocks(aligned.residuals)))
+def _with_effects(
+    aligner: Aligner, aligned: Alignment, free: tuple[str, ...]
+) -> tuple[Alignment, VesselEffects, float]:
+    """The alignment with what is wrong with single vessels, and how many rows count as one."""
+    for _ in range(EFFECT_ROUNDS):
+        linear, residuals = _linear(aligner.model, aligned), aligned.residuals
+        together = _together(linear, free, residuals)
+        effects = vessel_effects(linear.slopes[:, OWN], _without(linear, aligned), residuals.vessel, together)
+        if not effects.spreads.any():
+            break
+        unknowns = Unknowns(free, effects.spreads / np.sqrt(together), effects.vessels)
+        aligned = aligner.until_stable(aligned, unknowns, tied=False)
+    return aligned, effects, together
+
+
+def _together(linear: Linear, free: tuple[str, ...], residuals: Residuals) -> float:
+    """How many rows count as one, because box errors last: the ratio of variances with and without clusters."""
+    part = Linear(_columns(linear, free), linear.residuals)
+    alone = np.sqrt(np.diagonal(np.linalg.pinv(part.information, hermitian=True)))
+    ratio = part.known_by(_blocks(residuals)).errors / np.maximum(alone, 1e-300)
+    return max(float(np.median(ratio**2)), 1.0)
+
+
+def _without(linear: Linear, aligned: Alignment) -> Array:
+    """Scaled residuals with all values of vessels zero, shape (m,)."""
+    values = aligned.values.vessels[aligned.residuals.vessel] / plausible(OF_A_VESSEL_NAMES)
+    return np.asarray(linear.residuals - (linear.slopes[:, OWN] * values).sum(axis=1))
+
+
+def _known(
+    linear: Linear, free: tuple[str, ...], aligned: Alignment, effects: VesselEffects, together: float
+) -> Knowledge:
+    """How well the free shared values are known; vessels are clusters, and share what is wrong with them."""
+    part = Linear(_columns(linear, free), linear.residuals)
+    blocks, vessel = _blocks(aligned.residuals), aligned.residuals.vessel
+    if not effects.spreads.any():
+        return wider(part.known_by(vessel), part.known_by(blocks))
+    spreads = effects.spreads / plausible(OF_A_VESSEL_NAMES) / np.sqrt(together)
+    shared = Linear(part.slopes, _without(linear, aligned)).whitened(linear.slopes[:, OWN] * spreads, vessel)
+    return wider(shared.known_by(vessel), shared.known_by(blocks))
+
+
+def _columns(linear: Linear, names: Sequence[str]) -> Array:
+    """The slopes of named parameters, shape (m, len(names))."""
+    columns: Array = linear.slopes[:, [PROBED.index(name) for name in names]]
+    return columns
+
+
+def _vessel_estimates(
+    scene: Scene, model: BoxModel, aligned: Alignment, effects: VesselEffects
+) -> tuple[Estimate, ...]:
+    """What is determined of single vessels."""
+    times_s = aligned.sightings.time_s + aligned.values["clock_s"]
+    vessel, traffic = aligned.sightings.vessel, model.traffic
+    moved = traffic.at(times_s + 0.5, vessel)[0] - traffic.at(times_s - 0.5, vessel)[0]
+    metres = np.hypot(moved[:, 0], moved[:, 1])
+    speeds = np.array([metres[vessel == one].mean() for one in effects.vessels])
+    return tuple(
+        Estimate(name, words, unit, value, error, value - NORMAL * error, value + NORMAL * error)
+        for name, words, unit, value, error in known_of(effects, speeds, scene.vessel_names)
+    )
 
 
 def _registration(
@@ -176,6 +245,7 @@ def _registration(
     known: Knowledge,
     rules: dict[str, str],
     groups: list[Group],
+    vessels: tuple[Estimate, ...],
     detections: int,
 ) -> Registration:
     scales, estimates, nan = plausible(free), [], float("nan")
@@ -193,7 +263,7 @@ def _registration(
         camera,
         aligned.values,
         tuple(estimates),
-        (),
+        vessels,
         covariance,
         tuple(groups),
         aligned.sightings,
