@@ -100,7 +100,7 @@ class Aligner:
     ) -> Alignment:
         residuals = Residuals.of(sightings, use_sizes=self.use_sizes)
         values = start
-        for _ in range(2):  # the spreads follow from the residuals, which follow from the fit
+        for _ in range(2 if most else 1):  # the spreads follow from the residuals, which follow from the fit
             spreads = residuals.spreads_px(np.nan_to_num(residuals.px(self.model, values), nan=0.0))
             if len(residuals.row) < LEAST_FIT or not unknowns.shared:
                 break

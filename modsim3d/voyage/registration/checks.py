@@ -65,7 +65,8 @@ def check_search(voted: Search, model: BoxModel, found: BoxesAtTimes, clocks_s: 
     raise ModsimError(
         f"registration: the detections do not fit the vessels of {scene.title}: the best clock, within"
         f" {max(abs(clocks_s)):g} s, and the best yaw explain {best} of {voted.searched} detections, and"
-        f" {voted.chance} of mirrored detections, which cannot be right. The log may be of another place, camera or time"
+        f" {voted.chance} of mirrored detections, which cannot be right. The log may be of another place, camera or"
+        " time"
     )
 
 

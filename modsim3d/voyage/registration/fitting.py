@@ -14,6 +14,7 @@ from modsim3d.voyage.registration.residuals import Residuals
 
 SOFT = 1.5
 """Spreads beyond which a residual counts less (the soft loss of `scipy.optimize.least_squares`)."""
+MOST = 12
 STEP = 1e-3
 """Step of the numerical derivatives, in plausible distances."""
 MEAN_NAMES = tuple(parameter.name for parameter in MEAN_ERRORS)
@@ -116,7 +117,11 @@ def fit(
         return jacobian
 
     first = unknowns.vector(start)
-    found = least_squares(of, first, slopes, loss="soft_l1", f_scale=SOFT, xtol=1e-5, ftol=1e-7, max_nfev=most)
+    found = least_squares(of, first, slopes, loss="soft_l1", f_scale=SOFT, xtol=1e-4, ftol=1e-5, max_nfev=most or MOST)
+    import os
+
+    if os.environ.get("DBG"):
+        print("nfev", found.nfev, found.njev, len(first), len(found.fun), found.status)
     return unknowns.values(found.x, start)
 
 

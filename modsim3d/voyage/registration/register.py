@@ -26,7 +26,7 @@ from modsim3d.voyage.registration.residuals import Residuals
 from modsim3d.voyage.registration.search import search
 from modsim3d.voyage.registration.traffic import Traffic
 from modsim3d.voyage.registration.vessel_effects import NAMES as OF_A_VESSEL_NAMES
-from modsim3d.voyage.registration.vessel_effects import VesselEffects, known_of, vessel_effects, with_camera
+from modsim3d.voyage.registration.vessel_effects import VesselEffects, known_of, vessel_effects
 
 SEARCHED_S = 60.0
 CLOCK_STEP_S = 0.5
@@ -83,7 +83,7 @@ def register(
     aligner = Aligner(model, hiding, given, free, use_sizes)
     aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
     check_matches(model, aligned, scene.vessel_names)
-    linear, names, blocks = _linear(model, aligned), PROBED, _blocks(aligned.residuals)
+    linear, blocks = _linear(model, aligned), _blocks(aligned.residuals)
     groups = undetermined(Linear(_columns(linear, free), linear.residuals), free, blocks)
     lost = {group.held for group in groups}
     free = tuple(name for name in free if name not in lost)
@@ -95,10 +95,7 @@ def register(
     rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
     rules |= {name: "mean errors are zero, or given" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
     rules |= {group.held: f"not determined: {group.words()}" for group in groups}
-    effects = with_camera(
-        effects, linear.slopes[:, OWN], _columns(linear, free), aligned.residuals.vessel, together, known.covariance
-    )
-    vessels = _vessel_estimates(scene, model, aligned, effects)
+    vessels = _vessel_estimates(scene, model, aligned, effects, known.covariance)
     # Held by a rule: what the others would be under another one.
     groups += [exchange(linear, PROBED, name, list(free)) for name in (*BY_RULE, COMMON_DELAY)]
     return _registration(camera, model, aligned, free, known, rules, groups, vessels, len(found.frame))
@@ -181,7 +178,13 @@ def _with_effects(
     for _ in range(EFFECT_ROUNDS):
         linear, residuals = _linear(aligner.model, aligned), aligned.residuals
         together = _together(linear, free, residuals)
-        effects = vessel_effects(linear.slopes[:, OWN], _without(linear, aligned), residuals.vessel, together)
+        effects = vessel_effects(
+            linear.slopes[:, OWN] / plausible(OF_A_VESSEL_NAMES),
+            _without(linear, aligned),
+            _columns(linear, free),
+            residuals.vessel,
+            together,
+        )
         if not effects.spreads.any():
             break
         unknowns = Unknowns(free, effects.spreads / np.sqrt(together), effects.vessels)
@@ -223,9 +226,11 @@ def _columns(linear: Linear, names: Sequence[str]) -> Array:
 
 
 def _vessel_estimates(
-    scene: Scene, model: BoxModel, aligned: Alignment, effects: VesselEffects
+    scene: Scene, model: BoxModel, aligned: Alignment, effects: VesselEffects, covariance: Array
 ) -> tuple[Estimate, ...]:
-    """What is determined of single vessels."""
+    """What is determined of single vessels; `covariance` is that of the camera's parameters in plausible distances."""
+    if not effects.spreads.any():
+        return ()
     times_s = aligned.sightings.time_s + aligned.values["clock_s"]
     vessel, traffic = aligned.sightings.vessel, model.traffic
     moved = traffic.at(times_s + 0.5, vessel)[0] - traffic.at(times_s - 0.5, vessel)[0]
@@ -233,7 +238,7 @@ def _vessel_estimates(
     speeds = np.array([metres[vessel == one].mean() for one in effects.vessels])
     return tuple(
         Estimate(name, words, unit, value, error, value - NORMAL * error, value + NORMAL * error)
-        for name, words, unit, value, error in known_of(effects, speeds, scene.vessel_names)
+        for name, words, unit, value, error in known_of(effects, covariance, speeds, scene.vessel_names)
     )
 
 

@@ -9,7 +9,7 @@ camera is not less well known for what is not there.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +20,8 @@ NAMES = tuple(parameter.name for parameter in OF_A_VESSEL)
 ROUNDS = 60
 WORTH = 4.0
 """Gain in log-likelihood below which spreads are taken to be zero: three numbers are estimated for it."""
+AHEAD = ("ahead_m", "how far it is ahead of its reports, at its mean speed", "m")
+SLOW_M_S = 0.3
 LEAST_SPREAD = 1e-3
 """Spreads below this share of the plausible distances are zero."""
 
@@ -31,86 +33,76 @@ class VesselEffects:
     Attributes:
         vessels: Their indices, shape (k,).
         spreads: Standard deviations over vessels of along, across (m) and delay (s), shape (3,).
-        values: The most probable of each vessel, shape (k, 3).
-        covariances: Their covariances for known camera and clock, shape (k, 3, 3).
+        products: Products of each vessel's slopes by along, across and delay, in metres and seconds, shape (k, 3, 3).
+        pulls: Products of its slopes and residuals, negative, shape (k, 3).
+        of_camera: Products of its slopes and those by the p parameters of the camera, shape (k, 3, p).
     """
 
     vessels: Indices
     spreads: Array
-    values: Array
-    covariances: Array
+    products: Array
+    pulls: Array
+    of_camera: Array
 
 
-def vessel_effects(slopes: Array, residuals: Array, vessel: Indices, together: float) -> VesselEffects:
-    """Spreads and values that fit scaled residuals best.
+def vessel_effects(
+    slopes: Array, residuals: Array, of_camera: Array, vessel: Indices, together: float
+) -> VesselEffects:
+    """Spreads that fit scaled residuals best.
 
     Args:
-        slopes: Derivatives of the scaled residuals by along, across and delay of the row's vessel, in plausible
-            distances, shape (m, 3).
+        slopes: Derivatives of the scaled residuals by along, across and delay of the row's vessel, shape (m, 3).
         residuals: Scaled residuals with all of them zero, shape (m,).
+        of_camera: Derivatives by the p estimated parameters of the camera, shape (m, p).
         vessel: Vessel of each row, shape (m,).
         together: How many rows count as one, because box errors last, at least 1.
     """
-    vessels = np.unique(vessel)
-    products = np.array([slopes[vessel == one].T @ slopes[vessel == one] for one in vessels]) / together
-    pulls = -np.array([slopes[vessel == one].T @ residuals[vessel == one] for one in vessels]) / together
-    squares, scale = np.full(3, 0.1), plausible(NAMES)
+    vessels, scale = np.unique(vessel), plausible(NAMES)
+    rows = [vessel == one for one in vessels]
+    products = np.array([slopes[some].T @ slopes[some] for some in rows]) / together
+    pulls = -np.array([slopes[some].T @ residuals[some] for some in rows]) / together
+    shared = np.array([slopes[some].T @ of_camera[some] for some in rows]) / together
+    inner, pulled, squares = products * scale[:, None] * scale, pulls * scale, np.full(3, 0.1)
     for _ in range(ROUNDS):
-        covariances = np.linalg.inv(products + np.diag(1 / np.maximum(squares, 1e-12)))
-        values = (covariances @ pulls[..., None])[..., 0]
+        covariances = np.linalg.inv(inner + np.diag(1 / np.maximum(squares, 1e-12)))
+        values = (covariances @ pulled[..., None])[..., 0]
         squares = (values**2 + np.diagonal(covariances, axis1=1, axis2=2)).mean(axis=0)
-    gain = 0.5 * float(np.einsum("vi,vij,vj->", pulls, covariances, pulls))
-    gain -= 0.5 * float(np.linalg.slogdet(np.eye(3) + products * squares)[1].sum())
+    gain = 0.5 * float(np.einsum("vi,vij,vj->", pulled, covariances, pulled))
+    gain -= 0.5 * float(np.linalg.slogdet(np.eye(3) + inner * squares)[1].sum())
     spreads = np.sqrt(squares)
     spreads = np.where(spreads < LEAST_SPREAD, 0.0, spreads) if gain > WORTH else np.zeros(3)
-    kept = np.where(spreads > 0, 1.0, 0.0)
-    values, covariances = values * kept, covariances * kept[:, None] * kept
-    return VesselEffects(vessels, spreads * scale, values * scale, covariances * scale[:, None] * scale)
-
-
-def with_camera(
-    effects: VesselEffects, slopes: Array, of_camera: Array, vessel: Indices, together: float, covariance: Array
-) -> VesselEffects:
-    """The same with covariances that hold what is not known of the camera and the clock too.
-
-    Args:
-        effects: The effects.
-        slopes: As in `vessel_effects`.
-        of_camera: Derivatives by the p estimated shared parameters, shape (m, p).
-        vessel: Vessel of each row, shape (m,).
-        together: As in `vessel_effects`.
-        covariance: Covariance of the shared parameters, shape (p, p).
-    """
-    scale, wider = plausible(NAMES), []
-    for one, own in zip(effects.vessels, effects.covariances / (scale[:, None] * scale), strict=True):
-        rows = vessel == one
-        moved = own @ (slopes[rows].T @ of_camera[rows]) / together
-        wider.append((own + moved @ covariance @ moved.T) * scale[:, None] * scale)
-    return replace(effects, covariances=np.array(wider))
+    return VesselEffects(vessels, spreads * scale, products, pulls, shared)
 
 
 def known_of(
-    effects: VesselEffects, speeds_m_s: Array, names: Sequence[str]
+    effects: VesselEffects, covariance: Array, speeds_m_s: Array, names: Sequence[str]
 ) -> list[tuple[str, str, str, float, float]]:
     """What is determined of each vessel: name, words, unit, value and standard error.
 
     An offset along and a delay look the same while a vessel keeps its speed; then only how far it is ahead of its
-    reports is determined. A value is determined if its error is below half of its spread over the vessels.
+    reports is determined. To see this, both get a spread that moves the vessel as far as both together. A value is
+    determined if its error is below half of that spread.
 
     Args:
         effects: The effects.
+        covariance: Covariance of the parameters of the camera, shape (p, p).
         speeds_m_s: Mean speed of each vessel, shape (k,).
         names: IDs of all the scene's vessels.
     """
-    found = []
-    ahead = ("ahead_m", "how far it is ahead of its reports, at its mean speed", "m")
-    for vessel, speed, value, covariance in zip(
-        effects.vessels.tolist(), speeds_m_s, effects.values, effects.covariances, strict=True
-    ):
-        about = [(ahead, np.array([-1.0, 0.0, speed]))]
-        about += [((p.name, p.words, p.unit), axis) for p, axis in zip(OF_A_VESSEL, np.eye(3), strict=True)]
-        for (name, words, unit), axis in about:
-            spread, error = np.linalg.norm(axis * effects.spreads), float(np.sqrt(axis @ covariance @ axis))
-            if 0 < error < spread / 2:
+    found, (along, across, delay) = [], effects.spreads
+    for row, (vessel, speed) in enumerate(zip(effects.vessels.tolist(), speeds_m_s.tolist(), strict=True)):
+        moved = float(np.hypot(along, speed * delay))
+        spreads = np.array([moved, across, moved / max(speed, SLOW_M_S)])
+        own = np.linalg.pinv(effects.products[row] + np.diag(1 / np.maximum(spreads, 1e-9) ** 2), hermitian=True)
+        reach = own @ effects.of_camera[row]
+        value, errors = own @ effects.pulls[row], own + reach @ covariance @ reach.T
+        about = [(AHEAD, np.array([-1.0, 0.0, speed]), moved)]
+        about += [
+            ((each.name, each.words, each.unit), axis, spread)
+            for each, axis, spread in zip(OF_A_VESSEL, np.eye(3), spreads.tolist(), strict=True)
+        ]
+        for (name, words, unit), axis, spread in about:
+            error = float(np.sqrt(axis @ errors @ axis))
+            if error < spread / 2:
                 found.append((f"{names[vessel]}.{name}", words, unit, float(axis @ value), error))
     return found
