@@ -67,9 +67,11 @@ class Aligner:
             values = aligned.values
         return aligned
 
-    def until_stable(self, aligned: Alignment, unknowns: Unknowns, *, tied: bool) -> Alignment:
-        """Match and fit until the matches stay."""
-        for _ in range(MOST_ROUNDS):
+    def until_stable(
+        self, aligned: Alignment, unknowns: Unknowns, *, tied: bool, rounds: int = MOST_ROUNDS
+    ) -> Alignment:
+        """Match and fit until the matches stay, at most so many times."""
+        for _ in range(rounds):
             predicted = predict(self.model, self.hiding, aligned.values, self.found.times_s)
             sightings = self._match(predicted, self._close_gates(aligned, predicted))
             before, aligned = aligned.sightings, self._fitted(sightings, aligned.values, unknowns, tied=tied)
@@ -77,6 +79,12 @@ class Aligner:
             if len(np.setxor1d(was, now)) <= SAME * max(len(sightings), 1):
                 break
         return aligned
+
+    def matched(self, aligned: Alignment) -> Alignment:
+        """The matches of the detections with the values of another alignment, and no fit."""
+        predicted = predict(self.model, self.hiding, aligned.values, self.found.times_s)
+        sightings = self._match(predicted, self._close_gates(aligned, predicted))
+        return self._fitted(sightings, aligned.values, self._unknowns(()), tied=False)
 
     def explained(self, values: Values) -> int:
         """Number of detections that match with the last of the wide gates."""

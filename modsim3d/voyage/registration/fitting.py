@@ -66,13 +66,13 @@ def derivatives(model: BoxModel, residuals: Residuals, values: Values, names: tu
     Of a vessel's parameter it is the derivative of the vessel's own rows.
     """
     columns = np.empty((len(residuals.row), len(names)))
+    here = residuals.px(model, values)
     for column, (name, scale) in enumerate(zip(names, plausible(names), strict=True)):
         if name in MEAN_NAMES:
             columns[:, column] = -residuals.of_mean_errors[:, MEAN_NAMES.index(name)]
             continue
         step = STEP * scale
-        ahead, behind = (residuals.px(model, values.moved(name, side * step)) for side in (1, -1))
-        columns[:, column] = (ahead - behind) / (2 * step)
+        columns[:, column] = (residuals.px(model, values.moved(name, step)) - here) / step
     return columns
 
 
@@ -118,10 +118,6 @@ def fit(
 
     first = unknowns.vector(start)
     found = least_squares(of, first, slopes, loss="soft_l1", f_scale=SOFT, xtol=1e-4, ftol=1e-5, max_nfev=most or MOST)
-    import os
-
-    if os.environ.get("DBG"):
-        print("nfev", found.nfev, found.njev, len(first), len(found.fun), found.status)
     return unknowns.values(found.x, start)
 
 

@@ -32,6 +32,8 @@ SEARCHED_S = 60.0
 CLOCK_STEP_S = 0.5
 MOST_TURN_DEG = 15.0
 FIRST_FRAMES = 150
+MOST_BOXES = 2500
+"""Of more detections a fit takes frames that are evenly spread: those beside each other have nearly the same errors."""
 MOST_GUESSES, LIKELY = 4, 0.6
 """How many guesses are tried, and with how many votes in shares of the best one's."""
 BLOCK_S = 10.0
@@ -41,7 +43,7 @@ BY_RULE = ("mean_x_px", "mean_y_px")
 PROBED = (*SHARED_NAMES, "along_m", "across_m", COMMON_DELAY)
 """A common delay is a delay of all vessels; the columns of single vessels' values are the same, each for its rows."""
 OWN = slice(len(SHARED_NAMES), len(PROBED))
-EFFECT_ROUNDS = 3
+EFFECT_ROUNDS = 2
 NORMAL = 1.96
 
 
@@ -80,15 +82,16 @@ def register(
     free = tuple(name for name, stay in zip(SHARED_NAMES, stays, strict=True) if not stay)
     hiding = Hiding.of(scene, model)
     start = _guess(model, hiding, given, free, use_sizes, searched_s, scene)
-    aligner = Aligner(model, hiding, given, free, use_sizes)
+    some = given.some(max(int(len(given.times_s) * MOST_BOXES / len(given.frame)), FIRST_FRAMES))
+    aligner = Aligner(model, hiding, some, free, use_sizes)
     aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
     check_matches(model, aligned, scene.vessel_names)
     linear, blocks = _linear(model, aligned), _blocks(aligned.residuals)
     groups = undetermined(Linear(_columns(linear, free), linear.residuals), free, blocks)
     lost = {group.held for group in groups}
     free = tuple(name for name in free if name not in lost)
-    aligned = _settled(Aligner(model, hiding, given, free, use_sizes), aligned, lost)
-    last = Aligner(model, hiding, given, free, use_sizes)
+    last = Aligner(model, hiding, some, free, use_sizes)
+    aligned = _settled(last, aligned, lost)
     aligned, effects, together = _with_effects(last, aligned, free)
     linear = _linear(model, aligned)
     known = _known(linear, free, aligned, effects, together)
@@ -98,6 +101,8 @@ def register(
     vessels = _vessel_estimates(scene, model, aligned, effects, known.covariance)
     # Held by a rule: what the others would be under another one.
     groups += [exchange(linear, PROBED, name, list(free)) for name in (*BY_RULE, COMMON_DELAY)]
+    if some is not given:
+        aligned = Aligner(model, hiding, given, free, use_sizes).matched(aligned)
     return _registration(camera, model, aligned, free, known, rules, groups, vessels, len(found.frame))
 
 
@@ -188,7 +193,7 @@ def _with_effects(
         if not effects.spreads.any():
             break
         unknowns = Unknowns(free, effects.spreads / np.sqrt(together), effects.vessels)
-        aligned = aligner.until_stable(aligned, unknowns, tied=False)
+        aligned = aligner.until_stable(aligned, unknowns, tied=False, rounds=2)
     return aligned, effects, together
 
 

@@ -1,9 +1,10 @@
 """What is wrong with single vessels: where the antenna is, and how late the reports come.
 
-Each vessel has an offset of its antenna along and across and a delay, normally distributed over the vessels with mean
-zero. That mean is a rule: a common delay looks like the clock. Their spreads follow from the data by expectation and
-maximisation (Dempster, Laird & Rubin, 1977), so that vessels whose reports are exact are held to be exact, and the
-camera is not less well known for what is not there.
+Each vessel has an offset along and across, normally distributed over the vessels with mean zero. That mean is a rule: a
+common delay looks like the clock. The spreads follow from the data by expectation and maximisation (Dempster, Laird &
+Rubin, 1977), so that vessels whose reports are exact are held to be exact, and the camera is not less well known for
+what is not there. A delay shifts a vessel along its way, as an antenna towards the bow does. So the offset along stands
+for both in the fit, and the two are told apart afterwards, of vessels that change their speed.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from modsim3d.voyage.registration.parameters import OF_A_VESSEL, plausible
 
 NAMES = tuple(parameter.name for parameter in OF_A_VESSEL)
 ROUNDS = 60
-WORTH = 4.0
-"""Gain in log-likelihood below which spreads are taken to be zero: three numbers are estimated for it."""
+WORTH = 3.0
+"""Gain in log-likelihood below which spreads are taken to be zero: two numbers are estimated for it."""
 AHEAD = ("ahead_m", "how far it is ahead of its reports, at its mean speed", "m")
 SLOW_M_S = 0.3
+SURE = 0.25
 LEAST_SPREAD = 1e-3
 """Spreads below this share of the plausible distances are zero."""
 
@@ -32,7 +34,7 @@ class VesselEffects:
 
     Attributes:
         vessels: Their indices, shape (k,).
-        spreads: Standard deviations over vessels of along, across (m) and delay (s), shape (3,).
+        spreads: Standard deviations over vessels of along and across in metres; of the delay it is zero, shape (3,).
         products: Products of each vessel's slopes by along, across and delay, in metres and seconds, shape (k, 3, 3).
         pulls: Products of its slopes and residuals, negative, shape (k, 3).
         of_camera: Products of its slopes and those by the p parameters of the camera, shape (k, 3, p).
@@ -62,16 +64,17 @@ def vessel_effects(
     products = np.array([slopes[some].T @ slopes[some] for some in rows]) / together
     pulls = -np.array([slopes[some].T @ residuals[some] for some in rows]) / together
     shared = np.array([slopes[some].T @ of_camera[some] for some in rows]) / together
-    inner, pulled, squares = products * scale[:, None] * scale, pulls * scale, np.full(3, 0.1)
+    inner, pulled = (products * scale[:, None] * scale)[:, :2, :2], (pulls * scale)[:, :2]
+    squares = np.full(2, 0.1)
     for _ in range(ROUNDS):
         covariances = np.linalg.inv(inner + np.diag(1 / np.maximum(squares, 1e-12)))
         values = (covariances @ pulled[..., None])[..., 0]
         squares = (values**2 + np.diagonal(covariances, axis1=1, axis2=2)).mean(axis=0)
     gain = 0.5 * float(np.einsum("vi,vij,vj->", pulled, covariances, pulled))
-    gain -= 0.5 * float(np.linalg.slogdet(np.eye(3) + inner * squares)[1].sum())
+    gain -= 0.5 * float(np.linalg.slogdet(np.eye(2) + inner * squares)[1].sum())
     spreads = np.sqrt(squares)
-    spreads = np.where(spreads < LEAST_SPREAD, 0.0, spreads) if gain > WORTH else np.zeros(3)
-    return VesselEffects(vessels, spreads * scale, products, pulls, shared)
+    spreads = np.where(spreads < LEAST_SPREAD, 0.0, spreads) if gain > WORTH else np.zeros(2)
+    return VesselEffects(vessels, np.append(spreads, 0.0) * scale, products, pulls, shared)
 
 
 def known_of(
@@ -80,8 +83,8 @@ def known_of(
     """What is determined of each vessel: name, words, unit, value and standard error.
 
     An offset along and a delay look the same while a vessel keeps its speed; then only how far it is ahead of its
-    reports is determined. To see this, both get a spread that moves the vessel as far as both together. A value is
-    determined if its error is below half of that spread.
+    reports is determined. To see this, the delay gets a spread that moves the vessel as far as that of the offset. A
+    value is determined if its error is below a quarter of its spread.
 
     Args:
         effects: The effects.
@@ -89,9 +92,8 @@ def known_of(
         speeds_m_s: Mean speed of each vessel, shape (k,).
         names: IDs of all the scene's vessels.
     """
-    found, (along, across, delay) = [], effects.spreads
+    found, (moved, across, _) = [], effects.spreads.tolist()
     for row, (vessel, speed) in enumerate(zip(effects.vessels.tolist(), speeds_m_s.tolist(), strict=True)):
-        moved = float(np.hypot(along, speed * delay))
         spreads = np.array([moved, across, moved / max(speed, SLOW_M_S)])
         own = np.linalg.pinv(effects.products[row] + np.diag(1 / np.maximum(spreads, 1e-9) ** 2), hermitian=True)
         reach = own @ effects.of_camera[row]
@@ -103,6 +105,6 @@ def known_of(
         ]
         for (name, words, unit), axis, spread in about:
             error = float(np.sqrt(axis @ errors @ axis))
-            if error < spread / 2:
+            if error < SURE * spread:
                 found.append((f"{names[vessel]}.{name}", words, unit, float(axis @ value), error))
     return found

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modsim3d.arrays import Array
 from modsim3d.motion.poses import Poses
 from modsim3d.motion.poses.replay import RecordedPoses
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
@@ -33,42 +34,34 @@ def really(scene: Scene, camera: str, changes: dict[str, float]) -> Scene:
 ANGLES = ("roll", "pitch", "yaw")
 
 
-def as_reported(
-    scene: Scene, seed: int, antenna_m: float, delay_s: float, noise_m: float, silent: Sequence[str] = ()
-) -> tuple[Scene, dict[str, tuple[float, float, float]]]:
-    """The scene that AIS gives: each vessel with an antenna off its centre, late reports and noise; some are silent.
+REPORTS_S = 5.0
 
-    Own ships are known. The second part are antennas, along and across, and delays by vessel.
+
+def as_reported(
+    scene: Scene, seed: int, stds: tuple[float, float, float], noise_m: float = 0.0, silent: Sequence[str] = ()
+) -> tuple[Scene, Array]:
+    """The scene that AIS gives: antennas off the centre, late reports, noise, and vessels without a transponder.
+
+    Own ships are known. `stds` are those of the antennas' places along and across and of the delays; the second part of
+    the result is what was drawn for each vessel, shape (V, 3).
     """
     rng = np.random.default_rng(seed)
-    steps = np.arange(scene.steps)
     true, times_s = scene.poses.poses(0, scene.steps), scene.times_s(0, scene.steps)
-    positions, headings, present = true.positions_m.copy(), true.headings_rad.copy(), true.present.copy()
-    wrong = {}
-    for column, name in enumerate(scene.vessel_names):
-        if column in scene.own_ships:
-            continue
-        if name in silent:
-            present[:, column] = False
-        along, across, delay = rng.normal(0, [antenna_m, antenna_m / 3, delay_s])
-        wrong[name] = (along, across, delay)
-        late = times_s - delay
-        place = [np.interp(late, times_s, true.positions_m[:, column, axis]) for axis in range(2)]
-        if delay_s:  # beyond the ends a vessel goes on as it went
-            for end in (slice(0, 2), slice(-2, None)):
-                slope = np.diff(true.positions_m[end, column, :2], axis=0)[0] / np.diff(times_s[end])[0]
-                outside = late < times_s[0] if end.start == 0 else late > times_s[-1]
-                anchor = 0 if end.start == 0 else -1
-                for axis in range(2):
-                    beyond = true.positions_m[anchor, column, axis] + slope[axis] * (late - times_s[anchor])
-                    place[axis] = np.where(outside, beyond, place[axis])
-        ahead, port = (np.array([np.cos(headings[:, column]), np.sin(headings[:, column])]), None)
-        port = np.array([-ahead[1], ahead[0]])
-        slow = np.interp(times_s, times_s[::25], rng.normal(0, noise_m, (2, len(times_s[::25])))[0])
-        noise = np.stack([slow, np.roll(slow, 40)])
-        positions[:, column, :2] = (np.array(place) + along * ahead + across * port + noise).T
-    poses = RecordedPoses(scene.poses.timestamps, Poses(present, positions, headings))
-    assert len(steps) == len(times_s)
+    wrong = rng.normal(0, stds, (len(scene.vessels), 3))
+    wrong[list(scene.own_ships)] = 0
+    along, across, delay = wrong.T[..., None]
+    reports = np.arange(0, times_s[-1] + REPORTS_S, REPORTS_S)
+    noise = rng.normal(0, noise_m, (len(scene.vessels), 2, len(reports)))
+    noise[list(scene.own_ships)] = 0
+    ahead = np.stack([np.cos(true.headings_rad), np.sin(true.headings_rad)], axis=-1)
+    port = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
+    velocity = np.gradient(true.positions_m[..., :2], times_s, axis=0)
+    moved = true.positions_m.copy()
+    moved[..., :2] += along * ahead + across * port - delay * velocity
+    for vessel, axis in np.ndindex(noise.shape[:2]):
+        moved[:, vessel, axis] += np.interp(times_s, reports, noise[vessel, axis])
+    present = true.present & ~np.isin(scene.vessel_names, silent)
+    poses = RecordedPoses(scene.poses.timestamps, Poses(present, moved, true.headings_rad))
     return replace(scene, poses=poses), wrong
 
 
