@@ -16,7 +16,7 @@ from modsim3d.errors import ModsimError
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.registration import Registration, register
-from tests.voyage.registration.wrong_camera import WRONG, Voyage
+from tests.voyage.registration.wrong_camera import WRONG, Voyage, as_reported
 
 LEVEL, SURE = 0.95, 0.99
 SETTINGS = {
@@ -27,12 +27,21 @@ SETTINGS = {
 """Mean box errors are zero, as the rule has it."""
 
 
-def registrations(scene: Scene, camera: str, seeds: Iterable[int]) -> list[Registration]:
+STDS, NOISE_M, SILENT = (3.0, 1.0, 0.5), 1.0, 0.2
+"""Of AIS: antennas along and across in metres, delays in seconds; noise of positions; share without a transponder."""
+
+
+def registrations(scene: Scene, camera: str, seeds: Iterable[int], *, ais: bool) -> list[Registration]:
     """The registration from the detections of each seed, which share the truth; those that are refused are told."""
     voyage, done = Voyage.of(scene, camera, WRONG), []
+    others = [name for index, name in enumerate(scene.vessel_names) if index not in scene.own_ships]
     for seed in seeds:
+        known = scene
+        if ais:
+            silent = np.random.default_rng(seed).choice(others, round(SILENT * len(others)), replace=False)
+            known, _ = as_reported(scene, seed, STDS, NOISE_M, silent.tolist())
         try:
-            done.append(register(scene, camera, voyage.detections(seed)))
+            done.append(register(known, camera, voyage.detections(seed), offsets_m=STDS[0] if ais else None))
         except ModsimError as error:
             print(f"seed {seed}: {error}")
     return done
@@ -63,10 +72,11 @@ def main() -> None:
     parser.add_argument("--camera", default="bow")
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--ais", action="store_true", help="with errors of AIS")
     options = parser.parse_args()
-    scene = load_scene(options.scene, settings=SETTINGS)
+    scene = load_scene(options.scene, settings={**SETTINGS, "waves.apply_to": "ownship"})
     start = time.perf_counter()
-    done = registrations(scene, options.camera, range(options.first, options.first + options.seeds))
+    done = registrations(scene, options.camera, range(options.first, options.first + options.seeds), ais=options.ais)
     print(f"{options.scene}, {options.camera}: {len(done)} seeds, {time.perf_counter() - start:.0f} s")
     print(f"{'parameter':<20} {'held':>9} {'fewest':>6} {'mean error':>11} {'its std':>10} {'half width':>11}")
     for name, held, count, error, spread, half in coverage(done):

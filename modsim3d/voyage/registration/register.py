@@ -56,6 +56,7 @@ def register(
     mean_errors: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     use_sizes: bool = True,
     searched_s: float = SEARCHED_S,
+    offsets_m: float | None = None,
 ) -> Registration:
     """Estimate how a camera and its detector's clock differ from what the scene says.
 
@@ -70,6 +71,9 @@ def register(
         mean_errors: Mean box errors in x and y, in pixels, and in width and height, as shares; they are taken off.
         use_sizes: Whether widths and heights of boxes count: not if the vessels' dimensions are guesses.
         searched_s: Greatest offset of the clock that is looked for.
+        offsets_m: Standard deviation, over vessels, that is expected of how far positions are off, such as by unknown
+            places of antennas or late reports. It counts as much as four vessels. None if nothing is expected: then
+            the matches alone tell, which few vessels do badly.
 
     Raises:
         ModsimError: The data cannot tell, with the reason.
@@ -92,7 +96,7 @@ def register(
     free = tuple(name for name in free if name not in lost)
     last = Aligner(model, hiding, some, free, use_sizes)
     aligned = _settled(last, aligned, lost)
-    aligned, effects, together = _with_effects(last, aligned, free)
+    aligned, effects, together = _with_effects(last, aligned, free, offsets_m)
     linear = _linear(model, aligned)
     known = _known(linear, free, aligned, effects, together)
     rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
@@ -177,7 +181,7 @@ def _blocks(residuals: Residuals) -> Indices:
 
 
 def _with_effects(
-    aligner: Aligner, aligned: Alignment, free: tuple[str, ...]
+    aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None
 ) -> tuple[Alignment, VesselEffects, float]:
     """The alignment with what is wrong with single vessels, and how many rows count as one."""
     for _ in range(EFFECT_ROUNDS):
@@ -189,6 +193,7 @@ def _with_effects(
             _columns(linear, free),
             residuals.vessel,
             together,
+            offsets_m,
         )
         if not effects.spreads.any():
             break

@@ -19,13 +19,14 @@ from modsim3d.voyage.registration.parameters import OF_A_VESSEL, plausible
 
 NAMES = tuple(parameter.name for parameter in OF_A_VESSEL)
 ROUNDS = 60
-WORTH = 3.0
-"""Gain in log-likelihood below which spreads are taken to be zero: two numbers are estimated for it."""
+PRIOR_VESSELS = 4.0
+WORTH = 3e-3
+"""Spreads below this share of the plausible distances are taken to be zero."""
 AHEAD = ("ahead_m", "how far it is ahead of its reports, at its mean speed", "m")
 SLOW_M_S = 0.3
 SURE = 0.25
 LEAST_SPREAD = 1e-3
-"""Spreads below this share of the plausible distances are zero."""
+"""The same of spreads within the steps, which then hardly change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class VesselEffects:
 
 
 def vessel_effects(
-    slopes: Array, residuals: Array, of_camera: Array, vessel: Indices, together: float
+    slopes: Array, residuals: Array, of_camera: Array, vessel: Indices, together: float, prior_m: float | None = None
 ) -> VesselEffects:
     """Spreads that fit scaled residuals best.
 
@@ -58,23 +59,56 @@ def vessel_effects(
         of_camera: Derivatives by the p estimated parameters of the camera, shape (m, p).
         vessel: Vessel of each row, shape (m,).
         together: How many rows count as one, because box errors last, at least 1.
+        prior_m: Spread that is expected, which counts as much as `PRIOR_VESSELS` vessels; None for no expectation.
     """
     vessels, scale = np.unique(vessel), plausible(NAMES)
     rows = [vessel == one for one in vessels]
     products = np.array([slopes[some].T @ slopes[some] for some in rows]) / together
     pulls = -np.array([slopes[some].T @ residuals[some] for some in rows]) / together
     shared = np.array([slopes[some].T @ of_camera[some] for some in rows]) / together
-    inner, pulled = (products * scale[:, None] * scale)[:, :2, :2], (pulls * scale)[:, :2]
-    squares = np.full(2, 0.1)
-    for _ in range(ROUNDS):
-        covariances = np.linalg.inv(inner + np.diag(1 / np.maximum(squares, 1e-12)))
-        values = (covariances @ pulled[..., None])[..., 0]
-        squares = (values**2 + np.diagonal(covariances, axis1=1, axis2=2)).mean(axis=0)
-    gain = 0.5 * float(np.einsum("vi,vij,vj->", pulled, covariances, pulled))
-    gain -= 0.5 * float(np.linalg.slogdet(np.eye(2) + inner * squares)[1].sum())
-    spreads = np.sqrt(squares)
-    spreads = np.where(spreads < LEAST_SPREAD, 0.0, spreads) if gain > WORTH else np.zeros(2)
+    spreads = restricted_spreads(
+        (products * scale[:, None] * scale)[:, :2, :2],
+        (pulls * scale)[:, :2],
+        (shared * scale[:, None])[:, :2],
+        of_camera.T @ of_camera / together,
+        -of_camera.T @ residuals / together,
+        np.full(2, 0.0 if prior_m is None else prior_m) / scale[:2],
+    )
     return VesselEffects(vessels, np.append(spreads, 0.0) * scale, products, pulls, shared)
+
+
+def restricted_spreads(
+    products: Array, pulls: Array, shared: Array, of_camera: Array, pull_of_camera: Array, expected: Array
+) -> Array:
+    """Spreads of two effects over k vessels, by restricted likelihood: the camera, too, has to be found, shape (2,).
+
+    Each step takes the mean square of the effects, as the data and the last spreads give them.
+
+    Args:
+        products: Products of slopes by the effects, of each vessel, shape (k, 2, 2).
+        pulls: Products of these slopes and residuals, negative, shape (k, 2).
+        shared: Products of these slopes and those by the p parameters of the camera, shape (k, 2, p).
+        of_camera: Products of the latter, shape (p, p).
+        pull_of_camera: Products of the latter and residuals, negative, shape (p,).
+        expected: Spreads that are expected; zero for no expectation, shape (2,).
+    """
+    count, p = len(products), len(of_camera)
+    joint, pull = np.zeros((p + 2 * count,) * 2), np.concatenate([pull_of_camera, pulls.ravel()])
+    joint[:p, :p], joint[p:, :p] = of_camera, shared.reshape(-1, p)
+    joint[:p, p:] = joint[p:, :p].T
+    for row in range(count):
+        place = slice(p + 2 * row, p + 2 * row + 2)
+        joint[place, place] = products[row]
+    squares, own = np.full(2, 0.1), np.arange(p, p + 2 * count)
+    weight = PRIOR_VESSELS if expected.any() else 0.0
+    for _ in range(ROUNDS):
+        inverse = joint.copy()
+        inverse[own, own] += np.tile(1 / np.maximum(squares, LEAST_SPREAD**2), count)
+        covariance = np.linalg.pinv(inverse, hermitian=True)
+        values, variances = (covariance @ pull)[own], covariance[own, own]
+        sums = (values**2 + variances).reshape(count, 2).sum(axis=0)
+        squares = (sums + weight * expected**2) / (count + weight)
+    return np.asarray(np.where(squares < WORTH**2, 0.0, np.sqrt(squares)))
 
 
 def known_of(

@@ -96,7 +96,7 @@ def test_fixed_parameters_keep_the_scenes_values(scene: Scene) -> None:
 def test_given_mean_errors_are_taken_off(scene: Scene, found: BoxesAtTimes) -> None:
     with pytest.raises(ModsimError, match="mean_errors: four numbers"):
         register(scene, "quay", found, mean_errors=(1.0, 2.0))
-    moved = BoxesAtTimes(found.times_s, found.frame, found.boxes_px + (3.0, -2.0, 3.0, -2.0))
+    moved = BoxesAtTimes(found.times_s, found.frame, found.boxes_px + np.array([3.0, -2.0, 3.0, -2.0]))
     registration = register(scene, "quay", moved, mean_errors=(3.0, -2.0, 0.0, 0.0))
     assert holds(registration, "yaw_deg")
     assert holds(registration, "pitch_deg")
