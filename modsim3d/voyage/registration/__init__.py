@@ -5,7 +5,7 @@ turn, `determined` finds what the data cannot tell apart, and `covariance` how w
 """
 
 from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
-from modsim3d.voyage.registration.register import register
+from modsim3d.voyage.registration.registering import register
 from modsim3d.voyage.registration.registration import Estimate, Registration
 
 __all__ = ["BoxesAtTimes", "Estimate", "Registration", "register"]

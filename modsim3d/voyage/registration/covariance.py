@@ -5,7 +5,7 @@ all frames alike. So vessels are the clusters of a sandwich covariance, with the
 degrees of freedom of Bell & McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage
 samples", Survey Methodology 28. What rests on few vessels gets few degrees of freedom and so a wide interval. A second
 sandwich, with stretches of time of a vessel as clusters, bounds it from below, because what one vessel alone determines
-leaves no residual by which the first could judge.
+leaves no residual by which the first could judge. With offsets of vessels, so does what their spreads would give.
 """
 
 from __future__ import annotations
@@ -100,6 +100,15 @@ class Linear:
         degrees = _degrees(np.array(reaches), np.array(squares), np.asarray(bread, dtype=np.float64))
         half = errors * student_t.ppf((1 + LEVEL) / 2, degrees)
         return Knowledge(covariance, half, errors)
+
+    def known_by_model(self, together: float, degrees: float) -> Knowledge:
+        """Covariance and intervals if the rows' errors are as the whitening has them.
+
+        `together` rows count as one, and the spreads of what vessels share have so many degrees of freedom.
+        """
+        covariance = together * np.linalg.pinv(self.information, hermitian=True)
+        errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        return Knowledge(np.asarray(covariance), errors * student_t.ppf((1 + LEVEL) / 2, degrees), errors)
 
 
 def wider(first: Knowledge, second: Knowledge) -> Knowledge:

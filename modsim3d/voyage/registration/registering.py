@@ -226,7 +226,8 @@ def _known(
         return wider(part.known_by(vessel), part.known_by(blocks))
     spreads = effects.spreads / plausible(OF_A_VESSEL_NAMES) / np.sqrt(together)
     shared = Linear(part.slopes, _without(linear, aligned)).whitened(linear.slopes[:, OWN] * spreads, vessel)
-    return wider(shared.known_by(vessel), shared.known_by(blocks))
+    by_model = shared.known_by_model(together, float(len(effects.vessels)))
+    return wider(wider(shared.known_by(vessel), shared.known_by(blocks)), by_model)
 
 
 def _columns(linear: Linear, names: Sequence[str]) -> Array:
@@ -245,7 +246,8 @@ def _vessel_estimates(
     vessel, traffic = aligned.sightings.vessel, model.traffic
     moved = traffic.at(times_s + 0.5, vessel)[0] - traffic.at(times_s - 0.5, vessel)[0]
     metres = np.hypot(moved[:, 0], moved[:, 1])
-    speeds = np.array([metres[vessel == one].mean() for one in effects.vessels])
+    totals, counts = (np.bincount(vessel, values, len(model.hulls_m)) for values in (metres, None))
+    speeds = (totals / np.maximum(counts, 1))[effects.vessels]  # the last matches may be without one of them
     return tuple(
         Estimate(name, words, unit, value, error, value - NORMAL * error, value + NORMAL * error)
         for name, words, unit, value, error in known_of(effects, covariance, speeds, scene.vessel_names)
