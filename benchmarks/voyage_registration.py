@@ -35,13 +35,14 @@ def registrations(scene: Scene, camera: str, seeds: Iterable[int], *, ais: bool)
     """The registration from the detections of each seed, which share the truth; those that are refused are told."""
     voyage, done = Voyage.of(scene, camera, WRONG), []
     others = [name for index, name in enumerate(scene.vessel_names) if index not in scene.own_ships]
+    expected = {"offsets_m": STDS[0], "noise_m": NOISE_M} if ais else {}
     for seed in seeds:
         known = scene
         if ais:
             silent = np.random.default_rng(seed).choice(others, round(SILENT * len(others)), replace=False)
             known, _ = as_reported(scene, seed, STDS, NOISE_M, silent.tolist())
         try:
-            done.append(register(known, camera, voyage.detections(seed), offsets_m=STDS[0] if ais else None))
+            done.append(register(known, camera, voyage.detections(seed), **expected))
         except ModsimError as error:
             print(f"seed {seed}: {error}")
     return done

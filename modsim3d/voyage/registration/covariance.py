@@ -101,12 +101,14 @@ class Linear:
         half = errors * student_t.ppf((1 + LEVEL) / 2, degrees)
         return Knowledge(covariance, half, errors)
 
-    def known_by_model(self, together: float, degrees: float) -> Knowledge:
+    def known_by_model(self, together: float, degrees: float, wander: Array) -> Knowledge:
         """Covariance and intervals if the rows' errors are as the whitening has them.
 
-        `together` rows count as one, and the spreads of what vessels share have so many degrees of freedom.
+        `together` rows count as one, and the spreads of what vessels share have so many degrees of freedom. `wander`,
+        shape (p, q), is what independent unit errors of q other things add to the product of slopes and residuals.
         """
-        covariance = together * np.linalg.pinv(self.information, hermitian=True)
+        bread = np.linalg.pinv(self.information, hermitian=True)
+        covariance = together * bread + bread @ wander @ wander.T @ bread
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         return Knowledge(np.asarray(covariance), errors * student_t.ppf((1 + LEVEL) / 2, degrees), errors)
 
@@ -118,6 +120,12 @@ def wider(first: Knowledge, second: Knowledge) -> Knowledge:
     scale = np.where(np.isfinite(scale), scale, 1.0)
     covariance = first.covariance * scale[:, None] * scale
     return Knowledge(covariance, np.maximum(first.half_widths, second.half_widths), errors)
+
+
+def sums_by_cluster(first: Array, second: Array, cluster: Indices) -> Array:
+    """Products of the rows of each cluster, shapes (m, p) and (m, q), side by side, shape (p, clusters × q)."""
+    products: Array = np.concatenate([first[rows].T @ second[rows] for rows in _clusters(cluster)], axis=1)
+    return products
 
 
 def _degrees(reaches: Array, squares: Array, bread: Array) -> Array:

@@ -15,7 +15,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.voyage.registration.aligning import Aligner, Alignment
 from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.voyage.registration.checks import check_matches, check_search, check_times
-from modsim3d.voyage.registration.covariance import Knowledge, Linear, wider
+from modsim3d.voyage.registration.covariance import Knowledge, Linear, sums_by_cluster, wider
 from modsim3d.voyage.registration.determined import COMMON_DELAY, Group, exchange, undetermined
 from modsim3d.voyage.registration.fitting import SOFT, Unknowns, derivatives
 from modsim3d.voyage.registration.hiding import Hiding
@@ -57,6 +57,7 @@ def register(
     use_sizes: bool = True,
     searched_s: float = SEARCHED_S,
     offsets_m: float | None = None,
+    noise_m: float = 0.0,
 ) -> Registration:
     """Estimate how a camera and its detector's clock differ from what the scene says.
 
@@ -74,6 +75,8 @@ def register(
         offsets_m: Standard deviation, over vessels, that is expected of how far positions are off, such as by unknown
             places of antennas or late reports. It counts as much as four vessels. None if nothing is expected: then
             the matches alone tell, which few vessels do badly.
+        noise_m: Standard deviation, in each direction, of errors of positions that change from report to report, such
+            as those of satellite navigation. They are taken to last `BLOCK_S`, and widen the intervals.
 
     Raises:
         ModsimError: The data cannot tell, with the reason.
@@ -98,7 +101,7 @@ def register(
     aligned = _settled(last, aligned, lost)
     aligned, effects, together = _with_effects(last, aligned, free, offsets_m)
     linear = _linear(model, aligned)
-    known = _known(linear, free, aligned, effects, together)
+    known = _known(linear, free, aligned, effects, together, noise_m)
     rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
     rules |= {name: "mean errors are zero, or given" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
     rules |= {group.held: f"not determined: {group.words()}" for group in groups}
@@ -217,16 +220,24 @@ def _without(linear: Linear, aligned: Alignment) -> Array:
 
 
 def _known(
-    linear: Linear, free: tuple[str, ...], aligned: Alignment, effects: VesselEffects, together: float
+    linear: Linear,
+    free: tuple[str, ...],
+    aligned: Alignment,
+    effects: VesselEffects,
+    together: float,
+    noise_m: float,
 ) -> Knowledge:
     """How well the free shared values are known; vessels are clusters, and share what is wrong with them."""
     part = Linear(_columns(linear, free), linear.residuals)
     blocks, vessel = _blocks(aligned.residuals), aligned.residuals.vessel
-    if not effects.spreads.any():
+    if not effects.spreads.any() and not noise_m:
         return wider(part.known_by(vessel), part.known_by(blocks))
     spreads = effects.spreads / plausible(OF_A_VESSEL_NAMES) / np.sqrt(together)
-    shared = Linear(part.slopes, _without(linear, aligned)).whitened(linear.slopes[:, OWN] * spreads, vessel)
-    by_model = shared.known_by_model(together, float(len(effects.vessels)))
+    own = linear.slopes[:, OWN]
+    shared = Linear(part.slopes, _without(linear, aligned)).whitened(own * spreads, vessel)
+    moved = own[:, :2] * noise_m / plausible(OF_A_VESSEL_NAMES[:2])
+    wander = sums_by_cluster(shared.whitened(own * spreads, vessel).slopes, moved, blocks)
+    by_model = shared.known_by_model(together, float(len(effects.vessels)), wander)
     return wider(wider(shared.known_by(vessel), shared.known_by(blocks)), by_model)
 
 

@@ -77,7 +77,7 @@ def test_antennas_noise_and_silent_vessels_widen_the_intervals_and_do_not_pull(
     scene: Scene, found: BoxesAtTimes, registered: Registration
 ) -> None:
     reported, _ = as_reported(scene, 1, (3.0, 1.0, 0.5), 1.0, ["motorboat"])
-    registration = register(reported, "quay", found)
+    registration = register(reported, "quay", found, offsets_m=3.0, noise_m=1.0)
     assert all(holds(registration, name) for name in CLOSE), registration
     width, exact = (each["yaw_deg"].high - each["yaw_deg"].low for each in (registration, registered))
     assert width > 2 * exact
