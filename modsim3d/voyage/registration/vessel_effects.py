@@ -139,6 +139,6 @@ def known_of(
         ]
         for (name, words, unit), axis, spread in about:
             error = float(np.sqrt(axis @ errors @ axis))
-            if error < SURE * spread:
+            if spread > 0 and error < SURE * spread:
                 found.append((f"{names[vessel]}.{name}", words, unit, float(axis @ value), error))
     return found

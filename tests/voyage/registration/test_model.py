@@ -8,7 +8,7 @@ import pytest
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.truth_record import Truth
 from modsim3d.voyage.registration import BoxesAtTimes
-from modsim3d.voyage.registration.hiding import Hiding
+from modsim3d.voyage.registration.hiding import Hiding, crosses, planes_of
 from modsim3d.voyage.registration.model import BoxModel
 from modsim3d.voyage.registration.parameters import Values
 from modsim3d.voyage.registration.sightings import match, predict
@@ -82,3 +82,10 @@ def test_two_vessels_that_a_detection_may_be_are_not_matched(model: BoxModel, qu
     assert match(found, predicted, (1920, 1080), gates).vessel.tolist() == predicted.vessel[:1].tolist()
     twice = BoxesAtTimes(np.array([10.0]), np.array([0, 0]), np.concatenate([box - 5, box + 5]))
     assert not len(match(twice, predicted, (1920, 1080), gates))
+
+
+def test_a_ray_is_hidden_by_a_solid_on_its_way_and_by_none_before_or_behind_it() -> None:
+    block = planes_of(np.array([(x, y, z) for x in (4.0, 6.0) for y in (-1.0, 1.0) for z in (0.0, 3.0)]))
+    assert block is not None
+    ends = np.array([[10.0, 0.0, 1.0], [3.0, 0.0, 1.0], [10.0, 5.0, 1.0], [10.0, 0.0, 9.0], [-10.0, 0.0, 1.0]])
+    assert crosses(np.zeros((5, 3)), ends, block).tolist() == [True, False, False, False, False]
