@@ -40,13 +40,13 @@ class Group:
     exchange: tuple[tuple[str, float], ...]
 
     def words(self) -> str:
-        """For example: `mean_y_px and pitch_deg: 1 px of the first looks like -0.044° of the second`."""
+        """For example: `mean_y_px is held; 1 px of it looks like +0.044° of pitch_deg`."""
         units = {parameter.name: parameter.unit for parameter in SHARED} | {COMMON_DELAY: "s"}
         if not self.exchange:
             return f"{self.held}: the detections say nothing of it"
         one = "0.01" if units[self.held] == "" else "1"
         parts = [f"{change * float(one):+.3g}{_gap(units[name])} of {name}" for name, change in self.exchange]
-        return f"{self.held} {one}{_gap(units[self.held])} looks like {', '.join(parts)}"
+        return f"{self.held} is held; {one}{_gap(units[self.held])} of it looks like {', '.join(parts)}"
 
 
 def _gap(unit: str) -> str:

@@ -82,11 +82,15 @@ def register(
         ModsimError: The data cannot tell, with the reason.
     """
     eye = _camera(scene, camera)
+    if scene.live:
+        raise ModsimError(f"{scene.title}: a registration needs poses that are known beforehand, not live ones")
     model = BoxModel.of(scene, Traffic.of(scene, eye))
     check_times(model, found, searched_s)
     given = _corrected(found, np.asarray(mean_errors, dtype=np.float64))
-    stays = held([*fixed, *BY_RULE]) | (~held(()) & (np.array([not use_sizes] * len(SHARED)) & held(_SIZES)))
+    stays = held([*fixed, *BY_RULE, *(() if use_sizes else _SIZES)])
     free = tuple(name for name, stay in zip(SHARED_NAMES, stays, strict=True) if not stay)
+    if not free:
+        raise ModsimError("fixed: all parameters are fixed; leave at least one to be estimated")
     hiding = Hiding.of(scene, model)
     start = _guess(model, hiding, given, free, use_sizes, searched_s, scene)
     some = given.some(max(int(len(given.times_s) * MOST_BOXES / len(given.frame)), FIRST_FRAMES))

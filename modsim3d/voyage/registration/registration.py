@@ -110,4 +110,4 @@ class Registration:
             if not estimate.held:
                 known = f"{estimate.low:.4g} to {estimate.high:.4g}"
             lines.append(f"  {estimate.name:<20} {estimate.value:>9.4g} {estimate.unit:<3} ({known})")
-        return "\n".join([*lines, *(f"  not told apart: {group.words()}" for group in self.groups)])
+        return "\n".join([*lines, *(f"  by rule: {group.words()}" for group in self.groups)])

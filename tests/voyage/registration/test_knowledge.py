@@ -53,7 +53,7 @@ def test_of_two_values_that_look_the_same_one_is_held_and_the_exchange_is_said()
     assert group.held == "height_m"
     pitch, height = plausible(["pitch_deg", "height_m"])
     assert dict(group.exchange) == pytest.approx({"pitch_deg": -2 * pitch / height})
-    assert group.words() == "height_m 1 m looks like -2° of pitch_deg"
+    assert group.words() == "height_m is held; 1 m of it looks like -2° of pitch_deg"
 
 
 def offsets(spread: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

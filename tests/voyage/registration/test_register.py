@@ -12,6 +12,7 @@ from modsim3d.errors import ModsimError
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.registration import BoxesAtTimes, Registration, register
+from modsim3d.voyage.registration.parameters import SHORT
 from tests.voyage.registration.wrong_camera import WRONG, Voyage, as_reported
 
 CLOSE = {"clock_s": 0.2, "pitch_deg": 0.6, "yaw_deg": 0.2, "height_m": 2.0, "focal_share": 0.01, "roll_deg": 0.4}
@@ -57,9 +58,9 @@ def test_a_wrong_camera_and_clock_come_back(registered: Registration) -> None:
 
 def test_what_a_rule_settles_is_said_with_its_exchange(registered: Registration) -> None:
     said = "\n".join(group.words() for group in registered.groups)
-    assert "mean_y_px 1 px looks like +0.0" in said
-    assert "mean_x_px 1 px looks like -0.0" in said
-    assert "common_delay_s 1 s looks like -1 s of clock_s" in said
+    assert "mean_y_px is held; 1 px of it looks like +0.0" in said
+    assert "mean_x_px is held; 1 px of it looks like -0.0" in said
+    assert "common_delay_s is held; 1 s of it looks like -1 s of clock_s" in said
     assert registered["mean_x_px"].held == "mean errors are zero, or given"
 
 
@@ -137,7 +138,11 @@ def test_one_bearing_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({"fixed": ["ptch"]}, "no parameter 'ptch' .did you mean 'pitch'"), ({"camera": "quai"}, "no camera 'quai'")],
+    [
+        ({"fixed": [*SHORT, "k1"]}, "all parameters are fixed"),
+        ({"fixed": ["ptch"]}, "no parameter 'ptch' .did you mean 'pitch'"),
+        ({"camera": "quai"}, "no camera 'quai'"),
+    ],
 )
 def test_names_that_do_not_exist_are_refused(
     scene: Scene, found: BoxesAtTimes, options: dict[str, list[str]], message: str
