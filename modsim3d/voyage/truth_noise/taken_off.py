@@ -1,0 +1,179 @@
+"""Learned box errors less the errors of truth, and how long they persist."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.learn.learned import Learned
+from modsim3d.learn.numbers.entries import Entry
+from modsim3d.learn.observed.pairs import ErrorSource, Pairs
+from modsim3d.scene.scene import Scene
+from modsim3d.voyage.truth_noise.error_draws import TruthErrors
+from modsim3d.voyage.truth_noise.jacobians import View, box_jacobians
+from modsim3d.voyage.truth_noise.noise import TruthNoise
+from modsim3d.voyage.truth_noise.subtraction import LessNoise, less_noise
+
+_MOST_FRAMES = 500
+"""Frames that errors of truth are drawn in: they change over minutes."""
+_LEAST_PAIRS = 10
+_SLOW = 5.0
+"""Errors of truth last for ever, compared with those of the detector, if they last so many times as long."""
+
+
+@dataclass(frozen=True, eq=False)
+class TakenOff:
+    """A detector of which the errors of truth are taken off.
+
+    Attributes:
+        learned: What is written.
+        states: The errors of each state; None where too few boxes tell the errors of truth.
+        noise: The errors of truth.
+        share_kept: Whether the share of errors that vessels keep was corrected.
+    """
+
+    learned: Learned
+    states: tuple[LessNoise | None, ...]
+    noise: TruthNoise
+    share_kept: bool
+
+    def sentences(self) -> Iterator[str]:
+        """What was assumed, and what is an upper bound."""
+        noise = self.noise
+        if not noise.std.any():
+            yield "errors of truth: none are assumed"
+            return
+        uncertain = "".join(
+            f", {name} of {count} vessel{'s' if count > 1 else ''}" for name, count in noise.reasons.items()
+        )
+        yield (
+            f"errors of truth: positions to {noise.position_m:g} m in each direction, for {noise.position_s:g} s"
+            f"{uncertain}"
+        )
+        for name, found in zip(self.learned.observed.states, self.states, strict=True):
+            where = f"states.{name}.box_error.covariance"
+            if found is None:
+                yield f"{where}: an upper bound; too few matches tell how errors of truth show in it"
+            elif found.bounds:
+                which = "x, y, width and height" if len(found.bounds) == 4 else ", ".join(found.bounds)
+                yield (
+                    f"{where}: an upper bound in {which}, for it is not surely larger than what errors of truth give"
+                )
+        yield from self._on_persistence()
+
+    def _on_persistence(self) -> Iterator[str]:
+        errors = self.learned.numbers.box_errors
+        if errors.box_s is None or not self.noise.std.any():
+            return
+        box_s = float(errors.box_s.estimate)
+        if self.share_kept and box_s * _SLOW <= self.noise.position_s:
+            yield "persistence.box_vessel_share: less what errors of truth keep, which last far longer than box_s"
+            return
+        yield "persistence.box_s: an upper bound; errors of truth persist too"
+        if errors.box_vessel_share is not None:
+            yield "persistence.box_vessel_share: an upper bound; errors of truth persist too"
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """A row of `HEADER` for each state and component."""
+        rows = []
+        for name, found in zip(self.learned.observed.states, self.states, strict=True):
+            if found is None:
+                continue
+            for k, component in enumerate(("x", "y", "width", "height")):
+                unit = "px" if found.errors.unit != "relative" else "of the side"
+                numbers = (f"{float(each[k]):.3g}" for each in (found.before, found.noise_std, found.after))
+                rows.append((name, component, unit, *numbers, "" if found.taken_off[k] else "upper bound"))
+        return rows
+
+
+TITLE = "Standard deviations of box errors, with and without errors of truth"
+HEADER = ("state", "error of", "unit", "learned", "from errors of truth", "written", "")
+
+
+def take_off_truth_noise(
+    learned: Learned, scene: Scene, views: Sequence[View], noise: TruthNoise, level: float = 0.95, seed: int = 0
+) -> TakenOff:
+    """Take errors of truth off the learned box errors, where what is left is surely positive.
+
+    Args:
+        learned: What was learned; the identities of its annotations are indices of the scene's vessels.
+        scene: The scene that truth was made from.
+        views: Its vessels as each camera saw them.
+        noise: How well the vessels are known.
+        level: Level of the intervals that must not reach 0.
+        seed: Seed of the draws of errors of truth.
+    """
+    box_errors, pairs = learned.numbers.box_errors, learned.observed.pairs
+    if not noise.std.any():
+        return TakenOff(learned, (None,) * len(box_errors.states), noise, False)
+    rows = len(learned.resampling.weights)
+    jacobians = _Jacobians.of(learned, scene, views)
+    states: list[LessNoise | None] = []
+    for index, (errors, form) in enumerate(zip(box_errors.states, learned.form.box_errors.states, strict=True)):
+        ours = pairs.edges.whole if form.source is not ErrorSource.ALL_PAIRS else np.ones(len(pairs), dtype=bool)
+        if form.source is ErrorSource.OWN_STATE:
+            ours = ours & (pairs.state == index)
+        found = jacobians.covariances(pairs, ours, errors.unit == "relative", noise, rows - 1, seed + index)
+        states.append(None if found is None else less_noise(errors, found, pairs.sides_px[ours], level))
+    share = None if box_errors.box_vessel_share is None else _share_left(box_errors.box_vessel_share, states, pairs)
+    slow = box_errors.box_s is not None and float(box_errors.box_s.estimate) * _SLOW <= noise.position_s
+    kept = share is not None and slow
+    numbers = replace(
+        box_errors,
+        states=tuple(old if new is None else new.errors for old, new in zip(box_errors.states, states, strict=True)),
+        box_vessel_share=share if kept else box_errors.box_vessel_share,
+    )
+    written = replace(learned, numbers=replace(learned.numbers, box_errors=numbers))
+    return TakenOff(written, tuple(states), noise, kept)
+
+
+@dataclass(frozen=True, eq=False)
+class _Jacobians:
+    """Derivatives of true boxes (n, 4, 8), with their times and vessels (n,), for pairs at `place` (n,)."""
+
+    place: Indices
+    jacobians: Array
+    time_s: Array
+    vessel: Indices
+
+    @classmethod
+    def of(cls, learned: Learned, scene: Scene, views: Sequence[View]) -> _Jacobians:
+        """Those of pairs in at most so many images of each camera."""
+        pairs, labelled = learned.observed.pairs, learned.observed.labelled
+        vessel = labelled.annotations.identity[pairs.rows]
+        places, found = [np.empty(0, dtype=np.int64)], [np.empty((0, 4, 8))]
+        for view in views:
+            some = np.unique(np.linspace(0, len(view.images) - 1, _MOST_FRAMES).round().astype(np.int64))
+            frame = np.full(len(labelled.images), -1)
+            frame[view.images[some]] = some
+            place = np.flatnonzero((frame[pairs.image] >= 0) & (vessel >= 0))
+            jacobians = box_jacobians(scene, view, frame[pairs.image[place]], vessel[place])
+            told = np.isfinite(jacobians).all(axis=(1, 2))
+            places.append(place[told])
+            found.append(jacobians[told])
+        place = np.concatenate(places)
+        return cls(place, np.concatenate(found), labelled.images.time_s[pairs.image[place]], vessel[place])
+
+    def covariances(
+        self, pairs: Pairs, chosen: Mask, relative: bool, noise: TruthNoise, draws: int, seed: int
+    ) -> Array | None:
+        """Mean covariance of errors of truth and draws of it, (1 + draws, 4, 4); None of too few pairs."""
+        ours = chosen[self.place]
+        if ours.sum() < _LEAST_PAIRS or draws < 1:
+            return None
+        unit = pairs.sides_px[self.place[ours]] if relative else np.ones((int(ours.sum()), 4))
+        errors = TruthErrors(self.jacobians[ours] / unit[..., None], self.time_s[ours], self.vessel[ours], noise)
+        drawn = errors.covariances(draws, seed)
+        return np.concatenate([drawn.mean(axis=0, keepdims=True), drawn])
+
+
+def _share_left(entry: Entry, states: Sequence[LessNoise | None], pairs: Pairs) -> Entry:
+    """The share of errors that vessels keep, less what errors of truth keep: all of theirs."""
+    counts = np.bincount(pairs.state, minlength=len(states)).astype(np.float64)
+    parts = np.stack([np.zeros(len(entry.column.values)) if each is None else each.share for each in states])
+    noise = np.clip(counts @ parts / max(counts.sum(), 1.0), 0, 1 - 1e-6)
+    left = np.maximum((entry.column.values - noise) / (1 - noise), 0)
+    return replace(entry, column=replace(entry.column, values=np.minimum(left, entry.column.values)))
