@@ -12,14 +12,52 @@ from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.observed.observed import Observed
 from modsim3d.learn.states.transitions import Transitions
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.scene import Scene
 from modsim3d.voyage.truth_noise.jacobians import View
 from tests.formats.labelled_sets import found, images, truth
 
 
+VESSELS, STEPS, STEP_S = 12, 300, 4.0
+DETECTOR = {
+    "labels": ["boat"],
+    "confidence_threshold": 0.2,
+    "initial_state": "all",
+    "transition_matrix": [[1.0]],
+    "false_positives": {"model": "calibrated"},
+    "states": {
+        "all": {
+            "confusion": [[0.9], [0.1]],
+            "false_positive_labels": [1.0],
+            "false_discovery_rate": 0.1,
+            "box_error": {"unit": "px", "mean": [0.0] * 4, "covariance": np.eye(4).tolist()},
+            "confidence": {"true": {"mean": 0.7, "std": 0.1}, "false": {"mean": 0.5, "std": 0.1}},
+        }
+    },
+}
+
+
 @cache
-def strait():
-    return load_scene(str(data_folder("scenes") / "strait.yaml"))
+def roads():
+    """Twelve vessels 0.5 to 2 km before a camera ashore, for 20 minutes."""
+    rng = np.random.default_rng(1)
+    vessels = {
+        f"v{k}": {"length_m": length, "beam_m": length / 6, "air_draft_m": length / 5, "label": "boat"}
+        for k, length in enumerate(np.linspace(30, 150, VESSELS).tolist())
+    }
+    times = np.arange(STEPS) * STEP_S
+    start = np.column_stack([rng.uniform(600, 1900, VESSELS), rng.uniform(-250, 250, VESSELS)])
+    course = rng.uniform(0, 2 * np.pi, VESSELS)
+    way = np.stack([np.cos(course), np.sin(course)], axis=-1) * 0.15
+    positions = start + times[:, None, None] * way
+    poses = {"positions_m": positions, "headings_rad": np.tile(course, (STEPS, 1)), "time_step_s": STEP_S}
+    camera = {
+        "focal_length_m": 0.008,
+        "pixel_size_m": [5e-6, 5e-6],
+        "principal_point_px": [960, 540],
+        "image_size_px": [1920, 1080],
+        "pose": {"position_m": [0, 0, 25], "yaw_rad": 0.0},
+    }
+    return Scene.from_dict({"vessels": vessels, "poses": poses, "cameras": {"shore": camera}, "detector": DETECTOR})
 
 
 def view_of(scene, steps):
