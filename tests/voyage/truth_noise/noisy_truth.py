@@ -16,7 +16,6 @@ from modsim3d.scene.scene import Scene
 from modsim3d.voyage.truth_noise.jacobians import View
 from tests.formats.labelled_sets import found, images, truth
 
-
 VESSELS, STEPS, STEP_S = 12, 300, 4.0
 DETECTOR = {
     "labels": ["boat"],
