@@ -61,7 +61,7 @@ def test_what_lies_above_the_horizon_or_jumps_is_no_vessel():
     side = np.where(frame < 8, 0, np.random.default_rng(2).choice([-1, 1], 60))
     for y, jump, behaviour in (
         (HORIZON_PX - 60, 0.0, Behaviour.ABOVE_THE_HORIZON),
-        (HORIZON_PX + 60, 14.0, Behaviour.JUMPS),
+        (HORIZON_PX + 60, 12.0, Behaviour.JUMPS),
         (HORIZON_PX + 60, 1.0, Behaviour.LIKE_A_VESSEL),
     ):
         x = 400 + 2.0 * frame + jump * side
