@@ -29,6 +29,8 @@ class LessNoise:
         noise_std: Standard deviations that errors of truth give, in the unit of the errors, shape (4,).
         before: Standard deviations that were learned, mean over the boxes, shape (4,).
         after: The same, as written, shape (4,).
+        at_least: Standard deviations of what changes from frame to frame, which is the detector's, NaN where frames do
+            not tell, shape (4,).
         share: Share of the whitened errors that was taken off, shape (rows,).
     """
 
@@ -37,6 +39,7 @@ class LessNoise:
     noise_std: Array
     before: Array
     after: Array
+    at_least: Array
     share: Array
 
     @property
@@ -46,27 +49,33 @@ class LessNoise:
         return tuple(name for name, taken in names if not taken)
 
 
-def less_noise(errors: LearnedErrors, noise: Array, sides_px: Array, level: float) -> LessNoise:
+def less_noise(
+    errors: LearnedErrors, noise: Array, sides_px: Array, level: float, measured: Array | None, at_least: Array
+) -> LessNoise:
     """Take the covariance of errors of truth off, where the rest is surely positive.
 
-    Of mixed errors, whose standard deviations grow with the side, both parts shrink alike.
+    The law keeps its form: of mixed errors, whose standard deviations grow with the side, both parts shrink alike.
 
     Args:
         errors: The errors of a state.
         noise: Covariance of errors of truth in their unit, estimate and replicates, shape (rows, 4, 4).
         sides_px: Width, height, width and height of the boxes, shape (n, 4).
         level: Level of the intervals that must not reach 0.
+        measured: Covariances of the errors themselves, to take it off, shape (rows, 4, 4). Errors of truth differ from
+            box to box, so that the likeliest law has not quite their covariance. None where the matching has cut off
+            errors, which the law knows and the measured ones do not.
+        at_least: Standard deviations of what changes from frame to frame, shape (4,).
     """
     std, correlation = np.nan_to_num(errors.std.column.values), np.nan_to_num(errors.correlation.column.values)
     growth = np.zeros_like(std) if errors.growth is None else np.maximum(errors.growth.column.values, 0)
     products = _mean_products(std, growth, sides_px)
-    whole = products * _matrix(correlation)
+    whole = products * _matrix(correlation) if measured is None else measured
     taken = _sure(whole, noise, level)
     part = noise * (taken[:, None] & taken[None, :])
-    if np.linalg.eigvalsh(whole[0] - part[0])[0] <= 0:
-        taken, part = np.zeros(4, dtype=bool), np.zeros_like(part)
     rest = whole - part
-    variance = np.einsum("bii->bi", whole)
+    if np.linalg.eigvalsh(rest[0])[0] <= 0:
+        taken, part, rest = np.zeros(4, dtype=bool), np.zeros_like(part), whole
+    variance = np.einsum("bii->bi", products)
     least = np.maximum(np.einsum("bii->bi", rest), _LEAST_PART * variance)
     shrunk = np.sqrt(least / np.where(variance > 0, variance, 1.0))
     shrunk = np.where(taken, shrunk, 1.0)
@@ -87,6 +96,7 @@ def less_noise(errors: LearnedErrors, noise: Array, sides_px: Array, level: floa
         np.sqrt(np.diag(noise[0])),
         np.sqrt(variance[0]),
         np.sqrt(variance[0]) * shrunk[0],
+        at_least,
         np.clip(np.einsum("bij,bji->b", inverse, part) / 4, 0, 1),
     )
 

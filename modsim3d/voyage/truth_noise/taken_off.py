@@ -8,9 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.learn.box_errors.error_moments import covariance, moments
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.numbers.entries import Entry
 from modsim3d.learn.observed.pairs import ErrorSource, Pairs
+from modsim3d.learn.persistence.persistence_fit import steps_between
+from modsim3d.learn.told.report import Report
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.truth_noise.error_draws import TruthErrors
 from modsim3d.voyage.truth_noise.jacobians import View, box_jacobians
@@ -20,6 +23,8 @@ from modsim3d.voyage.truth_noise.subtraction import LessNoise, less_noise
 _MOST_FRAMES = 500
 """Frames that errors of truth are drawn in: they change over minutes."""
 _LEAST_PAIRS = 10
+_MOST_LOST = 0.02
+"""Where matching cuts off more boxes than this for each match, errors as measured are too small."""
 _SLOW = 5.0
 """Errors of truth last for ever, compared with those of the detector, if they last so many times as long."""
 
@@ -84,13 +89,14 @@ class TakenOff:
                 continue
             for k, component in enumerate(("x", "y", "width", "height")):
                 unit = "px" if found.errors.unit != "relative" else "of the side"
-                numbers = (f"{float(each[k]):.3g}" for each in (found.before, found.noise_std, found.after))
+                columns = found.before, found.noise_std, found.at_least, found.after
+                numbers = ("–" if np.isnan(each[k]) else f"{float(each[k]):.3g}" for each in columns)
                 rows.append((name, component, unit, *numbers, "" if found.taken_off[k] else "upper bound"))
         return rows
 
 
 TITLE = "Standard deviations of box errors, with and without errors of truth"
-HEADER = ("state", "error of", "unit", "learned", "from errors of truth", "written", "")
+HEADER = ("state", "error of", "unit", "learned", "from errors of truth", "at least", "written", "")
 
 
 def take_off_truth_noise(
@@ -117,7 +123,14 @@ def take_off_truth_noise(
         if form.source is ErrorSource.OWN_STATE:
             ours = ours & (pairs.state == index)
         found = jacobians.covariances(pairs, ours, errors.unit == "relative", noise, rows - 1, seed + index)
-        states.append(None if found is None else less_noise(errors, found, pairs.sides_px[ours], level))
+        if found is None:
+            states.append(None)
+            continue
+        relative = errors.unit == "relative"
+        lost = box_errors.used[index].lost
+        measured = _measured(learned, ours, relative) if lost <= _MOST_LOST else None
+        at_least = _changes(learned, ours, relative, np.diag(found[0]), noise.position_s)
+        states.append(less_noise(errors, found, pairs.sides_px[ours], level, measured, at_least))
     share = None if box_errors.box_vessel_share is None else _share_left(box_errors.box_vessel_share, states, pairs)
     slow = box_errors.box_s is not None and float(box_errors.box_s.estimate) * _SLOW <= noise.position_s
     kept = share is not None and slow
@@ -128,6 +141,15 @@ def take_off_truth_noise(
     )
     written = replace(learned, numbers=replace(learned.numbers, box_errors=numbers))
     return TakenOff(written, tuple(states), noise, kept)
+
+
+def report_less_truth_noise(
+    report: Report, scene: Scene, views: Sequence[View], noise: TruthNoise
+) -> tuple[Report, TakenOff]:
+    """The same for a report: its learned numbers without errors of truth, and remarks that say so."""
+    found = take_off_truth_noise(report.learned, scene, views, noise, report.level)
+    remarks = (*report.remarks_on_data, *found.sentences())
+    return replace(report, learned=found.learned, remarks_on_data=remarks), found
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +190,29 @@ class _Jacobians:
         errors = TruthErrors(self.jacobians[ours] / unit[..., None], self.time_s[ours], self.vessel[ours], noise)
         drawn = errors.covariances(draws, seed)
         return np.concatenate([drawn.mean(axis=0, keepdims=True), drawn])
+
+
+def _measured(learned: Learned, ours: Mask, relative: bool) -> Array:
+    """Covariances of the errors of some pairs (m,) in each replicate, shape (rows, 4, 4)."""
+    pairs = learned.observed.pairs
+    _, std, correlation = moments(learned.resampling, pairs.image[ours], pairs.errors(ours, relative))
+    return np.stack([covariance(*each) for each in zip(np.nan_to_num(std), np.nan_to_num(correlation), strict=True)])
+
+
+def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting_s: float) -> Array:
+    """Standard deviations of what changes of the errors to the next frame, shape (4,), NaN where few frames tell.
+
+    Less what changes of errors of truth with these variances (4,).
+    """
+    pairs, place = learned.observed.pairs, np.flatnonzero(ours)
+    steps = steps_between(learned.observed.labelled, pairs.rows[place])
+    if len(steps) < _LEAST_PAIRS:
+        return np.full(4, np.nan)
+    errors = pairs.errors(ours, relative)
+    change = ((errors[steps.later] - errors[steps.earlier]) ** 2).mean(axis=0) / 2
+    of_truth = noise * -np.expm1(-steps.apart_s / lasting_s).mean()
+    left: Array = np.sqrt(np.maximum(change - of_truth, 0))
+    return left
 
 
 def _share_left(entry: Entry, states: Sequence[LessNoise | None], pairs: Pairs) -> Entry:

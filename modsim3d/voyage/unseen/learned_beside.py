@@ -14,6 +14,7 @@ from modsim3d.learn.told.report import Report
 from modsim3d.voyage.unseen.judged import Judged, judge
 from modsim3d.voyage.unseen.lifetimes import LEAST_S
 from modsim3d.voyage.unseen.stretches import Stretch
+from modsim3d.voyage.unseen.told import sentences
 
 
 def learn_beside_unseen(
@@ -33,7 +34,8 @@ def learn_beside_unseen(
         least_s: Least mean lifetime of what lasts as vessels do.
 
     Returns:
-        The report, whose rates of false positives are those that `Judged` says, and the judgement.
+        The report, whose rates of false positives are those that `Judged` says and whose remarks say which these are,
+        and the judgement.
 
     Raises:
         ModsimError: As `learn_detector`; also if no frame lies in a stretch that is marked as empty.
@@ -45,4 +47,7 @@ def learn_beside_unseen(
     observed = Observed(labelled, matched, states.names, image_state, settings.threshold, settings.without)
     judged = judge(observed, stretches, least_s)
     report = learn_detector(judged.labelled, settings, options)
-    return replace(report, learned=judged.corrected(report.learned)), judged
+    learned = report.learned
+    rates = judged.rates(learned.resampling, learned.observed.image_state, learned.observed.states)
+    remarks = (*report.remarks_on_data, *sentences(judged, rates))
+    return replace(report, learned=judged.corrected(learned), remarks_on_data=remarks), judged

@@ -68,15 +68,11 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
         if count and behaviour is not Behaviour.LIKE_A_VESSEL:
             number = "1 thing that lasts counts" if count == 1 else f"{count:,} things that last count"
             yield f"{number} as false: {behaviour.in_words}"
-    marked = [each.state for each in rates if each.source is RateSource.EMPTY]
-    if marked and len(marked) < len(rates):
-        others = ", ".join(each.state for each in rates if each.source is not RateSource.EMPTY)
-        yield f"no image of {others} lies in a stretch marked as empty: there the rate is {_other(rates)}"
-
-
-def _other(rates: Sequence[StateRates]) -> str:
-    sources = dict.fromkeys(each.source.value for each in rates if each.source is not RateSource.EMPTY)
-    return f"from {' or '.join(sources)}"
+    for source in RateSource:
+        states = [each.state for each in rates if each.source is source]
+        if states and (judged.kinds.found or judged.stretches):
+            where = f" in {', '.join(states)}" if len(states) < len(rates) else ""
+            yield f"the rate of false positives{where} is that of {source.value}"
 
 
 def _rate(column: Column | None, level: float, units: int) -> str:
