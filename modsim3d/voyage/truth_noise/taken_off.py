@@ -10,14 +10,14 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.learn.box_errors.error_moments import covariance, moments
 from modsim3d.learn.learned import Learned
-from modsim3d.learn.numbers.entries import Entry
 from modsim3d.learn.observed.pairs import ErrorSource, Pairs
-from modsim3d.learn.persistence.persistence_fit import steps_between
+from modsim3d.learn.persistence.persistence_fit import frame_interval_s, steps_between
 from modsim3d.learn.told.report import Report
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.truth_noise.error_draws import TruthErrors
 from modsim3d.voyage.truth_noise.jacobians import View, box_jacobians
 from modsim3d.voyage.truth_noise.noise import TruthNoise
+from modsim3d.voyage.truth_noise.persistence_left import share_left, time_left
 from modsim3d.voyage.truth_noise.subtraction import LessNoise, less_noise
 
 _MOST_FRAMES = 500
@@ -37,13 +37,14 @@ class TakenOff:
         learned: What is written.
         states: The errors of each state; None where too few boxes tell the errors of truth.
         noise: The errors of truth.
-        share_kept: Whether the share of errors that vessels keep was corrected.
+        slow: Whether errors of truth last far longer than those of the detector, so that they are taken off what
+            persists as well.
     """
 
     learned: Learned
     states: tuple[LessNoise | None, ...]
     noise: TruthNoise
-    share_kept: bool
+    slow: bool
 
     def sentences(self) -> Iterator[str]:
         """What was assumed, and what is an upper bound."""
@@ -73,13 +74,12 @@ class TakenOff:
         errors = self.learned.numbers.box_errors
         if errors.box_s is None or not self.noise.std.any():
             return
-        box_s = float(errors.box_s.estimate)
-        if self.share_kept and box_s * _SLOW <= self.noise.position_s:
-            yield "persistence.box_vessel_share: less what errors of truth keep, which last far longer than box_s"
-            return
-        yield "persistence.box_s: an upper bound; errors of truth persist too"
-        if errors.box_vessel_share is not None:
-            yield "persistence.box_vessel_share: an upper bound; errors of truth persist too"
+        key = "box_s" if errors.box_vessel_share is None else "box_vessel_share"
+        if self.slow:
+            but = " (but for the components that are upper bounds)" if any(s and s.bounds for s in self.states) else ""
+            yield f"persistence.{key}: less what persists of errors of truth{but}, as if they lasted for ever"
+        else:
+            yield f"persistence.{key}: an upper bound; errors of truth persist for about as long"
 
     def rows(self) -> list[tuple[str, ...]]:
         """A row of `HEADER` for each state and component."""
@@ -131,16 +131,22 @@ def take_off_truth_noise(
         measured = _measured(learned, ours, relative) if lost <= _MOST_LOST else None
         at_least = _changes(learned, ours, relative, np.diag(found[0]), noise.position_s)
         states.append(less_noise(errors, found, pairs.sides_px[ours], level, measured, at_least))
-    share = None if box_errors.box_vessel_share is None else _share_left(box_errors.box_vessel_share, states, pairs)
-    slow = box_errors.box_s is not None and float(box_errors.box_s.estimate) * _SLOW <= noise.position_s
-    kept = share is not None and slow
+    box_s, share = box_errors.box_s, box_errors.box_vessel_share
+    slow = box_s is not None and float(box_s.estimate) * _SLOW <= noise.position_s
+    if slow and box_s is not None:
+        part = _part_of_truth(states, pairs, rows)
+        if share is not None:
+            share = share_left(share, part)
+        else:
+            box_s = time_left(box_s, part, frame_interval_s(learned.observed.labelled))
     numbers = replace(
         box_errors,
         states=tuple(old if new is None else new.errors for old, new in zip(box_errors.states, states, strict=True)),
-        box_vessel_share=share if kept else box_errors.box_vessel_share,
+        box_s=box_s,
+        box_vessel_share=share,
     )
     written = replace(learned, numbers=replace(learned.numbers, box_errors=numbers))
-    return TakenOff(written, tuple(states), noise, kept)
+    return TakenOff(written, tuple(states), noise, slow)
 
 
 def report_less_truth_noise(
@@ -215,10 +221,9 @@ def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting
     return left
 
 
-def _share_left(entry: Entry, states: Sequence[LessNoise | None], pairs: Pairs) -> Entry:
-    """The share of errors that vessels keep, less what errors of truth keep: all of theirs."""
+def _part_of_truth(states: Sequence[LessNoise | None], pairs: Pairs, rows: int) -> Array:
+    """Share of the whitened errors of all states that was taken off, shape (rows,)."""
     counts = np.bincount(pairs.state, minlength=len(states)).astype(np.float64)
-    parts = np.stack([np.zeros(len(entry.column.values)) if each is None else each.share for each in states])
-    noise = np.clip(counts @ parts / max(counts.sum(), 1.0), 0, 1 - 1e-6)
-    left = np.maximum((entry.column.values - noise) / (1 - noise), 0)
-    return replace(entry, column=replace(entry.column, values=np.minimum(left, entry.column.values)))
+    parts = np.stack([np.zeros(rows) if each is None else each.share for each in states])
+    part: Array = np.clip(counts @ parts / max(counts.sum(), 1.0), 0, 1 - 1e-6)
+    return part

@@ -89,13 +89,21 @@ def slow_noise(rng, times, vessels, std, lasting_s):
     return noise
 
 
-def noisy_set(scene, view, times, seed, position_m, lasting_s, covariance):
-    """Detections are true boxes with errors of a covariance (4, 4) in pixels; annotations come from wrong places."""
+def noisy_set(scene, view, times, seed, position_m, lasting_s, covariance, kept=0.0, box_s=0.0):
+    """Detections are true boxes with errors of a covariance (4, 4) in pixels; annotations come from wrong places.
+
+    Vessels keep a share of the errors, and the rest lasts for `box_s`.
+    """
     rng = np.random.default_rng(seed)
     true = boxes_of(scene, view, view.poses)
     reported = boxes_of(scene, view, moved(view.poses, slow_noise(rng, times, true.shape[1], position_m, lasting_s)))
     frame, vessel = np.nonzero(np.isfinite(true).all(axis=-1) & np.isfinite(reported).all(axis=-1))
-    errors = rng.multivariate_normal(np.zeros(4), covariance, len(frame))
+    white = rng.normal(size=(len(frame), 4))
+    if box_s:
+        lasting = np.concatenate([slow_noise(rng, times, true.shape[1], 1.0, box_s) for _ in range(2)], axis=-1)
+        own = rng.normal(size=(true.shape[1], 4))
+        white = np.sqrt(1 - kept) * lasting[frame, vessel] + np.sqrt(kept) * own[vessel]
+    errors = white @ np.linalg.cholesky(covariance).T
     box = true[frame, vessel]
     shift, half = errors[:, :2], errors[:, 2:] / 2
     seen = box + np.concatenate([shift - half, shift + half], axis=1)

@@ -10,9 +10,12 @@ from modsim3d.ais.scene_folder import REPORT
 from modsim3d.boxes import errors_between
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.learn.form import RICHER
+from modsim3d.learn.numbers.entries import Entry, Key
+from modsim3d.learn.numbers.resampling import Column
 from modsim3d.voyage.truth_noise.error_draws import TruthErrors
 from modsim3d.voyage.truth_noise.jacobians import box_jacobians
 from modsim3d.voyage.truth_noise.noise import PARAMETERS, TruthNoise
+from modsim3d.voyage.truth_noise.persistence_left import share_left, time_left
 from modsim3d.voyage.truth_noise.subtraction import less_noise
 from modsim3d.voyage.truth_noise.taken_off import take_off_truth_noise
 from tests.voyage.truth_noise.noisy_truth import boxes_of, learned_from, moved, noisy_set, roads, view_of
@@ -151,6 +154,34 @@ def test_a_scene_from_ais_knows_what_was_missing(tmp_path, watched):
     assert noise.std[1, 5] == 0
     assert noise.std[0, 6] > 0 == noise.std[2, 6]
     assert noise.reasons == {"length": 1, "antenna's place": 1, "air draft": len(scene.vessels) - 1}
+
+
+def test_what_persists_of_truth_is_taken_off_what_persists_of_errors():
+    gap_s, part, rest_s, rest_share = 0.5, np.array([0.3, 0.2]), 4.0, np.array([0.25, 0.1])
+    seen = part + (1 - part) * np.exp(-gap_s / rest_s)
+    time = Entry(Key(("persistence", "box_s")), Column(-gap_s / np.log(seen), "positive", np.array(9.0)))
+    np.testing.assert_allclose(time_left(time, part, gap_s).column.values, rest_s, rtol=1e-9)
+    share = Entry(Key(("persistence", "box_vessel_share")), Column(part + (1 - part) * rest_share, "capped", seen[0]))
+    np.testing.assert_allclose(share_left(share, part).column.values, rest_share, rtol=1e-9)
+    np.testing.assert_array_equal(time_left(time, 0 * part, gap_s).column.values, time.column.values)
+    assert time_left(time, np.array([0.95, 0.95]), gap_s).estimate == 0
+
+
+def test_errors_that_last_come_back_with_their_time():
+    scene = roads()
+    steps, times = np.arange(scene.steps), scene.times_s(0, scene.steps)
+    view, plain = view_of(scene, steps), tuple(set(RICHER) - {"persistence"})
+    slow = replace(noise_of(scene, 5.0), position_s=1e5)
+    labelled = noisy_set(scene, view, times, 0, 5.0, 1e5, np.diag([8.0, 2, 2, 2]) ** 2, box_s=6.0)
+    learned = learned_from(labelled, 40, plain)
+    found = take_off_truth_noise(learned, scene, [view], slow)
+    before, after = (each.numbers.box_errors.box_s for each in (learned, found.learned))
+    assert abs(after.estimate - 6) < abs(before.estimate - 6)
+    low, high = after.column.interval(0.95, learned.units[None])
+    assert low <= 6 <= high
+    quick = take_off_truth_noise(learned, scene, [view], replace(slow, position_s=5.0))
+    assert quick.learned.numbers.box_errors.box_s is before
+    assert any("box_s: an upper bound" in said for said in quick.sentences())
 
 
 def test_mixed_errors_lose_the_mean_covariance_of_truth(watched):
