@@ -29,8 +29,8 @@ def test_a_thing_is_followed_over_a_gap_and_not_over_a_longer_one():
 
 def test_things_that_cross_keep_their_numbers():
     frame = np.arange(40)
-    right, left = 100 + 12.0 * frame, 580 - 12.0 * frame
-    links = linked(set_of(np.tile(frame, 2), np.r_[right, left], np.r_[np.full(40, 400.0), np.full(40, 412.0)]))
+    right, left = 100 + 12.0 * frame, 574 - 12.0 * frame
+    links = linked(set_of(np.tile(frame, 2), np.r_[right, left], np.r_[np.full(40, 400.0), np.full(40, 403.0)]))
     of_right = links.link[np.isclose(links.places_px[:, 1], 400 - HORIZON_PX)]
     assert links.count == 2
     assert len(set(of_right.tolist())) == 1

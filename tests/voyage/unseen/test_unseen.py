@@ -19,7 +19,7 @@ from modsim3d.voyage.unseen.rates import RateSource
 from modsim3d.voyage.unseen.stretches import Stretch, parse_stretches
 from modsim3d.voyage.unseen.told import rows_of, sentences
 from tests.learn.scored_sets import detector
-from tests.voyage.unseen.voyages import Flicker, observed, voyage
+from tests.voyage.unseen.voyages import HORIZON_PX, Flicker, observed, voyage
 
 PLAIN = frozenset(RICHER) - {"confidence"}
 RATE = 0.4
@@ -71,15 +71,18 @@ def test_a_fifth_of_the_vessels_without_transponder_leaves_the_detector_as_it_is
 
 def test_intervals_hold_the_rate_and_bounds_lie_on_both_sides():
     held = below = above = 0
+    widths = []
     for seed in range(SEEDS):
         labelled = voyage(seed, frames=400, kayaks=2, flicker=Flicker(0.4, 0.4, 3.0), kayak_s=200.0)
         judged = judge(observed(labelled))
         (rate,) = judged.own_rates(40, seed)
         low, high = rate.used.interval(0.95, rate.units)
         held += low <= 0.4 <= high
+        widths.append(float(high - low))
         below += rate.lower.interval(0.95, rate.units)[0] <= 0.4
         above += rate.upper.interval(0.95, rate.units)[1] >= 0.4
     least = 25  # of 30, of which each holds with a chance of 95 %: fewer come by chance once in 600 times
+    assert np.max(widths) < 0.6
     assert held >= least
     assert below >= least
     assert above >= least
@@ -96,18 +99,21 @@ def test_a_sea_without_other_vessels_leaves_all_as_it_is():
 
 
 def test_what_lasts_above_the_horizon_counts_as_false():
-    labelled = voyage(0, kayaks=1, above=1)
+    labelled = voyage(0, kayaks=3, above=1, frames=1000)
     judged = judge(observed(labelled))
-    assert not judged.left_out.any()
+    high = labelled.results.boxes_px[:, 3] < HORIZON_PX - 50
+    assert high.sum() > 100
+    assert not judged.left_out[high].any()
+    assert judged.left_out.sum() > 100
     assert any("above the horizon" in said for said in sentences(judged, judged.own_rates(20, 0)))
 
 
 def test_marked_stretches_give_the_rate_themselves():
-    labelled, stretches = voyage(1), (Stretch(20, 60), Stretch(100, 120.5))
+    labelled, stretches = voyage(1), (Stretch(20, 60), Stretch(180, 200.5))
     settings = Settings(replicates=40, without=PLAIN)
     report, judged = learn_beside_unseen(labelled, settings, LearnOptions(), stretches)
     time_s = labelled.images.time_s
-    inside = ((time_s >= 20) & (time_s <= 60)) | ((time_s >= 100) & (time_s <= 120.5))
+    inside = ((time_s >= 20) & (time_s <= 60)) | ((time_s >= 180) & (time_s <= 200.5))
     false = judged.observed.false_positives
     expected = inside[labelled.results.image[false]].sum() / inside.sum()
     (rate,) = judged.own_rates(20, 0)
