@@ -17,8 +17,8 @@ from modsim3d.voyage.unseen.things import Things
 
 LEAST_S = 30.0
 """What lasts as vessels do lasts so long on average at least."""
-_LEAST_RATIO = 4.0
-"""And so many times as long as flicker that stays."""
+LEAST_RATIO = 3.0
+"""And so many times as long as flicker that stays: that lasts no longer on average than the least over this."""
 _STEPS = 60
 _SURE = 6.0
 """Gain of log-likelihood by which the longer kind is there: by chance it is as large in one of 400 sets."""
@@ -104,7 +104,7 @@ class _Durations:
         """The likeliest mixture of each row, with or without the longer kind."""
         counts = self.counts[:rows]
         amount: Array = np.tile([[0.5], [0.4], [0.1 if with_long else 0.0]], (1, len(counts)))
-        middle = max(min(self.least, 1 + self.least / 5), 1.5)
+        middle = max(1 + self.least / (2 * LEAST_RATIO), 1.1)
         short, long = np.full(len(counts), middle), np.full(len(counts), 4 * self.least + 2)
         shares = np.zeros((3, *counts.shape))
         value = np.zeros(len(counts))
@@ -124,8 +124,8 @@ class _Durations:
             weighted = counts * shares
             total = np.maximum(counts.sum(axis=1), 1e-12)
             amount = weighted.sum(axis=2) / total
-            short = np.clip(self._mean(weighted[_SHORT]), 1.05, max(self.least, 1.1))
-            long = np.maximum(self._mean(weighted[_LONG]), np.maximum(self.least, _LEAST_RATIO * short))
+            short = np.clip(self._mean(weighted[_SHORT]), 1.05, max(self.least / LEAST_RATIO, 1.1))
+            long = np.maximum(self._mean(weighted[_LONG]), np.maximum(self.least, LEAST_RATIO * short))
         return _Fit(shares, short, long, value)
 
     def inflation(self, fit: _Fit) -> float:

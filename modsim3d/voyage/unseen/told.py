@@ -8,6 +8,7 @@ import numpy as np
 
 from modsim3d.learn.numbers.resampling import Column
 from modsim3d.voyage.unseen.judged import Judged
+from modsim3d.voyage.unseen.lifetimes import LEAST_RATIO
 from modsim3d.voyage.unseen.rates import RateSource, StateRates
 from modsim3d.voyage.unseen.things import Behaviour
 
@@ -48,8 +49,8 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
         return
     if not judged.kinds.found:
         yield (
-            f"no unmatched detections last as vessels do ({least} on average, and four times as long as flicker): all "
-            "of them count as false positives"
+            f"no unmatched detections last as vessels do ({least} on average at least): all of them count as false "
+            "positives"
         )
     else:
         vessels = int(np.count_nonzero(judged.lasting >= 0.5))
@@ -59,7 +60,8 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
             " s; their detections count neither as hits nor as false"
         )
         yield (
-            "a buoy and a false positive that stays look alike: one that lasts as long as vessels do counts as a "
+            f"false positives are taken to last {judged.least_s / LEAST_RATIO:g} s on average at most; a buoy and a "
+            "false positive that stays look alike, and what lasts as long as vessels do counts as a "
             "vessel; only stretches in which the sea is known to be empty (--empty) can tell them apart"
         )
     lasting = things.lasted_s >= judged.least_s
