@@ -30,11 +30,13 @@ class View:
         camera: The camera, as it was registered.
         poses: Vessels in each frame.
         images: Rows of the labelled set's images, shape (F,).
+        first_identity: The identity in these images of the scene's first vessel; `joined` sets count on.
     """
 
     camera: Camera
     poses: PosesInWaves
     images: Indices
+    first_identity: int = 0
 
 
 def box_jacobians(scene: Scene, view: View, frame: Indices, vessel: Indices) -> Array:

@@ -105,7 +105,7 @@ def take_off_truth_noise(
     """Take errors of truth off the learned box errors, where what is left is surely positive.
 
     Args:
-        learned: What was learned; the identities of its annotations are indices of the scene's vessels.
+        learned: What was learned; the identities of its annotations are indices of the scene's vessels, see `View`.
         scene: The scene that truth was made from.
         views: Its vessels as each camera saw them.
         noise: How well the vessels are known.
@@ -171,13 +171,14 @@ class _Jacobians:
     def of(cls, learned: Learned, scene: Scene, views: Sequence[View]) -> _Jacobians:
         """Those of pairs in at most so many images of each camera."""
         pairs, labelled = learned.observed.pairs, learned.observed.labelled
-        vessel = labelled.annotations.identity[pairs.rows]
+        identity, vessel = labelled.annotations.identity[pairs.rows], np.full(len(pairs), -1)
         places, found = [np.empty(0, dtype=np.int64)], [np.empty((0, 4, 8))]
         for view in views:
             some = np.unique(np.linspace(0, len(view.images) - 1, _MOST_FRAMES).round().astype(np.int64))
             frame = np.full(len(labelled.images), -1)
             frame[view.images[some]] = some
-            place = np.flatnonzero((frame[pairs.image] >= 0) & (vessel >= 0))
+            place = np.flatnonzero((frame[pairs.image] >= 0) & (identity >= 0))
+            vessel[place] = identity[place] - view.first_identity
             jacobians = box_jacobians(scene, view, frame[pairs.image[place]], vessel[place])
             told = np.isfinite(jacobians).all(axis=(1, 2))
             places.append(place[told])
