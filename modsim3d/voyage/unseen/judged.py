@@ -84,8 +84,9 @@ class Judged:
         """The rates of false positives in states of images (I,), with replicates of a resampling."""
         weights = resampling.weights[:, self.things.first_image]
         kinds = kinds_of(self.things, weights, self.links.gap_s, self.least_s)
-        lasting = kinds.lasting[:, kinds.of_thing][:, self.links.link]
-        weighing = Weighing(self.links.image, lasting, self._at_least(_LIKELY), self._at_least(_PERHAPS), self.empty)
+        likely, perhaps = (self.kinds.lasting[0] >= probability for probability in (_LIKELY, _PERHAPS))
+        duration = kinds.of_thing[self.links.link]
+        weighing = Weighing(self.links.image, duration, kinds.lasting, likely, perhaps, self.empty)
         return rates_of(weighing, resampling, image_state, states, self.kinds.found, self.kinds.inflation)
 
     def own_rates(self, replicates: int, seed: int) -> tuple[StateRates, ...]:

@@ -26,13 +26,15 @@ class Weighing:
 
     Attributes:
         image: Image of each of n detections, shape (n,).
-        lasting: Probability that its thing lasts as vessels do, in each replicate, shape (rows, n).
-        likely: Whether it is taken for a vessel's, shape (n,).
-        perhaps: Whether it may be a vessel's, shape (n,).
+        duration: Which of D durations its thing has, shape (n,).
+        lasting: Probability that things of a duration last as vessels do, in each replicate, shape (rows, D).
+        likely: Whether these are taken for vessels, shape (D,).
+        perhaps: Whether they may be vessels, shape (D,).
         empty: Which images lie in stretches marked as empty, shape (I,).
     """
 
     image: Indices
+    duration: Indices
     lasting: Array
     likely: Mask
     perhaps: Mask
@@ -111,29 +113,30 @@ def rates_of(
     for index, name in enumerate(states):
         ours = image_state == index
         chosen = ours[weighing.image]
-        of_image = weights[:, weighing.image[chosen]]
         whole, marked = weights[:, ours].sum(axis=1), weights[:, ours & weighing.empty].sum(axis=1)
-        in_empty = weighing.empty[weighing.image[chosen]]
+        image, duration = weighing.image[chosen], weighing.duration[chosen]
+        cells = (weighing.lasting.shape[1], 2)
+        found_in = resampling.counts(image, 2 * duration + weighing.empty[image], cells)
+        seen, in_empty = found_in.sum(axis=2), found_in[:, :, 1]
 
         def rate(amount: Array, images: Array = whole) -> Column:
             return Column(np.nan_to_num(ratio(amount, images)), "rate", np.array(images[0]), inflation)
 
-        every = of_image.sum(axis=1)
-        lasting = (of_image * weighing.lasting[:, chosen]).sum(axis=1)
-        kept = ~weighing.likely[chosen] | in_empty
+        every, lasting = seen.sum(axis=1), (seen * weighing.lasting).sum(axis=1)
+        kept = np.where(weighing.likely, in_empty, seen)
         share = np.nan_to_num(ratio(lasting, every))
         rates.append(
             StateRates(
                 state=name,
                 images=int(ours.sum()),
                 unmatched=int(chosen.sum()),
-                taken_for_vessels=int(weighing.likely[chosen].sum()),
+                taken_for_vessels=int(weighing.likely[duration].sum()),
                 upper=rate(every),
-                lower=rate((of_image * ~weighing.perhaps[chosen]).sum(axis=1)),
+                lower=rate(seen[:, ~weighing.perhaps].sum(axis=1)),
                 mixture=rate(every - lasting) if found else None,
-                empty=rate((of_image * in_empty).sum(axis=1), marked) if marked[0] > 0 else None,
+                empty=rate(in_empty.sum(axis=1), marked) if marked[0] > 0 else None,
                 vessel_share=Column(share, "fraction", np.array(every[0])),
-                kept=rate((of_image * kept).sum(axis=1)),
+                kept=rate(kept.sum(axis=1)),
                 units=resampling.units(ours),
             )
         )

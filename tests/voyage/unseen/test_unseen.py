@@ -155,3 +155,17 @@ def test_stretches_are_read_in_seconds_and_in_utc():
 def test_a_stretch_without_frames_is_refused():
     with pytest.raises(InputError, match="5000-6000: no frame lies in it; they are from 0 s to"):
         judge(observed(voyage(0, frames=60)), (Stretch(5000, 6000),))
+
+
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("per_image", [0.0, 0.3])
+def test_sets_with_little_in_them_are_judged(timed, per_image):
+    labelled = voyage(0, frames=40, kayaks=0, flicker=Flicker(per_image, 0.0))
+    if not timed:
+        labelled.images.time_s[:] = np.nan
+    judged = judge(observed(labelled))
+    (rate,) = judged.own_rates(10, 0)
+    assert rate.unmatched == len(judged.observed.false_positives)
+    assert rate.source is RateSource.ALL
+    assert float(rate.used.estimate) * 40 == pytest.approx(rate.unmatched)
+    assert any("no times" in said for said in sentences(judged, (rate,))) == (not timed and per_image > 0)
