@@ -16,6 +16,8 @@ from modsim3d.learn.numbers.resampling import spread
 _LEAST_PART = 1e-3
 """A replicate whose rest is not positive keeps this share of a variance."""
 _MOST_CORRELATION = 0.999
+_ALIKE = 0.15
+"""By which share standard deviations as measured may differ from those of the law."""
 _FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
 
 
@@ -62,14 +64,16 @@ def less_noise(
         sides_px: Width, height, width and height of the boxes, shape (n, 4).
         level: Level of the intervals that must not reach 0.
         measured: Covariances of the errors themselves, to take it off, shape (rows, 4, 4). Errors of truth differ from
-            box to box, so that the likeliest law has not quite their covariance. None where the matching has cut off
-            errors, which the law knows and the measured ones do not.
+            box to box, so that the likeliest law has not quite their covariance. Not used if they are far from it, as wrong
+            matches make them. None where the matching has cut off errors, which only the law knows.
         at_least: Standard deviations of what changes from frame to frame, shape (4,).
     """
     std, correlation = np.nan_to_num(errors.std.column.values), np.nan_to_num(errors.correlation.column.values)
     growth = np.zeros_like(std) if errors.growth is None else np.maximum(errors.growth.column.values, 0)
     products = _mean_products(std, growth, sides_px)
-    whole = products * _matrix(correlation) if measured is None else measured
+    whole = products * _matrix(correlation)
+    if measured is not None and _alike(measured[0], whole[0]):
+        whole = measured
     taken = _sure(whole, noise, level)
     part = noise * (taken[:, None] & taken[None, :])
     rest = whole - part
@@ -78,7 +82,7 @@ def less_noise(
     variance = np.einsum("bii->bi", products)
     least = np.maximum(np.einsum("bii->bi", rest), _LEAST_PART * variance)
     shrunk = np.sqrt(least / np.where(variance > 0, variance, 1.0))
-    shrunk = np.where(taken, shrunk, 1.0)
+    shrunk = np.where(taken, np.minimum(shrunk, 1.0), 1.0)
     shrunk_products = products * shrunk[:, :, None] * shrunk[:, None, :]
     left = rest / np.where(shrunk_products > 0, shrunk_products, 1.0)
     left = np.clip(left[:, _FIRST, _SECOND], -_MOST_CORRELATION, _MOST_CORRELATION)
@@ -99,6 +103,12 @@ def less_noise(
         at_least,
         np.clip(np.einsum("bij,bji->b", inverse, part) / 4, 0, 1),
     )
+
+
+def _alike(measured: Array, law: Array) -> bool:
+    """Whether two covariances (4, 4) have nearly the same standard deviations."""
+    ratio = np.sqrt(np.diag(measured) / np.maximum(np.diag(law), 1e-300))
+    return bool(np.all(np.abs(ratio - 1) <= _ALIKE))
 
 
 def _sure(whole: Array, noise: Array, level: float) -> Mask:

@@ -184,6 +184,21 @@ def test_errors_that_last_come_back_with_their_time():
     assert any("box_s: an upper bound" in said for said in quick.sentences())
 
 
+def test_wrong_matches_among_the_measured_errors_do_not_pull(watched):
+    scene, view, times = watched
+    learned = learned_from(noisy_set(scene, view, times, 0, 0.0, LASTING_S, np.diag(STD_PX**2)), 20, RICHER)
+    errors, sides = learned.numbers.box_errors.states[0], np.full((50, 4), 40.0)
+    noise = np.tile(np.diag([4.0, 0.5, 0.5, 0.5]), (21, 1, 1))
+    measured = np.tile(np.diag(0.99 * errors.std.estimate) ** 2, (21, 1, 1))
+    std = [
+        less_noise(errors, noise, sides, 0.95, each, np.full(4, np.nan)).errors.std.estimate
+        for each in (None, measured, 30 * measured)
+    ]
+    assert std[1][0] == pytest.approx(np.sqrt(measured[0, 0, 0] - 4), rel=1e-6)
+    np.testing.assert_allclose(std[2], std[0], rtol=1e-9)
+    assert (std[2] < errors.std.estimate).all()
+
+
 def test_mixed_errors_lose_the_mean_covariance_of_truth(watched):
     scene, view, times = watched
     learned = learned_from(noisy_set(scene, view, times, 0, 0.0, LASTING_S, np.diag(STD_PX**2)), 20, RICHER)
