@@ -64,8 +64,8 @@ def less_noise(
         sides_px: Width, height, width and height of the boxes, shape (n, 4).
         level: Level of the intervals that must not reach 0.
         measured: Covariances of the errors themselves, to take it off, shape (rows, 4, 4). Errors of truth differ from
-            box to box, so that the likeliest law has not quite their covariance. Not used if they are far from it, as wrong
-            matches make them. None where the matching has cut off errors, which only the law knows.
+            box to box, so that the likeliest law has not quite their covariance. Not used if they are far from it, as
+            wrong matches make them. None where the matching has cut off errors, which only the law knows.
         at_least: Standard deviations of what changes from frame to frame, shape (4,).
     """
     std, correlation = np.nan_to_num(errors.std.column.values), np.nan_to_num(errors.correlation.column.values)
