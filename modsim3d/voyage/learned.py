@@ -13,7 +13,7 @@ from modsim3d.learn.form import left_out
 from modsim3d.learn.learn_detector import LearnOptions
 from modsim3d.learn.learned import Settings
 from modsim3d.learn.learning import LearnResult
-from modsim3d.learn.sources import Sources
+from modsim3d.learn.told.sources import Sources
 from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.files.replacing import RUN_FILE, read_of_run
 from modsim3d.scene.reading import load_scene
