@@ -19,6 +19,20 @@ from modsim3d.commands.labelled_options import (
     read_options,
 )
 from modsim3d.commands.learn_json import learn_json
+from modsim3d.commands.learn_voyage import (
+    AttitudeOption,
+    CameraOption,
+    EmptyOption,
+    FixedOption,
+    ImagesOption,
+    PositionNoiseOption,
+    SceneOption,
+    StartOption,
+    WriteSceneOption,
+    asked_voyage,
+    show_voyage,
+    show_voyage_tables,
+)
 from modsim3d.commands.shared import (
     JsonOption,
     OverwriteOption,
@@ -43,6 +57,7 @@ if TYPE_CHECKING:
     from modsim3d.formats.reading.builder import ReadOptions
     from modsim3d.learn.told.report import Report
     from modsim3d.runs.stored_run import StoredRun
+    from modsim3d.voyage.told.voyage_report import VoyageReport
 
 
 class Match(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -72,7 +87,8 @@ def learn_command(
     detections: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="PATH", help="Detections of each --truth: COCO results, MOT det.txt or YOLO folder; repeatable."
+            metavar="PATH",
+            help="Detections of each --truth: COCO results, MOT det.txt or YOLO folder; logs of --scene; repeatable.",
         ),
     ] = None,
     condition: Annotated[
@@ -83,6 +99,15 @@ def learn_command(
         list[Path] | None,
         typer.Option(metavar="RUN", help="Run directory, in place of --truth and --detections; repeatable."),
     ] = None,
+    scene: SceneOption = None,
+    camera: CameraOption = None,
+    start: StartOption = None,
+    images: ImagesOption = None,
+    attitude: AttitudeOption = None,
+    fixed: FixedOption = None,
+    empty: EmptyOption = None,
+    position_noise: PositionNoiseOption = None,
+    write_scene: WriteSceneOption = None,
     state: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=COND,...", help="Performance state, and the conditions it is made of; repeatable."),
@@ -184,6 +209,8 @@ def learn_command(
     from modsim3d.outputs.claims import claimed
     from modsim3d.outputs.placing import write_files
     from modsim3d.runs.files.replacing import read_of_run
+    from modsim3d.voyage.told.sections import voyage_sections
+    from modsim3d.voyage.told.voyage_json import voyage_json
 
     out = out_file(out, Path("detector.yaml"))
     page = out_file(page, out.with_suffix(".html"))
@@ -196,27 +223,45 @@ def learn_command(
             "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "
             "centre for both, or learn from each alone"
         )
+    shift = bias or correct
+    voyage = asked_voyage(
+        *(scene, truth, run, camera, start, images, attitude, fixed, empty, position_noise, write_scene, shift)
+    )
     with timed("reading"), inputs_noted() as read:  # also of files that no option names, such as data.yaml
-        labelled, runs = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
+        runs: tuple[StoredRun, ...] = ()
+        if voyage:
+            sighted = voyage.labelled(detections or [], condition or [], options, confidence)
+            labelled = sighted.labelled
+        else:
+            labelled, runs = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
         order = read_text(sequence, "sequence") if sequence else None
     if interval is None and runs:
         interval = runs[-1].scene.detector.transition_interval_s
     least = least_confidence(labelled, confidence)
     settings = Settings(_rule(labelled, match, iou, distance), least, replicates, seed, clutter.value, plain)
-    wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
+    wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, shift)
     noted = list(read)
     read += [path for folder in run or () for path in read_of_run(folder)]
+    read += voyage.besides(detections or []) if voyage else []
     tell_files(read)
-    written = [out, page, uncertainty_file(out)]
+    scene_files = voyage.scene_files(sighted) if voyage else {}
+    written = [out, page, uncertainty_file(out), *scene_files]
+    told: VoyageReport | None = None
     with claimed(written, overwrite=overwrite, inputs=read):
         with timed("learning"):
-            report = learn_detector(labelled, settings, wanted)
+            if voyage:
+                report, told = voyage.learn(sighted, settings, wanted)
+            else:
+                report = learn_detector(labelled, settings, wanted)
         with timed("files"):
-            given = tuple(truth or ()), tuple(detections or ())
+            given = voyage.truth(detections or []) if voyage else tuple(truth or ()), tuple(detections or ())
             sources = Sources(*given, runs, tuple(noted), settings, typed_command(context))
-            write_files(learned_files(report, out, page, sources, correct))
-    _show(report, written)
-    say_json(learn_json(report, written))
+            sections = voyage_sections(told) if told else ()
+            write_files(learned_files(report, out, page, sources, correct, sections) | scene_files)
+    if told:
+        show_voyage(told)
+    _show(report, written, told)
+    say_json(learn_json(report, written) | ({"voyage": voyage_json(told)} if told else {}))
 
 
 def _rule(labelled: LabelledSet, match: Match | None, iou: float | None, distance: float | None) -> Rule:
@@ -253,7 +298,7 @@ def _labelled_set(
             "name each pair, in their order"
         )
     if not truth and not runs:
-        raise ModsimError("nothing to learn from: give --truth and --detections, or --run")
+        raise ModsimError("nothing to learn from: give --truth and --detections, --run, or --scene and --detections")
     names = conditions or (["usual"] if len(truth) == 1 else [f"condition_{k + 1}" for k in range(len(truth))])
     parts = [read_pair(*pair, options) for pair in zip(names, truth, detections, strict=True)]
     opened_runs = []
@@ -266,7 +311,7 @@ def _labelled_set(
     return joined(parts), tuple(opened_runs)
 
 
-def _show(report: Report, written: Sequence[Path]) -> None:
+def _show(report: Report, written: Sequence[Path], told: VoyageReport | None) -> None:
     """Print the tables."""
     from modsim3d.learn.told.report import lead
     from modsim3d.learn.told.tables import NEVER_LEARNED, tables
@@ -275,6 +320,8 @@ def _show(report: Report, written: Sequence[Path]) -> None:
     print_prose(console, lead(report))
     for remark in report.remarks:
         print_prose(console, f"Remark: {remark}.")
+    if told:
+        show_voyage_tables(told)
     for table in tables(report):
         _print(console, table.title, table.header, table.rows)
     print_line(console, "\nLeft simple, and why", "bold")
