@@ -129,7 +129,11 @@ def known_of(
     found, (moved, across, _) = [], effects.spreads.tolist()
     for row, (vessel, speed) in enumerate(zip(effects.vessels.tolist(), speeds_m_s.tolist(), strict=True)):
         spreads = np.array([moved, across, moved / max(speed, SLOW_M_S)])
-        own = np.linalg.pinv(effects.products[row] + np.diag(1 / np.maximum(spreads, 1e-9) ** 2), hermitian=True)
+        free = np.flatnonzero(spreads > 0)
+        own = np.zeros((3, 3))
+        own[np.ix_(free, free)] = np.linalg.inv(
+            effects.products[row][np.ix_(free, free)] + np.diag(1 / spreads[free] ** 2)
+        )
         reach = own @ effects.of_camera[row]
         value, errors = own @ effects.pulls[row], own + reach @ covariance @ reach.T
         about = [(AHEAD, np.array([-1.0, 0.0, speed]), moved)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -73,6 +75,15 @@ def test_an_offset_along_and_a_delay_are_told_as_one_shift_of_a_vessel_at_consta
     assert {name.split(".")[1] for name, *_ in known} == {"ahead_m"}
     for place, (_, _, _, value, error) in enumerate(known):
         assert abs(value + along[place]) < 4 * error < 1
+
+
+def test_offsets_across_are_known_as_well_where_there_are_none_along() -> None:
+    slopes, residuals, vessel, _ = offsets(4.0)
+    effects = vessel_effects(slopes, residuals, np.zeros((600, 1)), vessel, 1.0)
+    effects = replace(effects, spreads=np.array([0.0, 2.0, 0.0]))
+    known = known_of(effects, np.zeros((1, 1)), np.full(12, 3.0), [f"v{i}" for i in range(12)])
+    assert {name.split(".")[1] for name, *_ in known} == {"across_m"}
+    assert all(0.1 < error < 0.2 for *_, error in known)
 
 
 def test_exact_reports_are_found_exact() -> None:
