@@ -45,7 +45,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
         ),
     ),
     "learn: written scene": (
-        "scene.json",
+        "detector.yaml",
         lambda run, out: (
             *("learn", "--scene", scene_file(run), "--detections", run, "--match", "centre", "--replicates", 20),
             *("--fixed", "all", "--out", out.with_name("d.yaml"), "--write-scene", out.parent),
