@@ -17,6 +17,7 @@ from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.motion.poses import LivePoses
+from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.runs.blocks import Block, CameraBlock, Frame, frames_of
 from modsim3d.scene.checks import place_problems
 from modsim3d.scene.scene import Scene
@@ -66,11 +67,11 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
     if not len(every):
         return no_truth()
     vessel_poses = scene.motion.at(every)  # waves take time: once for all cameras
-    sights = [
-        (index, scene.sight(camera, steps, vessel_poses.rows(np.searchsorted(every, steps))))
-        for index, camera, steps in taken
-        if len(steps)
-    ]
+
+    def poses_at(steps: Indices) -> PosesInWaves:
+        return vessel_poses if len(steps) == len(every) else vessel_poses.rows(np.searchsorted(every, steps))
+
+    sights = [(index, scene.sight(camera, steps, poses_at(steps))) for index, camera, steps in taken if len(steps)]
     return concatenate([_camera_truth(scene, index, sight, renderer) for index, sight in sights])
 
 
