@@ -19,8 +19,8 @@ def read_only(values: ArrayLike) -> Array:
 
 def ranges(first: Indices, count: Indices) -> Indices:
     """The numbers first, first + 1, … of each of k ranges with `count` numbers, joined, shape (sum of counts,)."""
-    before = np.cumsum(count) - count
-    numbers: Indices = np.arange(int(count.sum())) + np.repeat(first - before, count)
+    before = count.cumsum() - count  # methods: a live step calls this too often for functions that look for them
+    numbers: Indices = np.arange(int(count.sum())) + (first - before).repeat(count)
     return numbers
 
 

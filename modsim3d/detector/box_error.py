@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from dataclasses import dataclass
@@ -62,7 +63,13 @@ def symmetric_root(covariance: Array) -> Array:
     By Jacobi's rotations (Golub & Van Loan (2013), "Matrix Computations", section 8.5): they need no more than sums,
     products, quotients and square roots, so the root has the same bits everywhere, which a library's has not.
     """
-    matrix, vectors = covariance.tolist(), np.eye(len(covariance)).tolist()  # so few numbers are faster in lists
+    return _symmetric_root(tuple(map(tuple, covariance.tolist())))
+
+
+@functools.lru_cache(maxsize=64)
+def _symmetric_root(rows: tuple[tuple[float, ...], ...]) -> Array:
+    """As `symmetric_root`, in lists, which are faster for so few numbers; read-only."""
+    matrix, vectors = list(map(list, rows)), np.eye(len(rows)).tolist()
     for p, q in list(itertools.combinations(range(len(matrix)), 2)) * _SWEEPS:
         cosine, sine = _rotation(matrix[p][p], matrix[q][q], matrix[p][q])
         for row in (*matrix, *vectors):
@@ -72,8 +79,7 @@ def symmetric_root(covariance: Array) -> Array:
         matrix[q] = [sine * one + cosine * other for one, other in pairs]
     roots = np.sqrt(np.maximum(np.diag(matrix), 0))
     terms = [root * column[:, None] * column for root, column in zip(roots, np.array(vectors).T, strict=True)]
-    total: Array = sum(terms[1:], terms[0])
-    return total
+    return read_only(sum(terms[1:], terms[0]))
 
 
 def _rotation(first: float, second: float, between: float) -> tuple[float, float]:

@@ -34,7 +34,9 @@ by less than 0.005 of a standard deviation and standard deviations by less than 
 """
 _POINTS_AT_ONCE, _POINTS_IN_CACHE = 1 << 16, 1 << 14
 _ORDER = np.array([2, 3, 0, 1])  # e_w, e_h, e_x, e_y
+_SUMMED = (0, 2, 1)  # the order of these terms decides the last digits of probabilities near 0
 _LEAST_SIDE_PX = 1.0
+_LOWER_TAIL, _UPPER_TAIL = -12.0, 8.5
 _ROUNDING_PX, _NO_SPREAD = 1e-9, 1e-30
 _NORMAL = Normal()
 
@@ -87,18 +89,18 @@ def accepted_errors(
     rows_at_once = max(1, at_once // points)
     for start in range(0, len(boxes_px), rows_at_once):
         rows = slice(start, min(start + rows_at_once, len(boxes_px)))
-        uniforms = sequence + generator.random((rows.stop - start, 1, width))
-        uniforms -= np.floor(uniforms)
+        uniforms = sequence[:, None] + generator.random((rows.stop - start, width)).T[..., None]
+        uniforms -= uniforms >= 1
         # One scale for all points if it is not random: what is then the same for them is worked out once.
-        drawn = uniforms[..., ERROR_NORMALS:] if distribution.extra_normals else uniforms[:, :1, ERROR_NORMALS:]
-        scales = distribution.scales(special.ndtri(drawn))
+        drawn = uniforms[ERROR_NORMALS:] if distribution.extra_normals else uniforms[ERROR_NORMALS:, :, :1]
+        scales = distribution.scales(special.ndtri(np.moveaxis(drawn, 0, -1)))
         yield _draw(rows, boxes_px[rows], images_px[rows], means[rows], roots[rows], uniforms, scales)
 
 
 @functools.cache
 def _sobol(width: int, points: int) -> Array:
-    """Points of a scrambled sequence in the unit cube, shape (points, width)."""
-    return read_only(sobol_points(width, points, np.random.default_rng(0).spawn(1)[0]))
+    """Points of a scrambled sequence in the unit cube, shape (width, points)."""
+    return read_only(np.ascontiguousarray(sobol_points(width, points, np.random.default_rng(0).spawn(1)[0]).T))
 
 
 def ordered_root(covariance: Array) -> Array:
@@ -125,24 +127,26 @@ def _draw(
 ) -> Accepted:
     """Draw one error after the other within its bounds, given those before it.
 
-    Scales have shape (rows, points) or, if they are the same for all points, (rows, 1).
+    Uniforms have shape (4 or more, rows, points). Scales have shape (rows, points) or, if they are the same for all
+    points, (rows, 1).
     """
-    count, points = uniforms.shape[:2]
-    standard = np.zeros((count, points, 4))
-    errors = np.empty((count, points, 4))
-    chance = np.ones((count, points))
+    points = uniforms.shape[-1]
+    standard: list[Array] = []
+    errors = np.empty((4, len(means), points))
+    chance = np.ones((len(means), points))
     for j, component in enumerate(_ORDER):
         given = means[:, component, None]
         if j:
-            given = given + scales * np.einsum("npk,nk->np", standard[..., :j], roots[:, j, :j])
+            given = given + scales * sum(roots[:, j, k, None] * standard[k] for k in _SUMMED if k < j)
         low, high = _bounds(component, boxes, images, errors)
         spread = scales * roots[:, j, j, None]
-        drawn, inside = _within(low - given, high - given, spread, uniforms[..., j])
-        standard[..., j], errors[..., component] = drawn, given + spread * drawn
+        drawn, inside = _within(low - given, high - given, spread, uniforms[j])
+        standard.append(drawn)
+        np.add(given, spread * drawn, out=errors[component])
         chance *= inside
     acceptance = chance.mean(axis=1)
     weights = chance / np.where(acceptance > 0, acceptance, 1)[:, None] / points
-    return Accepted(rows, errors, weights, acceptance)
+    return Accepted(rows, np.moveaxis(errors, 0, -1), weights, acceptance)
 
 
 def _bounds(component: int, boxes: Array, images: Array, errors: Array) -> tuple[Array, Array]:
@@ -151,8 +155,8 @@ def _bounds(component: int, boxes: Array, images: Array, errors: Array) -> tuple
     first, last = boxes[:, axis, None], boxes[:, 2 + axis, None]
     if component >= 2:
         return _LEAST_SIDE_PX - (last - first), np.full((len(boxes), 1), np.inf)
-    growth, image = errors[..., 2 + axis], images[:, axis, None]
-    return _LEAST_SIDE_PX - last - growth / 2, image - _LEAST_SIDE_PX - first + growth / 2
+    half, image = errors[2 + axis] / 2, images[:, axis, None]
+    return _LEAST_SIDE_PX - last - half, image - _LEAST_SIDE_PX - first + half
 
 
 def _within(low: Array, high: Array, spread: Array, uniforms: Array) -> tuple[Array, Array]:
@@ -163,11 +167,26 @@ def _within(low: Array, high: Array, spread: Array, uniforms: Array) -> tuple[Ar
     a, b = (low - slack) / scale, (high + slack) / scale
     sign = 1.0 - 2.0 * (a > 0)  # mirrored: the lower tail is the accurate one
     a, b = sign * a, sign * b
-    below, above = special.ndtr(np.minimum(a, b)), special.ndtr(np.maximum(a, b))
+    below, above = _probability(np.minimum(a, b)), _probability(np.maximum(a, b))
     inside = np.maximum(above - below, 0)
     z = sign * special.ndtri(below + uniforms * inside)
     np.copyto(z, 0, where=fixed | (inside == 0))
     return z, inside
+
+
+def _probability(z: Array) -> Array:
+    """Probability below each of some standard normal numbers, shape (n, points), or (n, 1) if that says as much.
+
+    A row that lies wholly in a tail has that of its greatest number everywhere: in the upper tail all are 1, and in the
+    lower one all are too small to change the sum with a uniform number, or the difference from 1.
+    """
+    greatest, least = z.max(axis=1), z.min(axis=1)
+    near = (greatest > _LOWER_TAIL) & (least < _UPPER_TAIL)
+    probability: Array = special.ndtr(greatest)[:, None]
+    if near.any():
+        probability = np.repeat(probability, z.shape[1], axis=1)
+        probability[near] = special.ndtr(z[near])
+    return probability
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,15 +42,23 @@ class PosesInWaves:
     poses: Poses
     angles_rad: Array
     world_R_vessel: Array
+    _of_cameras: dict[tuple[Mount, int, str], CameraPoses] = field(init=False, repr=False, default_factory=dict)
 
     def rows(self, rows: Indices) -> PosesInWaves:
         """Poses at some of the S steps, by index, shape (n,)."""
         return PosesInWaves(self.poses.rows(rows), self.angles_rad[rows], self.world_R_vessel[rows])
 
     def of_camera(self, mount: Mount, carrier: int, composition: str) -> CameraPoses:
-        """Poses of a camera on the vessel with the index `carrier`; for `composition` see `Waves`."""
-        positions_m, headings_rad = self.poses.positions_m[:, carrier], self.poses.headings_rad[:, carrier]
-        return poses_on_board(mount, positions_m, headings_rad, self.angles_rad[:, carrier], composition)
+        """Poses of a camera on the vessel with the index `carrier`; for `composition` see `Waves`.
+
+        Checks, truth and horizon ask for the same camera one after the other: they are kept.
+        """
+        key = mount, carrier, composition
+        if key not in self._of_cameras:
+            positions_m, headings_rad = self.poses.positions_m[:, carrier], self.poses.headings_rad[:, carrier]
+            waves_rad = self.angles_rad[:, carrier]
+            self._of_cameras[key] = poses_on_board(mount, positions_m, headings_rad, waves_rad, composition)
+        return self._of_cameras[key]
 
 
 @dataclass(frozen=True, eq=False)

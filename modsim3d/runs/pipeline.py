@@ -17,6 +17,7 @@ from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.motion.poses import LivePoses
+from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.runs.blocks import Block, CameraBlock, Frame, frames_of
 from modsim3d.scene.checks import place_problems
 from modsim3d.scene.scene import Scene
@@ -31,7 +32,7 @@ from modsim3d.truth.truth_record import Truth, concatenate, no_truth
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-BLOCK_VESSELS, MOST_BLOCK_STEPS = 8_000, 250
+BLOCK_VESSELS, MOST_BLOCK_STEPS = 8_000, 500
 """Most vessels times steps of a block, and most steps: few calls, but arrays that fit a cache."""
 
 Range = tuple[int, int]
@@ -66,11 +67,11 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
     if not len(every):
         return no_truth()
     vessel_poses = scene.motion.at(every)  # waves take time: once for all cameras
-    sights = [
-        (index, scene.sight(camera, steps, vessel_poses.rows(np.searchsorted(every, steps))))
-        for index, camera, steps in taken
-        if len(steps)
-    ]
+
+    def poses_at(steps: Indices) -> PosesInWaves:
+        return vessel_poses if len(steps) == len(every) else vessel_poses.rows(np.searchsorted(every, steps))
+
+    sights = [(index, scene.sight(camera, steps, poses_at(steps))) for index, camera, steps in taken if len(steps)]
     return concatenate([_camera_truth(scene, index, sight, renderer) for index, sight in sights])
 
 

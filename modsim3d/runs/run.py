@@ -166,7 +166,8 @@ def write_run(
         with directory:
             total = _write_blocks(scene, directory, workers, most_steps, progress)
             directory.write_live_own_ships(total.steps)
-            truncation = total.boxes.truncation(scene)
+            with directory.completing():
+                truncation = total.boxes.truncation(scene)
             known = {**settings, **directory.live_settings(total.steps)}
             seconds = time.perf_counter() - started
             directory.finish({**known, **_counts_of(total), "truncation": truncation}, _log(total, seconds))

@@ -227,7 +227,7 @@ class Scene:
     @cached_property
     def own_motion(self) -> VesselMotion:
         """The same with waves only for the vessels that carry cameras: waves take time to compute."""
-        return replace(self.motion, moved=self.own_ships)
+        return self.motion if self.motion.moved == self.own_ships else replace(self.motion, moved=self.own_ships)
 
     def sight(self, camera: Camera, steps: Indices, vessel_poses: PosesInWaves | None = None) -> Sight:
         """What a camera has in front of it at some ascending steps of shape (S,), and from where it looks.

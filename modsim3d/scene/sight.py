@@ -61,7 +61,9 @@ class Sight:
 
     def body_around(self) -> tuple[int, int] | None:
         """The first step (as an index) and the occluder that the camera is inside of, or None."""
-        bodies = self._bodies(self.others) + self._own_hull() + self._obstacle_bodies()
+        near = np.zeros(len(self.vessels), dtype=bool)
+        near[self.vessels_within_reach()] = True
+        bodies = self._bodies(self.others & near) + self._own_hull() + self._obstacle_bodies()
         return first_body_around(self.camera_poses.positions_m, bodies)
 
     def vessels_within_reach(self) -> Indices:

@@ -5,12 +5,20 @@ from pathlib import Path
 import pytest
 
 from modsim3d.commands.run_summary import print_summary
+from modsim3d.runs import pipeline
 from modsim3d.runs.files.block_files import finished_truth
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 
-STEPS = 600  # three blocks
+BLOCK, STEPS = 100, 240  # three blocks
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_blocks():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "MOST_BLOCK_STEPS", BLOCK)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +72,7 @@ def test_a_damaged_block_is_made_anew_and_told(scene, whole, cut, capsys, damage
     block = sorted((cut / "unfinished").glob("truth_*.npz"))[0]
     block.write_bytes(damage(block.read_bytes()))
     result = run_scene(scene, cut, resume=True)
-    assert (result.damaged_blocks, result.resumed_steps) == (1, 250)
+    assert (result.damaged_blocks, result.resumed_steps) == (1, BLOCK)
     assert content(cut) == whole
     assert "1 damaged blocks of it made anew" in (cut / "run.log").read_text()
     print_summary(scene, result, sheet=False)
@@ -73,7 +81,7 @@ def test_a_damaged_block_is_made_anew_and_told(scene, whole, cut, capsys, damage
 
 def test_blocks_that_are_whole_are_taken_and_nothing_is_told(scene, whole, cut):
     result = run_scene(scene, cut, resume=True)
-    assert (result.damaged_blocks, result.resumed_steps) == (0, 500)
+    assert (result.damaged_blocks, result.resumed_steps) == (0, 2 * BLOCK)
     assert content(cut) == whole
     assert "damaged" not in (cut / "run.log").read_text()
 
@@ -82,6 +90,6 @@ def test_an_interrupted_run_shows_the_steps_before_a_damaged_block(cut):
     _, second = sorted((cut / "unfinished").glob("truth_*.npz"))
     second.write_bytes(flipped(second.read_bytes()))
     run = open_run(cut)
-    assert finished_truth(cut / "unfinished", run.scene, 250, 500) is None
-    assert run.steps == 250
-    assert len(list(run.frames())) == 250
+    assert finished_truth(cut / "unfinished", run.scene, BLOCK, 2 * BLOCK) is None
+    assert run.steps == BLOCK
+    assert len(list(run.frames())) == BLOCK

@@ -18,7 +18,7 @@ from modsim3d.scene.reading import data_folder, load_scene
 
 DETECTORS = data_folder("scenes") / "detectors"
 ORIGINAL, EXPERIMENT = DETECTORS / "thesis_original.yaml", DETECTORS / "experiment_1.yaml"
-STEPS = 260  # two blocks
+STEPS = 260
 
 
 def files_of(folder: Path) -> dict[str, bytes]:

@@ -21,12 +21,20 @@ import pytest
 
 from modsim3d.errors import ModsimError
 from modsim3d.outputs.placing import write_files
+from modsim3d.runs import pipeline
 from modsim3d.runs.files.run_directory import RunDirectory
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 
-STEPS = 300  # two blocks
+BLOCK, STEPS = 150, 300  # two blocks
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_blocks():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "MOST_BLOCK_STEPS", BLOCK)
+        yield
 
 
 @pytest.fixture(scope="module")

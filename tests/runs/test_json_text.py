@@ -14,7 +14,7 @@ import pytest
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.json_text import frame_lines, number_texts, row_texts
+from modsim3d.runs.files.json_text import frame_lines, list_texts, number_texts
 from modsim3d.runs.files.thesis_json import annotation_lines, detection_lines, join_lines
 from modsim3d.runs.files.tracker_input import tracker_lines
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
@@ -128,8 +128,17 @@ def test_number_texts_are_the_shortest_that_give_the_number_again() -> None:
     numbers = [0.0, -0.0, 1e-7, 1e22, 0.1 + 0.2, 1800.0, 5e-324, float("nan")]
     assert number_texts(np.array(numbers)) == [orjson.dumps(number) for number in numbers]
     assert number_texts(np.empty(0)) == []
-    assert row_texts(0, b"{", [], b"}") == []
-    assert frame_lines([], [], np.empty(0, dtype=np.int64), b"}") == []
+    assert list_texts(np.array([[1.5, 2.0], [1e-7, np.nan]])) == [b"1.5,2.0", b"1e-7,null"]
+    assert list_texts(np.empty((0, 4))) == []
+
+
+def test_a_line_holds_the_rows_of_its_frame_and_may_be_empty() -> None:
+    none = np.empty(0, dtype=np.int64)
+    assert frame_lines([], b"}\n", none) == []
+    assert frame_lines([b"a{", b"b{"], b"}\n", none, b"x", []) == [b"a{}\n", b"b{}\n"]
+    frame = np.array([1, 1, 3])
+    lines = frame_lines([b"a{", b"b{", b"c{", b"d{", b"e{"], b"}\n", frame, b"x", [b"1", b"2", b"3"])
+    assert lines == [b"a{}\n", b"b{x1,x2}\n", b"c{}\n", b"d{x3}\n", b"e{}\n"]
 
 
 @pytest.mark.parametrize("at_a_time", [1, 2, 7, 1 << 22])

@@ -13,6 +13,7 @@ import pytest
 import modsim3d
 from modsim3d.detector import TargetCensus
 from modsim3d.errors import RunDirectoryError
+from modsim3d.runs import pipeline
 from modsim3d.runs.pipeline import Simulation, block_ranges, simulate_frames, truth_block
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import data_folder, load_scene
@@ -212,6 +213,7 @@ def test_blocks_of_any_size_give_the_same_frames(renderer):
 
 
 def test_interrupted_run_goes_on_to_the_same_bytes(scene, finished, tmp_path, monkeypatch):
+    monkeypatch.setattr(pipeline, "MOST_BLOCK_STEPS", 250)
     folder = tmp_path / "killed"
     done = []
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -17,7 +17,7 @@ from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys, generated
 from modsim3d.random_streams import Purpose, Streams
 from modsim3d.vessels.vessel import Vessel
 
-MAX_DRAWS = 10_000
+MAX_DRAWS, DRAWS_AT_ONCE = 10_000, 50
 
 
 class CircularKeys(SourceKeys, Strict):
@@ -119,8 +119,8 @@ def _radii(vessels: Sequence[Vessel], radius_m: tuple[float, float], streams: St
     rings: list[tuple[float, float]] = []
     radii = []
     for vessel in vessels:
-        uniforms = streams.uniforms(Purpose.CIRCLE_RADIUS, vessel.name, first=0, count=MAX_DRAWS)
-        for radius in (least + (greatest - least) * uniforms[:, 0]).tolist():
+        for uniform in _uniforms(streams, vessel.name):
+            radius = least + (greatest - least) * uniform
             inner, outer = swept_ring(radius, vessel.length_m, vessel.beam_m)
             if all(outer < other_inner or other_outer < inner for other_inner, other_outer in rings):
                 break
@@ -133,3 +133,10 @@ def _radii(vessels: Sequence[Vessel], radius_m: tuple[float, float], streams: St
         rings.append((inner, outer))
         radii.append(radius)
     return np.array(radii)
+
+
+def _uniforms(streams: Streams, vessel: str) -> Iterator[float]:
+    """The uniform numbers that the radius of a vessel's circle is drawn from; most vessels need only a few."""
+    for first in range(0, MAX_DRAWS, DRAWS_AT_ONCE):
+        count = min(DRAWS_AT_ONCE, MAX_DRAWS - first)
+        yield from streams.uniforms(Purpose.CIRCLE_RADIUS, vessel, first=first, count=count)[:, 0].tolist()

@@ -1,4 +1,4 @@
-"""JSON text of many rows at once: columns of texts are joined to rows, and rows to one line for each frame."""
+"""JSON text of many rows at once: columns of texts are joined to one line for each frame."""
 
 from __future__ import annotations
 
@@ -20,25 +20,31 @@ def number_texts(numbers: Array | Indices) -> list[bytes]:
     return orjson.dumps(np.ascontiguousarray(numbers), option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].split(b",")
 
 
-def row_texts(rows: int, *columns: Text) -> list[bytes]:
-    """Texts that stand side by side, joined row by row; the JSON in them has no line breaks."""
-    pieces = [b"\n"] * (rows * (len(columns) + 1))
-    for place, column in enumerate(columns):
-        pieces[place :: len(columns) + 1] = [column] * rows if isinstance(column, bytes) else column
-    return b"".join(pieces).split(b"\n")[:rows]
+def list_texts(numbers: Array) -> list[bytes]:
+    """The JSON text of each row of numbers of shape (n, k), with commas between them and without brackets."""
+    if not len(numbers):
+        return []
+    return orjson.dumps(np.ascontiguousarray(numbers), option=orjson.OPT_SERIALIZE_NUMPY)[2:-2].split(b"],[")
 
 
-def frame_lines(heads: Sequence[bytes], rows: Sequence[bytes], frame: Indices, tail: bytes) -> list[bytes]:
-    """One line for each frame: its head, the rows of the frame with commas between them, and the tail.
+def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: Text) -> list[bytes]:
+    """One line for each frame: its head, the texts of its rows with commas between them, and the tail.
 
     Args:
-        heads: What the line of each of F frames begins with.
-        rows: The texts of n rows.
-        frame: The frame of each row, from 0, ascending, shape (n,).
-        tail: What every line ends with.
+        heads: What the line of each of F frames begins with; JSON has no line breaks.
+        tail: What every line ends with; its last character is the only line break.
+        frame: The frame of each of n rows, from 0, ascending, shape (n,).
+        columns: The texts that stand side by side in each row.
     """
     bounds = np.searchsorted(frame, np.arange(len(heads) + 1)).tolist()
-    return [
-        head + b",".join(rows[start:stop]) + tail
-        for head, start, stop in zip(heads, bounds[:-1], bounds[1:], strict=True)
-    ]
+    before, between = [b","] * len(frame), b""
+    for head, start, stop in zip(heads, bounds[:-1], bounds[1:], strict=True):
+        if start == stop:
+            between += head + tail
+        else:
+            before[start], between = between + head, tail
+    texts: tuple[Text, ...] = (before, *columns)
+    pieces = [between] * (len(frame) * len(texts) + 1)
+    for place, column in enumerate(texts):
+        pieces[place : -1 : len(texts)] = [column] * len(frame) if isinstance(column, bytes) else column
+    return b"".join(pieces).splitlines(keepends=True)  # one pass over all texts

@@ -125,6 +125,7 @@ class RunDirectory:
         }
         self._poses = (self.work / POSES_FILE).open("wb") if self._scene.live else None
         self._poses_sha256 = hashlib.sha256()
+        self._files: FileList = {}
 
     def __enter__(self) -> RunDirectory:
         """Return the folder, which is ready."""
@@ -257,14 +258,29 @@ class RunDirectory:
         """The settings of a live scene that are known only after the run."""
         return {"steps": steps, "poses_sha256": self._poses_sha256.hexdigest()} if self._poses is not None else {}
 
+    @contextmanager
+    def completing(self) -> Iterator[None]:
+        """Complete all files and put them on the disk, several at once, while the caller does something else.
+
+        Raises:
+            OSError: A file cannot be written.
+        """
+        self._close_lines()
+        with ThreadPoolExecutor(FILES_AT_ONCE) as threads:
+            files = {name: threads.submit(self._complete, name) for name in self._file_names()}
+            yield
+            self._files = {name: files[name].result() for name in sorted(files)}
+
     def finish(self, run: dict[str, Any], log: str) -> None:
-        """Put every file in its place: `run.json` goes first and comes last, so that where it is all else is complete.
+        """Put every file in its place, after `completing`.
+
+        `run.json` goes first and comes last, so that where it is all else is complete.
 
         Args:
             run: Content of `run.json`; the list of the files is added.
             log: Content of `run.log`.
         """
-        names, content = self._file_names(), {**run, "files": self._completed()}
+        names, content = self._file_names(), {**run, "files": self._files}
         (self.work / LOG_FILE).write_text(log)
         (self.work / RUN_FILE).write_bytes(orjson.dumps(content, option=orjson.OPT_INDENT_2) + b"\n")
         for name in (LOG_FILE, RUN_FILE):
@@ -283,21 +299,13 @@ class RunDirectory:
         with suppress(OSError):  # the run is there already
             sync_folder(self.folder)
 
-    def _completed(self) -> FileList:
-        """The list of all files, once each is complete and on the disk; several of them wait for the disk together."""
-        tables = {f"{name}.parquet" for name in self._writers}
-        self._close_lines()
-        with ThreadPoolExecutor(FILES_AT_ONCE) as threads:
-            files = {name: threads.submit(self._complete, name) for name in self._file_names() if name not in tables}
-            self._close_tables()
-            files |= {name: threads.submit(self._complete, name) for name in tables}
-            return {name: files[name].result() for name in sorted(files)}
-
     def _complete(self, name: str) -> ListedFile:
         """Complete a file, put it on the disk, and say what the list has of it."""
         path = self.work / name
         lines = path.with_suffix(".jsonl")
-        if lines in {self._lines_path(*key) for key in self._lines} and path != lines:
+        if path.suffix == ".parquet" and path.stem in self._writers:
+            self._writers[path.stem].close()
+        elif lines in {self._lines_path(*key) for key in self._lines} and path != lines:
             with path.open("wb") as out:
                 thesis_json.join_lines(lines, out)
         sync_file(path)

@@ -17,7 +17,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.json_text import Text, frame_lines, number_texts, row_texts
+from modsim3d.runs.files.json_text import Text, frame_lines, number_texts
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 
@@ -30,15 +30,16 @@ def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> list[byte
     truth, rows = part.truth, part.target_rows
     heads = [_head(vessel.name, vessel.label, b"bbox") + b"{" for vessel in scene.vessels]
     boxes = centre_form(annotation_boxes(truth, scene.annotation.mode)[rows])
-    texts = row_texts(
-        len(rows),
+    return _lines(
+        block,
+        part,
+        np.searchsorted(part.steps, truth.step[rows]),
         [heads[vessel] for vessel in truth.vessel[rows].tolist()],
         *_box_texts(boxes),
         b',"depth":',
         number_texts(truth.depth_m[rows]),
         b"}}",
     )
-    return _lines(block, part, texts, np.searchsorted(part.steps, truth.step[rows]))
 
 
 def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
@@ -50,15 +51,16 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes
     vessel = np.full(len(rows), -1)
     vessel[rows >= 0] = part.truth.vessel[rows[rows >= 0]]
     before = _before_in_group(frame * (len(scene.vessels) + 1) + vessel + 1)
-    texts = row_texts(
-        len(order),
+    return _lines(
+        block,
+        part,
+        frame,
         _detection_heads(scene, vessel, before, detections.label[order]),
         number_texts(detections.confidence[order]),
         b',"bbox":{',
         *_box_texts(centre_form(detections.boxes_px[order])),
         b"}}",
     )
-    return _lines(block, part, texts, frame)
 
 
 def pose_lines(scene: Scene, first: int, stop: int) -> bytes:
@@ -120,9 +122,9 @@ def _box_texts(boxes: Array) -> tuple[Text, ...]:
     return b'"centre":{"x":', x, b',"y":', y, b'},"height":', height, b',"width":', width
 
 
-def _lines(block: Block, part: CameraBlock, texts: list[bytes], frame: Indices) -> list[bytes]:
+def _lines(block: Block, part: CameraBlock, frame: Indices, *columns: Text) -> list[bytes]:
     heads = [b"{" + orjson.dumps(block.timestamps[step - block.first]) + b":{" for step in part.steps.tolist()]
-    return frame_lines(heads, texts, frame, b"}}\n")
+    return frame_lines(heads, b"}}\n", frame, *columns)
 
 
 def join_lines(lines: Path, out: IO[bytes]) -> None:

@@ -9,7 +9,7 @@ import orjson
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.records import Detections
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.json_text import frame_lines, number_texts, row_texts
+from modsim3d.runs.files.json_text import frame_lines, list_texts, number_texts
 from modsim3d.runs.told import Told
 from modsim3d.scene.scene import Scene
 
@@ -26,17 +26,17 @@ def detection_lines(detections: Detections, labels: Sequence[str], steps: Indice
     """Detections as a tracker may read them, one line for each frame; steps and times have shape (S,)."""
     found = Told.of(detections)
     names = [b'],"label":' + orjson.dumps(label) + b',"confidence":' for label in labels]
-    x_min, y_min, x_max, y_max = (number_texts(column) for column in found.boxes_px.T)
-    texts = row_texts(
-        len(found.frame),
-        b'{"box_px":[',
-        *(x_min, b",", y_min, b",", x_max, b",", y_max),
-        [names[label] for label in found.label.tolist()],
-        number_texts(found.confidence),
-        b"}",
-    )
     heads = [
         b'{"time_s":' + time_s + b',"step":' + step + b',"detections":['
         for time_s, step in zip(number_texts(times_s), number_texts(steps), strict=True)
     ]
-    return frame_lines(heads, texts, found.frame, b"]}\n")
+    return frame_lines(
+        heads,
+        b"]}\n",
+        found.frame,
+        b'{"box_px":[',
+        list_texts(found.boxes_px),
+        [names[label] for label in found.label.tolist()],
+        number_texts(found.confidence),
+        b"}",
+    )
