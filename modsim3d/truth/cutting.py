@@ -17,7 +17,7 @@ PORTION_FACES = 20_000
 
 
 def cut_faces(
-    vertices_camera: Array, crosses: Mask, intrinsics: Intrinsics, solid: Solid
+    vertices_camera: Array, crosses: Mask, intrinsics: Intrinsics, solid: Solid, *, in_image: bool = False
 ) -> Iterator[tuple[Array, Indices]]:
     """The faces of m solids, cut where the near plane crosses the solid, in portions of some of the solids.
 
@@ -26,6 +26,8 @@ def cut_faces(
         crosses: Whether the near plane cuts each solid, shape (m,).
         intrinsics: Have the near plane.
         solid: Has the faces that the vertices span.
+        in_image: Close only the solids whose section may have a corner of the image in it. Of the others, nothing is
+            in the image that is beyond the edges of the section.
 
     Yields:
         Triangles, shape (T, 3, 3), and the solid of each, shape (T,); those of one solid are in the order of its faces.
@@ -35,14 +37,16 @@ def cut_faces(
         here = crosses[first : first + size]
         faces = vertices_camera[first : first + size][:, solid.faces]
         whole = np.repeat(first + np.flatnonzero(~here), len(solid.faces))
-        triangles, member = cut_near(faces[here], intrinsics, solid)
+        triangles, member = cut_near(faces[here], intrinsics, solid, in_image=in_image)
         yield (
             np.concatenate([faces[~here].reshape(-1, 3, 3), triangles]),
             np.concatenate([whole, first + np.flatnonzero(here)[member]]),
         )
 
 
-def cut_near(faces_camera: Array, intrinsics: Intrinsics, solid: Solid) -> tuple[Array, Indices]:
+def cut_near(
+    faces_camera: Array, intrinsics: Intrinsics, solid: Solid, *, in_image: bool = False
+) -> tuple[Array, Indices]:
     """The faces of m solids beyond the near plane, and the section that closes each there if it was closed.
 
     Without the section the camera would look into the solid, and see the faces of what touches it from behind.
@@ -51,6 +55,7 @@ def cut_near(faces_camera: Array, intrinsics: Intrinsics, solid: Solid) -> tuple
         faces_camera: The F faces of each in CCF, shape (m, F, 3, 3).
         intrinsics: Have the near plane.
         solid: Says whether the solids are closed, and convex.
+        in_image: See `cut_faces`.
 
     Returns:
         Triangles in CCF, shape (T, 3, 3), and the solid of each, ascending, shape (T,). A section comes last.
@@ -62,10 +67,36 @@ def cut_near(faces_camera: Array, intrinsics: Intrinsics, solid: Solid) -> tuple
     clipped[..., 2][clipped[..., 2] < near * (1 + 1e-9)] = near
     if not solid.closed:
         return clipped, member
-    section, section_member = (_convex_sections if solid.convex else _sections)(clipped, member, near)
+    to_close = _corner_inside(clipped, member, intrinsics)[member] if in_image else np.ones(len(member), dtype=bool)
+    sections = _convex_sections if solid.convex else _sections
+    section, section_member = sections(clipped[to_close], member[to_close], near)
     members = np.concatenate([member, section_member])
     order = np.argsort(members, kind="stable")
     return np.concatenate([clipped, section])[order], members[order]
+
+
+def _corner_inside(clipped: Array, member: Indices, intrinsics: Intrinsics) -> Mask:
+    """Whether the section of each solid up to the last member may have a corner of the image in it.
+
+    Then edges of the section are on all four sides of the corner.
+    """
+    (ends, of), count = _edges(clipped, member, intrinsics.near_clip_m), int(member.max(initial=-1)) + 1
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    width, height = intrinsics.image_size_px
+    corners_px = np.array([(0, 0), (width, 0), (0, height), (width, height)], dtype=np.float64)
+    inside = np.zeros(count, dtype=bool)
+    for corner in intrinsics.unproject(corners_px, np.full(4, intrinsics.near_clip_m))[:, :2]:
+        beside = ((low <= corner) & (corner <= high))[:, ::-1]  # along the other axis
+        sides = np.concatenate([beside & (low <= corner), beside & (corner <= high)], axis=1)
+        inside |= np.all([np.bincount(of, side, minlength=count) > 0 for side in sides.T], axis=0)
+    return inside
+
+
+def _edges(clipped: Array, member: Indices, near: float) -> tuple[Array, Indices]:
+    """The ends of the edges on the near plane, shape (k, 2, 2), and the solid of each, shape (k,)."""
+    on_plane = clipped[..., 2] == near
+    cut = on_plane.sum(axis=1) == 2
+    return clipped[cut][on_plane[cut]].reshape(-1, 2, 3)[..., :2], member[cut]
 
 
 def _convex_sections(clipped: Array, member: Indices, near: float) -> tuple[Array, Indices]:
@@ -88,10 +119,8 @@ def _convex_sections(clipped: Array, member: Indices, near: float) -> tuple[Arra
 
 def _sections(clipped: Array, member: Indices, near: float) -> tuple[Array, Indices]:
     """Triangles that fill what the edges on the near plane enclose, except holes; see `_convex_sections`."""
-    on_plane = clipped[..., 2] == near
-    cut = on_plane.sum(axis=1) == 2
-    ends = clipped[cut][on_plane[cut]].reshape(-1, 2, 3)[..., :2]
-    members, which = np.unique(member[cut], return_inverse=True)
+    ends, of = _edges(clipped, member, near)
+    members, which = np.unique(of, return_inverse=True)
     lines = shapely.multilinestrings(shapely.linestrings(ends), indices=which)
     filled = shapely.build_area(shapely.node(lines))
     pieces, solid = shapely.get_parts(shapely.constrained_delaunay_triangles(filled), return_index=True)

@@ -14,7 +14,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import SUBPIXELS
-from modsim3d.truth.occlusion_order import order_of_pairs
+from modsim3d.truth.occlusion_order import order_of_pairs, pairs_by_parts
 from modsim3d.truth.outlines import Outlines, Part
 from modsim3d.vessels.vessel import shoebox
 
@@ -49,14 +49,39 @@ def ranks_of(
     asked = np.flatnonzero(~first_nearer & ~second_nearer)
     order = order_of_pairs(_as_convex(outlines), first[asked], second[asked], gap_m[asked])
     first_nearer[asked], second_nearer[asked] = order.first_can_hide, order.second_can_hide
+    touching = asked[order.intersecting]
+    first_nearer[touching] = _in_front(outlines, first[touching], second[touching], gap_m[touching])
+    second_nearer[touching] = _in_front(outlines, second[touching], first[touching], gap_m[touching])
     known = np.ones(len(first), dtype=bool)
-    known[asked] = ~order.intersecting
+    known[touching] = first_nearer[touching] | second_nearer[touching]
     near = np.concatenate([first[first_nearer], second[second_nearer]])
     far = np.concatenate([second[first_nearer], first[second_nearer]])
     ranks = _ranks(near, far, len(outlines))
     known &= (ranks[first] < ranks[second]) | ~first_nearer
     known &= (ranks[first] > ranks[second]) | ~second_nearer
     return ranks, known
+
+
+def _in_front(outlines: Outlines, near: Indices, far: Indices, gap_m: Array) -> Mask:
+    """Whether solids `far` (P,) are `gap_m` (P,) beyond all faces of solids `near` (P,) that the camera may see.
+
+    A ray meets one of these faces first, even if the solids touch: a hill that stands on an island seen from below is
+    behind its shores. If the near solid is not convex, that is not known.
+    """
+    found = np.zeros(len(near), dtype=bool)
+    for pairs, a_part, b_part in pairs_by_parts(outlines, near, far):
+        if not a_part.solid.convex:
+            continue
+        vertices = a_part.vertices_camera[np.searchsorted(a_part.rows, near[pairs])]
+        others = b_part.vertices_camera[np.searchsorted(b_part.rows, far[pairs])]
+        a, b, c = np.moveaxis(vertices[:, a_part.solid.faces], 2, 0)
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        outside_m = -(normal * a).sum(axis=-1)  # how far the camera, which is at zero, is in front of each face
+        nearest_m = (normal @ np.swapaxes(others, 1, 2)).max(axis=-1) + outside_m
+        gap = gap_m[pairs, None]
+        found[pairs] = ((nearest_m < -gap) | (outside_m < -gap)).all(axis=1)
+    return found
 
 
 def _as_convex(outlines: Outlines) -> Outlines:

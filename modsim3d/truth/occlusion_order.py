@@ -10,12 +10,13 @@ in front of its stern.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.outlines import Outlines, Part
 from modsim3d.truth.overlaps import overlapping_pairs
 from modsim3d.truth.separating_axes import axis_count, candidate_axes, extents_along
 from modsim3d.vessels.vessel import Solid
@@ -64,13 +65,10 @@ def order_of_pairs(outlines: Outlines, first: Indices, second: Indices, gap_m: A
     gap_m = np.broadcast_to(gap_m, first.shape)
     can_hide = np.zeros((len(first), 2), dtype=bool)
     separated = np.zeros(len(first), dtype=bool)
-    part_of, member_of = _places(outlines)
-    kinds = part_of[first] * len(outlines.parts) + part_of[second]
-    for kind in np.unique(kinds):
-        a, b = (outlines.parts[part] for part in divmod(int(kind), len(outlines.parts)))
-        for chosen in _in_turns(np.flatnonzero(kinds == kind), a.solid, b.solid):
-            vertices_a = a.vertices_camera[member_of[first[chosen]]]
-            vertices_b = b.vertices_camera[member_of[second[chosen]]]
+    for pairs, a, b in pairs_by_parts(outlines, first, second):
+        for chosen in _in_turns(pairs, a.solid, b.solid):
+            vertices_a = a.vertices_camera[np.searchsorted(a.rows, first[chosen])]
+            vertices_b = b.vertices_camera[np.searchsorted(b.rows, second[chosen])]
             axes = candidate_axes(vertices_a, a.solid, vertices_b, b.solid)
             can_hide[chosen], separated[chosen] = _who_can_hide(vertices_a, vertices_b, axes, gap_m[chosen])
     return Order(first, second, can_hide[:, 0], can_hide[:, 1], intersecting=~separated)
@@ -94,13 +92,15 @@ def _in_turns(pairs: Indices, a: Solid, b: Solid) -> list[Indices]:
     return np.array_split(pairs, -(-len(pairs) // most))
 
 
-def _places(outlines: Outlines) -> tuple[Indices, Indices]:
-    """The part that each row belongs to, and its place in that part; both of shape (n,)."""
-    part_of, member_of = np.zeros((2, len(outlines)), dtype=np.int64)
+def pairs_by_parts(outlines: Outlines, first: Indices, second: Indices) -> Iterator[tuple[Indices, Part, Part]]:
+    """P pairs of rows, both of shape (P,), by the parts that they are of: which pairs, and the two parts."""
+    part_of = np.zeros(len(outlines), dtype=np.int64)
     for index, part in enumerate(outlines.parts):
         part_of[part.rows] = index
-        member_of[part.rows] = np.arange(len(part.rows))
-    return part_of, member_of
+    kinds = part_of[first] * len(outlines.parts) + part_of[second]
+    for kind in np.unique(kinds):
+        a, b = (outlines.parts[part] for part in divmod(int(kind), len(outlines.parts)))
+        yield np.flatnonzero(kinds == kind), a, b
 
 
 def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array, gap_m: Array) -> tuple[Mask, Mask]:

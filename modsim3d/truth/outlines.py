@@ -22,6 +22,9 @@ from modsim3d.truth.silhouettes import doubled_face_areas, in_image, share_in_im
 from modsim3d.vessels.bodies import Bodies
 from modsim3d.vessels.vessel import Solid
 
+BESIDE = 1e-6
+"""Metres times pixels by which a solid must be outside the image, so that rounding errors bring no corner into it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -146,7 +149,8 @@ def _outline(
     pixels = pinhole.project(vertices)
     boxes = np.concatenate([_least(pixels), -_least(-pixels)], axis=-1)
     size = np.array(pinhole.image_size_px, dtype=np.float64)
-    touching = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1) | crosses
+    touching = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1)
+    touching[crosses] = ~_beside_image(vertices[crosses], pinhole)
     areas, fractions = np.full((2, len(boxes)), np.nan)
     if measured:
         whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
@@ -156,7 +160,7 @@ def _outline(
             areas[~cut] = _projected_areas(pixels[~cut], solid)
         # Of an obstacle only a box is needed, which may be too large. A mesh that the near plane cuts has no share.
         box_only = cut & (crosses & (not solid.convex and intrinsics.distortion is None) | (not bodies.boxed))
-        boxes[box_only] = _boxes_in_image(vertices[box_only], crosses[box_only], intrinsics, solid)
+        boxes[box_only] = _boxes_in_image(vertices[box_only], crosses[box_only], intrinsics, solid, bodies.boxed)
         rest = cut & ~box_only
         silhouettes = silhouette_polygons(pinhole, vertices[rest], pixels[rest], crosses[rest], solid)
         inside = in_image(silhouettes, intrinsics)
@@ -183,14 +187,21 @@ def _outline(
     return columns, Part(solid, np.arange(len(rows)), vertices[rows], pixels[rows])
 
 
-def _boxes_in_image(vertices_camera: Array, crosses: Mask, intrinsics: Intrinsics, solid: Solid) -> Array:
+def _beside_image(vertices_camera: Array, intrinsics: Intrinsics) -> Mask:
+    """Whether solids, shape (n, K, 3), are as a whole to the left or right of the image, above or below it."""
+    outside = vertices_camera @ guard_planes(intrinsics, 0.0)[:, :3].T < -BESIDE
+    beside: Mask = np.any(np.all(outside, axis=1), axis=1)
+    return beside
+
+
+def _boxes_in_image(vertices_camera: Array, crosses: Mask, intrinsics: Intrinsics, solid: Solid, tight: bool) -> Array:
     """Boxes (n, 4) around what n solids show in the image; (inf, inf, −inf, −inf) for nothing.
 
-    For the arguments see `cut_faces`.
+    Those that need not be `tight` may differ by rounding errors. For the other arguments see `cut_faces`.
     """
     pinhole = intrinsics.pinhole
     boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (len(crosses), 1))
-    for faces, member in cut_faces(vertices_camera, crosses, pinhole, solid):
+    for faces, member in cut_faces(vertices_camera, crosses, pinhole, solid, in_image=not tight):
         seen, face = clip_triangles(faces, guard_planes(pinhole, 0.0))
         pixels, of = np.clip(pinhole.project(seen), 0, pinhole.image_size_px), member[face]
         order = np.argsort(of, kind="stable")

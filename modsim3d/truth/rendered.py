@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, extents, ranges
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.truth.buffer_drawing import BufferDrawing, fits_a_buffer, tiles_of
@@ -150,13 +150,29 @@ def _in_order(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, pairs: C
     )
     doubtful = np.ones(len(pairs.first), dtype=bool)
     doubtful[asked] = ~known[: len(asked)]
-    unknown = np.zeros(len(outlines), dtype=bool)
-    unknown[[one[~known[len(asked) :]], other[~known[len(asked) :]]]] = True
-    ahead = ranks[pairs.first] - ranks[pairs.second]
-    doubtful |= (unknown[pairs.first] & (ahead < 0)) | (unknown[pairs.second] & (ahead > 0))
+    unknown = ~known[len(asked) :]
+    doubtful |= _behind_both(pairs, ranks, boxes, one[unknown], other[unknown])
     in_order = pairs.take(~np.isin(pairs.cluster, pairs.cluster[doubtful]))
     every = joined_spans([silhouettes, spans]).ordered() if len(spans.row) else silhouettes
     return Ordered(in_order, ranks, every)
+
+
+def _behind_both(pairs: ClusteredPairs, ranks: Indices, boxes: Array, one: Indices, other: Indices) -> Mask:
+    """Which pairs are of an obstacle and a vessel behind it that may have pixels in common with a second obstacle too.
+
+    The obstacles are rows `one` and `other`, both of shape (k,). Boxes (n, 4) are of whole pixels.
+    """
+    vessel, obstacle = np.where(
+        ranks[pairs.first] > ranks[pairs.second], (pairs.first, pairs.second), (pairs.second, pairs.first)
+    )
+    order = np.argsort(obstacle, kind="stable")
+    first, count = extents(obstacle[order], one)
+    pair, second = order[ranges(first, count)], np.repeat(other, count)
+    three = boxes[np.stack([vessel[pair], obstacle[pair], second])]
+    common = (three[..., :2].max(axis=0) < three[..., 2:].min(axis=0)).all(axis=1)
+    found = np.zeros(len(obstacle), dtype=bool)
+    found[pair[common]] = True
+    return found
 
 
 def _drawn_alone(drawing: BufferDrawing, rows: Indices) -> list[Spans]:

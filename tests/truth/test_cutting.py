@@ -7,12 +7,13 @@ import pytest
 import shapely
 from scipy.spatial.transform import Rotation
 
-from modsim3d.geometry.clipping import clip_triangles, near_plane
+from modsim3d.geometry.clipping import clip_triangles, guard_planes, near_plane
+from modsim3d.truth import outlines as outlines_module
 from modsim3d.truth.cutting import cut_faces, cut_near
 from modsim3d.truth.scan_conversion import facing
 from modsim3d.truth.triangles import subdivided, triangles_of, within_guard
 from modsim3d.vessels.vessel import shoebox
-from tests.scenes import INTRINSICS, outlines_of, random_places
+from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 
 LENS = replace(INTRINSICS, near_clip_m=2.0)
 
@@ -69,6 +70,25 @@ def test_solid_that_the_plane_does_not_meet_gets_no_section():
         np.testing.assert_array_equal(cut_alone(beyond, replace(shoebox(), convex=convex)), beyond)
 
 
+def test_sections_without_a_corner_of_the_image_add_nothing_to_the_box_of_what_is_in_it():
+    """Also of tubes, of which the plane leaves a ring around the image or a part of it."""
+    rng, planes = np.random.default_rng(4), guard_planes(LENS, 0.0)
+    left_open = []
+    for number in range(150):
+        triangles, _ = box_across_the_plane(rng)
+        if number % 2:
+            triangles = np.concatenate([triangles, (triangles - [0, 0, 2])[:, ::-1] * [0.7, 0.7, 3] + [0, 0, 2]])
+        solid, boxes, counts = replace(shoebox(), convex=False), [], []
+        for in_image in (False, True):
+            faces, _ = cut_near(triangles[None], LENS, solid, in_image=in_image)
+            seen = LENS.project(clip_triangles(faces, planes)[0]).reshape(-1, 2)
+            boxes.append([*seen.min(axis=0, initial=9e9), *seen.max(axis=0, initial=-9e9)])
+            counts.append(len(faces))
+        np.testing.assert_allclose(*boxes, atol=1e-6)
+        left_open.append(counts[1] < counts[0])
+    assert 5 < sum(left_open) < 140
+
+
 @pytest.mark.parametrize("convex", [True, False])
 def test_solids_are_cut_together_as_each_by_itself(convex, monkeypatch):
     """Bit for bit, also in portions: those that the plane does not cross are left as they are."""
@@ -85,6 +105,26 @@ def test_solids_are_cut_together_as_each_by_itself(convex, monkeypatch):
     for index, cut in enumerate(crosses):
         faces = vertices[index, shoebox().faces]
         np.testing.assert_array_equal(triangles[member == index], cut_alone(faces, solid) if cut else faces)
+
+
+def test_solids_that_the_near_plane_cuts_beside_the_image_are_left_out_as_nothing_of_them_is_in_it(monkeypatch):
+    rng = np.random.default_rng(8)
+    places = [
+        (vessel("boat", *rng.uniform(2, 30, 3)), tuple(rng.uniform(-25, 25, 2)), rng.uniform(0, 6)) for _ in range(80)
+    ]
+    camera = replace(INTRINSICS, near_clip_m=1.0)
+    some = outlines_of(places, camera)
+    beside = []
+    monkeypatch.setattr(
+        outlines_module,
+        "_beside_image",
+        lambda vertices, _: beside.append(len(vertices)) or np.zeros(len(vertices), bool),
+    )
+    every = outlines_of(places, camera)
+    assert some.crosses_near.sum() > 5
+    assert beside[0] - some.crosses_near.sum() > 5
+    for name in ("occluder", "boxes_px", "areas_px", "in_frame_fraction", "crosses_near"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(every, name))
 
 
 def test_pieces_of_triangles_name_the_triangle_that_they_are_of():

@@ -1,8 +1,11 @@
 """Clusters cut without drawing: against drawn ones, against painting pixel by pixel, and where nobody can tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from modsim3d.geometry.camera import Mount
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth import nearer_first, rendered
 from modsim3d.truth.cluster_visibility import Ordered, visibility_in_order
@@ -90,6 +93,33 @@ def test_solids_too_near_to_each_other_for_the_depth_buffer_have_no_known_order(
         assert ranks(outlines_of([(boat, (500.0, 0.0), 0.0), (boat, (505.0 + gap_m, 0.0), 0.0)]))[1] == [known]
 
 
+def test_what_touches_the_far_side_of_a_solid_is_behind_it_unless_the_camera_sees_where_they_touch():
+    boat = vessel("boat", 5, 2, 20)
+    places = [(boat, (500.0, 0.0), 0.0), (boat, (505.0, 0.0), 0.0)]
+    for height_m, known in ((10.0, True), (30.0, False)):  # from above, the faces at which they touch
+        outlines = outlines_of(places, mount=Mount((0.0, 0.0, height_m)))
+        assert ranks(outlines) == ([0, 1 if known else 0], [known])
+        assert ranks(outlines_of(places[::-1], mount=Mount((0.0, 0.0, height_m)))) == ([int(known), 0], [known])
+    outlines = outlines_of(places, mount=Mount((0.0, 0.0, 10.0)))
+    (part,) = outlines.parts
+    meshes = replace(outlines, parts=(replace(part, solid=replace(part.solid, convex=False)),))
+    assert ranks(meshes)[1] == [False]
+
+
+def test_two_obstacles_in_unknown_order_leave_it_open_who_hides_a_vessel_where_all_three_boxes_overlap():
+    first, second = np.array([0, 0, 1, 2, 2]), np.array([2, 3, 2, 4, 5])  # rows 0 and 1 are obstacles
+    inner = (6, 6, 7, 7)
+    boxes = np.array([(0, 0, 9, 9), (5, 5, 20, 9), inner, (0, 0, 5, 9), inner, inner, (9, 0, 20, 9)], dtype=float)
+    pairs, one = ClusteredPairs(first, second, np.full(5, 2)), np.array([0])
+    for nearer, other, doubtful in (
+        ([0, 0, 1, 1, 2, 2, 0], 1, [0]),  # the vessel of row 3 is beside the second obstacle
+        ([2, 2, 1, 1, 0, 0, 2], 1, []),  # the vessels are in front
+        ([0, 0, 1, 1, 2, 2, 0], 6, []),  # an obstacle beside all vessels
+    ):
+        found = rendered._behind_both(pairs, np.array(nearer), boxes, one, np.array([other]))
+        assert np.flatnonzero(found).tolist() == doubtful
+
+
 def test_solids_that_hide_each_other_in_a_circle_have_no_ranks_that_rise_along_it():
     near, far = np.array([0, 1, 2, 0, 4]), np.array([1, 2, 0, 3, 5])
     found = _ranks(near, far, 6)
@@ -114,7 +144,7 @@ def strait():
 def test_islands_with_hills_hide_ships_in_front_of_which_they_lie_as_if_all_were_drawn(renderer, strait):
     scene, sight = strait
     outlines, intrinsics = sight.outlines(), scene.cameras[0].intrinsics
-    cut = rendered_occlusion(outlines, intrinsics, renderer)
+    cut = rendered_occlusion(outlines, intrinsics, NoRenderer())
     hiders = {occluder for entries in cut.occluders for occluder, _ in entries}
     assert max(hiders) >= len(scene.vessels)
     assert_same(cut, full_frame_occlusion(outlines, intrinsics, renderer))
