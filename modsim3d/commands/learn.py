@@ -261,7 +261,7 @@ def learn_command(
     if told:
         show_voyage(told)
     _show(report, written, told)
-    say_json(learn_json(report, written) | ({"voyage": voyage_json(told)} if told else {}))
+    say_json(learn_json(report, written) | {"voyage": voyage_json(told) if told else None})
 
 
 def _rule(labelled: LabelledSet, match: Match | None, iou: float | None, distance: float | None) -> Rule:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -81,6 +81,7 @@ def learn_from(
     if options.bias:
         raise ModsimError(NO_SHIFT)
     report, judged = learn_beside_unseen(voyage.labelled, settings, options, stretches)
+    report = replace(report, near_gate=replace(report.near_gate, simulated=False))
     noise = TruthNoise.of(voyage.scene, position_m)
     report, taken_off = report_less_truth_noise(report, voyage.scene, voyage.views, noise)
     told = VoyageReport.of(voyage, judged, taken_off, report, settings.replicates, settings.seed)

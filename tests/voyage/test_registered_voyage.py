@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import orjson
 import pytest
 
 import modsim3d
@@ -13,6 +14,7 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.voyage.correction import Correction
 from modsim3d.voyage.learned import VoyageResult, learn_voyage
 from modsim3d.voyage.registered import correction_of
+from modsim3d.voyage.told.voyage_json import voyage_json
 from tests.commands.bad_input.builders import Call
 from tests.voyage.strait_logs import REALLY, strait_log, strait_scene, written
 from tests.voyage.test_learn_voyage import WITHOUT
@@ -57,6 +59,19 @@ def test_the_correction_changes_camera_and_clock_as_the_registration_says(learne
     assert times[-1] == pytest.approx(299 * 0.2, abs=0.21)  # the log ends 3.7 s before the scene, by its own clock
 
 
+def test_json_has_the_registration_with_intervals_and_the_coverage(learned: VoyageResult) -> None:
+    said = json.loads(orjson.dumps(voyage_json(learned.told)))
+    (registration,) = said["registration"]
+    parameters = {each["name"]: each for each in registration["parameters"]}
+    assert parameters["yaw_deg"]["low"] < parameters["yaw_deg"]["value"] < parameters["yaw_deg"]["high"]
+    assert parameters["mean_x_px"]["held"] == "mean errors are zero, or given"
+    (coverage,) = said["coverage"]
+    matched, whole = np.array(coverage["matched"]), np.array(coverage["to_be_detected"])
+    assert matched.shape == (len(coverage["bearings_deg"]) - 1, len(coverage["ranges_m"]) - 1)
+    assert whole.sum() == learned.told.judged.observed.matched.sought.sum()
+    assert matched.sum() == len(learned.told.judged.observed.matched.pairs[0])
+
+
 def test_the_detector_is_learned_back_and_is_visibly_worse_without_registration(
     folder: Path, learned: VoyageResult
 ) -> None:
@@ -87,7 +102,6 @@ def test_the_command_tells_the_registration_writes_the_page_and_the_scene(
     page = out.with_suffix(".html").read_text()
     for title in ("Registration", "What AIS does not see", "Coverage of the sea", "The longest without a match"):
         assert f">{title}</h2>" in page
-    assert "modsim3d.load_detector" not in page
     modsim3d.load_detector(out)
     (camera,) = (each for each in load_scene(scene / "strait.json").cameras if each.name == "bow")
     assert np.degrees(camera.mount.yaw_rad) == pytest.approx(REALLY["yaw_deg"], abs=0.1)

@@ -23,12 +23,14 @@ class NearGate:
         gate: The IoU below which a match lies near it.
         other: Which rule cuts off less.
         several: Whether there are several states.
+        simulated: Whether `--bias` could tell how much that does; it cannot for a voyage.
     """
 
     shares: tuple[tuple[str, float], ...] = ()
     gate: float = 0.0
     other: str = ""
     several: bool = False
+    simulated: bool = True
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -49,10 +51,8 @@ class NearGate:
 
     @property
     def _meaning(self) -> str:
-        return (
-            "larger errors were cut off, and count as a miss and a false detection each (--bias says how much that "
-            f"does; {self.other})"
-        )
+        told = "--bias says how much that does; " if self.simulated else ""
+        return f"larger errors were cut off, and count as a miss and a false detection each ({told}{self.other})"
 
 
 @dataclass(frozen=True, eq=False)
