@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from modsim3d.arrays import Array, Indices, read_only
+from modsim3d.arrays import Array, Indices, Mask, read_only
 from modsim3d.boxes import at_least_a_pixel, sizes
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.box_error_law import ERROR_NORMALS, ErrorDistribution, Normal
@@ -34,9 +34,8 @@ by less than 0.005 of a standard deviation and standard deviations by less than 
 """
 _POINTS_AT_ONCE, _POINTS_IN_CACHE = 1 << 16, 1 << 14
 _ORDER = np.array([2, 3, 0, 1])  # e_w, e_h, e_x, e_y
-_SUMMED = (0, 2, 1)  # the order of these terms decides the last digits of probabilities near 0
 _LEAST_SIDE_PX = 1.0
-_LOWER_TAIL, _UPPER_TAIL = -12.0, 8.5
+_LOWER_TAIL, _NOT_SMALL, _UPPER_TAIL = -13.0, -1.0, 8.5
 _ROUNDING_PX, _NO_SPREAD = 1e-9, 1e-30
 _NORMAL = Normal()
 
@@ -137,7 +136,7 @@ def _draw(
     for j, component in enumerate(_ORDER):
         given = means[:, component, None]
         if j:
-            given = given + scales * sum(roots[:, j, k, None] * standard[k] for k in _SUMMED if k < j)
+            given = given + scales * sum(roots[:, j, k, None] * standard[k] for k in range(j))
         low, high = _bounds(component, boxes, images, errors)
         spread = scales * roots[:, j, j, None]
         drawn, inside = _within(low - given, high - given, spread, uniforms[j])
@@ -167,25 +166,30 @@ def _within(low: Array, high: Array, spread: Array, uniforms: Array) -> tuple[Ar
     a, b = (low - slack) / scale, (high + slack) / scale
     sign = 1.0 - 2.0 * (a > 0)  # mirrored: the lower tail is the accurate one
     a, b = sign * a, sign * b
-    below, above = _probability(np.minimum(a, b)), _probability(np.maximum(a, b))
+    below, above = _probabilities(np.minimum(a, b), np.maximum(a, b))
     inside = np.maximum(above - below, 0)
     z = sign * special.ndtri(below + uniforms * inside)
     np.copyto(z, 0, where=fixed | (inside == 0))
     return z, inside
 
 
-def _probability(z: Array) -> Array:
-    """Probability below each of some standard normal numbers, shape (n, points), or (n, 1) if that says as much.
+def _probabilities(low: Array, high: Array) -> tuple[Array, Array]:
+    """Probabilities below standard normal numbers, each of shape (n, points), or (n, 1) if that says as much.
 
-    A row that lies wholly in a tail has that of its greatest number everywhere: in the upper tail all are 1, and in the
-    lower one all are too small to change the sum with a uniform number, or the difference from 1.
+    A row that lies wholly in a tail needs only one number: all are 1 in the upper tail; in the lower one all are too
+    small to count, neither in a sum with a uniform number nor in the difference from a probability that is not small.
     """
-    greatest, least = z.max(axis=1), z.min(axis=1)
-    near = (greatest > _LOWER_TAIL) & (least < _UPPER_TAIL)
-    probability: Array = special.ndtr(greatest)[:, None]
-    if near.any():
+    least = high.min(axis=1)
+    far_below, far_above = (low.max(axis=1) < _LOWER_TAIL) & (least > _NOT_SMALL), least > _UPPER_TAIL
+    return _probability(low, ~far_below), _probability(high, ~far_above)
+
+
+def _probability(z: Array, rows: Mask) -> Array:
+    """Probability below each number of some rows, shape (n,), and in the other rows below the greatest."""
+    probability: Array = special.ndtr(z.max(axis=1))[:, None]
+    if rows.any():
         probability = np.repeat(probability, z.shape[1], axis=1)
-        probability[near] = special.ndtr(z[near])
+        probability[rows] = special.ndtr(z[rows])
     return probability
 
 

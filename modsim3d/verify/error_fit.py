@@ -27,7 +27,8 @@ def _points(law: ErrorParameters, boxes_px: Array, images_px: Array) -> Iterator
     means, stds = law.at(boxes_px)
     covariances = law.correlation * stds[:, :, None] * stds[:, None, :]
     for part in accepted_errors(boxes_px, images_px, means, covariances, law.distribution):
-        standard = (part.errors - means[part.rows, None]) / stds[part.rows, None]
+        errors = np.ascontiguousarray(part.errors)  # the order in memory decides the last digits of sums over points
+        standard = (errors - means[part.rows, None]) / stds[part.rows, None]
         yield part, law.statistics(standard)
 
 
