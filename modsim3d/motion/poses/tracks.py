@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import RootModel
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError
 from modsim3d.geometry.rotations import heading_of
 from modsim3d.inputs.validation import MOST_PROBLEMS, Metres, Number, join_path, nearest
@@ -44,25 +44,32 @@ class Tracks:
         """Poses at steps first to stop − 1."""
         times_s = np.array([float(text) for text in self.timestamps[first:stop]])
         poses = Poses.absent(len(times_s), len(self.waypoints))
-        for column, track in enumerate(self.waypoints):
-            if track is not None:
-                there = (times_s >= track[0, 0]) & (times_s <= track[-1, 0])
-                poses.present[:, column] = there
-                poses.positions_m[there, column, :2], poses.headings_rad[there, column] = along(track, times_s[there])
+        tracks = {column: track for column, track in enumerate(self.waypoints) if track is not None}
+        if tracks:
+            columns = list(tracks)
+            poses.present[:, columns], places_m, headings_rad = _along(list(tracks.values()), times_s)
+            poses.positions_m[:, columns, :2] = np.where(poses.present[:, columns, None], places_m, 0.0)
+            poses.headings_rad[:, columns] = np.where(poses.present[:, columns], headings_rad, 0.0)
         return poses
 
 
-def along(track: Array, times_s: Array) -> tuple[Array, Array]:
-    """Places in metres, shape (n, 2), and headings in radians, shape (n,), on a track.
+def _along(tracks: Sequence[Array], times_s: Array) -> tuple[Mask, Array, Array]:
+    """Whether V vessels are there at S times, shape (S, V), their places, (S, V, 2), and headings in radians, (S, V).
 
-    Args:
-        track: Times in seconds and places w1, w2 in metres of at least two waypoints, shape (k, 3).
-        times_s: Times between the first and the last waypoint, shape (n,).
+    Times ascend. Each track has times in seconds and places w1, w2 in metres of at least two waypoints, shape (k, 3).
+    Where a vessel is not there, its place and heading mean nothing.
     """
-    leg = np.clip(np.searchsorted(track[:, 0], times_s, side="right") - 1, 0, len(track) - 2)
-    start, end = track[leg], track[leg + 1]
-    share = (times_s - start[:, 0]) / (end[:, 0] - start[:, 0])
-    return start[:, 1:] + share[:, None] * (end - start)[:, 1:], heading_of((end - start)[:, 1:])
+    waypoints, counts = np.concatenate(tracks), np.array([len(track) for track in tracks])
+    first = np.cumsum(counts) - counts
+    step, vessel = np.searchsorted(times_s, waypoints[:, 0]), np.repeat(np.arange(len(tracks)), counts)
+    size = len(times_s) + 1, len(tracks)
+    reached = np.cumsum(np.bincount(step * size[1] + vessel, minlength=size[0] * size[1]).reshape(size), axis=0)[:-1]
+    leg = first + np.clip(reached - 1, 0, counts - 2)
+    start, end = waypoints[leg], waypoints[leg + 1]
+    there = (times_s[:, None] >= waypoints[first, 0]) & (times_s[:, None] <= waypoints[first + counts - 1, 0])
+    share = (times_s[:, None] - start[..., 0]) / (end[..., 0] - start[..., 0])
+    places_m = start[..., 1:] + share[..., None] * (end - start)[..., 1:]
+    return there, places_m, heading_of((end - start)[..., 1:])
 
 
 def waypoint_tracks(
