@@ -30,7 +30,7 @@ MENU = {
         "docs/ais",
     ],
     "Look at it": ["docs/pictures", "docs/report"],
-    "The detector": ["docs/detector", "docs/learn", "docs/learned_models", "docs/conditions"],
+    "The detector": ["docs/detector", "docs/learn", "docs/voyage", "docs/learned_models", "docs/conditions"],
     "Test a tracker": [
         *("docs/track", "docs/trackers", "docs/track_files", "docs/score", "docs/scores", "docs/world_tracks"),
         *("docs/export", "docs/stream", "docs/positions", "docs/ros", "docs/ais_out", "docs/other_truth"),

@@ -13,6 +13,7 @@ import yaml
 
 from modsim3d.ais.options import time_text
 from modsim3d.ais.report import report
+from modsim3d.ais.report_times import REPORT_TIMES, report_times
 from modsim3d.ais.traffic import Traffic
 from modsim3d.errors import ModsimError
 from modsim3d.inputs.strict_yaml import load_yaml
@@ -21,7 +22,7 @@ from modsim3d.outputs.locks import LOCK_FILE
 from modsim3d.outputs.placing import write_files
 
 SCENE, REPORT, PAGE = "scene.yaml", "report.json", "ais.html"
-FILES = (SCENE, REPORT, PAGE, "vessels.json", "detector.yaml", "poses.json.gz")
+FILES = (SCENE, REPORT, PAGE, "vessels.json", "detector.yaml", "poses.json.gz", REPORT_TIMES)
 CAMERA_HALF_ANGLE_RAD = math.atan(960 * 5e-6 / 0.007)
 """Half the angle that the scene's camera sees from left to right."""
 SCENE_TEXT = """\
@@ -95,7 +96,8 @@ def write_scene(
     if page is not None:
         files[PAGE] = page
     packed = gzip.compress(_poses_text(traffic).encode("utf-8"), mtime=0)
-    write_files({folder / "poses.json.gz": packed} | {folder / name: text for name, text in files.items()})
+    binary = {folder / "poses.json.gz": packed, folder / REPORT_TIMES: report_times(traffic)}
+    write_files(binary | {folder / name: text for name, text in files.items()})
 
 
 def _json_text(content: Any) -> str:

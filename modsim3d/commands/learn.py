@@ -19,6 +19,14 @@ from modsim3d.commands.labelled_options import (
     read_options,
 )
 from modsim3d.commands.learn_json import learn_json
+from modsim3d.commands.learn_voyage import (
+    AttitudeOption,
+    CameraOption,
+    ImagesOption,
+    SceneOption,
+    StartOption,
+    asked_voyage,
+)
 from modsim3d.commands.shared import (
     JsonOption,
     OverwriteOption,
@@ -72,7 +80,8 @@ def learn_command(
     detections: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="PATH", help="Detections of each --truth: COCO results, MOT det.txt or YOLO folder; repeatable."
+            metavar="PATH",
+            help="Detections of each --truth: COCO results, MOT det.txt or YOLO folder; logs of --scene; repeatable.",
         ),
     ] = None,
     condition: Annotated[
@@ -83,6 +92,11 @@ def learn_command(
         list[Path] | None,
         typer.Option(metavar="RUN", help="Run directory, in place of --truth and --detections; repeatable."),
     ] = None,
+    scene: SceneOption = None,
+    camera: CameraOption = None,
+    start: StartOption = None,
+    images: ImagesOption = None,
+    attitude: AttitudeOption = None,
     state: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=COND,...", help="Performance state, and the conditions it is made of; repeatable."),
@@ -196,8 +210,13 @@ def learn_command(
             "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "
             "centre for both, or learn from each alone"
         )
+    voyage = asked_voyage(scene, truth, run, camera, start, images, attitude)
     with timed("reading"), inputs_noted() as read:  # also of files that no option names, such as data.yaml
-        labelled, runs = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
+        runs: tuple[StoredRun, ...] = ()
+        if voyage:
+            labelled = voyage.labelled(detections or [], condition or [], options)
+        else:
+            labelled, runs = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
         order = read_text(sequence, "sequence") if sequence else None
     if interval is None and runs:
         interval = runs[-1].scene.detector.transition_interval_s
@@ -206,13 +225,14 @@ def learn_command(
     wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
     noted = list(read)
     read += [path for folder in run or () for path in read_of_run(folder)]
+    read += voyage.besides(detections or []) if voyage else []
     tell_files(read)
     written = [out, page, uncertainty_file(out)]
     with claimed(written, overwrite=overwrite, inputs=read):
         with timed("learning"):
             report = learn_detector(labelled, settings, wanted)
         with timed("files"):
-            given = tuple(truth or ()), tuple(detections or ())
+            given = voyage.truth(detections or []) if voyage else tuple(truth or ()), tuple(detections or ())
             sources = Sources(*given, runs, tuple(noted), settings, typed_command(context))
             write_files(learned_files(report, out, page, sources, correct))
     _show(report, written)
@@ -253,7 +273,7 @@ def _labelled_set(
             "name each pair, in their order"
         )
     if not truth and not runs:
-        raise ModsimError("nothing to learn from: give --truth and --detections, or --run")
+        raise ModsimError("nothing to learn from: give --truth and --detections, --run, or --scene and --detections")
     names = conditions or (["usual"] if len(truth) == 1 else [f"condition_{k + 1}" for k in range(len(truth))])
     parts = [read_pair(*pair, options) for pair in zip(names, truth, detections, strict=True)]
     opened_runs = []

@@ -27,6 +27,7 @@ def test_scene_folder_is_made_and_said_and_runs_as_typed(monkeypatch, tmp_path, 
         "poses.json.gz",
         "detector.yaml",
         "report.json",
+        "report_times.json.gz",
         "ais.html",
     }
     assert read_json(out / "report.json")["vessels"]["245999910"]["steps_present"] < 100

@@ -52,7 +52,9 @@ _RANGES = {
 
 
 @dataclass(frozen=True)
-class _Sequence:
+class SequenceInfo:
+    """Size of the images, number of frames (0 if not known), frame rate and name of a sequence."""
+
     size_px: tuple[float, float]
     frames: int
     rate_hz: float | None
@@ -85,7 +87,7 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     annotated = list(number_lines(truth, "ground truth", ",", 6, problems))
     wrong = Problems(f"detections {detections}", options.skip_bad)
     detected = [] if detections is None else list(number_lines(detections, "detections", ",", 7, wrong))
-    info = _sequence(truth, options.image_size_px, problems.source)
+    info = sequence_info(truth, options.image_size_px, problems.source)
     names = _all_class_names(annotated, labels) if detections is None else _class_names(annotated, detected, labels)
     spanned = max(info.frames, FREE_FRAMES + FRAMES_A_ROW * (len(annotated) + len(detected)))
     to_label, classed = {number: k for k, number in enumerate(names)}, "detections" if detected else "other lines"
@@ -180,7 +182,12 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
     return None
 
 
-def _sequence(truth: Path, size_px: tuple[float, float] | None, source: str) -> _Sequence:
+def sequence_info(truth: Path, size_px: tuple[float, float] | None, source: str) -> SequenceInfo:
+    """What `seqinfo.ini` beside or above a file says, or the given size of the images and nothing else.
+
+    Raises:
+        InputError: It is wrong, or the size is not known.
+    """
     for folder in (truth.parent, truth.parent.parent):
         path = folder / "seqinfo.ini"
         if not path.is_file():
@@ -194,12 +201,12 @@ def _sequence(truth: Path, size_px: tuple[float, float] | None, source: str) -> 
         if problems:
             raise InputError(f"sequence {path}", problems)
         width, height, rate, frames = (_number(section.get(key, "0")) for key in _RANGES)
-        return _Sequence((width, height), int(frames), rate or None, section.get("name") or None)
+        return SequenceInfo((width, height), int(frames), rate or None, section.get("name") or None)
     if size_px is None:
         raise InputError(
             source, ["the size of the images is not known: give --image-size, or put seqinfo.ini beside or above it"]
         )
-    return _Sequence(size_px, 0, None)
+    return SequenceInfo(size_px, 0, None)
 
 
 def _section(path: Path) -> Mapping[str, str]:

@@ -59,7 +59,7 @@ class TextTable:
             InputError: A line has another number of cells.
         """
         rows, other = _cells(text, names, source)
-        empty = pc.true_unless_null(pc.equal(pc.binary_length(rows[0]), 0))
+        empty = pc.equal(pc.binary_length(rows[0]), 0)
         for column in rows[1:]:
             empty = pc.and_(empty, pc.equal(pc.binary_length(column), 0))
         kept = ~np.asarray(empty, dtype=bool)

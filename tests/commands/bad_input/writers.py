@@ -37,6 +37,13 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "campaign-table": ("means.csv", lambda run, out: ("campaign-table", small_campaign(run.parent), "--out", out)),
     "campaign-report": ("page.html", lambda run, out: ("campaign-report", small_campaign(run.parent), "--out", out)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
+    "learn: scene": (
+        "detector.yaml",
+        lambda run, out: (
+            *("learn", "--scene", scene_file(run), "--detections", run, "--match", "centre", "--replicates", 20),
+            *("--out", out),
+        ),
+    ),
     "learn: page": (
         "page.html",
         lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out.with_name("d.yaml"), "--page", out),
@@ -86,7 +93,10 @@ DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]
     "view: sheet": (("contact_sheet.png",), lambda run: ("view", run, "--sheet")),
 }
 """What a command writes into the run directory unless told otherwise."""
-READ = {"scene", "campaign", "run", "other", "truth", "detections", "detector", "sequence", "files", "tracks"}
+READ = {
+    *("scene", "campaign", "run", "other", "truth", "detections", "detector", "sequence", "files", "tracks"),
+    *("images", "attitude"),
+}
 """Parameters that name what is read."""
 WRITTEN = {"out", "page", "cache"}
 """Parameters that name what is written."""

@@ -1,0 +1,92 @@
+"""Own ship's attitude as instruments on board have measured it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from modsim3d.arrays import Array, Mask
+from modsim3d.errors import InputError
+from modsim3d.inputs.validation import nearest
+from modsim3d.scene.scene import Scene
+from modsim3d.voyage.clock import SceneClock, on_scene_clock
+from modsim3d.voyage.logs.tables import read_table, times_of
+
+COLUMNS = ("roll_rad", "pitch_rad", "heading_rad")
+MOST_APART_S = 2.0
+"""Angles are linear between rows that are no further apart; in a longer gap they are not known."""
+_NEAR_S = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Attitude:
+    """The attitude of the vessel that carries a camera, as the columns of `ownship.csv` have it.
+
+    Attributes:
+        vessel: ID of the vessel.
+        time_s: Times since the scene's first step, ascending, shape (n,).
+        angles_rad: Roll, pitch and heading: port side down, bow down, counter-clockwise from w1; the heading does not
+            jump from π to −π, shape (n, 3).
+    """
+
+    vessel: str
+    time_s: Array
+    angles_rad: Array
+
+    def known(self, times_s: Array) -> Mask:
+        """Whether the attitude is known at some times, shape (k,)."""
+        after = np.clip(np.searchsorted(self.time_s, times_s), 1, len(self.time_s) - 1)
+        last, first = self.time_s[after - 1], self.time_s[after]
+        inside = (times_s >= last) & (times_s <= first) & (first - last <= MOST_APART_S)
+        at_a_row = np.minimum(np.abs(times_s - last), np.abs(times_s - first)) <= _NEAR_S
+        known: Mask = inside | at_a_row
+        return known
+
+    def at(self, times_s: Array, headings_rad: Array) -> Array:
+        """Roll, pitch, and what the heading differs from that of the scene, at some times, shapes (k,), (k, 3)."""
+        roll, pitch, heading = (np.interp(times_s, self.time_s, angle) for angle in self.angles_rad.T)
+        off = heading - headings_rad
+        return np.column_stack([roll, pitch, np.arctan2(np.sin(off), np.cos(off))])
+
+
+def read_attitude(path: Path, scene: Scene) -> Attitude:
+    """The attitude in a table, as CSV or Parquet, such as the `ownship.csv` of `modsim3d export --format csv`.
+
+    Columns are a time, as in logs of detections, `roll_rad`, `pitch_rad`, `heading_rad`, and `vessel` if rows are of
+    several. A column `yaw_rad`, as `ownship.parquet` has, is added to the heading.
+
+    Raises:
+        InputError: It cannot be read, a row is wrong, or no camera is on board a vessel of it.
+    """
+    source = f"attitude {path}"
+    carriers = [scene.vessel_names[index] for index in scene.own_ships]
+    if not carriers:
+        raise InputError(source, [f"no camera of {scene.title} is on board a vessel"])
+    if not path.exists():
+        raise InputError(source, ["no such file"])
+    table = read_table(path, source)
+    if missing := [name for name in COLUMNS if not table.has(name)]:
+        raise InputError(source, [f"line 1: the columns {', '.join(missing)} are missing"])
+    time_s, kind = times_of(table, source)
+    names = (*COLUMNS, "yaw_rad") if table.has("yaw_rad") else COLUMNS
+    angles = np.column_stack([table.numbers(name) for name in names])
+    table.problems.settle()
+    mine = np.ones(len(time_s), dtype=bool)
+    if table.has("vessel"):
+        vessels = np.array(table.columns["vessel"].to_pylist(), dtype=object)
+        found = [name for name in carriers if (vessels == name).any()]
+        if not found:
+            hint = nearest(str(vessels[0]) if len(vessels) else "", carriers)
+            raise InputError(source, [f"has no row of {', '.join(carriers)}, which carries a camera ({hint})"])
+        carriers, mine = found, vessels == found[0]
+    if len(carriers) > 1:
+        problem = f"give a file of one vessel: several carry cameras ({', '.join(carriers)})"
+        raise InputError(source, [problem])
+    time_s, angles = time_s[mine], angles[mine]
+    if len(time_s) < 2 or (np.diff(time_s) <= 0).any():
+        raise InputError(source, ["at least two rows are needed, and their times must increase"])
+    heading = np.unwrap(angles[:, 2:].sum(axis=1))
+    times = on_scene_clock(time_s, kind, source, scene, SceneClock.of(scene))
+    return Attitude(carriers[0], times, np.column_stack([angles[:, :2], heading]))

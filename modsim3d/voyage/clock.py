@@ -1,0 +1,117 @@
+"""The times of a log on the scene's clock: seconds since its first step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from modsim3d.arrays import Array
+from modsim3d.errors import InputError
+from modsim3d.scene.scene import Scene
+from modsim3d.voyage.logs.log import Clock, DetectionLog
+from modsim3d.voyage.logs.times import LEAST_UNIX_S, time_text
+from modsim3d.voyage.reports import read_reports
+
+_HOUR_S = 3600.0
+_WHOLE_HOURS = 0.02
+"""Clocks that differ by whole hours up to this much of one are probably in two time zones."""
+
+
+@dataclass(frozen=True)
+class SceneClock:
+    """When a scene is.
+
+    Attributes:
+        length_s: Time from the first step to the last.
+        first_s: The first time as its poses write it.
+        start_s: Unix time of the first step; None if the scene does not say.
+    """
+
+    length_s: float
+    first_s: float
+    start_s: float | None
+
+    @classmethod
+    def of(cls, scene: Scene) -> SceneClock:
+        """The clock of a scene; one made by `modsim3d ais` has the start beside it, and poses may have Unix times."""
+        reports = read_reports(scene.path)
+        first_s = float(scene.timestamps(0, 1)[0])
+        start_s = reports.start_s if reports is not None else first_s if first_s >= LEAST_UNIX_S else None
+        return cls(float(scene.times_s(scene.steps - 1, scene.steps)[0]), first_s, start_s)
+
+    def span(self, clock: Clock) -> str:
+        """The first and the last step in words, by a clock."""
+        if clock is Clock.UTC and self.start_s is not None:
+            return f"{time_text(self.start_s)} to {time_text(self.start_s + self.length_s)}"
+        zero = self.first_s if clock is Clock.STAMP else 0.0
+        return f"{zero:.12g} s to {zero + self.length_s:.12g} s"
+
+
+def scene_times(log: DetectionLog, scene: Scene, clock: SceneClock) -> Array:
+    """Times of the log's frames since the scene's first step, shape (F,).
+
+    Raises:
+        InputError: The log is in UTC and the scene does not say when it starts.
+    """
+    return on_scene_clock(log.time_s, log.clock, log.source, scene, clock)
+
+
+def on_scene_clock(times_s: Array, kind: Clock, source: str, scene: Scene, clock: SceneClock) -> Array:
+    """Times by a clock, shape (n,), as times since the scene's first step, shape (n,).
+
+    Raises:
+        InputError: They are UTC and the scene does not say when it starts; `source` is what they are of.
+    """
+    if kind is Clock.STEP:
+        return times_s
+    if kind is Clock.STAMP:
+        return times_s - clock.first_s
+    if clock.start_s is None:
+        problem = (
+            f"its times are UTC (from {time_text(float(times_s.min()))}), and {scene.title} does not say when it "
+            "starts: a scene made by modsim3d ais has report.json beside it, which does; or let its poses have Unix "
+            "times"
+        )
+        raise InputError(source, [problem])
+    return times_s - clock.start_s
+
+
+def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneClock) -> None:
+    """Refuse a log none of whose frames is within the scene.
+
+    Args:
+        log: The log.
+        times_s: Times of its frames since the scene's first step, shape (F,).
+        scene: The scene.
+        clock: Its clock.
+
+    Raises:
+        InputError: With both spans.
+    """
+    if ((times_s >= 0) & (times_s <= clock.length_s)).any():
+        return
+    later = times_s.min() > clock.length_s
+    apart_s = times_s.min() - clock.length_s if later else -times_s.max()
+    between_starts = times_s.min() / _HOUR_S
+    zones = ""
+    if (
+        log.clock is Clock.UTC
+        and abs(between_starts) > 0.5
+        and abs(between_starts - round(between_starts)) < _WHOLE_HOURS
+    ):
+        zones = f"; the starts differ by {abs(round(between_starts))} h: is one of the clocks in local time?"
+    order = "after the scene's last step" if later else "before the scene's first step"
+    raise InputError(
+        log.source,
+        [
+            f"has frames from {log.span}, and {scene.title} is from {clock.span(log.clock)}: the log is {order}, by "
+            f"{_duration(float(apart_s))}{zones}"
+        ],
+    )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 2 * 60:
+        return f"{seconds:.3g} s"
+    if seconds < 2 * _HOUR_S:
+        return f"{seconds / 60:.1f} minutes"
+    return f"{seconds / _HOUR_S:.1f} hours" if seconds < 48 * _HOUR_S else f"{seconds / _HOUR_S / 24:,.1f} days"

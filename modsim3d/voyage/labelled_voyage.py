@@ -1,0 +1,172 @@
+"""A voyage as a labelled set: what a detector wrote, and the truth of its scene at the same times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from modsim3d.arrays import Array, Mask
+from modsim3d.errors import InputError
+from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results, joined
+from modsim3d.runs.pipeline import open_renderer
+from modsim3d.scene.scene import Scene
+from modsim3d.truth.modes import annotation_boxes
+from modsim3d.voyage.attitude import Attitude
+from modsim3d.voyage.correction import NO_CORRECTION, Correction
+from modsim3d.voyage.left_out import STALE_S, Freshness, Regions, left_out
+from modsim3d.voyage.on_scene import CameraLog, SceneLog
+from modsim3d.voyage.reports import read_reports
+from modsim3d.voyage.sampling import NEAR_S
+from modsim3d.voyage.truth import CameraTruth, camera_truth
+
+if TYPE_CHECKING:
+    from modsim3d.render.id_pass import IdRenderer
+
+CONDITION = "voyage"
+WITHOUT_AIS = (
+    "vessels without AIS have no truth, so that detections of them count as false: the false discovery rate and the "
+    "numbers of false positives are upper bounds"
+)
+
+Registrar = Callable[[Scene, CameraLog], Correction]
+"""Finds the correction of a camera from its log and the scene."""
+
+
+@dataclass(frozen=True)
+class VoyageOptions:
+    """How the truth of a voyage is made.
+
+    Attributes:
+        registration: What is added to the camera and to the clock, or what finds it for each camera.
+        stale_s: Least time without a report of a vessel under way that is left out.
+        attitude: That of own ship as it was measured; its frames without one are left out.
+        condition: Name of the condition.
+    """
+
+    registration: Correction | Registrar = NO_CORRECTION
+    stale_s: float = STALE_S
+    attitude: Attitude | None = None
+    condition: str = CONDITION
+
+
+NO_OPTIONS = VoyageOptions()
+
+
+def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> LabelledSet:
+    """The frames of a log with the truth of its scene, which is rendered as that of a run is.
+
+    Vessels whose AIS is stale, jumps or is off are ignored: detecting them counts neither for nor against a detector.
+
+    Raises:
+        InputError: No frame is within the scene.
+        ModsimError: The truth cannot be made.
+    """
+    reports = read_reports(log.scene.path)
+    fresh = Freshness(log.scene, reports, options.stale_s)
+    with open_renderer(log.scene) as renderer:
+        parts = [_CameraSet(log, each, fresh, options, renderer).labelled() for each in log.cameras]
+    notes = list(log.notes)
+    if reports is not None:
+        notes.append(WITHOUT_AIS)
+    if reports is not None and not reports.used_s:
+        notes.append(f"{log.scene.title}: has no report times beside it, so stale AIS is not left out: make it again")
+    for part in parts:
+        notes += [note for note in part.notes if note not in notes]
+    whole = joined(parts)
+    images = replace(whole.images, source=np.zeros(len(whole.images), dtype=np.int64))  # cameras see the same traffic
+    return replace(whole, images=images, notes=tuple(notes))
+
+
+class _CameraSet:
+    """The labelled set of one camera."""
+
+    def __init__(
+        self,
+        log: SceneLog,
+        of_camera: CameraLog,
+        fresh: Freshness,
+        options: VoyageOptions,
+        renderer: IdRenderer | None,
+    ) -> None:
+        """Take the frames that are within the scene."""
+        self.scene, self.options, self.log, self.fresh = log.scene, options, log, fresh
+        given = options.registration
+        correction = given if isinstance(given, Correction) else given(log.scene, of_camera)
+        self.camera = correction.camera(log.scene.cameras[of_camera.camera])
+        times_s = of_camera.time_s + correction.clock_s
+        inside = (times_s >= -NEAR_S) & (times_s <= log.length_s + NEAR_S)
+        times_s = np.clip(times_s, 0, log.length_s)
+        carrier, attitude = self.camera.mount.vessel, options.attitude
+        carried = inside & _carrier_there(log.scene, carrier, times_s)
+        self.notes = list(_said_of_frames(self.camera.name, inside, carried, carrier))
+        if attitude is not None and attitude.vessel != carrier:
+            attitude = None
+        if attitude is not None:
+            measured = attitude.known(times_s)
+            if lacking := int((carried & ~measured).sum()):
+                self.notes.append(f"camera '{self.camera.name}': {lacking:,} frames without attitude are left out")
+            carried &= measured
+        if not carried.any():
+            raise InputError(log.source, self.notes)
+        self.frames, self.times_s = of_camera.take(carried), times_s[carried]
+        self.truth = camera_truth(log.scene, of_camera.camera, self.camera, self.times_s, renderer, attitude)
+
+    def labelled(self) -> LabelledSet:
+        """The set."""
+        frames, number = self.frames, len(self.frames.names)
+        annotations = self._annotations(self.truth)
+        images = Images(
+            names=frames.names,
+            sizes_px=np.tile(np.array(self.camera.intrinsics.image_size_px, dtype=np.float64), (number, 1)),
+            condition=np.zeros(number, dtype=np.int64),
+            source=np.zeros(number, dtype=np.int64),
+            sequence=np.zeros(number, dtype=np.int64),
+            time_s=self.times_s,
+            half_planes=self.truth.half_planes,
+        )
+        results = Results(frames.frame, frames.label, frames.boxes_px, frames.confidence)
+        return LabelledSet(self.log.labels, (self.options.condition,), images, annotations, results, tuple(self.notes))
+
+    def _annotations(self, seen: CameraTruth) -> Annotations:
+        """The annotated vessels, and the regions of those that are left out."""
+        truth = seen.truth.take(seen.truth.annotated)
+        boxes = annotation_boxes(truth, self.scene.annotation.mode)
+        rows = Regions(truth.step, truth.vessel, boxes, truth.depth_m)
+        out = left_out(self.fresh, self.scene, self.camera, seen.camera_poses, self.times_s, rows)
+        self.notes += out.notes
+        boxes[out.rows] = out.boxes_px
+        vessel = np.concatenate([truth.vessel, out.off.vessel])
+        ignored = np.concatenate([out.rows, np.ones(len(out.off.frame), dtype=bool)])
+        return Annotations(
+            image=np.concatenate([truth.step, out.off.frame]),
+            label=self.log.vessel_label[vessel],
+            boxes_px=np.concatenate([boxes, out.off.boxes_px]),
+            ignored=ignored,
+            crowd=ignored.copy(),
+            identity=vessel,
+            visible_fraction=np.concatenate([truth.visible_fraction, np.full(len(out.off.frame), np.nan)]),
+            depth_m=np.concatenate([truth.depth_m, out.off.depth_m]),
+        ).by_image()
+
+
+def _carrier_there(scene: Scene, vessel: str | None, times_s: Array) -> Mask:
+    """Whether the vessel that carries a camera is in the scene at some times, shape (n,)."""
+    if vessel is None:
+        return np.ones(len(times_s), dtype=bool)
+    there = scene.poses.poses(0, scene.steps).present[:, scene.vessel_names.index(vessel)]
+    every_s = scene.times_s(0, scene.steps)
+    before = np.clip(np.searchsorted(every_s, times_s + NEAR_S, side="right") - 1, 0, len(every_s) - 1)
+    after = np.where(times_s - every_s[before] > NEAR_S, np.minimum(before + 1, len(every_s) - 1), before)
+    found: Mask = there[before] & there[after]
+    return found
+
+
+def _said_of_frames(camera: str, inside: Mask, carried: Mask, vessel: str | None) -> Iterator[str]:
+    """What became of frames that have no truth."""
+    if outside := int((~inside).sum()):
+        yield f"camera '{camera}': {outside:,} of {len(inside):,} frames are before or after the scene and left out"
+    if absent := int((inside & ~carried).sum()):
+        yield f"camera '{camera}': {absent:,} frames are left out in which '{vessel}', which carries it, has no pose"

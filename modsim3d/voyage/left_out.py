@@ -1,0 +1,222 @@
+"""Vessels whose AIS says too little of where they are: their boxes are ignored, and they are named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from modsim3d.ais.headings import KNOT_M_S
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.geometry.camera import Camera
+from modsim3d.geometry.camera_poses import CameraPoses
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.motion.poses import Poses
+from modsim3d.motion.vessel_motion import PosesInWaves
+from modsim3d.scene.scene import Scene
+from modsim3d.scene.sight import line_of_sight
+from modsim3d.voyage.reports import Reports
+from modsim3d.voyage.sampling import NEAR_S
+
+STALE_S = 60.0
+"""A vessel under way that has not reported for so long before and after a frame is left out of it."""
+LYING_M_S = 0.25
+"""A slower vessel does not move between its reports, which come every three minutes."""
+MOST_KN = 60.0
+"""A vessel that would be faster has jumped, unless the scene was made with another limit."""
+ALWAYS_OFF_M, OFF_M_S = 10.0, 0.5
+"""How far off the place of a vessel that is left out may be: at once, and for each second since its last report."""
+
+
+class Reason(Enum):
+    """Why a vessel is left out of a frame."""
+
+    STALE = "stale, no report within {stale_s:g} s"
+    JUMP = "jumping"
+    OFF = "off"
+
+
+@dataclass(frozen=True, eq=False)
+class Regions:
+    """Where vessels that are left out may be in n frames: k regions.
+
+    Attributes:
+        frame: Number of the frame, non-decreasing, shape (k,).
+        vessel: Index of the vessel, shape (k,).
+        boxes_px: x_min, y_min, x_max, y_max, shape (k, 4).
+        depth_m: Distance along the axis of the camera, shape (k,).
+    """
+
+    frame: Indices
+    vessel: Indices
+    boxes_px: Array
+    depth_m: Array
+
+    def rows(self, rows: Mask | slice, later: int = 0) -> Regions:
+        """Some of the regions, shape (k,), with a number added to that of their frames."""
+        return Regions(self.frame[rows] + later, self.vessel[rows], self.boxes_px[rows], self.depth_m[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """How well the places of V vessels are known at n times.
+
+    Attributes:
+        reason: Reason → whether it holds, shape (n, V).
+        since_s: Time to the nearest report, or to the nearest pose of the scene, 0 where unknown, shape (n, V).
+        off: Poses of the vessels that are off, straight between the last place before and the first after.
+    """
+
+    reason: Mapping[Reason, Mask]
+    since_s: Array
+    off: Poses
+
+
+class Freshness:
+    """How well the places of a scene's vessels are known."""
+
+    def __init__(self, scene: Scene, reports: Reports | None, stale_s: float = STALE_S) -> None:
+        """Look at the poses of all steps.
+
+        Args:
+            scene: The scene.
+            reports: When its vessels have reported, if it was made from AIS.
+            stale_s: Least time without a report of a vessel under way that is left out.
+        """
+        self._scene, self._reports, self.stale_s = scene, reports, stale_s
+        self._every_s, self._poses = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
+
+    def at(self, times_s: Array) -> Known:
+        """How well they are known at ascending times within the scene, shape (n,)."""
+        count, vessels = len(times_s), len(self._scene.vessels)
+        reason = {each: np.zeros((count, vessels), dtype=bool) for each in Reason}
+        known = Known(reason, np.zeros((count, vessels)), Poses.absent(count, vessels))
+        for column, name in enumerate(self._scene.vessel_names):
+            steps = np.flatnonzero(self._poses.present[:, column])
+            if len(steps):
+                self._fill(known, column, name, steps, times_s)
+        return known
+
+    def _fill(self, known: Known, column: int, name: str, steps: Indices, times_s: Array) -> None:
+        """Fill in the column of a vessel that is there at some steps, shape (k,)."""
+        at_s, places_m = self._every_s[steps], self._poses.positions_m[steps, column]
+        before = np.clip(np.searchsorted(at_s, times_s + NEAR_S, side="right") - 1, 0, len(at_s) - 1)
+        after = np.minimum(before + 1, len(at_s) - 1)
+        inside = (times_s >= at_s[0] - NEAR_S) & (times_s <= at_s[-1] + NEAR_S)
+        off = (steps[after] - steps[before] > 1) & (times_s - at_s[before] > NEAR_S) & inside
+        there, span = inside & ~off, np.where(after > before, at_s[after] - at_s[before], 1.0)
+        way_m = places_m[after] - places_m[before]
+        speed = np.linalg.norm(way_m, axis=1) / span
+        known.reason[Reason.OFF][:, column] = off
+        known.reason[Reason.JUMP][:, column] = there & (speed > MOST_KN * KNOT_M_S)
+        known.since_s[:, column] = np.where(off, np.minimum(times_s - at_s[before], at_s[after] - times_s), 0.0)
+        known.off.present[:, column] = off
+        share = np.clip((times_s - at_s[before]) / span, 0, 1)[:, None]
+        known.off.positions_m[:, column] = places_m[before] + share * way_m
+        known.off.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
+        used = self._reports.used_s.get(name) if self._reports else None
+        if self._reports is None or used is None or not len(used):
+            return
+        previous = np.searchsorted(used, times_s, side="right") - 1
+        last, first = used[np.maximum(previous, 0)], used[np.minimum(previous + 1, len(used) - 1)]
+        near = np.minimum(np.abs(times_s - last), np.abs(first - times_s))
+        known.reason[Reason.STALE][:, column] = there & (near > self.stale_s) & (speed > LYING_M_S)
+        jumps = self._reports.jumps_s.get(name, np.empty(0))
+        between = np.searchsorted(jumps, first) > np.searchsorted(jumps, last)
+        known.reason[Reason.JUMP][:, column] |= there & between
+        known.since_s[:, column] = np.where(off, known.since_s[:, column], near)
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """What is left out of the frames of one camera.
+
+    Attributes:
+        rows: Whether each row of the truth is, shape (T,).
+        boxes_px: Where it may be instead, of those rows, shape (k, 4).
+        off: Where vessels may be that the truth lacks.
+        notes: A line for each vessel that is left out of frames in which it is, or would be.
+    """
+
+    rows: Mask
+    boxes_px: Array
+    off: Regions
+    notes: tuple[str, ...]
+
+
+def left_out(
+    fresh: Freshness,
+    scene: Scene,
+    camera: Camera,
+    camera_poses: CameraPoses,
+    times_s: Array,
+    seen: Regions,
+) -> LeftOut:
+    """What is left out of the n frames of a camera.
+
+    Args:
+        fresh: How well the places of the vessels are known.
+        scene: The scene.
+        camera: The camera.
+        camera_poses: From where it looks in each frame.
+        times_s: Ascending times of the frames, shape (n,).
+        seen: The T rows of the truth.
+    """
+    rows, pieces, boxes = np.zeros(len(seen.frame), dtype=bool), [_NOTHING], [np.empty((0, 4))]
+    counts = {each: np.zeros(len(scene.vessels), dtype=np.int64) for each in Reason}
+    length = max(1, _AT_ONCE // len(scene.vessels))
+    for first in range(0, len(times_s), length):
+        frames = np.arange(first, min(first + length, len(times_s)))
+        known = fresh.at(times_s[frames])
+        start, stop = np.searchsorted(seen.frame, (frames[0], frames[-1] + 1))
+        part = seen.rows(slice(start, stop), -first)
+        for each, holds in known.reason.items():
+            ours = holds[part.frame, part.vessel]
+            rows[start:stop] |= ours
+            counts[each] += np.bincount(part.vessel[ours], minlength=len(scene.vessels))
+        boxes.append(_grown(part.rows(rows[start:stop]), camera, known).boxes_px)
+        look = CameraPoses(camera_poses.camera_R_world[frames], camera_poses.positions_m[frames])
+        away = _off_regions(scene, camera, look, known)
+        counts[Reason.OFF] += np.bincount(away.vessel, minlength=len(scene.vessels))
+        pieces.append(away.rows(slice(None), first))
+    off = Regions(*(np.concatenate(columns) for columns in zip(*(vars(each).values() for each in pieces), strict=True)))
+    return LeftOut(rows, np.concatenate(boxes), off, tuple(_told(scene, counts, len(times_s), fresh.stale_s)))
+
+
+_NOTHING = Regions(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty(0))
+_AT_ONCE = 1_000_000
+"""Frames times vessels, at some 60 bytes each."""
+
+
+def _told(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: float) -> Iterator[str]:
+    for column, name in enumerate(scene.vessel_names):
+        if parts := [
+            f"{each.value.format(stale_s=stale_s)} in {count[column]:,}"
+            for each, count in counts.items()
+            if count[column]
+        ]:
+            yield f"vessel '{name}' is left out of frames: its AIS is {'; '.join(parts)} of {frames:,}"
+
+
+def _off_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
+    """Where vessels without AIS may be in the frames of a camera with some poses, one for each frame."""
+    poses, frames = known.off, np.arange(len(known.since_s))
+    calm = np.zeros((*poses.present.shape, 3))
+    places = PosesInWaves(poses, calm, world_R_vehicle(poses.headings_rad))
+    sight = line_of_sight(camera, camera_poses, frames, scene.vessels, places, (), scene.sea == "curved")
+    outlines = sight.outlines(as_shoeboxes=True)
+    found = Regions(outlines.frame, outlines.occluder, outlines.boxes_px, outlines.depth_m)
+    return _grown(found, camera, known)
+
+
+def _grown(regions: Regions, camera: Camera, known: Known) -> Regions:
+    """Regions that are as much larger as the places may be off."""
+    off_m = ALWAYS_OFF_M + OFF_M_S * known.since_s[regions.frame, regions.vessel]
+    share = off_m / np.maximum(regions.depth_m, camera.intrinsics.near_clip_m)
+    low, high = regions.boxes_px[:, :2], regions.boxes_px[:, 2:]
+    more = np.column_stack([camera.intrinsics.focal_px[0] * share, (high - low)[:, 1] * share])
+    size = np.array(camera.intrinsics.image_size_px, dtype=np.float64)
+    boxes = np.concatenate([np.maximum(low - more, 0), np.minimum(high + more, size)], axis=1)
+    return replace(regions, boxes_px=boxes)

@@ -1,0 +1,1 @@
+"""What real detectors write, in one form."""

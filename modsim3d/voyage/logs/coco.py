@@ -1,0 +1,137 @@
+"""COCO: results with the file of their images, or one file whose annotations have scores.
+
+The time of an image is its `time_s`, `utc` or `date_captured`, or its `frame_id` with a frame rate. Its camera is
+`camera`, or `sequence` (or `video_id`) where that is a text or there are several.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from modsim3d.errors import InputError
+from modsim3d.formats.reading.builder import Problems, is_number
+from modsim3d.formats.reading.confidences import Confidences
+from modsim3d.inputs.validation import shown
+from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
+from modsim3d.voyage.logs.times import all_utc, time_of
+
+_TIMES = ("time_s", "utc", "date_captured")
+SECTIONS = ("images", "annotations", "categories")
+
+
+def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) -> DetectionLog:
+    """The log of a COCO file.
+
+    Args:
+        path: The file of the detections.
+        content: Its content: a list of results, or a mapping with images, annotations and categories.
+        images: Content of the file of the images; None where `content` has them.
+        options: What the files do not say.
+
+    Raises:
+        InputError: The files are wrong; each problem names the index of its entry.
+    """
+    source = f"detections {path}"
+    problems = Problems(source, options.skip_bad)
+    where = source if options.images is None else f"images {options.images}"
+    truth = content if images is None else images
+    categories = _categories(truth, where, options.category_offset)
+    results = content["annotations"] if isinstance(content, dict) else content
+    if not isinstance(results, list):
+        raise InputError(source, ["annotations: must be a list"])
+    scores = [(f"[{k}]", each.get("score")) for k, each in enumerate(results) if isinstance(each, dict)]
+    scored = any(value is not None for _, value in scores)
+    confidences = Confidences.of(scores, options.confidence_scale, problems, "score") if scored else None
+    rows = LogRows(source, problems, confidences)
+    frame_of, clock = _frames(truth, where, options, rows)
+    for index, entry in enumerate(results):
+        place = f"[{index}]"
+        if not isinstance(entry, dict):
+            problems.add(f"{place}: must be a mapping (got {shown(entry)})")
+        elif _key(entry.get("image_id")) not in frame_of:
+            problems.add(f"{place}: unknown image_id {shown(entry.get('image_id'))}")
+        elif _key(entry.get("category_id")) not in categories:
+            problems.add(f"{place}: unknown category_id {shown(entry.get('category_id'))}")
+        else:
+            label, box = categories[_key(entry["category_id"])], entry.get("bbox")
+            frame = frame_of[_key(entry["image_id"])]
+            rows.add(frame, place, box if isinstance(box, list) else [], label, entry.get("score"))
+    labels = {name: k for k, name in enumerate(categories.values())}
+    return rows.log(clock, f"the images of {(options.images or path).name}", labels)
+
+
+def _key(value: Any) -> Any:
+    return value if isinstance(value, str | int | float) else None
+
+
+def _categories(truth: Any, source: str, offset: int) -> dict[Any, str]:
+    if not isinstance(truth, dict) or any(not isinstance(truth.get(key), list) for key in ("images", "categories")):
+        raise InputError(source, ["must be a mapping with lists of images and categories"])
+    found: dict[Any, str] = {}
+    for index, entry in enumerate(truth["categories"]):
+        number, name = (entry.get("id"), entry.get("name")) if isinstance(entry, dict) else (None, None)
+        if not is_number(number) or not isinstance(name, str) or not name or name in found.values():
+            raise InputError(source, [f"categories[{index}]: must have an id, a whole number, and a name of its own"])
+        found[number - offset] = name
+    return found
+
+
+def _frames(truth: Mapping[str, Any], source: str, options: LogOptions, rows: LogRows) -> tuple[dict[Any, int], Clock]:
+    """Number of the frame of each image by its ID, and what their times count from."""
+    times = [_time(entry, options.frame_rate_hz) for entry in truth["images"]]
+    lacking = [k for k, (time_s, _) in enumerate(times) if math.isnan(time_s)]
+    if lacking:
+        needed = f"a time is needed: {', '.join(_TIMES)}, or frame_id with --frame-rate"
+        got = shown(truth["images"][lacking[0]])
+        more = f", and {len(lacking) - 1:,} more" if len(lacking) > 1 else ""
+        raise InputError(source, [f"images[{lacking[0]}]: {needed} (got {got}){more}"])
+    utc = all_utc([of_utc for _, of_utc in times])
+    if utc is None:
+        raise InputError(source, ["images: some times are UTC and others are not"])
+    frame_of: dict[Any, int] = {}
+    problems = []
+    cameras = _cameras(truth["images"])
+    for index, (entry, camera, (time_s, _)) in enumerate(zip(truth["images"], cameras, times, strict=True)):
+        where, identity = f"images[{index}]", _key(entry.get("id"))
+        if identity is None or identity in frame_of:
+            problems.append(f"{where}: must have an id of its own (got {shown(entry.get('id'))})")
+        elif rows.has(camera, time_s):
+            problems.append(
+                f"{where}: another image has the time {time_s:.12g}; where cameras take images at one time, each image "
+                "must name its camera, and times to the second are too coarse for more than one image a second"
+            )
+        else:
+            frame_of[identity] = rows.frame(camera, time_s, _size(entry))
+    if problems:
+        raise InputError(source, problems)
+    return frame_of, Clock.UTC if utc else Clock.STEP
+
+
+def _time(entry: Any, frame_rate_hz: float | None) -> tuple[float, bool]:
+    """Time of an image, and whether it is UTC."""
+    if not isinstance(entry, dict):
+        return math.nan, False
+    for key in _TIMES:
+        if entry.get(key) is not None:
+            return time_of(entry[key])
+    frame = entry.get("frame_id")
+    return (frame / frame_rate_hz, False) if frame_rate_hz and is_number(frame) else (math.nan, False)
+
+
+def _cameras(images: Sequence[Any]) -> list[str | None]:
+    """The camera of each image: its `camera`, or its sequence if that is a text or there are several."""
+    sequences = [entry.get("sequence", entry.get("video_id")) for entry in images]
+    several = len({str(each) for each in sequences}) > 1
+    names = []
+    for entry, sequence in zip(images, sequences, strict=True):
+        camera = entry.get("camera", sequence if several or isinstance(sequence, str) else None)
+        names.append(None if camera is None else str(camera))
+    return names
+
+
+def _size(entry: Mapping[str, Any]) -> tuple[float, float]:
+    width, height = entry.get("width"), entry.get("height")
+    return float(width) if is_number(width) else math.nan, float(height) if is_number(height) else math.nan

@@ -1,0 +1,181 @@
+"""Tables, as CSV or Parquet: a row for each detection, and rows with empty boxes for frames without any."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from modsim3d.arrays import Array
+from modsim3d.errors import InputError
+from modsim3d.formats.reading.builder import Problems
+from modsim3d.formats.reading.confidences import Confidences
+from modsim3d.inputs.opening import note_input
+from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.validation import shown
+from modsim3d.tracks.files.box_forms import CENTRE, CORNERS, TOP_LEFT, BoxForm
+from modsim3d.tracks.files.row_problems import RowProblems
+from modsim3d.tracks.files.text_table import TextTable
+from modsim3d.voyage.logs.filling import filled
+from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
+from modsim3d.voyage.logs.times import LEAST_UNIX_S, seconds, utc_s
+
+_TIMES, _SCORES, _LABELS = ("utc", "time_s", "time", "timestamp"), ("score", "confidence"), ("label", "class")
+_EDGES = BoxForm("edges", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
+_SIDES = BoxForm("corner and sides", ("left", "top", "width", "height"), 0, TOP_LEFT.to_corners)
+_FORMS = (_EDGES, _SIDES, CORNERS, CENTRE)
+_NEEDED = "time_s or utc; left, top, right, bottom or left, top, width, height; and perhaps camera, label, score"
+
+
+def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
+    """The log of a table with a line of names.
+
+    The frames are those of a file beside it, `frames…` beside `detections…`, as runs and exports have; or those of
+    its rows, where some have empty boxes; or those that the frame rate adds between the rows' times.
+
+    Raises:
+        InputError: The file cannot be read, or is wrong; each problem names its line.
+    """
+    source = f"detections {path}"
+    table = read_table(path, source)
+    time_s, clock = times_of(table, source)
+    form = _form(table, source)
+    boxes = np.column_stack([table.numbers(name, needed=False) for name in form.names])
+    empty = np.asarray(np.isnan(boxes).all(axis=1), dtype=bool)
+    partial = np.isnan(boxes).any(axis=1) & ~empty
+    table.problems.refuse(partial, lambda _: f"{', '.join(form.names)} must be numbers, or all be empty")
+    table.problems.settle()
+    cameras = _texts(table, "camera")
+    labels, scores = (_texts(table, _first(table, names)) for names in (_LABELS, _SCORES))
+    problems = Problems(source, options.skip_bad)
+    values = [None if text is None else seconds(text) for text in scores]
+    where = [f"{table.problems.word} {line}" for line in table.problems.line.tolist()]
+    confidences = None
+    if any(value is not None for value in values):
+        confidences = Confidences.of(zip(where, values, strict=True), options.confidence_scale, problems, "score")
+    rows = LogRows(source, problems, confidences)
+    for row, (corners, is_empty) in enumerate(zip(form.boxes_px(boxes).tolist(), empty.tolist(), strict=True)):
+        frame = rows.frame(cameras[row], float(time_s[row]))
+        if not is_empty:
+            left, top, right, bottom = corners
+            sides = [left, top, right - left, bottom - top]
+            rows.add(frame, where[row], sides, labels[row], values[row])
+    return rows.log(clock, _add_frames(path, rows, cameras, time_s, clock, bool(empty.any()), options))
+
+
+def read_table(path: Path, source: str) -> TextTable:
+    """The columns of a table, as CSV or Parquet, as texts.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    if path.suffix == ".parquet":
+        note_input(path)
+        try:
+            read = pq.read_table(path)
+            columns = {
+                name: pc.fill_null(pc.cast(_plain(read[name]), pa.string()), "")
+                for name in read.column_names
+                if not pa.types.is_nested(read[name].type)
+            }
+        except (OSError, KeyError, pa.ArrowException) as error:  # KeyError: two columns of one name
+            raise InputError(source, [f"cannot be read as Parquet: {error}"]) from None
+        return TextTable(columns, RowProblems(source, np.arange(len(read)), "row"))
+    text = read_text(path, "detections").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    head, _, body = text.partition("\n")
+    names = [name.strip().strip('"') for name in head.split(",")]
+    if repeated := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+        raise InputError(source, [f"line 1: the column {shown(name)} is there twice" for name in repeated])
+    return TextTable.of(body, names, source, first_line=2)
+
+
+def _plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """A column whose times are texts that `utc_s` reads."""
+    if pa.types.is_dictionary(column.type):
+        return column.cast(column.type.value_type)
+    return pc.strftime(column, "%Y-%m-%dT%H:%M:%S") if pa.types.is_timestamp(column.type) else column
+
+
+def _first(table: TextTable, names: Sequence[str]) -> str:
+    """The first of some names that is a column; empty if none is."""
+    return next((name for name in names if table.has(name)), "")
+
+
+def _texts(table: TextTable, name: str) -> list[str | None]:
+    """A column of texts, None where it is empty or not there."""
+    if not table.has(name):
+        return [None] * len(table)
+    return [text or None for text in table.columns[name].to_pylist()]
+
+
+def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
+    """The time of each row, shape (k,), and what it counts from.
+
+    Raises:
+        InputError: There is no column of times, or a time is wrong.
+    """
+    name = _first(table, _TIMES)
+    if not name:
+        raise InputError(source, [f"line 1: a column with the time is missing; needed are {_NEEDED}"])
+    texts = table.columns[name].to_pylist()
+    times = np.array([seconds(text) for text in texts])
+    of_utc = np.isnan(times)
+    times = np.where(of_utc, [utc_s(text) if bad else 0.0 for text, bad in zip(texts, of_utc, strict=True)], times)
+    table.problems.refuse(
+        np.isnan(times),
+        lambda row: f"{name} must be seconds, or a time such as 2024-01-04T10:00:00.250Z (got {shown(texts[row])})",
+    )
+    table.problems.settle()
+    of_utc |= (times >= LEAST_UNIX_S) | (name == "utc")
+    table.problems.refuse(of_utc != of_utc[:1].any(), lambda row: f"{name}: some times are UTC and others are not")
+    table.problems.settle()
+    seconds_from = Clock.STAMP if name == "timestamp" else Clock.STEP
+    return times, Clock.UTC if of_utc.any() else seconds_from
+
+
+def _form(table: TextTable, source: str) -> BoxForm:
+    for form in _FORMS:
+        if all(table.has(name) for name in form.names):
+            return form
+    raise InputError(source, [f"line 1: columns of the box are missing; needed are {_NEEDED}"])
+
+
+def _add_frames(
+    path: Path,
+    rows: LogRows,
+    cameras: Sequence[str | None],
+    time_s: Array,
+    clock: Clock,
+    said: bool,
+    options: LogOptions,
+) -> str:
+    """Add the frames without detections to the rows, and say how they are known."""
+    beside = path.with_name(path.name.replace("detections", "frames", 1))
+    if beside != path and beside.is_file():
+        frames = read_table(beside, f"frames {beside}")
+        times, other = times_of(frames, f"frames {beside}")
+        if other is not clock:
+            raise InputError(f"frames {beside}", [f"has times in {other.value}, and {path.name} in {clock.value}"])
+        for camera, time in zip(_texts(frames, "camera"), times.tolist(), strict=True):
+            rows.frame(camera, time)
+        return f"the rows of {beside.name}"
+    if said and options.frame_rate_hz is None:
+        return "its rows, some of which have empty boxes"
+    of_camera = np.array([camera or "" for camera in cameras], dtype=object)
+    said_of = []
+    for camera in dict.fromkeys(cameras):
+        seen = np.unique(time_s[of_camera == (camera or "")])
+        more = filled(seen, options.frame_rate_hz, rows.source)
+        for time in more.time_s.tolist():
+            rows.frame(camera, time)
+        named = "" if camera is None else f" of {camera}"
+        said_of.append(
+            f"{more.rate_hz:.4g} Hz{named}: {len(more.time_s):,} without detections were added to {len(seen):,}, in "
+            f"gaps of up to {more.longest_s:.3g} s"
+        )
+    how = "--frame-rate" if options.frame_rate_hz else "the usual gap between its times"
+    return f"{how}, {'; '.join(said_of)}"

@@ -1,0 +1,51 @@
+"""Times in logs: seconds, or UTC as text or as Unix time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from modsim3d.ais.options import time_text as ais_time_text
+
+LEAST_UNIX_S = 1e8
+"""A number of seconds from here on, March 1973, is Unix time: no scene lasts three years."""
+MOST_S = 1e11
+
+
+def utc_s(text: str) -> float:
+    """Unix time from a date and time of ISO 8601, NaN if it is none; without a zone it is UTC."""
+    try:
+        when = datetime.fromisoformat(text.strip().replace("/", "-"))
+        return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        return math.nan
+
+
+def seconds(text: str) -> float:
+    """A finite number of seconds, NaN if the text is none."""
+    try:
+        number = float(text)
+    except ValueError:
+        return math.nan
+    return number if abs(number) <= MOST_S else math.nan
+
+
+def time_of(value: object) -> tuple[float, bool]:
+    """The time that a number or a text stands for, NaN if none, and whether it is UTC, as Unix time."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return math.nan, False
+    number = seconds(str(value))
+    if math.isnan(number):
+        return (utc_s(value), True) if isinstance(value, str) else (math.nan, False)
+    return number, number >= LEAST_UNIX_S
+
+
+def all_utc(utc: Sequence[bool]) -> bool | None:
+    """Whether all times are UTC; None if some are and others are not."""
+    return None if any(utc) and not all(utc) else any(utc)
+
+
+def time_text(unix_s: float) -> str:
+    """A Unix time as text, such as 2024-01-04T10:00:00Z."""
+    return ais_time_text(unix_s)

@@ -1,0 +1,175 @@
+"""A log on its scene: each frame has a camera of the scene, and each detection one of its labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.errors import InputError
+from modsim3d.inputs.validation import nearest, shown
+from modsim3d.scene.scene import Scene
+from modsim3d.voyage.clock import SceneClock, check_overlap, scene_times
+from modsim3d.voyage.logs.bags import ros_name
+from modsim3d.voyage.logs.log import DetectionLog
+
+ONE_LABEL = "vessel"
+"""What all vessels are called where a log names no classes and the scene has several."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraLog:
+    """What the detector of one camera wrote: n frames and m detections.
+
+    Attributes:
+        camera: Number of the camera in the scene.
+        time_s: Times since the scene's first step by the log's own clock, ascending, shape (n,).
+        names: The frames as messages call them.
+        frame: Frame of each detection, non-decreasing, shape (m,).
+        label: Index into the labels of the `SceneLog`, shape (m,).
+        boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
+        confidence: In [0, 1], NaN where not given, shape (m,).
+    """
+
+    camera: int
+    time_s: Array
+    names: tuple[str, ...]
+    frame: Indices
+    label: Indices
+    boxes_px: Array
+    confidence: Array
+
+    def take(self, frames: Mask) -> CameraLog:
+        """Some of its frames, shape (n,), with their detections."""
+        place = np.cumsum(frames) - 1
+        rows = frames[self.frame]
+        names = tuple(name for name, kept in zip(self.names, frames.tolist(), strict=True) if kept)
+        columns = self.label[rows], self.boxes_px[rows], self.confidence[rows]
+        return CameraLog(self.camera, self.time_s[frames], names, place[self.frame[rows]], *columns)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneLog:
+    """A log on its scene.
+
+    Attributes:
+        source: What messages call the log.
+        scene: The scene.
+        length_s: Time of the scene's last step.
+        labels: Names of the classes.
+        vessel_label: Index into the labels of each vessel of the scene, shape (V,).
+        cameras: The log of each camera that it has frames of.
+        notes: What was taken for granted.
+    """
+
+    source: str
+    scene: Scene
+    length_s: float
+    labels: tuple[str, ...]
+    vessel_label: Indices
+    cameras: tuple[CameraLog, ...]
+    notes: tuple[str, ...]
+
+
+def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> SceneLog:
+    """A log with the cameras, the clock and the labels of its scene.
+
+    Args:
+        log: The log.
+        scene: The scene.
+        camera: Name of the scene's camera whose frames are taken; all of those that the log names if None.
+
+    Raises:
+        InputError: The log does not fit the scene.
+    """
+    if scene.live:
+        raise InputError(scene.title, ["its poses arrive while it runs: a scene with all poses is needed"])
+    log, numbers = _with_cameras(log, scene, camera)
+    _check_sizes(log, scene, numbers)
+    labels, of_vessel, of_log, said = _labels(log, scene)
+    clock = SceneClock.of(scene)
+    times_s = scene_times(log, scene, clock)
+    check_overlap(log, times_s, scene, clock)
+    label = np.zeros(len(log.label), dtype=np.int64) if of_log is None else of_log[log.label]
+    cameras = []
+    for index, number in enumerate(numbers):
+        frames = np.flatnonzero(log.camera == index)  # follow each other
+        if not len(frames):
+            continue
+        rows = np.flatnonzero((log.frame >= frames[0]) & (log.frame <= frames[-1]))
+        name = scene.cameras[number].name
+        names = tuple(f"{name} {log.when(time)}" for time in log.time_s[frames].tolist())
+        columns = label[rows], log.boxes_px[rows], log.confidence[rows]
+        cameras.append(CameraLog(number, times_s[frames], names, log.frame[rows] - frames[0], *columns))
+    notes = (*log.notes, f"{log.source}: its frames are known from {log.frames_from}", *said)
+    return SceneLog(log.source, scene, clock.length_s, labels, of_vessel, tuple(cameras), notes)
+
+
+def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[DetectionLog, list[int]]:
+    """The log of the wanted cameras, and the number in the scene of each of its cameras."""
+    names = [camera.name for camera in scene.cameras]
+    known = _names_in_logs(names)
+    if wanted is not None:
+        if wanted not in names:
+            raise InputError("--camera", [f"{scene.title} has no camera {shown(wanted)} ({nearest(wanted, names)})"])
+        number = names.index(wanted)
+        given = [index for index, name in enumerate(log.cameras) if known.get(str(name)) == number]
+        if not given and len(log.cameras) > 1:
+            there = ", ".join(map(shown, log.cameras))
+            raise InputError(log.source, [f"has no frame of camera {shown(wanted)} (its cameras: {there})"])
+        return log.of_one_camera(given[0] if given else 0), [number]
+    if log.cameras == (None,):
+        if len(names) > 1:
+            problem = f"does not say which camera of the scene it is of ({', '.join(names)}): give --camera"
+            raise InputError(log.source, [problem])
+        return log, [0]
+    if wrong := [str(name) for name in log.cameras if name not in known]:
+        hint = f"{nearest(wrong[0], names)}; if the log is of one camera, --camera says which"
+        raise InputError(log.source, [f"the scene has no camera {shown(wrong[0])} ({hint})"])
+    return log, [known[str(name)] for name in log.cameras]
+
+
+def _names_in_logs(names: Sequence[str]) -> dict[str, int]:
+    """Number of each camera of a scene by what logs may call it: its number, its name in ROS, its name."""
+    numbers = {str(number): number for number in range(len(names))}  # as the sequences of `modsim3d export`
+    return numbers | {ros_name(name): k for k, name in enumerate(names)} | {name: k for k, name in enumerate(names)}
+
+
+def _check_sizes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> None:
+    """Refuse images of another size than the camera's, whose boxes would be in other pixels."""
+    sizes = np.array([scene.cameras[number].intrinsics.image_size_px for number in numbers])[log.camera]
+    wrong = np.flatnonzero((np.isfinite(log.size_px) & (log.size_px != sizes)).any(axis=1))
+    if len(wrong):
+        first = int(wrong[0])
+        camera = scene.cameras[numbers[int(log.camera[first])]]
+        found, needed = (" × ".join(f"{side:g}" for side in size[first].tolist()) for size in (log.size_px, sizes))
+        raise InputError(log.source, [f"has images of {found} px, and camera '{camera.name}' of the scene {needed} px"])
+
+
+def _labels(log: DetectionLog, scene: Scene) -> tuple[tuple[str, ...], Indices, Indices | None, list[str]]:
+    """The labels, that of each vessel (V,) and of each of the log's labels; None where all detections have the first.
+
+    The last of what it returns says what was taken for granted.
+    """
+    known = scene.detector.labels
+    used = tuple(dict.fromkeys(vessel.label for vessel in scene.vessels))
+    alike = np.zeros(len(scene.vessels), dtype=np.int64)
+    if not log.labels:
+        label = known[0] if len(known) == 1 else ONE_LABEL
+        said = [] if len(known) == 1 else [f"{log.source}: names no classes, so all vessels are '{label}'"]
+        return (label,), alike, None, said
+    wrong = [name for name in log.labels if name not in known]
+    if not wrong:
+        of_vessel = np.array([known.index(vessel.label) for vessel in scene.vessels], dtype=np.int64)
+        return known, of_vessel, np.array([known.index(name) for name in log.labels], dtype=np.int64), []
+    if len(used) == 1:
+        names = ", ".join(map(shown, log.labels[:8]))
+        said = [f"{log.source}: all its classes ({names}) are taken for '{used[0]}', the only one of the scene"]
+        return used, alike, None, said
+    problem = (
+        f"the scene has no label {shown(wrong[0])} ({nearest(wrong[0], known)}); its vessels and the detector must "
+        "have the same, or its vessels only one; --labels names the classes of MOT"
+    )
+    raise InputError(log.source, [problem])

@@ -1,0 +1,136 @@
+"""Vessels that are left out because their AIS says too little: stale, jumping, off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d.ais.scene_folder import write_scene
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule, match
+from modsim3d.inputs.shipped import data_folder
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+from modsim3d.voyage.labelled_voyage import VoyageOptions, labelled_voyage
+from modsim3d.voyage.logs.log import Clock
+from modsim3d.voyage.logs.reading import read_log
+from modsim3d.voyage.on_scene import on_scene
+from modsim3d.voyage.reports import read_reports
+from tests.ais.ais_builders import old_file, row, traffic_of
+
+FRESH, STALE, OFF, JUMPING, LYING = range(219000001, 219000006)
+LAST_S = 720
+LATITUDE_M, LONGITUDE_M = 111_200, 62_250
+CAMERA = {"position_m": [0, 0, 30], "yaw_rad": 0}
+
+
+def reports(mmsi: int, times: list[int], speed_kn: float = 2.0) -> list[str]:
+    """A vessel 800 m east of the origin that goes east, each in a lane of its own."""
+    lane_m = 60 * (mmsi - JUMPING + 1)
+    rows = []
+    for time in times:
+        east_m = 800 + 0.5144 * speed_kn * time
+        rows.append(row(time, 56 + lane_m / LATITUDE_M, 12 + east_m / LONGITUDE_M, speed_kn, 90, 90, mmsi, 70, 30, 8))
+    return rows
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    folder = tmp_path_factory.mktemp("ais")
+    every = list(range(0, LAST_S + 1, 10))
+    jump = [row(205, 56.4, 12.0, 2, 90, 90, JUMPING, 70, 30, 8)]
+    rows = [
+        *reports(FRESH, every),
+        *reports(STALE, [time for time in every if not 100 < time < 300]),
+        *reports(OFF, [time for time in every if not 100 < time < 600]),
+        *reports(JUMPING, every),
+        *jump,
+        *reports(LYING, list(range(0, LAST_S + 1, 180)), 0.0),
+    ]
+    traffic = traffic_of(old_file(folder, *rows), origin=(56.0, 12.0))
+    write_scene(traffic, folder / "scene", data_folder("scenes") / "detectors" / "thesis.yaml")
+    return load_scene(folder / "scene", source="analytic", settings={"cameras.shore.pose": CAMERA})
+
+
+def labelled_at(scene: Scene, folder: Path, times: list[int], *detections: str) -> LabelledSet:
+    """The voyage with a frame at each time, and detections as rows without their scores."""
+    rows = [f"2024-01-04T10:{time // 60:02d}:{time % 60:02d}Z,,,,,," for time in times]
+    text = "\n".join(["utc,left,top,right,bottom,label,score", *rows, *detections])
+    (folder / "log.csv").write_text(text + "\n")
+    log = read_log(folder / "log.csv")
+    assert log.clock is Clock.UTC
+    return labelled_voyage(on_scene(log, scene), VoyageOptions())
+
+
+def vessel(scene: Scene, mmsi: int) -> int:
+    return scene.vessel_names.index(str(mmsi))
+
+
+def ignored(scene: Scene, labelled: LabelledSet, mmsi: int, image: int) -> list[bool]:
+    rows = labelled.annotations
+    return rows.ignored[(rows.identity == vessel(scene, mmsi)) & (rows.image == image)].tolist()
+
+
+def test_a_scene_of_ais_knows_when_its_vessels_have_reported(scene: Scene) -> None:
+    found = read_reports(scene.path)
+    assert found is not None
+    assert found.start_s == 1704362400
+    assert found.used_s[str(LYING)].tolist() == [0, 180, 360, 540, 720]
+    assert found.jumps_s[str(JUMPING)].tolist() == [205]
+    assert not len(found.jumps_s[str(FRESH)])
+
+
+def test_vessels_are_left_out_while_their_ais_is_stale_jumps_or_is_off(scene: Scene, tmp_path: Path) -> None:
+    """The one that lies still has reported 90 s before the fourth frame, and after it."""
+    labelled = labelled_at(scene, tmp_path, [50, 200, 207, 270, 400, 700])
+    expected = {
+        FRESH: [False, False, False, False, False, False],
+        STALE: [False, True, True, False, False, False],
+        JUMPING: [False, True, True, False, False, False],
+        OFF: [False, True, True, True, True, False],
+        LYING: [False, False, False, False, False, False],
+    }
+    for mmsi, left_out in expected.items():
+        assert [ignored(scene, labelled, mmsi, image) for image in range(6)] == [[each] for each in left_out], mmsi
+    said = "\n".join(labelled.notes)
+    assert "upper bounds" in said
+    assert f"vessel '{STALE}' is left out of frames: its AIS is stale, no report within 60 s in 2 of 6" in said
+    assert f"vessel '{JUMPING}' is left out of frames: its AIS is jumping in 2 of 6" in said
+    assert f"vessel '{OFF}' is left out of frames: its AIS is off in 4 of 6" in said
+    assert str(FRESH) not in said
+    assert str(LYING) not in said
+
+
+def test_the_nearest_report_may_be_before_or_after(scene: Scene, tmp_path: Path) -> None:
+    labelled = labelled_at(scene, tmp_path, [159, 161, 239, 241])
+    assert [ignored(scene, labelled, STALE, image) for image in range(4)] == [[False], [True], [True], [False]]
+
+
+def test_a_vessel_that_is_left_out_is_neither_missed_nor_a_false_detection(scene: Scene, tmp_path: Path) -> None:
+    """Detections of a stale vessel and of one that is off, both beside their straight ways, and one of nothing."""
+    plain = labelled_at(scene, tmp_path, [200])
+    rows = plain.annotations
+    boxes = [rows.boxes_px[rows.identity == vessel(scene, mmsi)][0] for mmsi in (STALE, OFF)]
+    boxes.append(np.array([100.0, 100.0, 120.0, 110.0]))
+    found = [  # the regions are some 60 m, 80 px, wider than the vessels at both sides
+        f"2024-01-04T10:03:20Z,{left + 10},{(top + bottom) / 2},{left + 30},{bottom - 2},Vessel,0.9"
+        for left, top, right, bottom in boxes
+    ]
+    assert all(right - left > 130 for left, _, right, _ in boxes[:2])
+    labelled = labelled_at(scene, tmp_path, [], *found)
+    matched = match(labelled, Rule())
+    assert matched.counts.sum() == 1
+    assert matched.false.tolist() == [int(np.argmin(labelled.results.boxes_px[:, 1]))]
+    assert matched.sought.sum() == 2  # the fresh one and the one that lies still
+
+
+def test_a_scene_made_by_an_older_version_says_what_it_does_not_know(scene: Scene, tmp_path: Path) -> None:
+    (scene.path.parent / "report_times.json.gz").rename(tmp_path / "kept")
+    try:
+        labelled = labelled_at(scene, tmp_path, [200])
+        assert any("has no report times beside it" in note for note in labelled.notes)
+        assert ignored(scene, labelled, STALE, 0) == [False]
+    finally:
+        (tmp_path / "kept").rename(scene.path.parent / "report_times.json.gz")

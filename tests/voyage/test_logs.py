@@ -1,0 +1,233 @@
+"""Logs of detections in every format that is read."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from modsim3d.errors import InputError
+from modsim3d.scene.scene import Scene
+from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, Start
+from modsim3d.voyage.logs.reading import read_log
+from modsim3d.voyage.logs.times import utc_s
+from modsim3d.voyage.on_scene import CameraLog, on_scene
+
+HEAD = "time_s,left,top,width,height,label,score\n"
+LOGS = {
+    "run": ("run", {}),
+    "parquet": ("run/detections.parquet", {}),
+    "tracker input": ("run/tracker_input_bow.jsonl", {}),
+    "thesis JSON": ("run/detections_bow.json", {}),
+    "stream": ("stream.jsonl", {}),
+    "CSV": ("csv/detections_bow.csv", {}),
+    "COCO": ("coco/dt.json", {"images": "coco/gt.json"}),
+    "MOT": ("mot/modsim3d-all/bow/det/det.txt", {}),
+    "MCAP": ("mcap/detections", {}),
+    "MCAP file": ("mcap/detections/detections.mcap", {}),
+}
+"""Where each export of the bow camera is, and the options that it needs."""
+
+
+def options(voyage: Path, given: dict[str, str]) -> LogOptions:
+    return LogOptions(**{name: voyage / value for name, value in given.items()})
+
+
+def log_of(voyage: Path, name: str) -> DetectionLog:
+    path, given = LOGS[name]
+    return read_log(voyage / path, options(voyage, given))
+
+
+def columns(log: CameraLog) -> tuple[np.ndarray, np.ndarray]:
+    """Frames and boxes with confidences, in an order that is the same for all formats."""
+    order = np.lexsort((*log.boxes_px.round(3).T, log.frame))
+    return log.frame[order], np.column_stack([log.boxes_px, log.confidence])[order]
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_every_format_gives_the_same_frames_and_detections(voyage: Path, strait: Scene, name: str) -> None:
+    (found,) = on_scene(log_of(voyage, name), strait, "bow").cameras
+    (run,) = on_scene(log_of(voyage, "run"), strait, "bow").cameras
+    assert len(run.frame) > 80
+    np.testing.assert_allclose(found.time_s, run.time_s, rtol=0, atol=1e-9)
+    for mine, theirs in zip(columns(found), columns(run), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=0, atol=6e-4)
+    if name != "MOT":  # which has classes nowhere
+        assert on_scene(log_of(voyage, name), strait, "bow").labels == strait.detector.labels
+
+
+def test_logs_of_several_cameras_say_which(voyage: Path, strait: Scene) -> None:
+    for name in ("run", "stream", "COCO", "MCAP"):
+        assert [each.camera for each in on_scene(log_of(voyage, name), strait).cameras] == [0, 1]
+    with pytest.raises(InputError, match=r"which camera .*bow, quay.*--camera"):
+        on_scene(log_of(voyage, "CSV"), strait)
+    with pytest.raises(InputError, match="no camera 'mast'"):
+        on_scene(log_of(voyage, "run"), strait, "mast")
+
+
+def test_an_image_without_detections_is_a_frame(tmp_path: Path) -> None:
+    entry = {"id": 7, "file_name": "a.png", "width": 640, "height": 480, "date_captured": "2024-01-04 10:00:00"}
+    later = entry | {"id": 8, "date_captured": "2024-01-04T12:00:01.5+02:00"}
+    found = {"image_id": 8, "category_id": 3, "bbox": [1, 2, 3, 4]}
+    content = {"images": [entry, later], "annotations": [found], "categories": [{"id": 3, "name": "boat"}]}
+    (tmp_path / "log.json").write_text(json.dumps(content))
+    log = read_log(tmp_path / "log.json")
+    assert log.clock is Clock.UTC
+    assert log.span == "2024-01-04T10:00:00Z to 2024-01-04T10:00:01.500Z"
+    assert log.frame.tolist() == [1]
+    assert log.boxes_px.tolist() == [[1, 2, 4, 6]]
+    assert np.isnan(log.confidence).all()
+    assert log.size_px.tolist() == [[640, 480]] * 2
+
+
+def table(folder: Path, *rows: str, head: str = HEAD) -> Path:
+    path = folder / "log.csv"
+    path.write_text(head + "".join(f"{row}\n" for row in rows))
+    return path
+
+
+def test_frames_without_detections_come_from_the_usual_gap(tmp_path: Path) -> None:
+    rows = [f"{time},1,2,3,4,boat,0.5" for time in (0, 0.5, 1, 1.51, 2, 4, 4.5)]
+    log = read_log(table(tmp_path, *rows))
+    np.testing.assert_allclose(log.time_s, [0, 0.5, 1, 1.51, 2, 2.5, 3, 3.5, 4, 4.5])
+    assert "usual gap between its times, 2 Hz: 3 without detections were added to 7, in gaps of up to 2 s" in (
+        log.frames_from
+    )
+
+
+def test_frames_without_detections_come_from_the_frame_rate_that_is_given(tmp_path: Path) -> None:
+    rows = [f"{time},1,2,3,4,boat,0.5" for time in (0, 0.5, 1)]
+    log = read_log(table(tmp_path, *rows), LogOptions(frame_rate_hz=4))
+    np.testing.assert_allclose(log.time_s, [0, 0.25, 0.5, 0.75, 1])
+    with pytest.raises(InputError, match=r"0.5 s apart after 0 s do not fit --frame-rate 3"):
+        read_log(table(tmp_path, *rows), LogOptions(frame_rate_hz=3))
+
+
+def test_frames_without_detections_may_be_rows_with_empty_boxes(tmp_path: Path) -> None:
+    log = read_log(table(tmp_path, "0,1,2,3,4,boat,0.5", "1.3,,,,,,", "9,1,2,3,4,boat,0.5"))
+    assert log.time_s.tolist() == [0, 1.3, 9]
+    assert log.frame.tolist() == [0, 2]
+    assert "empty boxes" in log.frames_from
+
+
+def test_times_without_a_frame_rate_are_refused(tmp_path: Path) -> None:
+    rows = [f"{time},1,2,3,4,boat,0.5" for time in (0, 1, 2.5, 3.2, 7, 8.45)]
+    with pytest.raises(InputError, match=r"cannot be known: the usual gap .* give --frame-rate"):
+        read_log(table(tmp_path, *rows))
+
+
+def test_parquet_is_read_as_csv_is(tmp_path: Path) -> None:
+    columns = {"utc": ["2024-01-04T10:00:00Z", "2024-01-04T10:00:01Z"], "camera": ["bow", "bow"]}
+    boxes = {"left": [1.5, 2.0], "top": [2.0, 3.0], "right": [4.0, 5.0], "bottom": [6.0, 7.0], "score": [0.5, 0.25]}
+    pq.write_table(pa.table(columns | boxes), tmp_path / "log.parquet")
+    log = read_log(tmp_path / "log.parquet")
+    assert (log.clock, log.cameras, log.labels) == (Clock.UTC, ("bow",), ())
+    assert log.boxes_px.tolist() == [[1.5, 2, 4, 6], [2, 3, 5, 7]]
+    assert log.confidence.tolist() == [0.5, 0.25]
+
+
+def test_mot_begins_at_the_start_and_has_the_frame_rate(tmp_path: Path) -> None:
+    (tmp_path / "det.txt").write_text("1,-1,11,21,30,40,0.9,2\n4,-1,11,21,30,40,0.8,1\n")
+    start = Start(5.0, Clock.STEP)
+    log = read_log(tmp_path / "det.txt", LogOptions(frame_rate_hz=2, start=start, labels=("boat", "ship")))
+    assert log.time_s.tolist() == [5, 5.5, 6, 6.5]
+    assert [log.labels[k] for k in log.label] == ["ship", "boat"]
+    assert log.boxes_px.tolist() == [[10, 20, 40, 60]] * 2
+
+
+def test_confidences_on_another_scale_are_mapped(tmp_path: Path) -> None:
+    path = table(tmp_path, "0,1,2,3,4,boat,50", "1,1,2,3,4,boat,75")
+    with pytest.raises(InputError, match="--confidence-scale"):
+        read_log(path)
+    assert read_log(path, LogOptions(confidence_scale=(0, 100))).confidence.tolist() == [0.5, 0.75]
+
+
+def test_a_time_without_a_zone_is_utc_wherever_the_log_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setenv("TZ", "Asia/Tokyo")
+        time.tzset()
+        found = [utc_s(text) for text in ("1970-01-02T00:00:00", "1970/01/02 09:00:00+09:00", "1970-01-02", "noon")]
+    time.tzset()
+    assert found[:3] == [86400] * 3
+    assert np.isnan(found[3])
+
+
+ROW = "0,1,2,3,4,boat,0.5"
+WRONG = {
+    "no time": ("log.csv", "left,top,width,height\n1,2,3,4\n", "line 1: a column with the time is missing"),
+    "no box": ("log.csv", "time_s,left\n0,1\n", "line 1: columns of the box are missing"),
+    "a time": ("log.csv", f"{HEAD}noon,1,2,3,4,boat,0.5\n", "line 2: time_s must be seconds, or a time such as"),
+    "two clocks": ("log.csv", f"{HEAD}{ROW}\n2024-01-04,1,2,3,4,boat,1\n", "some times are UTC and others are not"),
+    "half a box": ("log.csv", f"{HEAD}0,1,,3,4,boat,0.5\n", "line 2: left, top, width, height must be numbers"),
+    "no area": ("log.csv", f"{HEAD}{ROW}\n1,1,2,0,4,boat,0.5\n", "line 3: bbox has no area"),
+    "some labels": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,,0.5\n", "some detections have a class and others none"),
+    "some scores": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,boat,\n", "line 3: score must be from 0 to 1"),
+    "nothing": ("log.csv", HEAD, "holds no frame"),
+    "MOT without a rate": ("log.txt", "1,-1,1,2,3,4,0.5\n", "the frame rate is not known: give --frame-rate"),
+    "a MOT frame": ("log.txt", "900000,-1,1,2,3,4,0.5\n", "frame must be a whole number from 1 to 101000"),
+    "COCO without images": ("log.json", "[]", "give the COCO file of these with --images"),
+    "COCO without times": (
+        "log.json",
+        '{"images": [{"id": 1}], "annotations": [], "categories": [{"id": 1, "name": "boat"}]}',
+        "images[0]: a time is needed: time_s, utc, date_captured, or frame_id with --frame-rate",
+    ),
+    "COCO twice at a time": (
+        "log.json",
+        '{"images": [{"id": 1, "time_s": 1}, {"id": 2, "time_s": 1}], "annotations": [], "categories": []}',
+        "images[1]: another image has the time 1",
+    ),
+    "half of COCO": ("log.json", '{"images": []}', "annotations: missing"),
+    "a line": ("log.jsonl", '{"time_s": 1, "boxes": []}\n', "line 1: must be a frame such as"),
+    "a line's box": ("log.jsonl", '{"time_s": 1, "detections": [{"box_px": 3}]}\n', "line 1: detections[0]: box_px"),
+    "the thesis's": ("log.json", '{"0.0": {"a": {"label": "boat"}}}', "0.0.a: must be a detection as in"),
+    "a bag": ("log.mcap", "no bag", "cannot be read as a ROS 2 bag"),
+    "Parquet": ("log.parquet", "no Parquet", "cannot be read as Parquet"),
+    "its name": ("log.xml", "", "its name does not say what it is"),
+}
+
+
+@pytest.mark.parametrize(("name", "text", "said"), WRONG.values(), ids=WRONG)
+def test_a_wrong_log_is_refused_with_its_place(tmp_path: Path, name: str, text: str, said: str) -> None:
+    (tmp_path / name).write_text(text)
+    options = LogOptions(frame_rate_hz=2 if "frame must" in said else None)
+    with pytest.raises(InputError) as error:
+        read_log(tmp_path / name, options)
+    assert said in str(error.value)
+    assert str(tmp_path / name) in str(error.value)
+
+
+def test_a_folder_that_is_no_log_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a folder, and neither a run nor a ROS 2 bag"):
+        read_log(tmp_path)
+    with pytest.raises(InputError, match="no such file or folder"):
+        read_log(tmp_path / "log.csv")
+
+
+def test_images_of_another_size_are_refused(voyage: Path, strait: Scene, tmp_path: Path) -> None:
+    shutil.copytree(voyage / "mot" / "modsim3d-all" / "bow", tmp_path / "bow")
+    info = tmp_path / "bow" / "seqinfo.ini"
+    info.write_text(info.read_text().replace("imWidth=1920", "imWidth=1280"))
+    with pytest.raises(InputError, match="has images of 1280 × 1080 px, and camera 'bow' of the scene 1920 × 1080 px"):
+        on_scene(read_log(tmp_path / "bow" / "det" / "det.txt"), strait, "bow")
+
+
+def test_labels_that_the_scene_has_not_are_refused(tmp_path: Path, strait: Scene) -> None:
+    with pytest.raises(InputError, match=r"no label 'boats' \(did you mean 'boat'\?\)"):
+        on_scene(read_log(table(tmp_path, "0,1,2,3,4,boats,1")), strait, "bow")
+
+
+def test_a_log_in_utc_needs_a_scene_that_knows_its_start(tmp_path: Path, strait: Scene) -> None:
+    with pytest.raises(InputError, match=r"its times are UTC .* does not say when it starts"):
+        on_scene(read_log(table(tmp_path, "2024-01-04T10:00Z,1,2,3,4,boat,1")), strait, "bow")
+
+
+def test_a_start_is_for_logs_that_count_from_zero(tmp_path: Path) -> None:
+    path = table(tmp_path, "2024-01-04T10:00Z,1,2,3,4,boat,1")
+    with pytest.raises(InputError, match="leave --start out"):
+        read_log(path, LogOptions(start=Start(0, Clock.STEP)))
