@@ -1,0 +1,11 @@
+"""Registration: how a camera and its detector's clock differ from what a scene says, from the detections themselves.
+
+`register` is the way through. `search` makes a first guess, `aligning` matches detections with vessels and fits in
+turn, `determined` finds what the data cannot tell apart, and `covariance` how well the rest is known.
+"""
+
+from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
+from modsim3d.voyage.registration.registering import register
+from modsim3d.voyage.registration.registration import Estimate, Registration
+
+__all__ = ["BoxesAtTimes", "Estimate", "Registration", "register"]

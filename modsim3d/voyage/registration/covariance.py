@@ -1,0 +1,154 @@
+"""How well the values are known, when errors of one vessel's boxes go together.
+
+Box errors of a vessel are correlated in time, and its dimensions, its antenna and the delay of its reports are wrong in
+all frames alike. So vessels are the clusters of a sandwich covariance, with the bias-reduced correction CR2 and the
+degrees of freedom of Bell & McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage
+samples", Survey Methodology 28. What rests on few vessels gets few degrees of freedom and so a wide interval. A second
+sandwich, with stretches of time of a vessel as clusters, bounds it from below, because what one vessel alone determines
+leaves no residual by which the first could judge. With offsets of vessels, so does what their spreads would give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from modsim3d.arrays import Array, Indices
+
+LEVEL = 0.95
+MOST_DEGREES = 1e4
+FULL = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What is known of p values.
+
+    Attributes:
+        covariance: Shape (p, p).
+        half_widths: Half of the 95 % interval of each, shape (p,).
+        errors: Standard error of each, shape (p,).
+    """
+
+    covariance: Array
+    half_widths: Array
+    errors: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A fit as a linear regression with unit errors: what its covariance follows from.
+
+    Attributes:
+        slopes: Derivatives of the scaled residuals, shape (m, p).
+        residuals: Scaled residuals as the loss takes them, shape (m,).
+    """
+
+    slopes: Array
+    residuals: Array
+
+    @classmethod
+    def of_soft_loss(cls, slopes: Array, residuals: Array, soft: float) -> Linear:
+        """The regression that a fit with the soft loss equals near its solution.
+
+        With the influence ψ(r) = r / √(1 + (r / soft)²), the information is the mean of ψ' times the slopes' product.
+        """
+        growth = 1 + (residuals / soft) ** 2
+        kept = float(np.mean(growth**-1.5)) if len(residuals) else 1.0
+        return cls(np.sqrt(kept) * slopes, residuals / np.sqrt(growth) / np.sqrt(kept))
+
+    def whitened(self, shared: Array, cluster: Indices) -> Linear:
+        """The same where rows of a cluster share errors: `shared` holds their standard deviations, shape (m, q).
+
+        Their covariance is 1 + Z Zᵀ; the rows are multiplied by its inverse root.
+        """
+        slopes, residuals = self.slopes.copy(), self.residuals.copy()
+        for rows in _clusters(cluster):
+            basis, upper = np.linalg.qr(shared[rows])
+            spread, turn = np.linalg.eigh(upper @ upper.T)
+            axes = basis @ turn
+            less = 1 / np.sqrt(1 + np.maximum(spread, 0.0)) - 1
+            slopes[rows] += axes @ (less[:, None] * (axes.T @ slopes[rows]))
+            residuals[rows] += axes @ (less * (axes.T @ residuals[rows]))
+        return Linear(slopes, residuals)
+
+    @property
+    def information(self) -> Array:
+        """Shape (p, p)."""
+        product: Array = self.slopes.T @ self.slopes
+        return product
+
+    def known_by(self, cluster: Indices) -> Knowledge:
+        """Covariance and intervals with clusters of rows, shape (m,)."""
+        bread = np.linalg.pinv(self.information, hermitian=True)
+        scores, reaches, squares = [], [], []
+        for rows in _clusters(cluster):
+            basis, upper = np.linalg.qr(self.slopes[rows])
+            left, axes = np.linalg.eigh(np.eye(len(upper)) - upper @ bread @ upper.T)
+            root = np.where(left > FULL, 1 / np.sqrt(np.maximum(left, FULL)), 0.0)
+            adjusted = axes @ (root[:, None] * (axes.T @ upper))
+            scores.append(adjusted.T @ (basis.T @ self.residuals[rows]))
+            weights = adjusted @ bread  # in the basis of the cluster, one column a value
+            reaches.append(upper.T @ weights)
+            squares.append((weights**2).sum(axis=0))
+        sums = np.array(scores)
+        covariance = bread @ (sums.T @ sums) @ bread
+        errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        degrees = _degrees(np.array(reaches), np.array(squares), np.asarray(bread, dtype=np.float64))
+        half = errors * student_t.ppf((1 + LEVEL) / 2, degrees)
+        return Knowledge(covariance, half, errors)
+
+    def known_by_model(self, together: float, degrees: float, wander: Array) -> Knowledge:
+        """Covariance and intervals if the rows' errors are as the whitening has them.
+
+        `together` rows count as one, and the spreads of what vessels share have so many degrees of freedom. `wander`,
+        shape (p, q), is what independent unit errors of q other things add to the product of slopes and residuals.
+        """
+        bread = np.linalg.pinv(self.information, hermitian=True)
+        covariance = together * bread + bread @ wander @ wander.T @ bread
+        errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        return Knowledge(np.asarray(covariance), errors * student_t.ppf((1 + LEVEL) / 2, degrees), errors)
+
+
+def wider(first: Knowledge, second: Knowledge) -> Knowledge:
+    """Of each value the wider interval, with the error that goes with it; the covariance is scaled to the errors."""
+    errors = np.where(first.half_widths >= second.half_widths, first.errors, second.errors)
+    scale = errors / np.maximum(np.sqrt(np.diagonal(first.covariance)), 1e-300)
+    scale = np.where(np.isfinite(scale), scale, 1.0)
+    covariance = first.covariance * scale[:, None] * scale
+    return Knowledge(covariance, np.maximum(first.half_widths, second.half_widths), errors)
+
+
+def sums_by_cluster(first: Array, second: Array, cluster: Indices) -> Array:
+    """Products of the rows of each cluster, shapes (m, p) and (m, q), side by side, shape (p, clusters × q)."""
+    products: Array = np.concatenate([first[rows].T @ second[rows] for rows in _clusters(cluster)], axis=1)
+    return products
+
+
+def _degrees(reaches: Array, squares: Array, bread: Array) -> Array:
+    """Degrees of freedom of each value (Bell & McCaffrey, 2002), from unit errors, shape (p,).
+
+    The variance estimate is a sum of squares of correlated normals, one for each cluster; its first two moments are
+    those of a scaled chi-square.
+
+    Args:
+        reaches: Slopes times weights of each cluster, shape (clusters, p, p).
+        squares: Squared weights of each cluster, shape (clusters, p).
+        bread: Inverse of the information, shape (p, p).
+    """
+    degrees = np.empty(squares.shape[1])
+    for value in range(len(degrees)):
+        reach = reaches[:, :, value]
+        spread = np.diag(squares[:, value]) - reach @ bread @ reach.T
+        total = np.trace(spread)
+        degrees[value] = total**2 / max(float((spread**2).sum()), 1e-300)
+    return np.clip(degrees, 1.0, MOST_DEGREES)
+
+
+def _clusters(cluster: Indices) -> Iterator[Indices]:
+    order = np.argsort(cluster, kind="stable")
+    edges = np.flatnonzero(np.diff(cluster[order])) + 1
+    yield from (part for part in np.split(order, edges) if len(part))

@@ -1,0 +1,145 @@
+"""Detections matched to vessels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import clip, sizes
+from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
+from modsim3d.voyage.registration.hiding import Hiding
+from modsim3d.voyage.registration.model import BoxModel
+from modsim3d.voyage.registration.parameters import Values
+
+EDGE_PX = 3.0
+"""An edge this near the image's border may be cut by it."""
+SIZE_RATIO = 2.5
+LESS_SURE = 0.5
+"""A match is clear if it is nearer, by this factor, than the next vessel and the next detection."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Matched detections, n rows in order of frame.
+
+    Attributes:
+        detection: Row of the detected box, shape (n,).
+        frame: Index of the frame, shape (n,).
+        time_s: Its time by the detector's clock, shape (n,).
+        vessel: Index into the scene's vessels, shape (n,).
+        boxes_px: Detected left, top, right and bottom edge, shape (n, 4).
+        usable: Which of these edges are neither cut by the image nor hidden, shape (n, 4).
+        expected_px: The box that the values give with which it was matched, not cut at the image, shape (n, 4).
+        corners_m: The vertex of the vessel that makes each edge, in VCF, shape (n, 4, 3).
+    """
+
+    detection: Indices
+    frame: Indices
+    time_s: Array
+    vessel: Indices
+    boxes_px: Array
+    usable: Mask
+    expected_px: Array
+    corners_m: Array
+
+    def __len__(self) -> int:
+        """Number of matches."""
+        return len(self.frame)
+
+    def take(self, rows: Indices | Mask) -> Sightings:
+        """Some of the rows."""
+        return Sightings(*(column[rows] for column in vars(self).values()))
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """Where the vessels' boxes should be in the frames, m rows in order of frame: all that overlap the image."""
+
+    frame: Indices
+    vessel: Indices
+    boxes_px: Array
+    corners_m: Array
+    usable: Mask
+
+
+def predict(model: BoxModel, hiding: Hiding, values: Values, times_s: Array) -> Predictions:
+    """The boxes of all vessels in frames at times of the detector's clock, shape (F,), with some values."""
+    vessels = len(model.hulls_m)
+    frame, vessel = np.divmod(np.arange(len(times_s) * vessels), vessels)
+    boxes, corners = model.boxes(values, times_s[frame], vessel)
+    size = np.array(model.traffic.camera.intrinsics.image_size_px, dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        shown = np.flatnonzero(np.all((boxes[:, 2:] > 0) & (boxes[:, :2] < size), axis=1))
+    frame, vessel, boxes, corners = frame[shown], vessel[shown], boxes[shown], corners[shown]
+    hidden = hiding.hidden(values, times_s[frame], vessel, corners, frame)
+    seen = np.flatnonzero(~hidden.all(axis=1))
+    tips = model.pixels(values, times_s[frame], vessel, corners)
+    # Of a ship that a side of the image cuts, the highest and lowest points may lie beyond that side.
+    usable = np.all((tips > EDGE_PX) & (tips < size - EDGE_PX), axis=-1) & ~hidden
+    return Predictions(frame[seen], vessel[seen], boxes[seen], corners[seen], usable[seen])
+
+
+def inside(boxes_px: Array, size_px: Array) -> Mask:
+    """Which edges of boxes (n, 4) are clear of the image's border."""
+    return (boxes_px > EDGE_PX) & (boxes_px < np.tile(size_px, 2) - EDGE_PX)
+
+
+def match(found: BoxesAtTimes, predicted: Predictions, size_px: tuple[int, int], gates_px: Array) -> Sightings:
+    """Detections that are each other's nearest with a vessel of the same frame, and clearly so.
+
+    The distance is that of the centre's column and the lower edge in shares of the gate, and that of the widths.
+
+    Args:
+        found: The detections.
+        predicted: The vessels.
+        size_px: Width and height of the image.
+        gates_px: Greatest distance in columns and in rows of each predicted box, shape (m, 2).
+    """
+    box, row = _same_frame(found.frame, predicted.frame)
+    detected, expected = found.boxes_px[box], clip(predicted.boxes_px, size_px)[row]
+    gates = gates_px[row]
+    across = (detected[:, [0, 2]] - expected[:, [0, 2]]).mean(axis=1) / gates[:, 0]
+    down = (detected[:, 3] - expected[:, 3]) / gates[:, 1]
+    widths = [np.maximum(sizes(boxes)[:, 0], 1.0) for boxes in (detected, expected)]
+    wider = np.log(widths[0] / widths[1]) / np.log(SIZE_RATIO)
+    distance = across**2 + down**2 + wider**2
+    near = np.flatnonzero((np.abs(across) < 1) & (np.abs(down) < 1) & (np.abs(wider) < 1))
+    box, row, distance = box[near], row[near], distance[near]
+    clear = _clearest(box, distance) & _clearest(row, distance)
+    box, row = box[clear], row[clear]
+    order = np.lexsort((row, predicted.frame[row]))
+    box, row = box[order], row[order]
+    usable = predicted.usable[row] & inside(found.boxes_px[box], np.array(size_px, dtype=np.float64))
+    frame = predicted.frame[row]
+    return Sightings(
+        detection=box,
+        frame=frame,
+        time_s=found.times_s[frame],
+        vessel=predicted.vessel[row],
+        boxes_px=found.boxes_px[box],
+        usable=usable,
+        expected_px=predicted.boxes_px[row],
+        corners_m=predicted.corners_m[row],
+    )
+
+
+def _clearest(owner: Indices, distance: Array) -> Mask:
+    """Which pairs are the nearest of their owner, and nearer than the next by a factor."""
+    order = np.lexsort((distance, owner))
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = owner[order][1:] != owner[order][:-1]
+    following = np.full(len(order), np.inf)
+    following[:-1] = np.where(first[1:], np.inf, distance[order][1:])
+    clear = np.zeros(len(order), dtype=bool)
+    clear[order] = first & (distance[order] <= LESS_SURE * following)
+    return clear
+
+
+def _same_frame(first: Indices, second: Indices) -> tuple[Indices, Indices]:
+    """All pairs of rows of two columns of frames that are in the same frame; the second ascends."""
+    start, stop = np.searchsorted(second, first, side="left"), np.searchsorted(second, first, side="right")
+    count = stop - start
+    row = np.repeat(np.arange(len(first)), count)
+    return row, np.repeat(start - (np.cumsum(count) - count), count) + np.arange(len(row))

@@ -1,0 +1,98 @@
+"""Where the vessels and the camera of a scene are at any time, between its steps too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.geometry.camera import Camera
+from modsim3d.geometry.camera_poses import CameraPoses, poses_ashore, poses_on_board
+from modsim3d.geometry.rotations import vehicle_R_nominal, world_R_vehicle
+from modsim3d.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Traffic:
+    """The poses of V vessels at S ascending times, to interpolate between.
+
+    Attributes:
+        camera: The camera that looks at them.
+        times_s: Times of the steps since the scene's first, shape (S,).
+        present: Whether each vessel is there, shape (S, V).
+        places_m: Positions and then unwrapped heading, roll, pitch and yaw in waves, in metres and radians, shape
+            (S, V, 7).
+        carrier: Index of the vessel that carries the camera; None ashore.
+        composition: How its angles and the camera's combine; see `poses_on_board`.
+        curved: Whether the sea is curved.
+    """
+
+    camera: Camera
+    times_s: Array
+    present: Mask
+    places_m: Array
+    carrier: int | None
+    composition: str
+    curved: bool
+
+    @classmethod
+    def of(cls, scene: Scene, camera: Camera) -> Traffic:
+        """That of a scene, all its steps, before one of its cameras."""
+        steps = np.arange(scene.steps)
+        motion = scene.motion.at(steps)
+        headings = np.unwrap(motion.poses.headings_rad, axis=0)
+        places = np.concatenate([motion.poses.positions_m, headings[..., None], motion.angles_rad], axis=-1)
+        name = camera.mount.vessel
+        return cls(
+            camera,
+            scene.times_s(0, scene.steps),
+            motion.poses.present,
+            places,
+            None if name is None else scene.vessel_names.index(name),
+            scene.waves.composition if scene.waves else "rigid",
+            scene.sea == "curved",
+        )
+
+    def there(self, times_s: Array, vessel: Indices) -> Mask:
+        """Whether vessels are there at times: at the steps before and after, shape (n,)."""
+        before, share = self._between(times_s)
+        inside = (times_s >= self.times_s[0]) & (times_s <= self.times_s[-1])
+        after = np.where(share > 0, np.minimum(before + 1, len(self.times_s) - 1), before)
+        found: Mask = inside & self.present[before, vessel] & self.present[after, vessel]
+        return found
+
+    def at(self, times_s: Array, vessel: Indices) -> tuple[Array, Array]:
+        """Positions in WCF, shape (n, 3), and rotations VCF to WCF, (n, 3, 3), of vessels at times, both (n,)."""
+        places = self._placed(times_s, vessel)
+        nominal = world_R_vehicle(places[:, 3])
+        if not self.places_m[..., 4:].any():
+            return places[:, :3], nominal
+        return places[:, :3], nominal @ np.swapaxes(vehicle_R_nominal(places[:, 4:]), -1, -2)
+
+    def camera_at(self, times_s: Array, turn_rad: Array, raised_m: float) -> CameraPoses:
+        """Poses of the camera at n times, with roll, pitch and yaw (3,) added to its mount's, and so much higher."""
+        mount = self.camera.mount
+        roll, pitch, yaw = (np.array([mount.roll_rad, mount.pitch_rad, mount.yaw_rad]) + turn_rad).tolist()
+        along, port, up = mount.position_m
+        mount = replace(mount, position_m=(along, port, up + raised_m), roll_rad=roll, pitch_rad=pitch, yaw_rad=yaw)
+        if self.carrier is None:
+            return poses_ashore(mount, len(times_s))
+        places = self._placed(times_s, np.full(len(times_s), self.carrier))
+        return poses_on_board(mount, places[:, :3], places[:, 3], places[:, 4:], self.composition)
+
+    def _between(self, times_s: Array) -> tuple[Indices, Array]:
+        """The step before each time, and the share of the way to the next."""
+        last = len(self.times_s) - 1
+        if last == 0:
+            return np.zeros(len(times_s), dtype=np.int64), np.zeros(len(times_s))
+        before = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, last - 1)
+        share = (times_s - self.times_s[before]) / (self.times_s[before + 1] - self.times_s[before])
+        return before, np.clip(share, 0.0, 1.0)
+
+    def _placed(self, times_s: Array, vessel: Indices) -> Array:
+        before, share = self._between(times_s)
+        after = np.minimum(before + 1, len(self.times_s) - 1)
+        start, end = self.places_m[before, vessel], self.places_m[after, vessel]
+        placed: Array = start + share[:, None] * (end - start)
+        return placed

@@ -1,0 +1,165 @@
+"""A wrong camera and clock come back from the detections, with intervals; what cannot be known is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.voyage_registration import SETTINGS
+from modsim3d.errors import ModsimError
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+from modsim3d.voyage.registration import BoxesAtTimes, Registration, register
+from modsim3d.voyage.registration.parameters import SHORT
+from tests.voyage.registration.wrong_camera import WRONG, Voyage, as_reported
+
+CLOSE = {"clock_s": 0.2, "pitch_deg": 0.6, "yaw_deg": 0.2, "height_m": 2.0, "focal_share": 0.01, "roll_deg": 0.4}
+"""Half-widths of intervals that are still of use with a minute of five vessels."""
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("strait", settings={**SETTINGS, "waves.apply_to": "ownship"})
+
+
+@pytest.fixture(scope="module")
+def voyage(scene: Scene) -> Voyage:
+    return Voyage.of(scene, "quay", WRONG)
+
+
+@pytest.fixture(scope="module")
+def found(voyage: Voyage) -> BoxesAtTimes:
+    return voyage.detections(0)
+
+
+@pytest.fixture(scope="module")
+def registered(scene: Scene, found: BoxesAtTimes) -> Registration:
+    return register(scene, "quay", found)
+
+
+def holds(registration: Registration, name: str) -> bool:
+    estimate = registration[name]
+    return estimate.low <= WRONG.get(name, 0.0) <= estimate.high
+
+
+def some(found: BoxesAtTimes, kept: np.ndarray) -> BoxesAtTimes:
+    return BoxesAtTimes(found.times_s, found.frame[kept], found.boxes_px[kept])
+
+
+def test_a_wrong_camera_and_clock_come_back(registered: Registration) -> None:
+    for name, close in CLOSE.items():
+        assert holds(registered, name), registered
+        assert registered[name].high - registered[name].low < 2 * close, registered
+    assert len(registered.sightings) > 0.9 * registered.detections
+    assert registered.rms_before_px > 8 * registered.rms_after_px
+
+
+def test_what_a_rule_settles_is_said_with_its_exchange(registered: Registration) -> None:
+    said = "\n".join(group.words() for group in registered.groups)
+    assert "mean_y_px is held; 1 px of it looks like +0.0" in said
+    assert "mean_x_px is held; 1 px of it looks like -0.0" in said
+    assert "common_delay_s is held; 1 s of it looks like -1 s of clock_s" in said
+    assert registered["mean_x_px"].held == "mean errors are zero, or given"
+
+
+def test_the_registered_scene_has_the_camera_as_it_really_is(
+    scene: Scene, voyage: Voyage, registered: Registration
+) -> None:
+    (real,), quay = voyage.scene.cameras, registered.scene_of(scene).cameras[1]
+    assert quay.mount.yaw_rad == pytest.approx(real.mount.yaw_rad, abs=np.radians(0.1))
+    assert quay.mount.position_m[2] == pytest.approx(real.mount.position_m[2], abs=1.5)
+    assert quay.intrinsics.focal_px[0] == pytest.approx(real.intrinsics.focal_px[0], rel=0.005)
+    assert registered.scene_of(scene).cameras[0] is scene.cameras[0]
+
+
+def test_antennas_noise_and_silent_vessels_widen_the_intervals_and_do_not_pull(
+    scene: Scene, found: BoxesAtTimes, registered: Registration
+) -> None:
+    reported, _ = as_reported(scene, 1, (3.0, 1.0, 0.5), 1.0, ["motorboat"])
+    registration = register(reported, "quay", found, offsets_m=3.0, noise_m=1.0)
+    assert all(holds(registration, name) for name in CLOSE), registration
+    width, exact = (each["yaw_deg"].high - each["yaw_deg"].low for each in (registration, registered))
+    assert width > 2 * exact
+
+
+def test_fixed_parameters_keep_the_scenes_values(scene: Scene) -> None:
+    known = {name: value for name, value in WRONG.items() if name not in ("height_m", "focal_share")}
+    found = Voyage.of(replace(scene, steps=200), "quay", known).detections(0)
+    registration = register(scene, "quay", found, fixed=["height", "focal_share", "k1"])
+    assert registration["height_m"].held == "fixed by the user"
+    assert registration["height_m"].value == 0
+    assert holds(registration, "pitch_deg")
+    assert registration["pitch_deg"].standard_error < 0.03  # against the height it is known less well
+
+
+def test_given_mean_errors_are_taken_off(scene: Scene, found: BoxesAtTimes) -> None:
+    with pytest.raises(ModsimError, match="mean_errors: four numbers"):
+        register(scene, "quay", found, mean_errors=(1.0, 2.0))
+    moved = BoxesAtTimes(found.times_s, found.frame, found.boxes_px + np.array([3.0, -2.0, 3.0, -2.0]))
+    registration = register(scene, "quay", moved, mean_errors=(3.0, -2.0, 0.0, 0.0))
+    assert holds(registration, "yaw_deg")
+    assert holds(registration, "pitch_deg")
+
+
+def test_clocks_hours_apart_are_refused(scene: Scene, found: BoxesAtTimes) -> None:
+    late = BoxesAtTimes(found.times_s + 7200, found.frame, found.boxes_px)
+    with pytest.raises(ModsimError, match=r"the clocks are 2\.0 hours apart.*Check the time zone"):
+        register(scene, "quay", late)
+
+
+def test_a_log_of_another_camera_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
+    with pytest.raises(ModsimError, match=r"do not fit the vessels of .*mirrored detections"):
+        register(scene, "bow", found, searched_s=10)
+
+
+def test_a_camera_that_looks_another_way_is_refused_with_the_yaw_that_fits(scene: Scene) -> None:
+    found = Voyage.of(scene, "quay", {"yaw_deg": 40.0}).detections(0)
+    with pytest.raises(ModsimError, match=r"looks another way .*turned by \+(39|40|41)° of yaw"):
+        register(scene, "quay", found, searched_s=10)
+
+
+def test_too_little_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
+    with pytest.raises(ModsimError, match="there are no detections"):
+        register(scene, "quay", some(found, np.zeros(0, dtype=int)))
+    with pytest.raises(ModsimError, match=r"too little to go by: \d+ matches of \d vessels \("):
+        register(scene, "quay", some(found, np.arange(0, len(found.frame), 25)), searched_s=10)
+    few, _ = as_reported(scene, 0, (0.0, 0.0, 0.0), silent=scene.vessel_names[2:-1])
+    with pytest.raises(ModsimError, match="the scene has 2 vessels for the camera to see"):
+        register(replace(few, cameras=scene.cameras[:1]), "bow", found)
+
+
+def test_one_bearing_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
+    middle = np.flatnonzero(np.abs(found.boxes_px[:, [0, 2]].mean(axis=1) - 960) < 25)
+    with pytest.raises(ModsimError, match=r"all detections lie within \d\.\d° of one bearing"):
+        register(scene, "quay", some(found, middle))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"fixed": [*SHORT, "k1"]}, "all parameters are fixed"),
+        ({"fixed": ["ptch"]}, "no parameter 'ptch' .did you mean 'pitch'"),
+        ({"camera": "quai"}, "no camera 'quai'"),
+    ],
+)
+def test_names_that_do_not_exist_are_refused(
+    scene: Scene, found: BoxesAtTimes, options: dict[str, list[str]], message: str
+) -> None:
+    with pytest.raises(ModsimError, match=message):
+        register(scene, **{"camera": "quay", "found": found, **options})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("times_s", "frame", "boxes", "message"),
+    [
+        ([0.0, 0.0], [0], [[0, 0, 1, 1]], "must ascend, but 0 s follows 0 s"),
+        ([0.0, 1.0], [2], [[0, 0, 1, 1]], "not among the 2 frames"),
+        ([0.0, 1.0], [0, 1], [[0, 0, 1, 1]], "shapes"),
+        ([0.0, np.nan], [0], [[0, 0, 1, 1]], "not a finite number"),
+    ],
+)
+def test_wrong_detections_are_refused(times_s: list, frame: list, boxes: list, message: str) -> None:
+    with pytest.raises(ModsimError, match=message):
+        BoxesAtTimes(np.array(times_s), np.array(frame), np.array(boxes, dtype=float))
