@@ -1,0 +1,1 @@
+"""What has no transponder: false detections that behave like vessels, told from those that flicker."""

@@ -1,0 +1,197 @@
+"""Detections that match no known vessel, judged: of a vessel without a transponder, or false."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import iou
+from modsim3d.errors import InputError
+from modsim3d.formats.labelled import LabelledSet, Results
+from modsim3d.formats.matching import image_pairs, match
+from modsim3d.learn.learned import Learned
+from modsim3d.learn.numbers.entries import Entry, with_entries
+from modsim3d.learn.numbers.resampling import Column, Resampling, resample
+from modsim3d.learn.observed.observed import Observed
+from modsim3d.voyage.unseen.lifetimes import LEAST_S, Kinds, kinds_of
+from modsim3d.voyage.unseen.links import Links, link
+from modsim3d.voyage.unseen.rates import RateSource, StateRates, Weighing, rates_of
+from modsim3d.voyage.unseen.stretches import Stretch, in_stretches
+from modsim3d.voyage.unseen.things import Things, things_of
+
+_LIKELY, _PERHAPS = 0.5, 0.1
+"""Probabilities from which a thing is taken for a vessel, and from which it may be one."""
+_RUN_TIMES = 12.0
+_LEAST_RUNS = 24
+_SAME_IOU = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What became of the unmatched detections of a labelled set.
+
+    Attributes:
+        observed: The set with its matches, before anything is left out.
+        links: The unmatched detections, linked.
+        things: What they are of.
+        kinds: The mixture of lifetimes, in one row.
+        stretches: The stretches marked as empty.
+        empty: Which images lie in them, shape (I,).
+        least_s: Least mean lifetime of what lasts as vessels do.
+    """
+
+    observed: Observed
+    links: Links
+    things: Things
+    kinds: Kinds
+    stretches: tuple[Stretch, ...]
+    empty: Mask
+    least_s: float
+
+    @cached_property
+    def lasting(self) -> Array:
+        """Probability that each thing lasts as vessels do, shape (N,)."""
+        probability: Array = self.kinds.lasting[0][self.kinds.of_thing]
+        return probability
+
+    @cached_property
+    def left_out(self) -> Mask:
+        """Which detections are neither hits nor false, since they are of a vessel without a transponder, shape (D,)."""
+        left_out: Mask = np.zeros(len(self.observed.labelled.results), dtype=bool)
+        likely = self._at_least(_LIKELY) & ~self.empty[self.links.image]
+        left_out[self.links.rows[likely]] = True
+        left_out[self._fainter(np.flatnonzero(likely))] = True
+        return left_out
+
+    @cached_property
+    def labelled(self) -> LabelledSet:
+        """The set without them: what is learned from."""
+        kept = ~self.left_out
+        given = vars(self._results)
+        columns: dict[str, Any] = {name: None if each is None else each[kept] for name, each in given.items()}
+        return replace(self.observed.labelled, results=Results(**columns))
+
+    @property
+    def _results(self) -> Results:
+        return self.observed.labelled.results
+
+    def rates(self, resampling: Resampling, image_state: Indices, states: Sequence[str]) -> tuple[StateRates, ...]:
+        """The rates of false positives in states of images (I,), with replicates of a resampling."""
+        weights = resampling.weights[:, self.things.first_image]
+        kinds = kinds_of(self.things, weights, self.links.gap_s, self.least_s)
+        likely, perhaps = (self.kinds.lasting[0] >= probability for probability in (_LIKELY, _PERHAPS))
+        duration = kinds.of_thing[self.links.link]
+        weighing = Weighing(self.links.image, duration, kinds.lasting, likely, perhaps, self.empty)
+        return rates_of(weighing, resampling, image_state, states, self.kinds.found, self.kinds.inflation)
+
+    def own_rates(self, replicates: int, seed: int) -> tuple[StateRates, ...]:
+        """The same with a resampling of runs that are long against the lifetimes of flicker."""
+        images = self.observed.labelled.images
+        spans = [float(np.ptp(images.time_s[images.sequence == s])) for s in np.unique(images.sequence)]
+        run_s = min(_RUN_TIMES * float(self.kinds.short_s[0]), float(np.nansum(spans)) / _LEAST_RUNS)
+        resampling = resample(images, replicates, seed, run_s)
+        return self.rates(resampling, self.observed.image_state, self.observed.states)
+
+    def corrected(self, learned: Learned) -> Learned:
+        """What was learned from `labelled`, with the rate of false positives that is used.
+
+        Detections are left out or kept as a whole; the mixture knows that a few of either are of the other kind.
+        """
+        states = learned.observed.states
+        rates = self.rates(learned.resampling, learned.observed.image_state, states)
+        free = dict(zip(states, _free_share(learned.observed), strict=True))
+        changed = {each.state: each for each in rates if each.source is not RateSource.ALL}
+
+        def change(entry: Entry) -> Entry:
+            rate = changed.get(entry.key.state or "")
+            if rate is None:
+                return entry
+            if entry.key.names[0] == "false_discovery_rate":
+                return Entry(entry.key, _scaled_share(entry.column, rate, free[rate.state]))
+            return Entry(entry.key, rate.used) if entry.key.names[0] == "false_positives_per_image" else entry
+
+        numbers = replace(learned.numbers, false_positives=with_entries(learned.numbers.false_positives, change))
+        return replace(learned, numbers=numbers)
+
+    def _at_least(self, probability: float) -> Mask:
+        """Which linked detections are of things that last as vessels do, with this probability at least, shape (n,)."""
+        mask: Mask = (self.lasting >= probability)[self.links.link]
+        return mask
+
+    def _fainter(self, likely: Indices) -> Indices:
+        """Rows of detections below the least confidence that lie where a vessel without a transponder is.
+
+        Args:
+            likely: Places among the links of detections that are taken for a vessel's, shape (m,).
+        """
+        results, images = self._results, self.observed.labelled.images
+        faint = np.flatnonzero(results.confidence < self.observed.threshold)
+        if not len(faint) or not len(likely):
+            return faint[:0]
+        faint = faint[match(self.observed.labelled, self.observed.matched.rule).annotation[faint] < 0]
+        image, boxes_px = [], []
+        for thing in np.unique(self.links.link[likely]):
+            rows = likely[self.links.link[likely] == thing]
+            rows = rows[np.argsort(self.links.time_s[rows])]
+            seen_s, seen_px = self.links.time_s[rows], results.boxes_px[self.links.rows[rows]]
+            same = images.sequence == images.sequence[self.links.image[rows[0]]]
+            there = np.flatnonzero(same & (images.time_s >= seen_s[0]) & (images.time_s <= seen_s[-1]))
+            image.append(there)
+            boxes_px.append(np.column_stack([np.interp(images.time_s[there], seen_s, edge) for edge in seen_px.T]))
+        order = np.argsort(np.concatenate(image), kind="stable")
+        where, box = np.concatenate(image)[order], np.concatenate(boxes_px)[order]
+        found = [
+            faint[a][iou(results.boxes_px[faint[a]], box[b]) >= _SAME_IOU]
+            for a, b in image_pairs(results.image[faint], where, len(images))
+        ]
+        return np.unique(np.concatenate([faint[:0], *found]))
+
+
+def judge(observed: Observed, stretches: tuple[Stretch, ...] = (), least_s: float = LEAST_S) -> Judged:
+    """Link the unmatched detections of a voyage and judge them.
+
+    Args:
+        observed: The set, matched; of its images those with a state take part.
+        stretches: Stretches in which nothing floats but known vessels, on the clock of the images.
+        least_s: Least mean lifetime of what lasts as vessels do.
+
+    Raises:
+        InputError: No image lies in a stretch that is marked as empty.
+    """
+    images = observed.labelled.images
+    empty = in_stretches(stretches, images.time_s) & (observed.image_state >= 0)
+    for stretch in stretches:
+        if not (in_stretches((stretch,), images.time_s) & empty).any():
+            low, high = np.nanmin(images.time_s), np.nanmax(images.time_s)
+            raise InputError("--empty", [f"{stretch}: no frame lies in it; they are from {low:g} s to {high:g} s"])
+    links = link(observed)
+    things = things_of(links, images)
+    kinds = kinds_of(things, np.ones((1, len(things.detections))), links.gap_s, least_s)
+    return Judged(observed, links, things, kinds, stretches, empty, least_s)
+
+
+def _free_share(observed: Observed) -> Array:
+    """Share of the false detections of each state that are neither second boxes nor parts of vessels, (states,)."""
+    results, states = observed.labelled.results, len(observed.states)
+    free, every = (
+        np.bincount(observed.image_state[results.image[rows]], minlength=states)
+        for rows in (observed.false_positives, observed.false)
+    )
+    return free / np.maximum(every, 1)
+
+
+def _scaled_share(column: Column, rate: StateRates, free: float) -> Column:
+    """The share of false detections with the rate that is used, of which the part `free` are no second boxes."""
+    value = np.clip(column.values, 0, 1 - 1e-12)
+    scaled = value / (1 - value) * (1 - free + free * rate.factor)
+    share = scaled / (1 + scaled)
+    true = float(column.counts * (1 - value[0]))
+    false = float(rate.used.estimate * rate.used.counts)
+    # The variance of the logarithm of the odds is 1 / false + 1 / true, as if of so many observations.
+    worth = 1 / (1 / max(false, 0.5) + 1 / max(true, 0.5)) / max(float(share[0] * (1 - share[0])), 1e-9)
+    return replace(column, values=share, counts=np.array(worth), inflation=max(column.inflation, rate.used.inflation))

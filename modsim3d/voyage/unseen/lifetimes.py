@@ -1,0 +1,148 @@
+"""Two kinds of durations: flicker, whose lifetimes are short, and things that last as vessels do.
+
+Flicker is seen in a single frame, or lives for a geometric number of frames. What lasts lives for a geometric number
+too, with a mean that is many times as long. The shares and the two means are those of the greatest likelihood (EM). A
+thing that is still there in the last frame counts as having lived at least so long.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.voyage.unseen.things import Things
+
+LEAST_S = 30.0
+"""What lasts as vessels do lasts so long on average at least."""
+LEAST_RATIO = 3.0
+"""And so many times as long as flicker that stays: that lasts no longer on average than the least over this."""
+_STEPS = 60
+_SURE = 6.0
+"""Gain of log-likelihood by which the longer kind is there: by chance it is as large in one of 400 sets."""
+_LEAST_WEIGHT = 0.05
+"""In a replicate without any of the few things that last, they are still known to be there."""
+_SINGLE, _SHORT, _LONG = range(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Kinds:
+    """Durations that are alike, and the mixture fitted to them in each replicate.
+
+    Attributes:
+        of_thing: Which duration each of N things has, shape (N,).
+        lasting: Probability that a thing of each duration is of the longer kind, shape (rows, durations).
+        short_s, long_s: Mean lifetimes of flicker that stays and of the longer kind, shape (rows,).
+        found: Whether the data show a longer kind; else `lasting` is 0.
+        inflation: Factor by which flicker that stays raises the variance of the number of its detections.
+    """
+
+    of_thing: Indices
+    lasting: Array
+    short_s: Array
+    long_s: Array
+    found: bool
+    inflation: float
+
+
+def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = LEAST_S) -> Kinds:
+    """Fit the mixture to the durations of N things, of which each has a weight in each replicate.
+
+    Things that do not move like a vessel are left out, and are surely of no longer kind, however long they last.
+
+    Args:
+        things: The things.
+        weights: In the first row one each, shape (rows, N).
+        gap_s: Usual time between frames.
+        least_s: Least mean lifetime of the longer kind.
+    """
+    perhaps = things.perhaps_vessel
+    keys = np.column_stack([things.frames, things.cut, perhaps]).astype(np.int64)
+    values, of_thing = np.unique(keys.reshape(-1, 3), axis=0, return_inverse=True)
+    of_thing = of_thing.ravel()
+    counts: Array = np.zeros((len(weights), len(values)))
+    for row in range(len(weights)):
+        counts[row] = np.bincount(of_thing, perhaps * np.maximum(weights[row], _LEAST_WEIGHT), minlength=len(values))
+    durations = _Durations(values[:, 0], values[:, 1], values[:, 2].astype(bool), counts, least_s / gap_s)
+    two, both = durations.fit(with_long=False, rows=1), durations.fit(with_long=True)
+    found = bool(len(values)) and bool(both.value[0] >= two.value[0] + _SURE)
+    fit = both if found else durations.fit(with_long=False)
+    lasting = fit.shares[_LONG] if found else np.zeros_like(counts)
+    long_s = fit.long * gap_s if found else np.full(len(weights), np.nan)
+    return Kinds(of_thing, lasting, fit.short * gap_s, long_s, found, durations.inflation(fit))
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Shares of the kinds in each duration, (3, rows, D); mean lifetimes in frames and log-likelihood, (rows,)."""
+
+    shares: Array
+    short: Array
+    long: Array
+    value: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Durations:
+    """D durations: frames, whether they are cut and may be a vessel's, shape (D,), and how often each is, (rows, D)."""
+
+    frames: Indices
+    cut: Indices
+    perhaps: Mask
+    counts: Array
+    least: float
+
+    @cached_property
+    def trials(self) -> Array:
+        """Frames after which each could have ended, shape (D,)."""
+        trials: Array = np.subtract(self.frames, self.cut, dtype=np.float64)
+        return trials
+
+    def fit(self, with_long: bool, rows: int | None = None) -> _Fit:
+        """The likeliest mixture of each row, with or without the longer kind."""
+        counts = self.counts[:rows]
+        amount: Array = np.tile([[0.5], [0.4], [0.1 if with_long else 0.0]], (1, len(counts)))
+        middle = max(1 + self.least / (2 * LEAST_RATIO), 1.1)
+        short, long = np.full(len(counts), middle), np.full(len(counts), 4 * self.least + 2)
+        shares = np.zeros((3, *counts.shape))
+        value = np.zeros(len(counts))
+        for _ in range(_STEPS):
+            density = np.stack(
+                [
+                    np.broadcast_to(np.log(np.where(self.frames == 1, 1.0, 1e-300)), counts.shape),
+                    self._log_density(short),
+                    np.where(self.perhaps & with_long, self._log_density(long), -np.inf),
+                ]
+            )
+            joint = density + np.log(np.maximum(amount, 1e-300))[..., None]
+            top = joint.max(axis=0)
+            whole = np.exp(joint - top).sum(axis=0)
+            shares = np.exp(joint - top) / whole
+            value = (counts * (top + np.log(whole))).sum(axis=1)
+            weighted = counts * shares
+            total = np.maximum(counts.sum(axis=1), 1e-12)
+            amount = weighted.sum(axis=2) / total
+            short = np.clip(self._mean(weighted[_SHORT]), 1.05, max(self.least / LEAST_RATIO, 1.1))
+            long = np.maximum(self._mean(weighted[_LONG]), np.maximum(self.least, LEAST_RATIO * short))
+        return _Fit(shares, short, long, value)
+
+    def inflation(self, fit: _Fit) -> float:
+        """See `Kinds`: 1 + share · 2 Σ q^k over k > 0, with q the chance to be there in the next frame as well."""
+        seen = self.counts[0] * self.frames
+        stays, flickers = (float((seen * fit.shares[kinds, 0]).sum()) for kinds in (_SHORT, slice(_SINGLE, _LONG)))
+        return 1 + 2 * max(float(fit.short[0]) - 1, 0.0) * stays / max(flickers, 1e-12)
+
+    def _log_density(self, mean: Array) -> Array:
+        """Log-probability of each duration with a mean number of frames (rows,), shape (rows, D)."""
+        end = 1 / np.maximum(mean, 1.0)[:, None]
+        stay = np.log(np.maximum(1 - end, 1e-12))
+        density: Array = np.multiply(self.frames - 1, stay) + (1 - self.cut) * np.log(end)
+        return density
+
+    def _mean(self, weights: Array) -> Array:
+        """Mean number of frames: all frames over all ends, shape (rows,)."""
+        ends = (weights * (1 - self.cut)).sum(axis=1)
+        mean: Array = (weights * self.trials).sum(axis=1) / np.maximum(ends, 0.5)
+        return mean

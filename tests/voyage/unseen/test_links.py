@@ -1,0 +1,70 @@
+"""False detections linked over time."""
+
+import numpy as np
+
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.voyage.unseen.links import link
+from modsim3d.voyage.unseen.things import Behaviour, things_of
+from tests.formats.labelled_sets import found, images, truth
+from tests.voyage.unseen.voyages import HEIGHT_PX, HORIZON_PX, SEA, WIDTH_PX, boxes_at, observed
+
+
+def set_of(image, x, y, size=40.0, frames=60, rate_hz=2.0, seas=SEA):
+    size = np.broadcast_to(size, len(image))
+    rows = found(image, 0 * np.asarray(image), boxes_at(np.array(x), np.array(y), size), np.full(len(image), 0.9))
+    seas = np.broadcast_to(seas, (frames, 3))
+    shots = images(frames, (WIDTH_PX, HEIGHT_PX), np.arange(frames) / rate_hz, np.array(seas))
+    return LabelledSet(("boat",), ("all",), shots, truth([], [], np.empty((0, 4))), rows.by_image())
+
+
+def linked(labelled):
+    return link(observed(labelled))
+
+
+def test_a_thing_is_followed_over_a_gap_and_not_over_a_longer_one():
+    image = np.array([0, 1, 2, 3, 8, 9, 10, 20, 21])
+    links = linked(set_of(image, 100 + 4.0 * image, np.full(9, 400.0)))
+    assert links.link.tolist() == [0] * 7 + [1] * 2
+
+
+def test_things_that_cross_keep_their_numbers():
+    frame = np.arange(40)
+    right, left = 100 + 12.0 * frame, 574 - 12.0 * frame
+    links = linked(set_of(np.tile(frame, 2), np.r_[right, left], np.r_[np.full(40, 400.0), np.full(40, 403.0)]))
+    of_right = links.link[np.isclose(links.places_px[:, 1], 400 - HORIZON_PX)]
+    assert links.count == 2
+    assert len(set(of_right.tolist())) == 1
+
+
+def test_a_detection_of_another_size_is_another_thing():
+    image = np.arange(10)
+    links = linked(set_of(image, np.full(10, 300.0), np.full(10, 400.0), np.where(image < 5, 20.0, 60.0)))
+    assert links.link.tolist() == [0] * 5 + [1] * 5
+
+
+def test_a_camera_that_pitches_does_not_break_links():
+    frame = np.arange(40)
+    pitch = 80 * np.sin(frame)
+    seas = np.column_stack([0 * pitch, 1 + 0 * pitch, -HORIZON_PX - pitch])
+    assert linked(set_of(frame, np.full(40, 500.0), 400 + pitch, frames=40, seas=seas)).count == 1
+    assert linked(set_of(frame, np.full(40, 500.0), 400 + pitch, frames=40)).count > 5
+
+
+def test_frames_without_times_link_nothing():
+    labelled = set_of(np.arange(5), np.full(5, 300.0), np.full(5, 400.0))
+    labelled.images.time_s[:] = np.nan
+    assert linked(labelled).count == 5
+
+
+def test_what_lies_above_the_horizon_or_jumps_is_no_vessel():
+    frame = np.arange(60)
+    side = np.where(frame < 8, 0, np.random.default_rng(2).choice([-1, 1], 60))
+    for y, jump, behaviour in (
+        (HORIZON_PX - 60, 0.0, Behaviour.ABOVE_THE_HORIZON),
+        (HORIZON_PX + 60, 12.0, Behaviour.JUMPS),
+        (HORIZON_PX + 60, 1.0, Behaviour.LIKE_A_VESSEL),
+    ):
+        x = 400 + 2.0 * frame + jump * side
+        labelled = set_of(frame, x, np.full(60, y))
+        things = things_of(linked(labelled), labelled.images)
+        assert things.behaviour[np.argmax(things.detections)] == behaviour

@@ -1,0 +1,171 @@
+"""Vessels without a transponder, told from false positives."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.errors import InputError
+from modsim3d.formats.labelled import Annotations, Results
+from modsim3d.learn.form import RICHER
+from modsim3d.learn.gate.gate_bias import simulated
+from modsim3d.learn.learn_detector import LearnOptions, learn_detector
+from modsim3d.learn.learned import Settings
+from modsim3d.learn.numbers.entries import entries_of
+from modsim3d.voyage.unseen.judged import judge
+from modsim3d.voyage.unseen.learned_beside import learn_beside_unseen
+from modsim3d.voyage.unseen.rates import RateSource
+from modsim3d.voyage.unseen.stretches import Stretch, parse_stretches
+from modsim3d.voyage.unseen.told import rows_of, sentences
+from tests.learn.scored_sets import detector
+from tests.voyage.unseen.voyages import HORIZON_PX, Flicker, observed, voyage
+
+PLAIN = frozenset(RICHER) - {"confidence"}
+RATE = 0.4
+SEEDS = 30
+
+
+def interval(learned, name):
+    (found,) = (each for each in learned.intervals(0.95) if each.key.names[0] == name)
+    return float(found.low), float(found.high)
+
+
+def mean_false_confidence(learned):
+    false = learned.detector()["states"]["all"]["confidence"]["false"]
+    return false["mean"] if "mean" in false else float(np.mean(false["quantiles"]))
+
+
+def one_in_five_unannotated(seed):
+    """Five boats that a simulated detector looks at, with persistent false positives; one has no transponder."""
+    content = detector({"true": {"mean": 0.8, "std": 0.1}, "false": {"mean": 0.4, "std": 0.1}})
+    content["false_positives"] |= {"model": "per_image", "persistence": {"lifetime_s": 3.0, "share": 0.5}}
+    content["states"]["usual"]["false_positives_per_image"] = RATE
+    every = voyage(seed, boats=5, kayaks=0, flicker=Flicker(0.0))
+    seen = simulated(every, np.zeros(len(every.images), dtype=np.int64), parse_detector(content), seed)
+    known = every.annotations.identity != 2
+    columns = {name: column[known] for name, column in vars(every.annotations).items()}
+    names = "image", "label", "boxes_px", "confidence"
+    results = Results(**{name: getattr(seen.results, name) for name in names})
+    return replace(seen, annotations=Annotations(**columns), results=results)
+
+
+def test_a_fifth_of_the_vessels_without_transponder_leaves_the_detector_as_it_is():
+    labelled, settings = one_in_five_unannotated(0), Settings(replicates=60, without=PLAIN)
+    plain = learn_detector(labelled, settings, LearnOptions()).learned
+    report, judged = learn_beside_unseen(labelled, settings, LearnOptions())
+    assert judged.own_rates(20, 0)[0].source is RateSource.MIXTURE
+    low, high = interval(report.learned, "false_positives_per_image")
+    assert low <= RATE <= high
+    assert interval(plain, "false_positives_per_image")[0] > RATE
+    low, high = interval(report.learned, "false_discovery_rate")
+    assert low <= RATE / (RATE + 0.9 * 4) <= high
+    assert mean_false_confidence(report.learned) == pytest.approx(0.4, abs=0.05)
+    assert mean_false_confidence(plain) > 0.5
+    confusion = [each.detector()["states"]["all"]["confusion"] for each in (report.learned, plain)]
+    assert confusion[0] == confusion[1]
+    assert report.learned.detector()["states"]["all"]["false_positives_per_image"] == pytest.approx(
+        float(judged.rates(report.learned.resampling, judged.observed.image_state, ("all",))[0].used.estimate), rel=1e-5
+    )
+
+
+def test_intervals_hold_the_rate_and_bounds_lie_on_both_sides():
+    held = below = above = 0
+    widths = []
+    for seed in range(SEEDS):
+        labelled = voyage(seed, frames=400, kayaks=2, flicker=Flicker(0.4, 0.4, 3.0), kayak_s=200.0)
+        judged = judge(observed(labelled))
+        (rate,) = judged.own_rates(40, seed)
+        low, high = rate.used.interval(0.95, rate.units)
+        held += low <= 0.4 <= high
+        widths.append(float(high - low))
+        below += rate.lower.interval(0.95, rate.units)[0] <= 0.4
+        above += rate.upper.interval(0.95, rate.units)[1] >= 0.4
+    least = 25  # of 30, of which each holds with a chance of 95 %: fewer come by chance once in 600 times
+    assert np.max(widths) < 0.6
+    assert held >= least
+    assert below >= least
+    assert above >= least
+
+
+def test_a_sea_without_other_vessels_leaves_all_as_it_is():
+    labelled, settings = voyage(3, frames=300, kayaks=0), Settings(replicates=20, without=PLAIN)
+    plain = learn_detector(labelled, settings, LearnOptions()).learned
+    report, judged = learn_beside_unseen(labelled, settings, LearnOptions())
+    assert not judged.left_out.any()
+    assert report.learned.detector() == plain.detector()
+    for one, other in zip(entries_of(report.learned.numbers), entries_of(plain.numbers), strict=True):
+        np.testing.assert_array_equal(one.column.values, other.column.values)
+
+
+def test_what_lasts_above_the_horizon_counts_as_false():
+    labelled = voyage(0, kayaks=3, above=1, frames=1000)
+    judged = judge(observed(labelled))
+    high = labelled.results.boxes_px[:, 3] < HORIZON_PX - 50
+    assert high.sum() > 100
+    assert not judged.left_out[high].any()
+    assert judged.left_out.sum() > 100
+    assert any("above the horizon" in said for said in sentences(judged, judged.own_rates(20, 0)))
+
+
+def test_marked_stretches_give_the_rate_themselves():
+    labelled, stretches = voyage(1), (Stretch(20, 60), Stretch(180, 200.5))
+    settings = Settings(replicates=40, without=PLAIN)
+    report, judged = learn_beside_unseen(labelled, settings, LearnOptions(), stretches)
+    time_s = labelled.images.time_s
+    inside = ((time_s >= 20) & (time_s <= 60)) | ((time_s >= 180) & (time_s <= 200.5))
+    false = judged.observed.false_positives
+    expected = inside[labelled.results.image[false]].sum() / inside.sum()
+    (rate,) = judged.own_rates(20, 0)
+    assert rate.source is RateSource.EMPTY
+    assert float(rate.used.estimate) == pytest.approx(expected, rel=1e-12)
+    written = report.learned.detector()["states"]["all"]
+    (entry,) = (e for e in entries_of(report.learned.numbers) if e.key.names == ("false_positives_per_image",))
+    assert float(entry.estimate) == pytest.approx(expected, rel=1e-9)
+    low, high = interval(report.learned, "false_positives_per_image")
+    assert low < expected < high
+    assert 0 < written["false_discovery_rate"] < 1
+    assert not judged.left_out[false[inside[labelled.results.image[false]]]].any()
+    assert rows_of((rate,), 0.95)[0][-1] == "the stretches marked as empty"
+
+
+def test_faint_detections_of_an_unseen_vessel_are_left_out_too():
+    labelled = voyage(0)
+    before = judge(observed(labelled))
+    rows = before.links.rows[before.lasting[before.links.link] >= 0.5]
+    assert len(rows) > 20
+    faint = labelled.results.confidence.copy()
+    faint[rows[5::9]] = 0.1
+    after = judge(observed(replace(labelled, results=replace(labelled.results, confidence=faint))))
+    assert after.left_out[rows].all()
+
+
+def test_stretches_are_read_in_seconds_and_in_utc():
+    start = 1704362400.0  # 2024-01-04T10:00:00Z
+    assert parse_stretches("120-300, 900-1000.5", None) == (Stretch(120, 300), Stretch(900, 1000.5))
+    utc = "2024-01-04T10:02:00Z/2024-01-04T10:05:00Z"
+    assert parse_stretches(utc, start) == (Stretch(120, 300),)
+    with pytest.raises(InputError, match="does not say when it starts"):
+        parse_stretches(utc, None)
+    for text in ("", "5", "300-120", "a-b", "1-2-3", "-5-9", "2024-01-04T10:02:00Z/never"):
+        with pytest.raises(InputError, match="--empty"):
+            parse_stretches(text, start)
+
+
+def test_a_stretch_without_frames_is_refused():
+    with pytest.raises(InputError, match="5000-6000: no frame lies in it; they are from 0 s to"):
+        judge(observed(voyage(0, frames=60)), (Stretch(5000, 6000),))
+
+
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("per_image", [0.0, 0.3])
+def test_sets_with_little_in_them_are_judged(timed, per_image):
+    labelled = voyage(0, frames=40, kayaks=0, flicker=Flicker(per_image, 0.0))
+    if not timed:
+        labelled.images.time_s[:] = np.nan
+    judged = judge(observed(labelled))
+    (rate,) = judged.own_rates(10, 0)
+    assert rate.unmatched == len(judged.observed.false_positives)
+    assert rate.source is RateSource.ALL
+    assert float(rate.used.estimate) * 40 == pytest.approx(rate.unmatched)
+    assert any("no times" in said for said in sentences(judged, (rate,))) == (not timed and per_image > 0)
