@@ -13,7 +13,7 @@ from modsim3d.voyage.registration.model import BoxModel
 from modsim3d.voyage.registration.parameters import Values
 from modsim3d.voyage.registration.sightings import match, predict
 from modsim3d.voyage.registration.traffic import Traffic
-from tests.voyage.registration.wrong_camera import Voyage, really
+from benchmarks.voyages.wrong_camera import Voyage, really
 
 
 @pytest.fixture(scope="module")
