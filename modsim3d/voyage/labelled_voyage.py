@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -18,18 +18,17 @@ from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
 from modsim3d.voyage.left_out import STALE_S, Freshness, Regions, left_out
 from modsim3d.voyage.on_scene import CameraLog, SceneLog
+from modsim3d.voyage.registered import Registering, correction_of
+from modsim3d.voyage.registration import Registration
 from modsim3d.voyage.reports import read_reports
-from modsim3d.voyage.sampling import NEAR_S
+from modsim3d.voyage.sampling import NEAR_S, Sampler
 from modsim3d.voyage.truth import CameraTruth, camera_truth
+from modsim3d.voyage.truth_noise.jacobians import View
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
 CONDITION = "voyage"
-WITHOUT_AIS = (
-    "vessels without AIS have no truth, so that detections of them count as false: the false discovery rate and the "
-    "numbers of false positives are upper bounds"
-)
 
 Registrar = Callable[[Scene, CameraLog], Correction]
 """Finds the correction of a camera from its log and the scene."""
@@ -40,13 +39,14 @@ class VoyageOptions:
     """How the truth of a voyage is made.
 
     Attributes:
-        registration: What is added to the camera and to the clock, or what finds it for each camera.
+        registration: What is added to the camera and to the clock, what finds it for each camera, or how each camera is
+            registered.
         stale_s: Least time without a report of a vessel under way that is left out.
         attitude: That of own ship as it was measured; its frames without one are left out.
         condition: Name of the condition.
     """
 
-    registration: Correction | Registrar = NO_CORRECTION
+    registration: Correction | Registrar | Registering = NO_CORRECTION
     stale_s: float = STALE_S
     attitude: Attitude | None = None
     condition: str = CONDITION
@@ -55,7 +55,51 @@ class VoyageOptions:
 NO_OPTIONS = VoyageOptions()
 
 
-def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> LabelledSet:
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """The registration of one camera in one log.
+
+    Attributes:
+        source: What messages call the log.
+        registration: The registration.
+    """
+
+    source: str
+    registration: Registration
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledVoyage:
+    """A labelled set, with what it was made by.
+
+    Attributes:
+        labelled: The set.
+        scene: The scene.
+        views: What each camera looked at; images are those of the set.
+        registered: The cameras that were registered.
+    """
+
+    labelled: LabelledSet
+    scene: Scene
+    views: tuple[View, ...]
+    registered: tuple[Registered, ...]
+
+
+def joined_voyages(parts: Sequence[LabelledVoyage]) -> LabelledVoyage:
+    """Several voyages of one scene as one; each view's images and identities are those of the joined set."""
+    views, first_image, first_identity = list[View](), 0, 0
+    for part in parts:
+        views += [
+            replace(view, images=view.images + first_image, first_identity=view.first_identity + first_identity)
+            for view in part.views
+        ]
+        first_image += len(part.labelled.images)
+        first_identity += int(part.labelled.annotations.identity.max(initial=-1)) + 1
+    registered = tuple(each for part in parts for each in part.registered)
+    return LabelledVoyage(joined([part.labelled for part in parts]), parts[0].scene, tuple(views), registered)
+
+
+def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> LabelledVoyage:
     """The frames of a log with the truth of its scene, which is rendered as that of a run is.
 
     Vessels whose AIS is stale, jumps or is off are ignored: detecting them counts neither for nor against a detector.
@@ -67,17 +111,16 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     reports = read_reports(log.scene.path)
     fresh = Freshness(log.scene, reports, options.stale_s)
     with open_renderer(log.scene) as renderer:
-        parts = [_CameraSet(log, each, fresh, options, renderer).labelled() for each in log.cameras]
+        parts = [_CameraSet(log, each, fresh, options, renderer).voyage() for each in log.cameras]
     notes = list(log.notes)
-    if reports is not None:
-        notes.append(WITHOUT_AIS)
     if reports is not None and not reports.used_s:
         notes.append(f"{log.scene.title}: has no report times beside it, so stale AIS is not left out: make it again")
     for part in parts:
-        notes += [note for note in part.notes if note not in notes]
-    whole = joined(parts)
-    images = replace(whole.images, source=np.zeros(len(whole.images), dtype=np.int64))  # cameras see the same traffic
-    return replace(whole, images=images, notes=tuple(notes))
+        notes += [note for note in part.labelled.notes if note not in notes]
+    whole = joined_voyages(parts)
+    number = len(whole.labelled.images)
+    images = replace(whole.labelled.images, source=np.zeros(number, dtype=np.int64))  # cameras see the same traffic
+    return replace(whole, labelled=replace(whole.labelled, images=images, notes=tuple(notes)))
 
 
 class _CameraSet:
@@ -93,8 +136,8 @@ class _CameraSet:
     ) -> None:
         """Take the frames that are within the scene."""
         self.scene, self.options, self.log, self.fresh = log.scene, options, log, fresh
-        given = options.registration
-        correction = given if isinstance(given, Correction) else given(log.scene, of_camera)
+        self.registration: Registration | None = None
+        correction = self._correction(of_camera)
         self.camera = correction.camera(log.scene.cameras[of_camera.camera])
         times_s = of_camera.time_s + correction.clock_s
         inside = (times_s >= -NEAR_S) & (times_s <= log.length_s + NEAR_S)
@@ -113,9 +156,25 @@ class _CameraSet:
             raise InputError(log.source, self.notes)
         self.frames, self.times_s = of_camera.take(carried), times_s[carried]
         self.truth = camera_truth(log.scene, of_camera.camera, self.camera, self.times_s, renderer, attitude)
+        self.poses = Sampler(log.scene, attitude).at(self.times_s)
 
-    def labelled(self) -> LabelledSet:
-        """The set."""
+    def _correction(self, of_camera: CameraLog) -> Correction:
+        given = self.options.registration
+        if isinstance(given, Correction):
+            return given
+        if not isinstance(given, Registering):
+            return given(self.scene, of_camera)
+        self.registration = given.of(self.scene, of_camera)
+        return correction_of(self.registration)
+
+    def voyage(self) -> LabelledVoyage:
+        """The set with what it was made by."""
+        view = View(self.camera, self.poses, np.arange(len(self.times_s)))
+        found = self.registration
+        registered = () if found is None else (Registered(self.log.source, found),)
+        return LabelledVoyage(self._labelled(), self.scene, (view,), registered)
+
+    def _labelled(self) -> LabelledSet:
         frames, number = self.frames, len(self.frames.names)
         annotations = self._annotations(self.truth)
         images = Images(

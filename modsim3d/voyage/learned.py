@@ -3,30 +3,100 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from modsim3d.errors import ModsimError
 from modsim3d.formats.matching import Rule, usual_method
 from modsim3d.inputs.opening import inputs_noted
-from modsim3d.learn import learn_detector as labelled_sets
 from modsim3d.learn.form import left_out
-from modsim3d.learn.learn_detector import LearnOptions
+from modsim3d.learn.learn_detector import LEAST_CONFIDENCE, LearnOptions, least_confidence
 from modsim3d.learn.learned import Settings
 from modsim3d.learn.learning import LearnResult
-from modsim3d.learn.sources import Sources
+from modsim3d.learn.told.report import Report
+from modsim3d.learn.told.sources import Sources
 from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.files.replacing import RUN_FILE, read_of_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.attitude import read_attitude
-from modsim3d.voyage.correction import NO_CORRECTION, Correction
-from modsim3d.voyage.labelled_voyage import Registrar, VoyageOptions, labelled_voyage
+from modsim3d.voyage.clock import SceneClock
+from modsim3d.voyage.correction import Correction
+from modsim3d.voyage.labelled_voyage import LabelledVoyage, Registered, Registrar, VoyageOptions, labelled_voyage
 from modsim3d.voyage.left_out import STALE_S
 from modsim3d.voyage.logs.log import NO_OPTIONS, LogOptions
 from modsim3d.voyage.logs.reading import read_log
 from modsim3d.voyage.on_scene import on_scene
+from modsim3d.voyage.registered import Registering, parse_fixed, position_noise_m
+from modsim3d.voyage.truth_noise.noise import TruthNoise
+from modsim3d.voyage.truth_noise.taken_off import TakenOff, report_less_truth_noise
+from modsim3d.voyage.unseen.judged import Judged
+from modsim3d.voyage.unseen.learned_beside import learn_beside_unseen
+from modsim3d.voyage.unseen.stretches import Stretch, parse_stretches
 
 Method = Literal["confidence", "optimal", "centre"]
+
+
+@dataclass(frozen=True, eq=False)
+class VoyageReport:
+    """What is reported of a voyage besides the detector.
+
+    Attributes:
+        voyage: The labelled set, the cameras and their registrations.
+        judged: Which unmatched detections are of vessels without a transponder.
+        taken_off: What errors of truth were taken off the box errors.
+    """
+
+    voyage: LabelledVoyage
+    judged: Judged
+    taken_off: TakenOff
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class VoyageResult(LearnResult):
+    """A detector that was learned from a voyage, from `learn_voyage`.
+
+    Attributes:
+        told: What is reported of the voyage.
+    """
+
+    told: VoyageReport
+
+    @property
+    def registered(self) -> tuple[Registered, ...]:
+        """The registration of each camera."""
+        return self.told.voyage.registered
+
+
+def learn_from(
+    voyage: LabelledVoyage,
+    settings: Settings,
+    options: LearnOptions,
+    stretches: tuple[Stretch, ...] = (),
+    position_m: float = 0.0,
+) -> tuple[Report, VoyageReport]:
+    """Learn from a labelled voyage.
+
+    Args:
+        voyage: The voyage.
+        settings: How it is learned.
+        options: What is wanted besides.
+        stretches: Stretches in which nothing floats but the vessels of the scene.
+        position_m: Standard deviation of each coordinate of positions.
+
+    Raises:
+        ModsimError: Nothing can be learned, or no frame is in a stretch.
+    """
+    if options.bias:
+        raise ModsimError(
+            "--bias and --correct are not for --scene: a simulation of what was learned has neither vessels without a "
+            "transponder nor errors of truth, so that it would show another shift"
+        )
+    report, judged = learn_beside_unseen(voyage.labelled, settings, options, stretches)
+    noise = TruthNoise.of(voyage.scene, position_m)
+    report, taken_off = report_less_truth_noise(report, voyage.scene, voyage.views, noise)
+    return report, VoyageReport(voyage, judged, taken_off)
 
 
 def learn_voyage(
@@ -34,7 +104,10 @@ def learn_voyage(
     log: StrPath,
     *,
     camera: str | None = None,
-    registration: Correction | Registrar = NO_CORRECTION,
+    registration: Correction | Registrar | Registering | None = None,
+    fixed: str | Sequence[str] = (),
+    empty: str | None = None,
+    position_noise: float | None = None,
     stale_s: float = STALE_S,
     attitude: StrPath | None = None,
     log_options: LogOptions = NO_OPTIONS,
@@ -45,14 +118,21 @@ def learn_voyage(
     replicates: int = 300,
     seed: int = 0,
     without: Sequence[str] = (),
-) -> LearnResult:
+) -> VoyageResult:
     """Learn a detector from what it wrote during a voyage whose vessels' tracks are known.
+
+        learned = learn_voyage("scene/scene.yaml", "detections.csv")
+        learned.registered[0].registration["pitch_deg"], learned.write("learned.yaml")
 
     Args:
         scene: The scene, its file, or the name of a shipped scene: the vessels, their tracks, and the camera.
         log: What the detector wrote; docs/voyage.md has the formats.
         camera: The scene's camera that the log is of; needed where neither says it.
-        registration: What is added to the camera and to the clock, or what finds it for each camera.
+        registration: What is added to the camera and to the clock, or what finds it for each camera; None to have it
+            estimated from the detections.
+        fixed: Parameters that are not estimated, such as `pitch,yaw`, or `all`.
+        empty: Stretches in which nothing floats but the scene's vessels, such as `120-300,900-1000`.
+        position_noise: Standard deviation of each coordinate of positions, in metres; if None, 10 m with AIS, else 0.
         stale_s: Least time without an AIS report of a vessel under way that is left out.
         attitude: File of own ship's roll, pitch and heading, in place of the scene's waves.
         log_options: What the log does not say itself.
@@ -65,22 +145,28 @@ def learn_voyage(
         without: Models to leave out.
 
     Raises:
-        ModsimError: The scene or the log cannot be read, they do not fit each other, or nothing can be learned.
+        ModsimError: The scene or the log cannot be read, they do not fit each other, the camera cannot be registered,
+            or nothing can be learned.
     """
     path = as_path(log, "log")
     with inputs_noted() as inputs:
         loaded = scene if isinstance(scene, Scene) else load_scene(scene)
         read = on_scene(read_log(path, log_options), loaded, camera)
         measured = None if attitude is None else read_attitude(as_path(attitude, "attitude"), loaded)
-        labelled = labelled_voyage(read, VoyageOptions(registration, stale_s, measured))
-    rule = Rule(match or usual_method(labelled), least_iou, most_distance_px)
-    least = labelled_sets.least_confidence(labelled, confidence)
+        position_m = position_noise_m(loaded, position_noise)
+        stretches = parse_stretches(empty, SceneClock.of(loaded).start_s) if empty else ()
+        if registration is None:
+            least = LEAST_CONFIDENCE if confidence is None else confidence
+            registration = Registering(parse_fixed(fixed), position_m, least, measured)
+        voyage = labelled_voyage(read, VoyageOptions(registration, stale_s, measured))
+    rule = Rule(match or usual_method(voyage.labelled), least_iou, most_distance_px)
+    least = least_confidence(voyage.labelled, confidence)
     settings = Settings(rule, least, replicates, seed, without=left_out(without, "learn_voyage: without"))
-    report = labelled_sets.learn_detector(labelled, settings, LearnOptions())
+    report, told = learn_from(voyage, settings, LearnOptions(), stretches, position_m)
     files = (*dict.fromkeys([*inputs, *read_besides(loaded, path)]),)
     call = "modsim3d.voyage.learned.learn_voyage(…).write(…) from Python"
     sources = Sources((loaded.path,), (path,), (), files, settings, call)
-    return LearnResult(report, files, sources)
+    return VoyageResult(report, files, sources, told)
 
 
 def read_besides(scene: Scene, log: Path) -> list[Path]:

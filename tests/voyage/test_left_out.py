@@ -61,7 +61,7 @@ def labelled_at(scene: Scene, folder: Path, times: list[int], *detections: str) 
     (folder / "log.csv").write_text(text + "\n")
     log = read_log(folder / "log.csv")
     assert log.clock is Clock.UTC
-    return labelled_voyage(on_scene(log, scene), VoyageOptions())
+    return labelled_voyage(on_scene(log, scene), VoyageOptions()).labelled
 
 
 def vessel(scene: Scene, mmsi: int) -> int:

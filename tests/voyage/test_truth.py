@@ -30,7 +30,7 @@ def log(voyage: Path, strait: Scene) -> SceneLog:
 
 def test_at_the_steps_of_a_scene_its_truth_is_that_of_a_run(log: SceneLog, labelled: LabelledSet) -> None:
     """To the last bit, with waves, meshes, obstacles, and vessels that hide each other."""
-    found = labelled_voyage(log)
+    found = labelled_voyage(log).labelled
     for mine, theirs in ((found.annotations, labelled.annotations), (found.images, labelled.images)):
         for name in ("image", "label", "boxes_px", "visible_fraction", "depth_m", "ignored", "crowd"):
             if hasattr(mine, name):
@@ -79,7 +79,7 @@ def test_headings_turn_along_the_shorter_arc() -> None:
 
 def test_a_clock_that_is_late_shows_what_was_before(log: SceneLog, labelled: LabelledSet) -> None:
     """The log's times are 0.4 s too small: its first frame shows the third step."""
-    found = labelled_voyage(log, VoyageOptions(Correction(clock_s=0.4)))
+    found = labelled_voyage(log, VoyageOptions(Correction(clock_s=0.4))).labelled
     late = labelled.annotations.boxes_px[labelled.annotations.image == 2]
     np.testing.assert_array_equal(found.annotations.boxes_px[found.annotations.image == 0], late)
     assert any("2 of 24 frames are before or after the scene" in note for note in found.notes)
@@ -165,7 +165,7 @@ def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> 
     rows = [f"{time},0,0.01,0.02" for time in (1, 1.5, 2, 4.2, 4.6)]
     path = tmp_path / "attitude.csv"
     path.write_text("\n".join(["time_s,roll_rad,pitch_rad,heading_rad", *rows]) + "\n")
-    found = labelled_voyage(log, VoyageOptions(attitude=read_attitude(path, log.scene)))
+    found = labelled_voyage(log, VoyageOptions(attitude=read_attitude(path, log.scene))).labelled
     bow = found.images.sequence == 0
     np.testing.assert_allclose(found.images.time_s[bow], [1, 1.2, 1.4, 1.6, 1.8, 2, 4.2, 4.4, 4.6])
     assert "camera 'bow': 15 frames without attitude are left out" in found.notes

@@ -12,6 +12,7 @@ from modsim3d.errors import ModsimError
 from modsim3d.geometry.camera import Camera
 from modsim3d.inputs.validation import nearest
 from modsim3d.scene.scene import Scene
+from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.registration.aligning import Aligner, Alignment
 from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.voyage.registration.checks import check_matches, check_search, check_times
@@ -58,6 +59,7 @@ def register(
     searched_s: float = SEARCHED_S,
     offsets_m: float | None = None,
     noise_m: float = 0.0,
+    attitude: Attitude | None = None,
 ) -> Registration:
     """Estimate how a camera and its detector's clock differ from what the scene says.
 
@@ -77,6 +79,7 @@ def register(
             the matches alone tell, which few vessels do badly.
         noise_m: Standard deviation, in each direction, of errors of positions that change from report to report, such
             as those of satellite navigation. They are taken to last `BLOCK_S`, and widen the intervals.
+        attitude: That of own ship as it was measured, in place of the scene's waves.
 
     Raises:
         ModsimError: The data cannot tell, with the reason.
@@ -84,7 +87,7 @@ def register(
     eye = _camera(scene, camera)
     if scene.live:
         raise ModsimError(f"{scene.title}: a registration needs poses that are known beforehand, not live ones")
-    model = BoxModel.of(scene, Traffic.of(scene, eye))
+    model = BoxModel.of(scene, Traffic.of(scene, eye, attitude))
     check_times(model, found, searched_s)
     given = _corrected(found, np.asarray(mean_errors, dtype=np.float64))
     stays = held([*fixed, *BY_RULE, *(() if use_sizes else _SIZES)])

@@ -11,6 +11,8 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses, poses_ashore, poses_on_board
 from modsim3d.geometry.rotations import vehicle_R_nominal, world_R_vehicle
 from modsim3d.scene.scene import Scene
+from modsim3d.voyage.attitude import Attitude
+from modsim3d.voyage.sampling import Sampler
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +39,9 @@ class Traffic:
     curved: bool
 
     @classmethod
-    def of(cls, scene: Scene, camera: Camera) -> Traffic:
-        """That of a scene, all its steps, before one of its cameras."""
-        steps = np.arange(scene.steps)
-        motion = scene.motion.at(steps)
+    def of(cls, scene: Scene, camera: Camera, attitude: Attitude | None = None) -> Traffic:
+        """That of a scene, all its steps, before one of its cameras; an attitude as it was measured replaces waves."""
+        motion = Sampler(scene, attitude).at(scene.times_s(0, scene.steps))
         headings = np.unwrap(motion.poses.headings_rad, axis=0)
         places = np.concatenate([motion.poses.positions_m, headings[..., None], motion.angles_rad], axis=-1)
         name = camera.mount.vessel

@@ -1,0 +1,116 @@
+"""The cameras of a log, each registered against its scene before anything is learned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Mask
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.learn.learn_detector import LEAST_CONFIDENCE
+from modsim3d.scene.scene import Scene
+from modsim3d.voyage.attitude import Attitude
+from modsim3d.voyage.correction import NO_CORRECTION, Correction
+from modsim3d.voyage.on_scene import CameraLog
+from modsim3d.voyage.registration import BoxesAtTimes, Registration, register
+from modsim3d.voyage.reports import read_reports
+from modsim3d.voyage.truth_noise.noise import POSITION_M, TruthNoise
+
+ALL = "all"
+"""The name in `fixed` that stands for all parameters: then nothing is registered."""
+OFFSETS_M = 5.0
+"""How far positions of AIS are expected to be off for as long as a vessel is seen: antennas, late reports."""
+_SIZES = frozenset({"length", "beam", "air draft"})
+
+
+def is_from_ais(scene: Scene) -> bool:
+    """Whether `modsim3d ais` made the scene: its report lies beside it."""
+    return read_reports(scene.path) is not None
+
+
+def position_noise_m(scene: Scene, given: float | None) -> float:
+    """Standard deviation of each coordinate of positions: the given one, else 10 m with AIS and 0 without.
+
+    Raises:
+        InputError: The given one is negative or not finite.
+    """
+    if given is None:
+        return POSITION_M if is_from_ais(scene) else 0.0
+    if not (np.isfinite(given) and given >= 0):
+        raise InputError("--position-noise", [f"must be metres from 0 on (got {given:g})"])
+    return given
+
+
+@dataclass(frozen=True, eq=False)
+class Registering:
+    """How cameras are registered.
+
+        Registering(("pitch",), position_m=10).of(scene, camera_log)
+
+    Attributes:
+        fixed: Names of parameters that stay as the scene has them.
+        position_m: Standard deviation of each coordinate of positions.
+        least_confidence: Least confidence of a detection that takes part.
+        attitude: That of own ship as it was measured.
+    """
+
+    fixed: tuple[str, ...] = ()
+    position_m: float = 0.0
+    least_confidence: float = LEAST_CONFIDENCE
+    attitude: Attitude | None = None
+
+    def of(self, scene: Scene, log: CameraLog) -> Registration | None:
+        """The registration of a camera; None if all of it is fixed.
+
+        Raises:
+            ModsimError: It cannot be known, with the reason.
+        """
+        if ALL in self.fixed:
+            return None
+        name = scene.cameras[log.camera].name
+        sizes = not _SIZES & TruthNoise.of(scene).reasons.keys()
+        ais = is_from_ais(scene)
+        try:
+            return register(
+                scene,
+                name,
+                _boxes(log, self._known(log), self.least_confidence),
+                fixed=self.fixed,
+                use_sizes=sizes,
+                offsets_m=OFFSETS_M if ais else None,
+                noise_m=self.position_m,
+                attitude=self.attitude,
+            )
+        except ModsimError as error:
+            text = str(error)
+            if text.startswith("fixed: "):
+                raise InputError("--fixed", [text.removeprefix("fixed: ")]) from None
+            way_out = "--fixed all learns with the camera and the clock as they are"
+            raise InputError(f"camera '{name}'", [f"{text}; {way_out}"]) from None
+
+    def _known(self, log: CameraLog) -> Mask:
+        if self.attitude is None:
+            return np.ones(len(log.time_s), dtype=bool)
+        return self.attitude.known(log.time_s)
+
+
+def correction_of(registration: Registration | None) -> Correction:
+    """What a registration adds to the camera and to the clock of the log."""
+    if registration is None:
+        return NO_CORRECTION
+    return Correction(**{name: registration.values[name] for name in Correction.__dataclass_fields__})
+
+
+def parse_fixed(names: str | Sequence[str] | None) -> tuple[str, ...]:
+    """Names of parameters from a text such as `pitch,yaw`, or a list of them."""
+    each = names.split(",") if isinstance(names, str) else names or ()
+    return tuple(name for name in (text.strip() for text in each) if name)
+
+
+def _boxes(log: CameraLog, frames: Mask, least: float) -> BoxesAtTimes:
+    """The detections of some frames (n,) that are confident enough, or have no confidence."""
+    taken = log.take(frames)
+    sure = np.isnan(taken.confidence) | (taken.confidence >= least)
+    return BoxesAtTimes(taken.time_s, taken.frame[sure], taken.boxes_px[sure])
