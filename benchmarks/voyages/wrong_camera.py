@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.detector.records import Detections
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
 from modsim3d.scene.scene import Scene
@@ -53,22 +54,28 @@ class Voyage:
         return BoxesAtTimes(times_s, found.frame, found.boxes_px)
 
     def write_log(self, seed: int, path: Path) -> None:
-        """The same as a table; a frame without detections is a row without a box."""
+        """The same as a table."""
         times_s, found = self._detected(seed)
-        camera, labels = self.scene.cameras[0].name, self.scene.detector.labels
-        empty = np.setdiff1d(np.arange(len(times_s)), found.frame)
-        columns = found.frame.tolist(), found.label.tolist(), found.confidence.tolist(), found.boxes_px.tolist()
-        rows = [(frame, labels[label], score, *box) for frame, label, score, box in zip(*columns, strict=True)]
-        rows += [(frame, *[""] * (len(COLUMNS) - 2)) for frame in empty.tolist()]
-        with path.open("w", encoding="utf-8", newline="") as file:
-            table = csv.writer(file)
-            table.writerow(COLUMNS)
-            for frame, *rest in sorted(rows, key=lambda row: row[0]):
-                table.writerow([f"{times_s[frame]:.6f}", camera, *rest])
+        labels = [self.scene.detector.labels[label] for label in found.label.tolist()]
+        write_table(path, times_s, self.scene.cameras[0].name, found.frame, labels, found.confidence, found.boxes_px)
 
-    def _detected(self, seed: int) -> tuple[np.ndarray, Detections]:
+    def _detected(self, seed: int) -> tuple[Array, Detections]:
         """Times of the frames by the detector's clock, and its detections."""
         scene = replace(self.scene, detector_seed=seed)
         block = self.truth, 0, scene.steps
         (part,) = Simulation(scene, scene_census(scene, [block])).detect(*block).cameras
         return scene.times_s(0, scene.steps)[part.steps] - self.clock_s, part.detections
+
+
+def write_table(
+    path: Path, times_s: Array, camera: str, frame: Indices, labels: Sequence[str], scores: Array, boxes_px: Array
+) -> None:
+    """A log of detections (n,) in frames (F,); a frame without detections is a row without a box."""
+    columns = frame.tolist(), labels, scores.tolist(), boxes_px.tolist()
+    rows: list[tuple[object, ...]] = [(at, label, score, *box) for at, label, score, box in zip(*columns, strict=True)]
+    rows += [(at, *[""] * (len(COLUMNS) - 2)) for at in np.setdiff1d(np.arange(len(times_s)), frame).tolist()]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+        for at, *rest in sorted(rows, key=lambda row: row[0]):
+            table.writerow([f"{times_s[at]:.6f}", camera, *rest])

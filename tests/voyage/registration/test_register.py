@@ -23,7 +23,7 @@ CLOSE = {"clock_s": 0.2, "pitch_deg": 0.6, "yaw_deg": 0.2, "height_m": 2.0, "foc
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return load_scene("strait", settings={**REGISTRATION_SETTINGS, "waves.apply_to": "ownship"})
+    return load_scene("strait", settings=REGISTRATION_SETTINGS)
 
 
 @pytest.fixture(scope="module")

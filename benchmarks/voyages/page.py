@@ -1,0 +1,118 @@
+"""The page of the campaign: what was simulated, what held, and by how much it was off."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from benchmarks.voyages.cases import AIS, BY_NAME, CASES, Case
+from benchmarks.voyages.scores import PARTS, below, share
+from benchmarks.voyages.wrong_camera import WRONG
+
+TITLES = {"registration": "Camera and clock", "detector": "Detector"}
+HEAD = "| number | true | held | fewest | bias | spread | half-width |"
+UNITS = {"clock_s": "s", "pitch_deg": "°", "yaw_deg": "°", "height_m": "m"}
+
+
+def text(results: dict[str, dict[str, Any]]) -> str:
+    """The page."""
+    lines = ["# Learning from simulated voyages", "", _introduction(), "", *_summary(results)]
+    if {"detector_ais", "unregistered"} <= results.keys():
+        lines += _side_by_side(results["detector_ais"]["detector"], results["unregistered"]["detector"])
+    for case in CASES:
+        if case.name in results:
+            lines += _section(case, results[case.name])
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _introduction() -> str:
+    wrong = ", ".join(_wrong(name, value) for name, value in WRONG.items())
+    return (
+        "`script/campaign voyages` simulates voyages whose camera, clock and detector are known, and learns them again "
+        "as [`modsim3d learn --scene`](../voyage.md) does. The scene that the user has is wrong by these amounts: "
+        f"{wrong}. Each seed draws the detections anew.\n\n"
+        f"By AIS means: each coordinate of a position is off by {AIS.position_m:g} m (standard deviation), an error "
+        f"that lasts {AIS.position_s:g} s and changes with each report, every {AIS.reports_s:g} s; a vessel's reports "
+        f"are late by {AIS.delay_s:g} s (standard deviation over vessels); {AIS.absent:.0%} of the vessels have no "
+        "transponder. All of these are drawn anew with each seed.\n\n"
+        "Held is the number of 95 % intervals that hold the true value, of so many voyages. Fewest is the binomial "
+        "limit: intervals that hold 95 % of the time fall below it in 1 % of the campaigns. Bias and spread are mean "
+        "and standard deviation of the estimates about the true value, half-width the median of the intervals. A "
+        "number that a voyage had too little data to learn, or for which it chose another model than the file has, is "
+        "not counted in that voyage."
+    )
+
+
+def _wrong(name: str, value: float) -> str:
+    words = name.rsplit("_", 1)[0]
+    return f"{words} {value:+.0%}" if name == "focal_share" else f"{words} {value:+g} {UNITS[name]}".replace(" °", "°")
+
+
+def _summary(results: dict[str, dict[str, Any]]) -> list[str]:
+    lines = ["| voyage | seeds | refused | camera and clock: intervals that hold | detector: intervals that hold | CPU |"]
+    lines += ["|---|---|---|---|---|---|"]
+    for case in CASES:
+        if case.name in results:
+            found = results[case.name]
+            cells = [_held(found[part]) if part in found else "–" for part in PARTS]
+            refused = sum(found["refused"].values())
+            lines.append(
+                f"| [{case.title}](#{_anchor(case.title)}) | {found['voyages']} | {refused} | {' | '.join(cells)} | "
+                f"{found['cpu_s']:.1f} s |"
+            )
+    return [*lines, ""]
+
+
+def _held(part: dict[str, dict[str, float]]) -> str:
+    fallen = len(below(part))
+    return f"{share(part):.1%}; {fallen} of {len(part)} numbers below the limit"
+
+
+def _anchor(title: str) -> str:
+    return "".join(each for each in title.lower() if each.isalnum() or each == " ").replace(" ", "-")
+
+
+def _side_by_side(registered: dict[str, Any], plain: dict[str, Any]) -> list[str]:
+    """Bias of the numbers that both learn, largest without registration first, in the unit of their half-widths."""
+    lines = ["## With and without registration", "",
+             "The same voyages by AIS, learned with registration and without. Bias of what each learns.", "",
+             "| number | true | bias with | bias without | held with | held without |",
+             "|---|---|---|---|---|---|"]  # fmt: skip
+    for name, with_it in registered.items():
+        if name in plain:
+            without = plain[name]
+            held = " | ".join(f"{each['held']}/{each['of']}" for each in (with_it, without))
+            bias = f"{_short(with_it['bias'])} | {_short(without['bias'])}"
+            lines.append(f"| `{short(name)}` | {_short(with_it['asked'])} | {bias} | {held} |")
+    return [*lines, ""]
+
+
+def _section(case: Case, found: dict[str, Any]) -> list[str]:
+    lines = [f"## {case.title}", "", f"{case.said} {BY_NAME[case.name].scene.capitalize()}, camera `{case.camera}`, "
+             f"{found['voyages']} voyages.", ""]  # fmt: skip
+    for part in PARTS:
+        if part in found:
+            lines += [f"**{TITLES[part]}**", "", HEAD, "|---|---|---|---|---|---|---|"]
+            lines += [_row(name, score) for name, score in found[part].items()] + [""]
+            if fallen := below(found[part]):
+                lines += [f"Below the limit: {', '.join(f'`{short(name)}`' for name in fallen)}.", ""]
+            if bounded := [name for name, score in found[part].items() if score["bounds"]]:
+                counts = ", ".join(f"`{short(name)}` in {found[part][name]['bounds']:g}" for name in bounded)
+                lines += [f"Said to be an upper bound, which holds if the true value is below it: {counts} voyages.", ""]
+    for reason, number in found["refused"].items():
+        lines += [f"Refused in {number}: {reason}", ""]
+    return lines
+
+
+def _row(name: str, score: dict[str, float]) -> str:
+    numbers = " | ".join(_short(score[key]) for key in ("bias", "spread", "half_width"))
+    held = f"{score['held']:g}/{score['of']:g}"
+    return f"| `{short(name)}` | {_short(score['asked'])} | {held} | {score['fewest']:g} | {numbers} |"
+
+
+def short(name: str) -> str:
+    """A number's name without the state, of which there is only one."""
+    return name.removeprefix("states.voyage.")
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}"
