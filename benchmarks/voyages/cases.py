@@ -41,7 +41,7 @@ class Case:
         name: What it is called on the page and by `--case`.
         title: Its heading on the page.
         said: What is special about it.
-        scene: `strait`, `fairway` or `sample`.
+        scene: `strait`, `lanes` or `sample`.
         camera: The camera.
         errors: What is wrong with the positions that the user has.
         learns: Whether a detector is learned; else the camera and the clock are registered alone.
@@ -76,11 +76,11 @@ CASES = (
          "do not take part.", "sample", "shore", AIS,
          priors=(*PRIORS, ("use_sizes", False))),
     Case("detector", "Detector, true tracks", "Camera and clock are registered, then the detector is learned.",
-         "fairway", "shore", CLEAN, learns=True),
-    Case("detector_ais", "Detector, by AIS", "The same with tracks as AIS gives them.", "fairway", "shore", AIS,
+         "lanes", "shore", CLEAN, learns=True),
+    Case("detector_ais", "Detector, by AIS", "The same with tracks as AIS gives them.", "lanes", "shore", AIS,
          learns=True),
     Case("unregistered", "Detector, by AIS, without registration", "The same voyages with `--fixed all`: the camera "
-         "and the clock are taken as the scene has them.", "fairway", "shore", AIS, learns=True, registered=False),
+         "and the clock are taken as the scene has them.", "lanes", "shore", AIS, learns=True, registered=False),
 )  # fmt: skip
 BY_NAME = {case.name: case for case in CASES}
 
@@ -89,7 +89,7 @@ BY_NAME = {case.name: case for case in CASES}
 def _scene(name: str) -> Scene:
     if name == "strait":
         return load_scene("strait", settings=REGISTRATION_SETTINGS)
-    return _of_sample() if name == "sample" else load_scene(HERE / "fairway.yaml")
+    return _of_sample() if name == "sample" else load_scene(HERE / "lanes.yaml")
 
 
 def _of_sample() -> Scene:

@@ -24,7 +24,7 @@ def scores(trials: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The scores of a case.
 
     Returns:
-        `voyages`, `refused` (reason → number), `cpu_s` of a voyage, and for `registration` and `detector` each number
+        `voyages`, `refused` (reason → number), `cpu_s` of a voyage, the estimates of the `first` voyage, and for `registration` and `detector` each number
         with how many intervals hold, of how many, the fewest that may, bias and spread of the estimates, and the
         median half-width of the intervals.
     """
@@ -34,6 +34,8 @@ def scores(trials: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "refused": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
         "cpu_s": round(float(np.mean([trial["cpu_s"] for trial in trials])), 2),
     }
+    first = {name: number for part in PARTS for name, number in trials[0].get(part, {}).items()}
+    found["first"] = {name: float(f"{number['value']:.6g}") for name, number in first.items()}
     for part in PARTS:
         done = [trial[part] for trial in trials if trial.get(part)]
         names = dict.fromkeys(name for each in done for name in each)
