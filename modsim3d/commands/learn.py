@@ -22,10 +22,16 @@ from modsim3d.commands.learn_json import learn_json
 from modsim3d.commands.learn_voyage import (
     AttitudeOption,
     CameraOption,
+    EmptyOption,
+    FixedOption,
     ImagesOption,
+    PositionNoiseOption,
     SceneOption,
     StartOption,
+    WriteSceneOption,
     asked_voyage,
+    show_voyage,
+    show_voyage_tables,
 )
 from modsim3d.commands.shared import (
     JsonOption,
@@ -51,6 +57,7 @@ if TYPE_CHECKING:
     from modsim3d.formats.reading.builder import ReadOptions
     from modsim3d.learn.told.report import Report
     from modsim3d.runs.stored_run import StoredRun
+    from modsim3d.voyage.told.voyage_report import VoyageReport
 
 
 class Match(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -97,6 +104,10 @@ def learn_command(
     start: StartOption = None,
     images: ImagesOption = None,
     attitude: AttitudeOption = None,
+    fixed: FixedOption = None,
+    empty: EmptyOption = None,
+    position_noise: PositionNoiseOption = None,
+    write_scene: WriteSceneOption = None,
     state: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=COND,...", help="Performance state, and the conditions it is made of; repeatable."),
@@ -198,6 +209,8 @@ def learn_command(
     from modsim3d.outputs.claims import claimed
     from modsim3d.outputs.placing import write_files
     from modsim3d.runs.files.replacing import read_of_run
+    from modsim3d.voyage.told.sections import voyage_sections
+    from modsim3d.voyage.told.voyage_json import voyage_json
 
     out = out_file(out, Path("detector.yaml"))
     page = out_file(page, out.with_suffix(".html"))
@@ -210,11 +223,15 @@ def learn_command(
             "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "
             "centre for both, or learn from each alone"
         )
-    voyage = asked_voyage(scene, truth, run, camera, start, images, attitude)
+    shift = bias or correct
+    voyage = asked_voyage(
+        *(scene, truth, run, camera, start, images, attitude, fixed, empty, position_noise, write_scene, shift)
+    )
     with timed("reading"), inputs_noted() as read:  # also of files that no option names, such as data.yaml
         runs: tuple[StoredRun, ...] = ()
         if voyage:
-            labelled = voyage.labelled(detections or [], condition or [], options)
+            sighted = voyage.labelled(detections or [], condition or [], options, confidence)
+            labelled = sighted.labelled
         else:
             labelled, runs = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
         order = read_text(sequence, "sequence") if sequence else None
@@ -222,21 +239,29 @@ def learn_command(
         interval = runs[-1].scene.detector.transition_interval_s
     least = least_confidence(labelled, confidence)
     settings = Settings(_rule(labelled, match, iou, distance), least, replicates, seed, clutter.value, plain)
-    wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
+    wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, shift)
     noted = list(read)
     read += [path for folder in run or () for path in read_of_run(folder)]
     read += voyage.besides(detections or []) if voyage else []
     tell_files(read)
-    written = [out, page, uncertainty_file(out)]
+    scene_files = voyage.scene_files(sighted) if voyage else {}
+    written = [out, page, uncertainty_file(out), *scene_files]
+    told: VoyageReport | None = None
     with claimed(written, overwrite=overwrite, inputs=read):
         with timed("learning"):
-            report = learn_detector(labelled, settings, wanted)
+            if voyage:
+                report, told = voyage.learn(sighted, settings, wanted)
+            else:
+                report = learn_detector(labelled, settings, wanted)
         with timed("files"):
             given = voyage.truth(detections or []) if voyage else tuple(truth or ()), tuple(detections or ())
             sources = Sources(*given, runs, tuple(noted), settings, typed_command(context))
-            write_files(learned_files(report, out, page, sources, correct))
-    _show(report, written)
-    say_json(learn_json(report, written))
+            sections = voyage_sections(told) if told else ()
+            write_files(learned_files(report, out, page, sources, correct, sections) | scene_files)
+    if told:
+        show_voyage(told)
+    _show(report, written, told)
+    say_json(learn_json(report, written) | ({"voyage": voyage_json(told)} if told else {}))
 
 
 def _rule(labelled: LabelledSet, match: Match | None, iou: float | None, distance: float | None) -> Rule:
@@ -286,7 +311,7 @@ def _labelled_set(
     return joined(parts), tuple(opened_runs)
 
 
-def _show(report: Report, written: Sequence[Path]) -> None:
+def _show(report: Report, written: Sequence[Path], told: VoyageReport | None) -> None:
     """Print the tables."""
     from modsim3d.learn.told.report import lead
     from modsim3d.learn.told.tables import NEVER_LEARNED, tables
@@ -295,6 +320,8 @@ def _show(report: Report, written: Sequence[Path]) -> None:
     print_prose(console, lead(report))
     for remark in report.remarks:
         print_prose(console, f"Remark: {remark}.")
+    if told:
+        show_voyage_tables(told)
     for table in tables(report):
         _print(console, table.title, table.header, table.rows)
     print_line(console, "\nLeft simple, and why", "bold")

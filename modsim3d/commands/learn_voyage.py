@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,13 +10,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modsim3d.commands.completion import complete_scene
+from modsim3d.commands.shared import print_line
+from modsim3d.commands.tables import print_prose, print_table
+from modsim3d.commands.terminal import open_console
 from modsim3d.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
-    from modsim3d.formats.labelled import LabelledSet
     from modsim3d.formats.reading.builder import ReadOptions
+    from modsim3d.learn.learn_detector import LearnOptions
+    from modsim3d.learn.learned import Settings
+    from modsim3d.learn.told.report import Report
     from modsim3d.scene.scene import Scene
+    from modsim3d.voyage.labelled_voyage import LabelledVoyage
     from modsim3d.voyage.logs.log import Start
+    from modsim3d.voyage.told.voyage_report import VoyageReport
+    from modsim3d.voyage.unseen.stretches import Stretch
 
 SceneOption = Annotated[
     str | None,
@@ -42,30 +50,62 @@ AttitudeOption = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Table of own ship's roll, pitch and heading by time, for --scene."),
 ]
+FixedOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME,...",
+        help="Parameters of --scene that are not registered: clock, roll, pitch, yaw, height, focal, k1; or all.",
+    ),
+]
+EmptyOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FROM-TO,...", help="Stretches in which nothing floats but the vessels of --scene, in seconds or UTC."
+    ),
+]
+PositionNoiseOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M",
+        help="Standard deviation of each coordinate of positions in --scene.",
+        show_default="10 with AIS, else 0",
+    ),
+]
+WriteSceneOption = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Folder to write --scene to, with registered cameras."),
+]
 
 
 @dataclass(frozen=True, eq=False)
 class AskedVoyage:
-    """A scene, and what its logs do not say."""
+    """A scene, what its logs do not say, and how it is learned from."""
 
     scene: Scene
     camera: str | None
     start: Start | None
     images: Path | None
     attitude: Path | None
+    fixed: tuple[str, ...]
+    stretches: tuple[Stretch, ...]
+    position_m: float
+    write_scene: Path | None
 
-    def labelled(self, logs: Sequence[Path], conditions: Sequence[str], options: ReadOptions) -> LabelledSet:
-        """The logs with the truth of the scene.
+    def labelled(
+        self, logs: Sequence[Path], conditions: Sequence[str], options: ReadOptions, confidence: float | None
+    ) -> LabelledVoyage:
+        """The logs with the truth of the scene, once its cameras are registered.
 
         Raises:
-            ModsimError: There is no log, not a name for each, or a log is wrong.
+            ModsimError: There is no log, not a name for each, a log is wrong, or a camera cannot be registered.
         """
-        from modsim3d.formats.labelled import joined
+        from modsim3d.learn.learn_detector import LEAST_CONFIDENCE
         from modsim3d.voyage.attitude import read_attitude
-        from modsim3d.voyage.labelled_voyage import CONDITION, VoyageOptions, labelled_voyage
+        from modsim3d.voyage.labelled_voyage import CONDITION, VoyageOptions, joined_voyages, labelled_voyage
         from modsim3d.voyage.logs.log import LogOptions
         from modsim3d.voyage.logs.reading import read_log
         from modsim3d.voyage.on_scene import on_scene
+        from modsim3d.voyage.registered import Registering
 
         if not logs:
             raise ModsimError("nothing to learn from: --scene needs --detections, the log of its camera's detector")
@@ -84,12 +124,36 @@ class AskedVoyage:
             options.skip_bad,
         )
         attitude = None if self.attitude is None else read_attitude(self.attitude, self.scene)
+        least = LEAST_CONFIDENCE if confidence is None else confidence
+        registering = Registering(self.fixed, self.position_m, least, attitude)
         names = conditions or [CONDITION] * len(logs)
         parts = []
         for path, name in zip(logs, names, strict=True):
             log = on_scene(read_log(path, said), self.scene, self.camera)
-            parts.append(labelled_voyage(log, VoyageOptions(attitude=attitude, condition=name)))
-        return joined(parts)
+            parts.append(labelled_voyage(log, VoyageOptions(registering, attitude=attitude, condition=name)))
+        return joined_voyages(parts)
+
+    def learn(self, voyage: LabelledVoyage, settings: Settings, options: LearnOptions) -> tuple[Report, VoyageReport]:
+        """Learn from the voyage.
+
+        Raises:
+            ModsimError: Nothing can be learned.
+        """
+        from modsim3d.voyage.learned import learn_from
+
+        return learn_from(voyage, settings, options, self.stretches, self.position_m)
+
+    def scene_files(self, voyage: LabelledVoyage) -> dict[Path, bytes | str]:
+        """The scene with its registered cameras, if it is to be written.
+
+        Raises:
+            ModsimError: A camera has two registrations.
+        """
+        from modsim3d.voyage.written_scene import scene_files
+
+        if self.write_scene is None:
+            return {}
+        return scene_files(self.scene, voyage.registered, self.write_scene)
 
     def truth(self, logs: Sequence[Path]) -> tuple[Path, ...]:
         """The file that each log's truth is from."""
@@ -110,14 +174,22 @@ def asked_voyage(
     start: str | None,
     images: Path | None,
     attitude: Path | None,
+    fixed: str | None,
+    empty: str | None,
+    position_noise: float | None,
+    write_scene: Path | None,
+    shift: bool,
 ) -> AskedVoyage | None:
     """What the options ask for; None without `--scene`.
+
+    `shift` says whether --bias or --correct is given, which a voyage cannot have.
 
     Raises:
         ModsimError: Options do not go together, or the scene is wrong.
     """
     if scene is None:
-        given = {"--camera": camera, "--start": start, "--images": images, "--attitude": attitude}
+        given: dict[str, object] = {"--camera": camera, "--start": start, "--images": images, "--attitude": attitude}
+        given |= {"--fixed": fixed, "--empty": empty, "--position-noise": position_noise, "--write-scene": write_scene}
         if stray := [name for name, value in given.items() if value is not None]:
             raise ModsimError(f"{stray[0]} is for --scene: a voyage whose vessels' tracks are known")
         return None
@@ -127,8 +199,55 @@ def asked_voyage(
             f"--scene makes the truth of --detections: give it without {other}, and learn from both apart"
         )
     from modsim3d.scene.reading import load_scene
+    from modsim3d.voyage.clock import SceneClock
+    from modsim3d.voyage.learned import NO_SHIFT
+    from modsim3d.voyage.registered import parse_fixed, position_noise_m
+    from modsim3d.voyage.unseen.stretches import parse_stretches
 
-    return AskedVoyage(load_scene(scene), camera, None if start is None else _start(start), images, attitude)
+    if shift:
+        raise ModsimError(NO_SHIFT)
+    loaded = load_scene(scene)
+    return AskedVoyage(
+        loaded,
+        camera,
+        None if start is None else _start(start),
+        images,
+        attitude,
+        parse_fixed(fixed),
+        parse_stretches(empty, SceneClock.of(loaded).start_s) if empty is not None else (),
+        position_noise_m(loaded, position_noise),
+        write_scene,
+    )
+
+
+def show_voyage(told: VoyageReport) -> None:
+    """Print the registration, before the detector."""
+    from modsim3d.voyage.told.voyage_report import NOT_REGISTERED
+
+    console = open_console()
+    if not told.voyage.registered:
+        print_prose(console, NOT_REGISTERED)
+    for lead, table, exchanges in told.registration:
+        print_prose(console, lead)
+        print_table(console, table.title, table.rows, header=table.header, right={1, 2, 3}, breaks=BREAKS)
+        print_line(console, "\nCannot be told apart by these data, so that a rule settles it", "bold")
+        for line in exchanges:
+            print_prose(console, line, indent=2)
+    print_line(console, "")
+
+
+def show_voyage_tables(told: VoyageReport) -> None:
+    """Print what AIS does not see, how well truth is known, coverage, and the longest stretches without a match."""
+    console = open_console()
+    for table in told.tables:
+        print_table(console, table.title, table.rows, header=table.header, breaks=BREAKS)
+
+
+BREAKS: tuple[Callable[[str], str], ...] = (
+    lambda cell: cell.replace(" (", "\n(").replace(" to ", "\nto "),
+    lambda cell: "\n".join(cell.split()),
+)
+"""Where cells are broken that are too wide."""
 
 
 def _start(text: str) -> Start:

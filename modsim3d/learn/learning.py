@@ -54,11 +54,13 @@ class LearnResult:
         report: Every number with its interval, and the figures of an evaluation.
         inputs: The files that it was learned from; none of them is written over.
         sources: The same with what the page says of them.
+        sections: Further sections of the page, as HTML, such as those of a voyage.
     """
 
     report: Report
     inputs: tuple[Path, ...]
     sources: Sources
+    sections: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         """From how much it was learned, and that most matches are lost where they are."""
@@ -104,12 +106,17 @@ class LearnResult:
         if page == out:
             raise InputError("path", [f"the page would be written over the detector file: name it .yaml (got {out})"])
         with claimed([out, page, unsure], overwrite=overwrite, inputs=self.inputs):
-            write_files(learned_files(self.report, out, page, self.sources))
+            write_files(learned_files(self.report, out, page, self.sources, sections=self.sections))
         return out, page
 
 
 def learned_files(
-    report: Report, out: Path, page: Path, sources: Sources, corrected: bool = False
+    report: Report,
+    out: Path,
+    page: Path,
+    sources: Sources,
+    corrected: bool = False,
+    sections: Sequence[str] = (),
 ) -> dict[Path, bytes | str]:
     """The content of the files that are written: the detector, the page, and how well the numbers are known.
 
@@ -119,10 +126,11 @@ def learned_files(
         page: The page.
         sources: What it was learned from.
         corrected: Whether to take the bias of matching off the numbers.
+        sections: Further sections of the page, as HTML.
     """
     learned = report.bias.corrected() if corrected and report.bias else report.learned
     detector = detector_text(learned.detector(), comments(report, corrected))
-    text = page_text(report, out, detector, sources)
+    text = page_text(report, out, detector, sources, sections)
     return {out: detector, page: text, uncertainty_file(out): uncertainty_text(learned, detector)}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -29,28 +29,18 @@ from modsim3d.voyage.logs.log import NO_OPTIONS, LogOptions
 from modsim3d.voyage.logs.reading import read_log
 from modsim3d.voyage.on_scene import on_scene
 from modsim3d.voyage.registered import Registering, parse_fixed, position_noise_m
+from modsim3d.voyage.told.sections import voyage_sections
+from modsim3d.voyage.told.voyage_report import VoyageReport
 from modsim3d.voyage.truth_noise.noise import TruthNoise
-from modsim3d.voyage.truth_noise.taken_off import TakenOff, report_less_truth_noise
-from modsim3d.voyage.unseen.judged import Judged
+from modsim3d.voyage.truth_noise.taken_off import report_less_truth_noise
 from modsim3d.voyage.unseen.learned_beside import learn_beside_unseen
 from modsim3d.voyage.unseen.stretches import Stretch, parse_stretches
 
 Method = Literal["confidence", "optimal", "centre"]
-
-
-@dataclass(frozen=True, eq=False)
-class VoyageReport:
-    """What is reported of a voyage besides the detector.
-
-    Attributes:
-        voyage: The labelled set, the cameras and their registrations.
-        judged: Which unmatched detections are of vessels without a transponder.
-        taken_off: What errors of truth were taken off the box errors.
-    """
-
-    voyage: LabelledVoyage
-    judged: Judged
-    taken_off: TakenOff
+NO_SHIFT = (
+    "--bias and --correct are not for --scene: a simulation of what was learned has neither vessels without a "
+    "transponder nor errors of truth, so that it would show another shift"
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,7 +51,7 @@ class VoyageResult(LearnResult):
         told: What is reported of the voyage.
     """
 
-    told: VoyageReport
+    told: VoyageReport = field(kw_only=True)
 
     @property
     def registered(self) -> tuple[Registered, ...]:
@@ -89,14 +79,12 @@ def learn_from(
         ModsimError: Nothing can be learned, or no frame is in a stretch.
     """
     if options.bias:
-        raise ModsimError(
-            "--bias and --correct are not for --scene: a simulation of what was learned has neither vessels without a "
-            "transponder nor errors of truth, so that it would show another shift"
-        )
+        raise ModsimError(NO_SHIFT)
     report, judged = learn_beside_unseen(voyage.labelled, settings, options, stretches)
     noise = TruthNoise.of(voyage.scene, position_m)
     report, taken_off = report_less_truth_noise(report, voyage.scene, voyage.views, noise)
-    return report, VoyageReport(voyage, judged, taken_off)
+    told = VoyageReport.of(voyage, judged, taken_off, report, settings.replicates, settings.seed)
+    return report, told
 
 
 def learn_voyage(
@@ -166,7 +154,7 @@ def learn_voyage(
     files = (*dict.fromkeys([*inputs, *read_besides(loaded, path)]),)
     call = "modsim3d.voyage.learned.learn_voyage(…).write(…) from Python"
     sources = Sources((loaded.path,), (path,), (), files, settings, call)
-    return VoyageResult(report, files, sources, told)
+    return VoyageResult(report, files, sources, voyage_sections(told), told=told)
 
 
 def read_besides(scene: Scene, log: Path) -> list[Path]:

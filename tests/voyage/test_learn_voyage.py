@@ -10,7 +10,7 @@ import pytest
 import modsim3d
 from modsim3d.errors import ModsimError
 from modsim3d.scene.scene import Scene
-from modsim3d.voyage.correction import Correction
+from modsim3d.voyage.correction import NO_CORRECTION, Correction
 from modsim3d.voyage.learned import learn_voyage
 from modsim3d.voyage.on_scene import CameraLog
 from tests.commands.bad_input.builders import Call
@@ -30,7 +30,7 @@ def learned(scene: Scene, voyage: Path, name: str, **others: object) -> dict[str
         log_options=options(voyage, given),
         replicates=20,
         without=WITHOUT,
-        **others,  # type: ignore[arg-type]
+        **{"registration": NO_CORRECTION, **others},  # type: ignore[arg-type]
     )
     return found.content
 
@@ -59,7 +59,7 @@ def test_it_is_near_the_detector_that_is_learned_from_the_run(voyage: Path, from
     theirs = modsim3d.learn_detector(
         run=run, match="confidence", replicates=20, without=WITHOUT, states={"voyage": ["clear", "haze"]}
     )
-    mine = learn_voyage(run.scene, voyage / "run", replicates=20, without=WITHOUT)
+    mine = learn_voyage(run.scene, voyage / "run", fixed="all", replicates=20, without=WITHOUT)
     np.testing.assert_allclose(numbers(mine.content), numbers(theirs.content), rtol=2e-3, atol=1e-5)
 
 
@@ -80,10 +80,21 @@ def test_registration_is_applied_to_the_camera_and_to_the_clock(strait: Scene, v
 
 def test_the_command_learns_from_a_log(call: Call, voyage: Path, tmp_path: Path) -> None:
     out = tmp_path / "detector.yaml"
-    line = ("learn", "--scene", voyage / "run" / "scene" / "strait.json", "--replicates", 20, "--out", out)
+    line = (
+        "learn",
+        "--scene",
+        voyage / "run" / "scene" / "strait.json",
+        "--fixed",
+        "all",
+        "--replicates",
+        20,
+        "--out",
+        out,
+    )
     given = ("--detections", voyage / "coco" / "dt.json", "--images", voyage / "coco" / "gt.json", "--camera", "bow")
     status, said = call(*line, *given)
     assert status == 0, said
+    assert "nothing was registered" in said
     assert "24 images" in said
     assert "its frames are known from the images of gt.json" in " ".join(said.split())
     text = out.read_text()
@@ -108,14 +119,16 @@ WRONG = {
 def test_what_does_not_go_together_is_refused(call: Call, voyage: Path, tmp_path: Path, given, said: str) -> None:
     given = [voyage / each if each == "run" else each for each in given]
     scene = voyage / "run" / "scene" / "strait.json"
-    status, text = call("learn", "--scene", scene, *given, "--out", tmp_path / "d.yaml")
+    status, text = call("learn", "--scene", scene, "--fixed", "all", *given, "--out", tmp_path / "d.yaml")
     assert status == 2
     assert said in text
     assert "Traceback" not in text
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("given", [("--camera", "bow"), ("--start", 0), ("--images", "gt.json")])
+@pytest.mark.parametrize(
+    "given", [("--camera", "bow"), ("--start", 0), ("--images", "gt.json"), ("--fixed", "all"), ("--empty", "0-9")]
+)
 def test_options_of_a_voyage_need_a_scene(call: Call, tmp_path: Path, given) -> None:
     status, text = call("learn", *given, "--out", tmp_path / "d.yaml")
     assert status == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.provenance import Input, Provenance
 
 
-def page_text(report: Report, out: Path, detector: str, sources: Sources) -> str:
+def page_text(report: Report, out: Path, detector: str, sources: Sources, sections: Sequence[str] = ()) -> str:
     """The page, in one file.
 
     Args:
@@ -27,12 +28,13 @@ def page_text(report: Report, out: Path, detector: str, sources: Sources) -> str
         out: The detector file.
         detector: Its content.
         sources: What it was learned from.
+        sections: Further sections, as HTML, which come before the pictures.
     """
     body = [f"<style>{_STYLE}</style>", page.paragraph(learned_from(report, out.name, sources.names), "lead")]
     body += [page.paragraph(how_well(report), "lead")]
     body += [page.paragraph(f"Warning: {report.warning}.", "bad")] if report.warning else []
     body += [page.tiles(results(report)), *_to_know(report), page.paragraph(lead(report), "soft")]
-    body += _curve_pictures(report)
+    body += [*sections, *_curve_pictures(report)]
     body += [page.heading("Box errors"), *_scatter(report)]
     body += [page.heading("Confusion matrices"), *_matrices(report)]
     if report.shares is not None:

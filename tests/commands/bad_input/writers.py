@@ -41,7 +41,14 @@ WRITERS: dict[str, tuple[str, Line]] = {
         "detector.yaml",
         lambda run, out: (
             *("learn", "--scene", scene_file(run), "--detections", run, "--match", "centre", "--replicates", 20),
-            *("--out", out),
+            *("--fixed", "all", "--out", out),
+        ),
+    ),
+    "learn: written scene": (
+        "detector.yaml",
+        lambda run, out: (
+            *("learn", "--scene", scene_file(run), "--detections", run, "--match", "centre", "--replicates", 20),
+            *("--fixed", "all", "--out", out.with_name("d.yaml"), "--write-scene", out.parent),
         ),
     ),
     "learn: page": (
@@ -98,5 +105,5 @@ READ = {
     *("images", "attitude"),
 }
 """Parameters that name what is read."""
-WRITTEN = {"out", "page", "cache"}
+WRITTEN = {"out", "page", "cache", "write_scene"}
 """Parameters that name what is written."""

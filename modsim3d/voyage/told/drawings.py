@@ -1,0 +1,106 @@
+"""Drawings of a voyage: the coverage of the sea, and sketches of frames with their boxes."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator
+
+import numpy as np
+
+from modsim3d.arrays import Array
+from modsim3d.view.pages.charts import svg
+from modsim3d.voyage.labelled_voyage import LabelledVoyage
+from modsim3d.voyage.told.coverage import Coverage, cells
+from modsim3d.voyage.told.stretches import Stretch
+from modsim3d.voyage.unseen.judged import Judged
+
+_CELL = (78.0, 34.0)
+_LEFT, _TOP, _BELOW = 96.0, 20.0, 36.0
+_SKETCH_WIDTH = 430.0
+_MATCHED, _MISSED, _UNMATCHED = "#2f7fc1", "#d0312d", "#e08a00"
+_LOW, _HIGH = np.array([208, 49, 45]), np.array([47, 127, 193])
+
+
+def coverage_drawing(coverage: Coverage) -> str:
+    """Bearing to the right, range upwards; each cell with the share that was matched and of how many."""
+    bearings, ranges = coverage.bearings_deg, coverage.ranges_m
+    wide, high = _CELL
+    width = _LEFT + wide * (len(bearings) - 1) + 20
+    height = _TOP + high * (len(ranges) - 1) + _BELOW
+    foot = height - _BELOW
+    parts = [
+        f'<text x="{_LEFT}" y="12" font-weight="600">Share matched by camera {html.escape(coverage.camera)}</text>'
+    ]
+    for b, r, matched, whole in cells(coverage):
+        x, y, share = _LEFT + b * wide, foot - (r + 1) * high, matched / whole
+        red, green, blue = (_LOW + share * (_HIGH - _LOW)).round().astype(int).tolist()
+        middle = x + wide / 2
+        parts.append(
+            f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide - 2:.1f}" height="{high - 2:.1f}" '
+            f'fill="rgb({red},{green},{blue})" fill-opacity="0.3"/>'
+            f'<text x="{middle:.1f}" y="{y + 14:.1f}" text-anchor="middle" font-weight="600">{share:.0%}</text>'
+            f'<text x="{middle:.1f}" y="{y + 27:.1f}" text-anchor="middle" fill="var(--soft)">of {whole:,}</text>'
+        )
+    for place, edge in enumerate(bearings.tolist()):
+        sign = "−" if edge < 0 else "+" if edge > 0 else ""
+        parts.append(_label(_LEFT + place * wide, foot + 14, f"{sign}{abs(edge):g}°", "middle"))
+    for place, edge in enumerate(ranges.tolist()):
+        parts.append(_label(_LEFT - 6, foot - place * high + 4, f"{edge:,.0f} m", "end"))
+    parts.append(_label(width - 20, foot + 30, "bearing from the camera's axis, to the right", "end"))
+    return svg(width, height, f"Coverage of camera {coverage.camera}", "\n".join(parts), "long")
+
+
+def frame_sketch(voyage: LabelledVoyage, judged: Judged, stretch: Stretch) -> str:
+    """The middle frame of a stretch: what was matched, what was missed and what was detected of nothing known."""
+    middle = len(stretch.image) // 2
+    image, time_s = int(stretch.image[middle]), float(stretch.time_s[middle])
+    labelled, matched = voyage.labelled, judged.observed.matched
+    size = labelled.images.sizes_px[image]
+    scale = _SKETCH_WIDTH / float(size[0])
+    width, height = _SKETCH_WIDTH, float(size[1]) * scale
+    sought = np.flatnonzero(matched.sought & (labelled.annotations.image == image))
+    found = matched.detection[sought] >= 0
+    unmatched = matched.false[labelled.results.image[matched.false] == image]
+    boxes = labelled.annotations.boxes_px
+    parts = [
+        f'<rect x="0" y="16" width="{width}" height="{height:.1f}" fill="none" stroke="var(--line)"/>',
+        *_horizon(labelled.images.half_planes[image], scale, size),
+        *(_box(each, scale, _MATCHED) for each in boxes[sought[found]]),
+        *(_box(each, scale, _MISSED, dashed=True) for each in boxes[sought[~found]]),
+        *(_box(each, scale, _UNMATCHED) for each in labelled.results.boxes_px[unmatched]),
+        _ring(stretch.boxes_px[middle], scale),
+        _label(0, 11, f"{stretch.camera}, {time_s:.1f} s: {stretch.what}", "start", "var(--ink)"),
+    ]
+    title = f"Frame of camera {stretch.camera} at {time_s:.1f} s"
+    return svg(width, height + 18, title, "\n".join(parts))
+
+
+def _box(box_px: Array, scale: float, colour: str, *, dashed: bool = False) -> str:
+    left, top, right, bottom = (box_px * scale).tolist()
+    dash = ' stroke-dasharray="4 2"' if dashed else ""
+    return (
+        f'<rect x="{left:.1f}" y="{top + 16:.1f}" width="{max(right - left, 1):.1f}" '
+        f'height="{max(bottom - top, 1):.1f}" fill="none" stroke="{colour}" stroke-width="1.5"{dash}/>'
+    )
+
+
+def _ring(box_px: Array, scale: float) -> str:
+    left, top, right, bottom = (box_px * scale).tolist()
+    radius = max(right - left, bottom - top) / 2 + 9
+    x, y = (left + right) / 2, (top + bottom) / 2 + 16
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="none" stroke="var(--soft)"/>'
+
+
+def _horizon(half_plane: Array, scale: float, size: Array) -> Iterator[str]:
+    """The horizon a·x + b·y + c = 0 from the left to the right edge."""
+    a, b, c = half_plane.tolist()
+    if not np.isfinite(half_plane).all() or not b:
+        return
+    ends = [(x, -(a * x + c) / b) for x in (0.0, float(size[0]))]
+    if all(0 <= y <= size[1] for _, y in ends):
+        (x1, y1), (x2, y2) = ((x * scale, y * scale + 16) for x, y in ends)
+        yield f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="var(--line)"/>'
+
+
+def _label(x: float, y: float, text: str, anchor: str, colour: str = "var(--soft)") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}">{html.escape(text)}</text>'

@@ -1,0 +1,102 @@
+"""A registration as a table and in sentences: each parameter before and after, and what is held by which rule."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from modsim3d.display import counted
+from modsim3d.geometry.camera import Camera
+from modsim3d.learn.told.tables import Table
+from modsim3d.scene.scene import Scene
+from modsim3d.voyage.labelled_voyage import Registered
+from modsim3d.voyage.registration import Estimate, Registration
+from modsim3d.voyage.registration.determined import COMMON_DELAY, Group
+from modsim3d.voyage.registration.parameters import SHARED
+
+HEADER = ("parameter", "scene", "registered", "change", "95 % interval", "held")
+_WORDS = {parameter.name: parameter.words for parameter in SHARED} | {COMMON_DELAY: "a common delay of all reports"}
+_WORDS |= {"clock_s": "clock", "focal_share": "focal length", "k1": "lens distortion k1"}
+_UNITS = {parameter.name: parameter.unit for parameter in SHARED} | {COMMON_DELAY: "s"}
+
+
+def registration_table(registered: Registered, scene: Scene) -> Table:
+    """The parameters of one camera."""
+    found = registered.registration
+    (camera,) = (each for each in scene.cameras if each.name == found.camera)
+    before, after = _values(camera), _values(found.camera_of(camera))
+    rows = tuple(
+        (
+            _name(each),
+            before.get(each.name, ""),
+            after.get(each.name, "") if not each.held else "",
+            amount(each.name, each.value, each.unit, each.standard_error) if not each.held else "",
+            _interval(each),
+            each.held,
+        )
+        for each in (*found.estimates, *found.vessels)
+    )
+    return Table(f"Registration of camera '{found.camera}' in {registered.source}", HEADER, rows)
+
+
+def registration_lead(registered: Registered) -> str:
+    """How much it rests on, and the residuals before and after."""
+    found = registered.registration
+    return (
+        f"Camera '{found.camera}' was registered by {len(found.sightings):,} of "
+        f"{counted(found.detections, 'detection')}, of {counted(found.matched_vessels, 'vessel')}: bearings and "
+        f"waterlines are off by {found.rms_before_px:.3g} px with the scene's values and by "
+        f"{found.rms_after_px:.3g} px with the registered ones (root mean square, by the same matches)."
+    )
+
+
+def exchanges(registration: Registration) -> Iterator[str]:
+    """What cannot be told apart: by how much other values would change if a held one were another."""
+    for group in registration.groups:
+        yield _exchange(group)
+
+
+def amount(name: str, value: float, unit: str, error: float | None = None) -> str:
+    """A change with its sign and unit, to the digits that an error leaves; shares are in percent."""
+    percent = name.endswith("_share")
+    size, shown = (100.0, " %") if percent else (1.0, unit if unit in ("", "°") else f" {unit}")
+    if error is None:
+        return f"{size * value:+.3g}{shown}"
+    digits = min(max(1 - math.floor(math.log10(max(size * error, 1e-6))), 0), 6)
+    return f"{size * value:+.{digits}f}{shown}"
+
+
+def _name(estimate: Estimate) -> str:
+    vessel = estimate.name.rpartition(".")[0]
+    return f"{vessel}: {estimate.words}" if vessel else _WORDS[estimate.name]
+
+
+def _exchange(group: Group) -> str:
+    held = _WORDS[group.held]
+    if not group.exchange:
+        return f"{held} is held: the detections say nothing of it"
+    one = amount(group.held, 0.01 if _UNITS[group.held] == "" else 1, _UNITS[group.held])
+    changes = ", ".join(f"{amount(name, by, _UNITS[name])} of {_WORDS[name]}" for name, by in group.exchange)
+    return f"{held} is held; {one} of it would look like {changes}"
+
+
+def _interval(estimate: Estimate) -> str:
+    if estimate.held or not np.isfinite(estimate.low):
+        return ""
+    low, high = (
+        amount(estimate.name, end, estimate.unit, estimate.standard_error) for end in (estimate.low, estimate.high)
+    )
+    return f"{low} to {high}"
+
+
+def _values(camera: Camera) -> dict[str, str]:
+    """The values of a camera as its scene has them, in degrees, metres and pixels."""
+    mount, lens = camera.mount, camera.intrinsics
+    angles = {f"{name}_deg": np.degrees(getattr(mount, f"{name}_rad")) for name in ("roll", "pitch", "yaw")}
+    return {name: f"{angle:.3f}°" for name, angle in angles.items()} | {
+        "height_m": f"{mount.position_m[2]:.3f} m",
+        "focal_share": f"{lens.focal_px[0]:.1f} px",
+        "k1": f"{lens.distortion.k1 if lens.distortion else 0:.4f}",
+    }

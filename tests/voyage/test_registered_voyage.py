@@ -1,0 +1,140 @@
+"""A voyage with a wrong clock and a wrong camera, from the log to the detector file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import modsim3d
+from modsim3d.scene.reading import load_scene
+from modsim3d.voyage.correction import Correction
+from modsim3d.voyage.learned import VoyageResult, learn_voyage
+from modsim3d.voyage.registered import correction_of
+from tests.commands.bad_input.builders import Call
+from tests.voyage.strait_logs import REALLY, strait_log, strait_scene, written
+from tests.voyage.test_learn_voyage import WITHOUT
+
+OPTIONS = ("--camera", "bow", "--replicates", 20, "--without", ",".join(WITHOUT))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scene `strait.json` and the log `bow.csv`."""
+    folder = tmp_path_factory.mktemp("strait")
+    strait_log(load_scene(strait_scene(folder)), folder / "bow.csv")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def learned(folder: Path) -> VoyageResult:
+    return learn_voyage(folder / "strait.json", folder / "bow.csv", camera="bow", replicates=20, without=WITHOUT)
+
+
+def recall(content: dict) -> float:
+    return 1 - content["states"]["voyage"]["confusion"][-1][0]
+
+
+def test_clock_pitch_and_yaw_come_back(learned: VoyageResult) -> None:
+    (registered,) = learned.registered
+    tolerance = {"clock_s": 0.03, "pitch_deg": 0.05, "yaw_deg": 0.1}
+    for name, truth in REALLY.items():
+        assert registered.registration[name].value == pytest.approx(truth, abs=tolerance[name])
+        assert registered.registration[name].high - registered.registration[name].low < 2 * tolerance[name]
+    assert registered.registration.rms_after_px < registered.registration.rms_before_px / 4
+
+
+def test_the_correction_changes_camera_and_clock_as_the_registration_says(learned: VoyageResult) -> None:
+    registration = learned.registered[0].registration
+    correction = correction_of(registration)
+    scene = learned.told.voyage.scene
+    camera = next(each for each in scene.cameras if each.name == "bow")
+    assert correction.camera(camera) == registration.camera_of(camera)
+    assert correction.clock_s == registration["clock_s"].value
+    times = learned.told.voyage.labelled.images.time_s
+    assert times[0] == pytest.approx(correction.clock_s - REALLY["clock_s"] + 0.2, abs=0.21)
+
+
+def test_the_detector_is_learned_back_and_is_visibly_worse_without_registration(
+    folder: Path, learned: VoyageResult
+) -> None:
+    def with_camera(**others: object) -> dict:
+        given = {"camera": "bow", "replicates": 20, "without": WITHOUT, **others}
+        return learn_voyage(folder / "strait.json", folder / "bow.csv", **given).content
+
+    known, wrong = with_camera(registration=Correction(**REALLY)), with_camera(fixed="all")
+    mine = learned.content
+    assert recall(mine) == pytest.approx(recall(known), abs=0.01)
+    spreads = [np.sqrt(np.diag(each["states"]["voyage"]["box_error"]["covariance"])) for each in (mine, known, wrong)]
+    np.testing.assert_allclose(spreads[0], spreads[1], rtol=0.15)
+    assert recall(wrong) < 0.5 < 0.8 < recall(mine)
+    assert spreads[2][0] > 3 * spreads[1][0]
+
+
+def test_the_command_tells_the_registration_writes_the_page_and_the_scene(
+    call: Call, folder: Path, tmp_path: Path
+) -> None:
+    given = ("--scene", folder / "strait.json", "--detections", folder / "bow.csv", *OPTIONS)
+    out, scene = tmp_path / "detector.yaml", tmp_path / "scene"
+    status, said = call("learn", *given, "--fixed", "roll,k1", "--out", out, "--write-scene", scene, "--empty", "0-9")
+    text = " ".join(said.split())
+    assert status == 0, said
+    assert "Camera 'bow' was registered by" in text
+    assert "fixed by the user" in text
+    assert "What camera 'bow' matched and missed, by range" in text
+    page = out.with_suffix(".html").read_text()
+    for title in ("Registration", "What AIS does not see", "Coverage of the sea", "The longest without a match"):
+        assert f">{title}</h2>" in page
+    assert "modsim3d.load_detector" not in page
+    modsim3d.load_detector(out)
+    (camera,) = (each for each in load_scene(scene / "strait.json").cameras if each.name == "bow")
+    assert np.degrees(camera.mount.yaw_rad) == pytest.approx(REALLY["yaw_deg"], abs=0.1)
+    assert np.degrees(camera.mount.pitch_rad) == pytest.approx(np.degrees(0.03) + REALLY["pitch_deg"], abs=0.05)
+    noted = json.loads((scene / "registration.json").read_text())["cameras"]["bow"]
+    assert noted["clock_s"] == pytest.approx(REALLY["clock_s"], abs=0.03)
+
+
+def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call, folder: Path, tmp_path: Path) -> None:
+    rows = np.loadtxt(folder / "bow.csv", delimiter=",", skiprows=1)
+    times, boxes = rows[:, 0], rows[:, 1:]
+    late = written(tmp_path / "late.csv", times + 3 * 3600, boxes)
+    rng = np.random.default_rng(0)
+    width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
+    left, top = rng.uniform(0, 1900 - width), rng.uniform(0, 1000 - height)
+    elsewhere = written(tmp_path / "other.csv", times, np.column_stack([left, top, left + width, top + height]))
+    astern = strait_scene(tmp_path / "astern", **{"cameras.bow.mount.yaw_rad": 1.5})
+    wrong = {
+        late: (folder / "strait.json", "the log is after the scene's last step, by 3.0 hours"),
+        elsewhere: (folder / "strait.json", "The log may be of another place, camera or time"),
+        folder / "bow.csv": (astern, "the camera looks another way than"),
+    }
+    for log, (scene, problem) in wrong.items():
+        line = ("learn", "--scene", scene, "--detections", log, *OPTIONS, "--out", tmp_path / "d.yaml")
+        status, said = call(*line)
+        assert status == 2
+        assert problem in " ".join(said.split())
+        assert "Traceback" not in said
+    assert not (tmp_path / "d.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        (("--fixed", "pitsch"), "no parameter 'pitsch'"),
+        (("--empty", "soon"), "must be FROM-TO in seconds"),
+        (("--empty", "900-1000"), "no frame lies in it"),
+        (("--position-noise", "-1"), "must be metres from 0 on (got -1)"),
+        (("--bias",), "--bias and --correct are not for --scene"),
+        (("--correct",), "--bias and --correct are not for --scene"),
+    ],
+)
+def test_wrong_options_of_a_voyage_are_refused(call: Call, voyage: Path, tmp_path: Path, given, problem: str) -> None:
+    scene = voyage / "run" / "scene" / "strait.json"
+    fixed = () if "--fixed" in given else ("--fixed", "all")
+    line = ("learn", "--scene", scene, "--detections", voyage / "run", "--out", tmp_path / "d.yaml", *fixed, *given)
+    status, said = call(*line)
+    assert status == 2
+    assert problem in " ".join(said.split())
+    assert not any(tmp_path.iterdir())
