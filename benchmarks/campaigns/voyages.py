@@ -14,6 +14,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads double the CPU time
 
+from benchmarks.stand_in.films import WORK
 from benchmarks.voyages.cases import CASES
 from benchmarks.voyages.page import text
 from benchmarks.voyages.pixels import PIXELS, pixel_voyages
@@ -31,6 +32,7 @@ def main() -> None:
     names = [*(case.name for case in CASES), PIXELS]
     parser.add_argument("--case", action="append", choices=names, help="this one alone")
     parser.add_argument("--out", type=Path, default=OUT, help="folder of the page and the numbers")
+    parser.add_argument("--work", type=Path, default=WORK, help="folder of the stand-in's films")
     asked = parser.parse_args()
     page, numbers = asked.out / "voyages.md", asked.out / "voyages.json"
     asked.out.mkdir(parents=True, exist_ok=True)
@@ -40,7 +42,7 @@ def main() -> None:
             if asked.case and name not in asked.case:
                 continue
             if name == PIXELS:
-                results[name] = pixel_voyages(pool)
+                results[name] = pixel_voyages(pool, asked.work)
             else:
                 results[name] = scores(list(pool.map(trial, [name] * asked.seeds, range(asked.seeds))))
             numbers.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")

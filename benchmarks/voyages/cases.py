@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -29,6 +29,11 @@ CLEAN = AisErrors()
 AIS = AisErrors(position_m=3.0, position_s=300.0, delay_s=0.5, absent=0.2)
 """Positions as good as those of satellite navigation with corrections, delays, and vessels without a transponder."""
 
+ALL = replace(AIS, absent=0.0)
+TOLD_M = 4.5
+"""What `--position-noise` says of them: late reports are errors of positions too, 3 m at 6 m/s."""
+DISTANCE_PX = 30.0
+"""Of `--match centre`: IoU would lose boxes of vessels whose positions are off."""
 PRIORS = (("offsets_m", 5.0), ("noise_m", 3.0))
 """What `modsim3d learn` expects of a scene from AIS, and the errors of positions."""
 
@@ -72,13 +77,15 @@ CASES = (
     Case("quay_ais", "Registration ashore, by AIS", "Tracks as AIS gives them.", "strait", "quay", AIS,
          priors=PRIORS),
     Case("sample", "Registration in the scene of an AIS log", "The scene that `modsim3d ais` makes of "
-         "`tests/data/ais/receiver.nmea`, with errors added. Dimensions that the log lacks are guesses, so boxes' sizes "
-         "do not take part.", "sample", "shore", AIS,
+         "`tests/data/ais/receiver.nmea`, with errors added. Dimensions that the log lacks are guesses, so the sizes of "
+         "boxes do not take part.", "sample", "shore", AIS,
          priors=(*PRIORS, ("use_sizes", False))),
     Case("detector", "Detector, true tracks", "Camera and clock are registered, then the detector is learned.",
          "lanes", "shore", CLEAN, learns=True),
-    Case("detector_ais", "Detector, by AIS", "The same with tracks as AIS gives them.", "lanes", "shore", AIS,
-         learns=True),
+    Case("detector_all", "Detector, by AIS of all vessels", "Tracks as AIS gives them, of vessels that all have a "
+         "transponder.", "lanes", "shore", ALL, learns=True),
+    Case("detector_ais", "Detector, by AIS", "The same, and a fifth of the vessels has no transponder.",
+         "lanes", "shore", AIS, learns=True),
     Case("unregistered", "Detector, by AIS, without registration", "The same voyages with `--fixed all`: the camera "
          "and the clock are taken as the scene has them.", "lanes", "shore", AIS, learns=True, registered=False),
 )  # fmt: skip

@@ -5,12 +5,22 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks.voyages.cases import AIS, BY_NAME, CASES, Case
+from benchmarks.voyages.pixels import NEAR_AIS, PIXELS, VARIANTS
 from benchmarks.voyages.scores import PARTS, below, share
 from benchmarks.voyages.wrong_camera import WRONG
 
 TITLES = {"registration": "Camera and clock", "detector": "Detector"}
 HEAD = "| number | true | held | fewest | bias | spread | half-width |"
 UNITS = {"clock_s": "s", "pitch_deg": "°", "yaw_deg": "°", "height_m": "m"}
+
+PIXEL_WORDS = (
+    "The films of [stand_in](../stand_in.md), in which a detector that was trained on photographs looks at pictures of "
+    "this program. Of the first films of each place in clear weather from ashore, the detector is learned by full "
+    "truth, and by AIS through the same wrong camera and clock as above. The vessels are near, so AIS means less here: "
+    f"{NEAR_AIS.position_m:g} m, delays of {NEAR_AIS.delay_s:g} s. Films last half a minute. Values are means over the "
+    "films; of the films it is counted in how many the value by AIS lies within the interval of full truth, and in how "
+    "many both intervals overlap."
+)
 
 
 def text(results: dict[str, dict[str, Any]]) -> str:
@@ -21,6 +31,8 @@ def text(results: dict[str, dict[str, Any]]) -> str:
     for case in CASES:
         if case.name in results:
             lines += _section(case, results[case.name])
+    if PIXELS in results:
+        lines += _pixels(results[PIXELS])
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -48,7 +60,9 @@ def _wrong(name: str, value: float) -> str:
 
 
 def _summary(results: dict[str, dict[str, Any]]) -> list[str]:
-    lines = ["| voyage | seeds | refused | camera and clock: intervals that hold | detector: intervals that hold | CPU |"]
+    lines = [
+        "| voyage | seeds | refused | camera and clock: intervals that hold | detector: intervals that hold | CPU |"
+    ]
     lines += ["|---|---|---|---|---|---|"]
     for case in CASES:
         if case.name in results:
@@ -97,9 +111,32 @@ def _section(case: Case, found: dict[str, Any]) -> list[str]:
                 lines += [f"Below the limit: {', '.join(f'`{short(name)}`' for name in fallen)}.", ""]
             if bounded := [name for name, score in found[part].items() if score["bounds"]]:
                 counts = ", ".join(f"`{short(name)}` in {found[part][name]['bounds']:g}" for name in bounded)
-                lines += [f"Said to be an upper bound, which holds if the true value is below it: {counts} voyages.", ""]
+                lines += [
+                    f"Said to be an upper bound, which holds if the true value is below it: {counts} voyages.",
+                    "",
+                ]
     for reason, number in found["refused"].items():
         lines += [f"Refused in {number}: {reason}", ""]
+    return lines
+
+
+def _pixels(found: dict[str, Any]) -> list[str]:
+    """A detector that looks at pixels: the number of films in which AIS teaches what full truth does."""
+    names = dict.fromkeys(name for variant in VARIANTS for name in found[variant])
+    lines = ["## A detector that looks at pixels", "", PIXEL_WORDS, "",
+             "| number | full truth | by AIS, all have transponders | films | by AIS, four fifths have | films |",
+             "|---|---|---|---|---|---|"]  # fmt: skip
+    for name in names:
+        scores = [found[variant].get(name) for variant in VARIANTS]
+        full = next(_short(score["full"]) for score in scores if score)
+        cells = [
+            f"{_short(score['ais'])} | {score['inside']}, {score['overlap']} of {score['films']}" if score else "– | –"
+            for score in scores
+        ]
+        lines.append(f"| `{name}` | {full} | {' | '.join(cells)} |")
+    lines += [""]
+    for film, reason in found["refused"].items():
+        lines += [f"Refused, {film}: {reason}", ""]
     return lines
 
 

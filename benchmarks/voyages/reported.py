@@ -42,9 +42,7 @@ class AisErrors:
         return tuple(drawn.tolist())
 
 
-def as_reported(
-    scene: Scene, seed: int, errors: AisErrors, silent: Sequence[str] | None = None
-) -> tuple[Scene, Array]:
+def as_reported(scene: Scene, seed: int, errors: AisErrors, silent: Sequence[str] | None = None) -> tuple[Scene, Array]:
     """The scene that AIS gives; own ships are known.
 
     Args:

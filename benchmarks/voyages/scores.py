@@ -24,9 +24,9 @@ def scores(trials: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The scores of a case.
 
     Returns:
-        `voyages`, `refused` (reason → number), `cpu_s` of a voyage, the estimates of the `first` voyage, and for `registration` and `detector` each number
-        with how many intervals hold, of how many, the fewest that may, bias and spread of the estimates, and the
-        median half-width of the intervals.
+        `voyages`, `refused` (reason → number), `cpu_s` of a voyage, the estimates of the `first` voyage, and for
+        `registration` and `detector` each number with how many intervals hold, of how many, the fewest that may, bias
+        and spread of the estimates, and the median half-width of the intervals.
     """
     reasons = [trial["refused"] for trial in trials if "refused" in trial]
     found: dict[str, Any] = {

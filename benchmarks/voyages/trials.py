@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.voyages.cases import BY_NAME, DETECTOR, Case
+from benchmarks.voyages.cases import BY_NAME, DETECTOR, DISTANCE_PX, TOLD_M, Case
 from benchmarks.voyages.reported import as_reported
 from benchmarks.voyages.wrong_camera import WRONG, Voyage
 from modsim3d.errors import ModsimError
@@ -23,6 +23,8 @@ REPLICATES = 100
 LEVEL = 0.95
 BY_RULE = "box_error_mean"
 """Registration takes mean box errors as zero; what is left of them is no number of the detector."""
+BOX_S = "persistence.box_s"
+"""What persists of a component that is an upper bound is not taken off it, so it is one too."""
 _BOX_ERRORS = "states.voyage.box_error_"
 _CERTAIN = 1e-9
 
@@ -65,7 +67,8 @@ def detector_numbers(learned: VoyageResult) -> dict[str, Number]:
     found: dict[str, Number] = {}
     for each in learned.report.learned.intervals(LEVEL):
         path = each.key.path
-        if path in asked and path != "transition_matrix" and not path.endswith(BY_RULE):
+        other = path.startswith(_BOX_ERRORS) and each.key.remark not in ("", "px")
+        if path in asked and path != "transition_matrix" and not path.endswith(BY_RULE) and not other:
             for place, value in np.ndenumerate(asked[path]):
                 found[each.key.at(place)] = _number(each, place, float(value), path, bounds)
     return found
@@ -74,7 +77,8 @@ def detector_numbers(learned: VoyageResult) -> dict[str, Number]:
 def _number(each: Interval, place: tuple[int, ...], asked: float, path: str, bounds: np.ndarray) -> Number:
     ends = [float(np.broadcast_to(end, np.shape(each.estimate))[place]) for end in (each.low, each.high)]
     number = {"asked": asked, "value": float(each.estimate[place]), "low": ends[0], "high": ends[1]}
-    return number | ({"bound": 1.0} if path == f"{_BOX_ERRORS}std" and bounds[place[0]] else {})
+    bound = bounds[place[0]] if path == f"{_BOX_ERRORS}std" else path == BOX_S and bounds.any()
+    return number | ({"bound": 1.0} if bound else {})
 
 
 def _bounds(learned: VoyageResult) -> np.ndarray:
@@ -94,11 +98,14 @@ def _learned(case: Case, voyage: Voyage, known: Any, seed: int) -> VoyageResult:
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "detections.csv"
         voyage.write_log(seed, log)
+        by_ais = case.errors.position_m > 0
         return learn_voyage(
             known,
             log,
             fixed=() if case.registered else "all",
-            position_noise=case.errors.position_m,
+            position_noise=TOLD_M if by_ais else 0.0,
+            match="centre" if by_ais else None,
+            most_distance_px=DISTANCE_PX,
             replicates=REPLICATES,
             seed=seed,
         )
