@@ -17,6 +17,7 @@ from modsim3d.truth.modes import annotation_boxes
 from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
 from modsim3d.voyage.left_out import STALE_S, Freshness, Regions, left_out
+from modsim3d.voyage.moved_vessels import with_moved_vessels
 from modsim3d.voyage.on_scene import CameraLog, SceneLog
 from modsim3d.voyage.registered import Registering, correction_of
 from modsim3d.voyage.registration import Registration
@@ -138,6 +139,7 @@ class _CameraSet:
         self.scene, self.options, self.log, self.fresh = log.scene, options, log, fresh
         self.registration: Registration | None = None
         correction = self._correction(of_camera)
+        scene = self._as_registered()
         self.camera = correction.camera(log.scene.cameras[of_camera.camera])
         times_s = of_camera.time_s + correction.clock_s
         inside = (times_s >= -NEAR_S) & (times_s <= log.length_s + NEAR_S)
@@ -155,8 +157,8 @@ class _CameraSet:
         if not carried.any():
             raise InputError(log.source, self.notes)
         self.frames, self.times_s = of_camera.take(carried), times_s[carried]
-        self.truth = camera_truth(log.scene, of_camera.camera, self.camera, self.times_s, renderer, attitude)
-        self.poses = Sampler(log.scene, attitude).at(self.times_s)
+        self.truth = camera_truth(scene, of_camera.camera, self.camera, self.times_s, renderer, attitude)
+        self.poses = Sampler(scene, attitude).at(self.times_s)
 
     def _correction(self, of_camera: CameraLog) -> Correction:
         given = self.options.registration
@@ -166,6 +168,13 @@ class _CameraSet:
             return given(self.scene, of_camera)
         self.registration = given.of(self.scene, of_camera)
         return correction_of(self.registration)
+
+    def _as_registered(self) -> Scene:
+        """The scene with its vessels off their reports, where positions are not surely known."""
+        given = self.options.registration
+        if self.registration is None or not isinstance(given, Registering) or not given.position_m:
+            return self.scene
+        return with_moved_vessels(self.scene, self.registration.values.vessels)
 
     def voyage(self) -> LabelledVoyage:
         """The set with what it was made by."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterator
+from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 
@@ -16,7 +18,8 @@ from modsim3d.voyage.unseen.judged import Judged
 
 _CELL = (78.0, 34.0)
 _LEFT, _TOP, _BELOW = 96.0, 20.0, 36.0
-_SKETCH_WIDTH = 430.0
+_SKETCH_WIDTH, _TITLE = 400.0, 16.0
+_AROUND, _LEAST_PX = 8.0, 240.0
 _MATCHED, _MISSED, _UNMATCHED = "#2f7fc1", "#d0312d", "#e08a00"
 _LOW, _HIGH = np.array([208, 49, 45]), np.array([47, 127, 193])
 
@@ -51,55 +54,87 @@ def coverage_drawing(coverage: Coverage) -> str:
 
 
 def frame_sketch(voyage: LabelledVoyage, judged: Judged, stretch: Stretch) -> str:
-    """The middle frame of a stretch: what was matched, what was missed and what was detected of nothing known."""
+    """A part of the middle frame of a stretch: what was matched, missed, and detected of nothing known."""
     middle = len(stretch.image) // 2
     image, time_s = int(stretch.image[middle]), float(stretch.time_s[middle])
     labelled, matched = voyage.labelled, judged.observed.matched
-    size = labelled.images.sizes_px[image]
-    scale = _SKETCH_WIDTH / float(size[0])
-    width, height = _SKETCH_WIDTH, float(size[1]) * scale
+    part = _Part.around(stretch.boxes_px[middle], labelled.images.sizes_px[image])
     sought = np.flatnonzero(matched.sought & (labelled.annotations.image == image))
     found = matched.detection[sought] >= 0
     unmatched = matched.false[labelled.results.image[matched.false] == image]
     boxes = labelled.annotations.boxes_px
-    parts = [
-        f'<rect x="0" y="16" width="{width}" height="{height:.1f}" fill="none" stroke="var(--line)"/>',
-        *_horizon(labelled.images.half_planes[image], scale, size),
-        *(_box(each, scale, _MATCHED) for each in boxes[sought[found]]),
-        *(_box(each, scale, _MISSED, dashed=True) for each in boxes[sought[~found]]),
-        *(_box(each, scale, _UNMATCHED) for each in labelled.results.boxes_px[unmatched]),
-        _ring(stretch.boxes_px[middle], scale),
-        _label(0, 11, f"{stretch.camera}, {time_s:.1f} s: {stretch.what}", "start", "var(--ink)"),
+    title = f"{stretch.camera}, {time_s:.1f} s: {stretch.what}"
+    content = [
+        *_horizon(labelled.images.half_planes[image], part),
+        *(_box(part.of(each), _MATCHED) for each in boxes[sought[found]]),
+        *(_box(part.of(each), _MISSED, dashed=True) for each in boxes[sought[~found]]),
+        *(_box(part.of(each), _UNMATCHED) for each in labelled.results.boxes_px[unmatched]),
+        _ring(part.of(stretch.boxes_px[middle])),
     ]
-    title = f"Frame of camera {stretch.camera} at {time_s:.1f} s"
-    return svg(width, height + 18, title, "\n".join(parts))
+    inner = f'x="0" y="{_TITLE:g}" width="{_SKETCH_WIDTH:g}" height="{part.height:.1f}"'
+    clip = f"s{crc32((title + ''.join(content)).encode())}"
+    parts = [
+        f'<clipPath id="{clip}"><rect {inner}/></clipPath><rect {inner} fill="none" stroke="var(--line)"/>',
+        f'<g clip-path="url(#{clip})">{"".join(content)}</g>',
+        _label(0, 11, title, "start", "var(--ink)"),
+        _label(_SKETCH_WIDTH, 11, f"{part.width_px:.0f} px wide", "end"),
+    ]
+    name = f"Frame of camera {stretch.camera} at {time_s:.1f} s"
+    return svg(_SKETCH_WIDTH, part.height + _TITLE + 2, name, "\n".join(parts))
 
 
-def _box(box_px: Array, scale: float, colour: str, *, dashed: bool = False) -> str:
-    left, top, right, bottom = (box_px * scale).tolist()
+@dataclass(frozen=True)
+class _Part:
+    """A part of an image: its left and upper edge, its width, and the height of its drawing."""
+
+    left_px: float
+    top_px: float
+    width_px: float
+    height: float
+
+    @classmethod
+    def around(cls, box_px: Array, size_px: Array) -> _Part:
+        """That around a box, eight times as wide as its longer side, and in the image."""
+        whole, high = size_px.tolist()
+        left, top, right, bottom = box_px.tolist()
+        width = min(max(_AROUND * max(right - left, bottom - top), _LEAST_PX), whole)
+        tall = width * high / whole
+        x = min(max((left + right - width) / 2, 0.0), whole - width)
+        y = min(max((top + bottom - tall) / 2, 0.0), high - tall)
+        return cls(x, y, width, _SKETCH_WIDTH * high / whole)
+
+    def of(self, box_px: Array) -> Array:
+        """A box, or any x, y, x, y, in the drawing, shape (4,)."""
+        scale = _SKETCH_WIDTH / self.width_px
+        placed: Array = (box_px - np.array([self.left_px, self.top_px] * 2)) * scale + np.array([0, _TITLE] * 2)
+        return placed
+
+
+def _box(box: Array, colour: str, *, dashed: bool = False) -> str:
+    left, top, right, bottom = box.tolist()
     dash = ' stroke-dasharray="4 2"' if dashed else ""
     return (
-        f'<rect x="{left:.1f}" y="{top + 16:.1f}" width="{max(right - left, 1):.1f}" '
+        f'<rect x="{left:.1f}" y="{top:.1f}" width="{max(right - left, 1):.1f}" '
         f'height="{max(bottom - top, 1):.1f}" fill="none" stroke="{colour}" stroke-width="1.5"{dash}/>'
     )
 
 
-def _ring(box_px: Array, scale: float) -> str:
-    left, top, right, bottom = (box_px * scale).tolist()
-    radius = max(right - left, bottom - top) / 2 + 9
-    x, y = (left + right) / 2, (top + bottom) / 2 + 16
+def _ring(box: Array) -> str:
+    left, top, right, bottom = box.tolist()
+    radius = max(right - left, bottom - top) / 2 + 12
+    x, y = (left + right) / 2, (top + bottom) / 2
     return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="none" stroke="var(--soft)"/>'
 
 
-def _horizon(half_plane: Array, scale: float, size: Array) -> Iterator[str]:
-    """The horizon a·x + b·y + c = 0 from the left to the right edge."""
+def _horizon(half_plane: Array, part: _Part) -> Iterator[str]:
+    """The horizon a·x + b·y + c = 0 across the part."""
     a, b, c = half_plane.tolist()
     if not np.isfinite(half_plane).all() or not b:
         return
-    ends = [(x, -(a * x + c) / b) for x in (0.0, float(size[0]))]
-    if all(0 <= y <= size[1] for _, y in ends):
-        (x1, y1), (x2, y2) = ((x * scale, y * scale + 16) for x, y in ends)
-        yield f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="var(--line)"/>'
+    first, last = part.left_px, part.left_px + part.width_px
+    ends = part.of(np.array([first, -(a * first + c) / b, last, -(a * last + c) / b]))
+    x1, y1, x2, y2 = ends.tolist()
+    yield f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="var(--line)"/>'
 
 
 def _label(x: float, y: float, text: str, anchor: str, colour: str = "var(--soft)") -> str:

@@ -16,7 +16,10 @@ _COVERAGE = (
     "Each cell has the share that was matched, and of how many boxes. Vessels without a transponder are in none of "
     "them. Where no vessel passed, nothing is known."
 )
-_KEY = "Blue: vessels that were matched. Red, dashed: vessels that were missed. Orange: detections of nothing known."
+_KEY = (
+    "Blue: vessels that were matched. Red, dashed: vessels that were missed. Orange: detections of nothing known. The "
+    "grey line is the horizon."
+)
 
 
 def voyage_sections(told: VoyageReport) -> tuple[str, ...]:
@@ -32,7 +35,7 @@ def _registration(told: VoyageReport) -> Iterator[str]:
         yield page.paragraph(lead)
         yield from _table(table)
         yield page.paragraph("What these data cannot tell apart, so that a rule settles it:")
-        yield page.listed(f"{each[:1].upper()}{each[1:]}." for each in exchanges)
+        yield page.listed(f"{each[:1].upper()}{each[1:]}.".replace(" -", " −") for each in exchanges)
 
 
 def _unseen(told: VoyageReport) -> Iterator[str]:

@@ -94,7 +94,7 @@ def unmatched_stretches(voyage: LabelledVoyage, judged: Judged) -> list[Stretch]
 def missed_table(stretches: list[Stretch]) -> Table:
     """The longest stretches in which vessels were missed."""
     rows = tuple(
-        (each.what, each.camera, *_times(each), f"{each.range_m:,.0f} m", f"{each.bearing_deg:+.0f}°")
+        (each.what, each.camera, *_times(each), f"{each.range_m:,.0f} m", _degrees(each.bearing_deg))
         for each in stretches[:LISTED]
     )
     title = f"Vessels that were missed for longest{_of(stretches)}"
@@ -103,9 +103,13 @@ def missed_table(stretches: list[Stretch]) -> Table:
 
 def unmatched_table(stretches: list[Stretch]) -> Table:
     """The things without a match that were detected most often."""
-    rows = tuple((each.camera, *_times(each), f"{each.bearing_deg:+.0f}°", each.what) for each in stretches[:LISTED])
+    rows = tuple((each.camera, *_times(each), _degrees(each.bearing_deg), each.what) for each in stretches[:LISTED])
     title = f"Detections of nothing known that lasted longest{_of(stretches)}"
     return Table(title, ("camera", "from", "to", "frames", "from the axis", "taken for"), rows)
+
+
+def _degrees(bearing: float) -> str:
+    return f"{bearing:+.0f}°" if abs(bearing) >= _HALF else "0°"
 
 
 def _of(stretches: list[Stretch]) -> str:
