@@ -1,7 +1,7 @@
 """voyages: are a camera, its clock and its detector learned right from a voyage without labels? Simulated, by seeds.
 
-A case is a scene whose camera and clock are wrong for the user, with true tracks or those that AIS gives. Of every number
-that is estimated it is counted how often its interval holds the true one.
+A case is a scene whose camera and clock are wrong for the user, with true tracks or those that AIS gives. Of every
+number that is estimated it is counted how often its interval holds the true one.
 """
 
 from __future__ import annotations

@@ -77,8 +77,8 @@ CASES = (
     Case("quay_ais", "Registration ashore, by AIS", "Tracks as AIS gives them.", "strait", "quay", AIS,
          priors=PRIORS),
     Case("sample", "Registration in the scene of an AIS log", "The scene that `modsim3d ais` makes of "
-         "`tests/data/ais/receiver.nmea`, with errors added. Dimensions that the log lacks are guesses, so the sizes of "
-         "boxes do not take part.", "sample", "shore", AIS,
+         "`tests/data/ais/receiver.nmea`, with errors added. Dimensions that the log lacks are guesses, so the sizes "
+         "of boxes do not take part.", "sample", "shore", AIS,
          priors=(*PRIORS, ("use_sizes", False))),
     Case("detector", "Detector, true tracks", "Camera and clock are registered, then the detector is learned.",
          "lanes", "shore", CLEAN, learns=True),

@@ -28,7 +28,8 @@ NEAR_AIS = AisErrors(position_m=1.0, position_s=300.0, delay_s=0.2)
 VARIANTS = {"all": NEAR_AIS, "some": replace(NEAR_AIS, absent=0.2)}
 """All vessels have a transponder, or a fifth has none."""
 FILMS_OF_A_PLACE = 2
-WITHOUT = tuple("relative mixed student_t effects vessels places lasting slopes duplicates merges splits".split())
+WITHOUT = ("relative", "mixed", "student_t", "effects", "vessels", "places", "lasting", "slopes", "duplicates",
+           "merges", "splits")  # fmt: skip
 """A film of half a minute is too short for them; the same with both truths."""
 LABEL = "boat"
 _FULL = {"match": "confidence", "least_iou": LEAST_IOU, "confidence": LEAST_CONFIDENCE, "without": WITHOUT,

@@ -98,13 +98,12 @@ def _learned(case: Case, voyage: Voyage, known: Any, seed: int) -> VoyageResult:
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "detections.csv"
         voyage.write_log(seed, log)
-        by_ais = case.errors.position_m > 0
         return learn_voyage(
             known,
             log,
             fixed=() if case.registered else "all",
-            position_noise=TOLD_M if by_ais else 0.0,
-            match="centre" if by_ais else None,
+            position_noise=TOLD_M if case.errors.position_m else 0.0,
+            match="centre",
             most_distance_px=DISTANCE_PX,
             replicates=REPLICATES,
             seed=seed,
