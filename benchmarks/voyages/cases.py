@@ -52,6 +52,7 @@ class Case:
         learns: Whether a detector is learned; else the camera and the clock are registered alone.
         registered: Whether the camera is registered before it is learned.
         priors: What registration is told besides: see `register`.
+        why: Why intervals fall below the limit, if they do.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Case:
     learns: bool = False
     registered: bool = True
     priors: tuple[tuple[str, float], ...] = ()
+    why: str = ""
 
     def true_scene(self) -> Scene:
         """The scene as it really is, but for the camera and the clock."""
@@ -79,13 +81,18 @@ CASES = (
     Case("sample", "Registration in the scene of an AIS log", "The scene that `modsim3d ais` makes of "
          "`tests/data/ais/receiver.nmea`, with errors added. Dimensions that the log lacks are guesses, so the sizes "
          "of boxes do not take part.", "sample", "shore", AIS,
-         priors=(*PRIORS, ("use_sizes", False))),
+         priors=(*PRIORS, ("use_sizes", False)),
+         why="Registration takes errors of positions to last 10 s, and these last five minutes, as delays do: with few "
+         "vessels near the camera the interval of the clock is too narrow."),
     Case("detector", "Detector, true tracks", "Camera and clock are registered, then the detector is learned.",
          "lanes", "shore", CLEAN, learns=True),
     Case("detector_all", "Detector, by AIS of all vessels", "Tracks as AIS gives them, of vessels that all have a "
          "transponder.", "lanes", "shore", ALL, learns=True),
     Case("detector_ais", "Detector, by AIS", "The same, and a fifth of the vessels has no transponder.",
-         "lanes", "shore", AIS, learns=True),
+         "lanes", "shore", AIS, learns=True,
+         why="With transponders on all vessels these numbers hold (above), so it is the others that do this. Where one "
+         "of them is in view shortly or in pieces, its detections count as false; that is too many false positives, with "
+         "vessels' labels and confidences. Where it passes close to a known vessel, it may be matched with it."),
     Case("unregistered", "Detector, by AIS, without registration", "The same voyages with `--fixed all`: the camera "
          "and the clock are taken as the scene has them.", "lanes", "shore", AIS, learns=True, registered=False),
 )  # fmt: skip

@@ -50,13 +50,14 @@ def _introduction() -> str:
         f"By AIS means: each coordinate of a position is off by {AIS.position_m:g} m (standard deviation), an error "
         f"that lasts {AIS.position_s:g} s and changes with each report, every {AIS.reports_s:g} s; a vessel's reports "
         f"are late by {AIS.delay_s:g} s (standard deviation over vessels); {AIS.absent:.0%} of the vessels have no "
-        f"transponder. All of these are drawn anew with each seed. Learning is told `--position-noise {TOLD_M:g}`, since "
+        f"transponder. All of these are drawn anew with each seed. Learning gets `--position-noise {TOLD_M:g}`, since "
         f"late reports are errors of positions too, and `--match centre` within {DISTANCE_PX:g} px.\n\n"
         "Held is the number of 95 % intervals that hold the true value, of so many voyages. Fewest is the binomial "
         "limit: intervals that hold 95 % of the time fall below it in 1 % of the campaigns. Bias and spread are mean "
         "and standard deviation of the estimates about the true value, half-width the median of the intervals. A "
         "number that a voyage had too little data to learn, or for which it chose another model than the file has, is "
-        "not counted in that voyage."
+        "not counted in that voyage. Nor are mean box errors, which registration takes as zero, and box errors in another "
+        "unit."
     )
 
 
@@ -114,7 +115,10 @@ def _section(case: Case, found: dict[str, Any]) -> list[str]:
             lines += [f"**{TITLES[part]}**", "", HEAD, "|---|---|---|---|---|---|---|"]
             lines += [_row(name, score) for name, score in found[part].items()] + [""]
             if fallen := below(found[part]):
-                lines += [f"Below the limit: {', '.join(f'`{short(name)}`' for name in fallen)}.", ""]
+                lines += [
+                    f"Below the limit: {', '.join(f'`{short(name)}`' for name in fallen)}. {case.why}".rstrip(),
+                    "",
+                ]
             if bounded := [name for name, score in found[part].items() if score["bounds"]]:
                 counts = ", ".join(f"`{short(name)}` in {found[part][name]['bounds']:g}" for name in bounded)
                 lines += [
