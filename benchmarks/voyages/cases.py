@@ -82,8 +82,8 @@ CASES = (
          "`tests/data/ais/receiver.nmea`, with errors added. Dimensions that the log lacks are guesses, so the sizes "
          "of boxes do not take part.", "sample", "shore", AIS,
          priors=(*PRIORS, ("use_sizes", False)),
-         why="Registration takes errors of positions to last 10 s, and these last five minutes, as delays do: with few "
-         "vessels near the camera the interval of the clock is too narrow."),
+         why="The likely reason, which was not tried alone: registration takes errors of positions to last 10 s, and "
+         "these last five minutes, as delays do."),
     Case("detector", "Detector, true tracks", "Camera and clock are registered, then the detector is learned.",
          "lanes", "shore", CLEAN, learns=True),
     Case("detector_all", "Detector, by AIS of all vessels", "Tracks as AIS gives them, of vessels that all have a "
@@ -91,8 +91,8 @@ CASES = (
     Case("detector_ais", "Detector, by AIS", "The same, and a fifth of the vessels has no transponder.",
          "lanes", "shore", AIS, learns=True,
          why="With transponders on all vessels these numbers hold (above), so it is the others that do this. Where one "
-         "of them is in view shortly or in pieces, its detections count as false; that is too many false positives, with "
-         "vessels' labels and confidences. Where it passes close to a known vessel, it may be matched with it."),
+         "of them is in view shortly or in pieces, its detections count as false: these are too many false positives, "
+         "with vessels' labels and confidences. Where it passes close to a known vessel, it may be matched with it."),
     Case("unregistered", "Detector, by AIS, without registration", "The same voyages with `--fixed all`: the camera "
          "and the clock are taken as the scene has them.", "lanes", "shore", AIS, learns=True, registered=False),
 )  # fmt: skip

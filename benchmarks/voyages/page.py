@@ -56,8 +56,8 @@ def _introduction() -> str:
         "limit: intervals that hold 95 % of the time fall below it in 1 % of the campaigns. Bias and spread are mean "
         "and standard deviation of the estimates about the true value, half-width the median of the intervals. A "
         "number that a voyage had too little data to learn, or for which it chose another model than the file has, is "
-        "not counted in that voyage. Nor are mean box errors, which registration takes as zero, and box errors in another "
-        "unit."
+        "not counted in that voyage. Nor are mean box errors, which registration takes as zero, and box errors in "
+        "another unit."
     )
 
 

@@ -32,7 +32,7 @@ def again() -> dict[str, Any]:
 
 def test_the_page_says_what_its_numbers_say(committed: dict[str, dict[str, Any]]) -> None:
     assert (OUT / "voyages.md").read_text(encoding="utf-8") == text(committed)
-    assert list(committed) == [*(case.name for case in CASES), "pixels"]
+    assert [name for name in committed if name != "pixels"] == [case.name for case in CASES]
 
 
 def test_a_voyage_comes_out_as_committed(committed: dict[str, dict[str, Any]], again: dict[str, Any]) -> None:
@@ -46,7 +46,7 @@ def test_a_voyage_comes_out_as_committed(committed: dict[str, dict[str, Any]], a
 
 def test_without_registration_it_is_visibly_worse(again: dict[str, Any]) -> None:
     wrong = trial("unregistered", 0)
-    assert "registration" not in wrong
+    assert not wrong["registration"]
     for label in ("cargo", "tanker", "ferry"):
         missed = DETECTED.format(label)
         assert wrong["detector"][missed]["value"] > again["detector"][missed]["value"] + 0.3
@@ -56,7 +56,7 @@ def test_as_many_intervals_hold_as_the_campaign_claims(committed: dict[str, dict
     for case in CASES:
         if "registration" in committed[case.name]:
             assert len(below(committed[case.name]["registration"])) <= 1, case.name
-    assert below(committed["detector"]["detector"]) == []
+    assert below(committed["detector"]["detector"]) == below(committed["detector_all"]["detector"]) == []
     assert len(below(committed["unregistered"]["detector"])) > 10
 
 
