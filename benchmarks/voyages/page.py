@@ -24,7 +24,10 @@ PIXEL_WORDS = (
     "truth, and by AIS through the same wrong camera and clock as above. The vessels are near, so AIS means less here: "
     f"{NEAR_AIS.position_m:g} m, delays of {NEAR_AIS.delay_s:g} s. Films last half a minute. Values are means over the "
     "films; of the films it is counted in how many the value by AIS lies within the interval of full truth, and in how "
-    "many both intervals overlap."
+    "many both intervals overlap.\n\n"
+    "Vessels without a transponder are the difference: with transponders on all, false positives are those of full "
+    "truth. A film of half a minute cannot tell them from false positives, since only things that last 30 s on average "
+    "are taken for vessels."
 )
 
 
