@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.voyages.wrong_camera import Voyage, really
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.truth_record import Truth
 from modsim3d.voyage.registration import BoxesAtTimes
@@ -13,7 +14,6 @@ from modsim3d.voyage.registration.model import BoxModel
 from modsim3d.voyage.registration.parameters import Values
 from modsim3d.voyage.registration.sightings import match, predict
 from modsim3d.voyage.registration.traffic import Traffic
-from tests.voyage.registration.wrong_camera import Voyage, really
 
 
 @pytest.fixture(scope="module")

@@ -7,21 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.voyage_registration import SETTINGS
+from benchmarks.voyages.cases import REGISTRATION_SETTINGS
+from benchmarks.voyages.reported import AisErrors, as_reported
+from benchmarks.voyages.wrong_camera import WRONG, Voyage
 from modsim3d.errors import ModsimError
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.registration import BoxesAtTimes, Registration, register
 from modsim3d.voyage.registration.parameters import SHORT
-from tests.voyage.registration.wrong_camera import WRONG, Voyage, as_reported
 
+AIS_ERRORS = AisErrors(position_m=1.0, delay_s=0.5, along_m=3.0, across_m=1.0)
 CLOSE = {"clock_s": 0.2, "pitch_deg": 0.6, "yaw_deg": 0.2, "height_m": 2.0, "focal_share": 0.01, "roll_deg": 0.4}
 """Half-widths of intervals that are still of use with a minute of five vessels."""
 
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return load_scene("strait", settings={**SETTINGS, "waves.apply_to": "ownship"})
+    return load_scene("strait", settings=REGISTRATION_SETTINGS)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +79,7 @@ def test_the_registered_scene_has_the_camera_as_it_really_is(
 def test_antennas_noise_and_silent_vessels_widen_the_intervals_and_do_not_pull(
     scene: Scene, found: BoxesAtTimes, registered: Registration
 ) -> None:
-    reported, _ = as_reported(scene, 1, (3.0, 1.0, 0.5), 1.0, ["motorboat"])
+    reported, _ = as_reported(scene, 1, AIS_ERRORS, ["motorboat"])
     registration = register(reported, "quay", found, offsets_m=3.0, noise_m=1.0)
     assert all(holds(registration, name) for name in CLOSE), registration
     width, exact = (each["yaw_deg"].high - each["yaw_deg"].low for each in (registration, registered))
@@ -125,7 +127,7 @@ def test_too_little_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
         register(scene, "quay", some(found, np.zeros(0, dtype=int)))
     with pytest.raises(ModsimError, match=r"too little to go by: \d+ matches of \d vessels \("):
         register(scene, "quay", some(found, np.arange(0, len(found.frame), 25)), searched_s=10)
-    few, _ = as_reported(scene, 0, (0.0, 0.0, 0.0), silent=scene.vessel_names[2:-1])
+    few, _ = as_reported(scene, 0, AisErrors(), scene.vessel_names[2:-1])
     with pytest.raises(ModsimError, match="the scene has 2 vessels for the camera to see"):
         register(replace(few, cameras=scene.cameras[:1]), "bow", found)
 

@@ -1,0 +1,113 @@
+"""The simulated voyages: which scene, what is wrong with its AIS, and what is learned."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+from benchmarks.processes import ROOT
+from benchmarks.voyages.reported import AisErrors
+from modsim3d.ais.options import Options
+from modsim3d.ais.scene_folder import SCENE, write_scene
+from modsim3d.ais.traffic import read_traffic
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+
+HERE = Path(__file__).resolve().parent
+DETECTOR = HERE / "detector.yaml"
+SAMPLE = ROOT / "tests" / "data" / "ais" / "receiver.nmea"
+REGISTRATION_SETTINGS = {
+    "annotation.source": "analytic",
+    "waves.apply_to": "ownship",
+    "detector.states.clear.box_error.mean": [0, 0, 0, 0],
+    "detector.states.haze.box_error.mean": [0, 0, 0, 0],
+}
+"""Of the strait. Mean box errors are zero, as the rule has it."""
+CLEAN = AisErrors()
+AIS = AisErrors(position_m=3.0, position_s=300.0, delay_s=0.5, absent=0.2)
+"""Positions as good as those of satellite navigation with corrections, delays, and vessels without a transponder."""
+
+ALL = replace(AIS, absent=0.0)
+TOLD_M = 4.5
+"""What `--position-noise` says of them: late reports are errors of positions too, 3 m at 6 m/s."""
+DISTANCE_PX = 30.0
+"""Of `--match centre`: IoU would lose boxes of vessels whose positions are off."""
+PRIORS = (("offsets_m", 5.0), ("noise_m", 3.0))
+"""What `modsim3d learn` expects of a scene from AIS, and the errors of positions."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A voyage that is simulated with many seeds.
+
+    Attributes:
+        name: What it is called on the page and by `--case`.
+        title: Its heading on the page.
+        said: What is special about it.
+        scene: `strait`, `lanes` or `sample`.
+        camera: The camera.
+        errors: What is wrong with the positions that the user has.
+        learns: Whether a detector is learned; else the camera and the clock are registered alone.
+        registered: Whether the camera is registered before it is learned.
+        priors: What registration is told besides: see `register`.
+        why: Why intervals fall below the limit, if they do.
+    """
+
+    name: str
+    title: str
+    said: str
+    scene: str
+    camera: str
+    errors: AisErrors = CLEAN
+    learns: bool = False
+    registered: bool = True
+    priors: tuple[tuple[str, float], ...] = ()
+    why: str = ""
+
+    def true_scene(self) -> Scene:
+        """The scene as it really is, but for the camera and the clock."""
+        return _scene(self.scene)
+
+
+CASES = (
+    Case("bow", "Registration on board", "A camera on a moving vessel; the tracks are true.", "strait", "bow"),
+    Case("quay", "Registration ashore", "A camera ashore; the tracks are true.", "strait", "quay"),
+    Case("bow_ais", "Registration on board, by AIS", "Tracks as AIS gives them.", "strait", "bow", AIS,
+         priors=PRIORS),
+    Case("quay_ais", "Registration ashore, by AIS", "Tracks as AIS gives them.", "strait", "quay", AIS,
+         priors=PRIORS),
+    Case("sample", "Registration in the scene of an AIS log", "The scene that `modsim3d ais` makes of "
+         "`tests/data/ais/receiver.nmea`, with errors added. Dimensions that the log lacks are guesses, so the sizes "
+         "of boxes do not take part.", "sample", "shore", AIS,
+         priors=(*PRIORS, ("use_sizes", False)),
+         why="The likely reason, which was not tried alone: registration takes errors of positions to last 10 s, and "
+         "these last five minutes, as delays do."),
+    Case("detector", "Detector, true tracks", "Camera and clock are registered, then the detector is learned.",
+         "lanes", "shore", CLEAN, learns=True),
+    Case("detector_all", "Detector, by AIS of all vessels", "Tracks as AIS gives them, of vessels that all have a "
+         "transponder.", "lanes", "shore", ALL, learns=True),
+    Case("detector_ais", "Detector, by AIS", "The same, and a fifth of the vessels has no transponder.",
+         "lanes", "shore", AIS, learns=True,
+         why="With transponders on all vessels these numbers hold (above), so it is the others that do this. Where one "
+         "of them is in view shortly or in pieces, its detections count as false: these are too many false positives, "
+         "with vessels' labels and confidences. Where it passes close to a known vessel, it may be matched with it."),
+    Case("unregistered", "Detector, by AIS, without registration", "The same voyages with `--fixed all`: the camera "
+         "and the clock are taken as the scene has them.", "lanes", "shore", AIS, learns=True, registered=False),
+)  # fmt: skip
+BY_NAME = {case.name: case for case in CASES}
+
+
+@cache
+def _scene(name: str) -> Scene:
+    if name == "strait":
+        return load_scene("strait", settings=REGISTRATION_SETTINGS)
+    return _of_sample() if name == "sample" else load_scene(HERE / "lanes.yaml")
+
+
+def _of_sample() -> Scene:
+    """The scene that `modsim3d ais` makes of the log."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_scene(read_traffic([SAMPLE], Options()), Path(folder), HERE / "one_label.yaml")
+        return load_scene(Path(folder) / SCENE, settings={"annotation.source": "analytic"})

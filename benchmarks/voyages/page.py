@@ -1,0 +1,168 @@
+"""The page of the campaign: what was simulated, what held, and by how much it was off."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from benchmarks.voyages.cases import AIS, CASES, DISTANCE_PX, TOLD_M, Case
+from benchmarks.voyages.pixels import NEAR_AIS, PIXELS, VARIANTS
+from benchmarks.voyages.scores import PARTS, below, share
+from benchmarks.voyages.wrong_camera import WRONG
+
+PLACES = {
+    "strait": "The shipped strait, a minute of eight vessels at 100 to 900 m",
+    "lanes": "`benchmarks/voyages/lanes.yaml`, ten minutes of fifteen ships that pass at 0.5 to 1.4 km",
+    "sample": "Six minutes of ten vessels",
+}
+TITLES = {"registration": "Camera and clock", "detector": "Detector"}
+HEAD = "| number | true | held | fewest | bias | spread | half-width |"
+UNITS = {"clock_s": "s", "pitch_deg": "°", "yaw_deg": "°", "height_m": "m"}
+
+PIXEL_WORDS = (
+    "The films of [stand_in](../stand_in.md), in which a detector that was trained on photographs looks at pictures of "
+    "this program. Of the first films of each place in clear weather from ashore, the detector is learned by full "
+    "truth, and by AIS through the same wrong camera and clock as above. The vessels are near, so AIS means less here: "
+    f"{NEAR_AIS.position_m:g} m, delays of {NEAR_AIS.delay_s:g} s. Films last half a minute. Values are means over the "
+    "films; of the films it is counted in how many the value by AIS lies within the interval of full truth, and in how "
+    "many both intervals overlap.\n\n"
+    "Vessels without a transponder are the difference: with transponders on all, false positives are those of full "
+    "truth. A film of half a minute cannot tell them from false positives, since only things that last 30 s on average "
+    "are taken for vessels."
+)
+
+
+def text(results: dict[str, dict[str, Any]]) -> str:
+    """The page."""
+    lines = ["# Learning from simulated voyages", "", _introduction(), "", *_summary(results)]
+    if {"detector_ais", "unregistered"} <= results.keys():
+        lines += _side_by_side(results["detector_ais"]["detector"], results["unregistered"]["detector"])
+    for case in CASES:
+        if case.name in results:
+            lines += _section(case, results[case.name])
+    if PIXELS in results:
+        lines += _pixels(results[PIXELS])
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _introduction() -> str:
+    wrong = ", ".join(_wrong(name, value) for name, value in WRONG.items())
+    return (
+        "`script/campaign voyages` simulates voyages whose camera, clock and detector are known, and learns them again "
+        "as [`modsim3d learn --scene`](../voyage.md) does. The scene that the user has is wrong by these amounts: "
+        f"{wrong}. Each seed draws the detections anew.\n\n"
+        f"By AIS means: each coordinate of a position is off by {AIS.position_m:g} m (standard deviation), an error "
+        f"that lasts {AIS.position_s:g} s and changes with each report, every {AIS.reports_s:g} s; a vessel's reports "
+        f"are late by {AIS.delay_s:g} s (standard deviation over vessels); {AIS.absent:.0%} of the vessels have no "
+        f"transponder. All of these are drawn anew with each seed. Learning gets `--position-noise {TOLD_M:g}`, since "
+        f"late reports are errors of positions too, and `--match centre` within {DISTANCE_PX:g} px.\n\n"
+        "Held is the number of 95 % intervals that hold the true value, of so many voyages. Fewest is the binomial "
+        "limit: intervals that hold 95 % of the time fall below it in 1 % of the campaigns. Bias and spread are mean "
+        "and standard deviation of the estimates about the true value, half-width the median of the intervals. A "
+        "number that a voyage had too little data to learn, or for which it chose another model than the file has, is "
+        "not counted in that voyage. Nor are mean box errors, which registration takes as zero, and box errors in "
+        "another unit."
+    )
+
+
+def _wrong(name: str, value: float) -> str:
+    words = name.rsplit("_", 1)[0]
+    return f"{words} {value:+.0%}" if name == "focal_share" else f"{words} {value:+g} {UNITS[name]}".replace(" °", "°")
+
+
+def _summary(results: dict[str, dict[str, Any]]) -> list[str]:
+    lines = [
+        "| voyage | seeds | refused | camera and clock: intervals that hold | detector: intervals that hold | CPU |"
+    ]
+    lines += ["|---|---|---|---|---|---|"]
+    for case in CASES:
+        if case.name in results:
+            found = results[case.name]
+            cells = [_held(found[part]) if part in found else "–" for part in PARTS]
+            refused = sum(found["refused"].values())
+            lines.append(
+                f"| [{case.title}](#{_anchor(case.title)}) | {found['voyages']} | {refused} | {' | '.join(cells)} | "
+                f"{found['cpu_s']:.1f} s |"
+            )
+    return [*lines, ""]
+
+
+def _held(part: dict[str, dict[str, float]]) -> str:
+    fallen = len(below(part))
+    return f"{share(part):.1%}; {fallen} of {len(part)} numbers below the limit"
+
+
+def _anchor(title: str) -> str:
+    return "".join(each for each in title.lower() if each.isalnum() or each == " ").replace(" ", "-")
+
+
+def _side_by_side(registered: dict[str, Any], plain: dict[str, Any]) -> list[str]:
+    """Bias of the numbers that both learn, largest without registration first, in the unit of their half-widths."""
+    lines = ["## With and without registration", "",
+             "The same voyages by AIS, learned with registration and without. Bias of what each learns.", "",
+             "| number | true | bias with | bias without | held with | held without |",
+             "|---|---|---|---|---|---|"]  # fmt: skip
+    for name, with_it in registered.items():
+        if name in plain:
+            without = plain[name]
+            held = " | ".join(f"{each['held']}/{each['of']}" for each in (with_it, without))
+            bias = f"{_short(with_it['bias'])} | {_short(without['bias'])}"
+            lines.append(f"| `{short(name)}` | {_short(with_it['asked'])} | {bias} | {held} |")
+    return [*lines, ""]
+
+
+def _section(case: Case, found: dict[str, Any]) -> list[str]:
+    lines = [f"## {case.title}", "", f"{case.said} {PLACES[case.scene]}, camera `{case.camera}`, "
+             f"{found['voyages']} voyages.", ""]  # fmt: skip
+    for part in PARTS:
+        if part in found:
+            lines += [f"**{TITLES[part]}**", "", HEAD, "|---|---|---|---|---|---|---|"]
+            lines += [_row(name, score) for name, score in found[part].items()] + [""]
+            if fallen := below(found[part]):
+                lines += [
+                    f"Below the limit: {', '.join(f'`{short(name)}`' for name in fallen)}. {case.why}".rstrip(),
+                    "",
+                ]
+            if bounded := [name for name, score in found[part].items() if score["bounds"]]:
+                counts = ", ".join(f"`{short(name)}` in {found[part][name]['bounds']:g}" for name in bounded)
+                lines += [
+                    f"Said to be an upper bound, which holds if the true value is below it: {counts} voyages.",
+                    "",
+                ]
+    for reason, number in found["refused"].items():
+        lines += [f"Refused in {number}: {reason}", ""]
+    return lines
+
+
+def _pixels(found: dict[str, Any]) -> list[str]:
+    """A detector that looks at pixels: the number of films in which AIS teaches what full truth does."""
+    names = dict.fromkeys(name for variant in VARIANTS for name in found[variant])
+    lines = ["## A detector that looks at pixels", "", PIXEL_WORDS, "",
+             "| number | full truth | by AIS, all have transponders | films | by AIS, four fifths have | films |",
+             "|---|---|---|---|---|---|"]  # fmt: skip
+    for name in names:
+        scores = [found[variant].get(name) for variant in VARIANTS]
+        full = next(_short(score["full"]) for score in scores if score)
+        cells = [
+            f"{_short(score['ais'])} | {score['inside']}, {score['overlap']} of {score['films']}" if score else "– | –"
+            for score in scores
+        ]
+        lines.append(f"| `{name}` | {full} | {' | '.join(cells)} |")
+    lines += [""]
+    for film, reason in found["refused"].items():
+        lines += [f"Refused, {film}: {reason}", ""]
+    return lines
+
+
+def _row(name: str, score: dict[str, float]) -> str:
+    numbers = " | ".join(_short(score[key]) for key in ("bias", "spread", "half_width"))
+    held = f"{score['held']:g}/{score['of']:g}"
+    return f"| `{short(name)}` | {_short(score['asked'])} | {held} | {score['fewest']:g} | {numbers} |"
+
+
+def short(name: str) -> str:
+    """A number's name without the state, of which there is only one."""
+    return name.removeprefix("states.voyage.")
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}"

@@ -1,0 +1,117 @@
+"""One voyage with one seed: simulated, registered, learned, and compared with what is known."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.voyages.cases import BY_NAME, DETECTOR, DISTANCE_PX, TOLD_M, Case
+from benchmarks.voyages.reported import as_reported
+from benchmarks.voyages.wrong_camera import WRONG, Voyage
+from modsim3d.errors import ModsimError
+from modsim3d.learn.numbers.entries import Interval
+from modsim3d.voyage.learned import VoyageResult, learn_voyage
+from modsim3d.voyage.registration import Registration, register
+from tests.learn.round_trip import asked_of
+
+REPLICATES = 100
+LEVEL = 0.95
+BY_RULE = "box_error_mean"
+"""Registration takes mean box errors as zero; what is left of them is no number of the detector."""
+BOX_S = "persistence.box_s"
+"""What persists of a component that is an upper bound is not taken off it, so it is one too."""
+_BOX_ERRORS = "states.voyage.box_error_"
+_CERTAIN = 1e-9
+
+Number = dict[str, float]
+"""A number of a trial: `asked`, `value`, `low`, `high`; `bound` is 1 if it was said to be an upper bound."""
+
+
+def trial(name: str, seed: int) -> dict[str, Any]:
+    """A voyage of a case: `registration` and `detector` by the numbers' names; or `refused`; and its CPU time."""
+    case, start = BY_NAME[name], time.process_time()
+    voyage = _voyage(case.scene, case.camera)
+    known, _ = as_reported(case.true_scene(), seed, case.errors)
+    result: dict[str, Any] = {"seed": seed}
+    try:
+        if case.learns:
+            learned = _learned(case, voyage, known, seed)
+            result["detector"] = detector_numbers(learned)
+            done = [each.registration for each in learned.registered if each.registration is not None]
+        else:
+            done = [register(known, case.camera, voyage.detections(seed), **dict(case.priors))]
+        result["registration"] = {key: value for each in done for key, value in registration_numbers(each).items()}
+    except ModsimError as error:
+        result["refused"] = str(error)
+    return result | {"cpu_s": time.process_time() - start}
+
+
+def registration_numbers(done: Registration) -> dict[str, Number]:
+    """What was estimated of the camera and the clock, beside what is known."""
+    return {
+        each.name: {"asked": WRONG.get(each.name, 0.0), "value": each.value, "low": each.low, "high": each.high}
+        for each in done.estimates
+        if not each.held
+    }
+
+
+def detector_numbers(learned: VoyageResult) -> dict[str, Number]:
+    """What was learned of the detector, beside what its file says; numbers of models that it does not have are not."""
+    asked = asked_of(DETECTOR)
+    bounds = _bounds(learned)
+    found: dict[str, Number] = {}
+    for each in learned.report.learned.intervals(LEVEL):
+        path = each.key.path
+        other = path.startswith(_BOX_ERRORS) and each.key.remark not in ("", "px")
+        if path in asked and path != "transition_matrix" and not path.endswith(BY_RULE) and not other:
+            for place, value in np.ndenumerate(asked[path]):
+                found[each.key.at(place)] = _number(each, place, float(value), path, bounds)
+    return found
+
+
+def _number(each: Interval, place: tuple[int, ...], asked: float, path: str, bounds: np.ndarray) -> Number:
+    ends = [float(np.broadcast_to(end, np.shape(each.estimate))[place]) for end in (each.low, each.high)]
+    number = {"asked": asked, "value": float(each.estimate[place]), "low": ends[0], "high": ends[1]}
+    bound = bounds[place[0]] if path == f"{_BOX_ERRORS}std" else path == BOX_S and bounds.any()
+    return number | ({"bound": 1.0} if bound else {})
+
+
+def _bounds(learned: VoyageResult) -> np.ndarray:
+    """Which components of the box error were said to be upper bounds, shape (4,)."""
+    (state,) = learned.told.taken_off.states
+    noisy = learned.told.taken_off.noise.position_m > 0
+    return np.zeros(4, dtype=bool) if state is None else ~state.taken_off & noisy
+
+
+def holds(number: Number) -> bool:
+    """Whether what is known lies in the interval, or below its upper end if it is a bound."""
+    over = bool(number.get("bound")) or number["asked"] >= number["low"] - _CERTAIN
+    return over and number["asked"] <= number["high"] + _CERTAIN
+
+
+def _learned(case: Case, voyage: Voyage, known: Any, seed: int) -> VoyageResult:
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "detections.csv"
+        voyage.write_log(seed, log)
+        return learn_voyage(
+            known,
+            log,
+            fixed=() if case.registered else "all",
+            position_noise=TOLD_M if case.errors.position_m else 0.0,
+            match="centre",
+            most_distance_px=DISTANCE_PX,
+            replicates=REPLICATES,
+            seed=seed,
+        )
+
+
+@cache
+def _voyage(scene: str, camera: str) -> Voyage:
+    """What the camera really saw, the same with all seeds and all errors of AIS."""
+    case = next(case for case in BY_NAME.values() if (case.scene, case.camera) == (scene, camera))
+    return Voyage.of(case.true_scene(), camera, WRONG)

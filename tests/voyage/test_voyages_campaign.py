@@ -1,0 +1,96 @@
+"""The campaign of simulated voyages: one is made again, and the committed page says what its numbers say."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.campaigns.voyages import OUT
+from benchmarks.voyages.cases import BY_NAME, CASES
+from benchmarks.voyages.page import text
+from benchmarks.voyages.pixels import comparisons
+from benchmarks.voyages.reported import AisErrors, as_reported
+from benchmarks.voyages.scores import below, fewest, scores
+from benchmarks.voyages.trials import holds, trial
+
+DETECTED = "states.voyage.confusion[missed from {}]"
+
+
+@pytest.fixture(scope="module")
+def committed() -> dict[str, dict[str, Any]]:
+    content: dict[str, dict[str, Any]] = json.loads((OUT / "voyages.json").read_text(encoding="utf-8"))
+    return content
+
+
+@pytest.fixture(scope="module")
+def again() -> dict[str, Any]:
+    return trial("detector_ais", 0)
+
+
+def test_the_page_says_what_its_numbers_say(committed: dict[str, dict[str, Any]]) -> None:
+    assert (OUT / "voyages.md").read_text(encoding="utf-8") == text(committed)
+    assert [name for name in committed if name != "pixels"] == [case.name for case in CASES]
+
+
+def test_a_voyage_comes_out_as_committed(committed: dict[str, dict[str, Any]], again: dict[str, Any]) -> None:
+    first = committed["detector_ais"]["first"]
+    numbers = again["registration"] | again["detector"]
+    assert first.keys() == numbers.keys()
+    for name, number in numbers.items():
+        close = 0.1 * (number["high"] - number["low"]) + 1e-6
+        assert number["value"] == pytest.approx(first[name], abs=close), name
+
+
+def test_without_registration_it_is_visibly_worse(again: dict[str, Any]) -> None:
+    wrong = trial("unregistered", 0)
+    assert not wrong["registration"]
+    for label in ("cargo", "tanker", "ferry"):
+        missed = DETECTED.format(label)
+        assert wrong["detector"][missed]["value"] > again["detector"][missed]["value"] + 0.3
+
+
+def test_as_many_intervals_hold_as_the_campaign_claims(committed: dict[str, dict[str, Any]]) -> None:
+    for case in CASES:
+        if "registration" in committed[case.name]:
+            assert len(below(committed[case.name]["registration"])) <= 1, case.name
+    assert below(committed["detector"]["detector"]) == below(committed["detector_all"]["detector"]) == []
+    assert len(below(committed["unregistered"]["detector"])) > 10
+
+
+def test_scores_count_what_holds() -> None:
+    numbers = [{"asked": 1.0, "value": value, "low": value - 1, "high": value + 1} for value in (0.5, 1.0, 3.0)]
+    numbers.append({"asked": 1.0, "value": 5.0, "low": 4.0, "high": 6.0, "bound": 1.0})
+    assert [holds(number) for number in numbers] == [True, True, False, True]
+    found = scores(
+        [{"cpu_s": 1.0, "detector": {"rate": number}} for number in numbers] + [{"cpu_s": 1, "refused": "no"}]
+    )
+    assert (found["voyages"], found["refused"]) == (5, {"no": 1})
+    rate = found["detector"]["rate"]
+    assert (rate["held"], rate["of"], rate["bounds"], rate["bias"]) == (3, 4, 1, 1.375)
+    assert (fewest(50), fewest(1)) == (43, 0)
+
+
+def test_two_truths_are_compared_by_their_intervals() -> None:
+    film = {"value": 1.0, "low": 0.0, "high": 2.0, "ais_value": 3.0, "ais_low": 1.5, "ais_high": 4.0}
+    (found,) = comparisons([{"rate": film}, {"rate": film | {"ais_low": 2.5}}]).values()
+    assert (found["films"], found["overlap"], found["inside"], found["ais"]) == (2, 1, 0, 3.0)
+
+
+def test_errors_of_positions_are_as_large_and_last_as_long_as_asked() -> None:
+    scene = BY_NAME["detector"].true_scene()
+    true = scene.poses.poses(0, scene.steps).positions_m
+    errors = AisErrors(position_m=2.0, position_s=30.0, reports_s=1.0, absent=0.2)
+    off, absent = [], set()
+    for seed in range(20):
+        known, _ = as_reported(scene, seed, errors)
+        poses = known.poses.poses(0, scene.steps)
+        off.append((poses.positions_m - true)[..., :2])
+        absent.add(tuple(np.flatnonzero(~poses.present.any(axis=0)).tolist()))
+    moved = np.stack(off)
+    assert moved.std() == pytest.approx(2.0, rel=0.1)
+    lasting = (moved[:, 30:] * moved[:, :-30]).mean() / moved.var()
+    assert lasting == pytest.approx(np.exp(-1), abs=0.1)
+    assert all(len(each) == 3 for each in absent) and len(absent) > 10
