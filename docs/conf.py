@@ -57,7 +57,7 @@ MENU = {
 }
 CAMPAIGNS = [
     *("compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "search", "sequences"),
-    *("tracker_scores", "traffic", "verify_changes", "verify_seeds"),
+    *("tracker_scores", "traffic", "verify_changes", "verify_seeds", "voyages"),
 ]
 
 project = "modsim3d"
