@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -246,6 +246,7 @@ def learn_command(
     tell_files(read)
     scene_files = voyage.scene_files(sighted) if voyage else {}
     written = [out, page, uncertainty_file(out), *scene_files]
+    _check_apart(written[:3], list(scene_files))
     told: VoyageReport | None = None
     with claimed(written, overwrite=overwrite, inputs=read):
         with timed("learning"):
@@ -262,6 +263,14 @@ def learn_command(
         show_voyage(told)
     _show(report, written, told)
     say_json(learn_json(report, written) | {"voyage": voyage_json(told) if told else None})
+
+
+def _check_apart(written: Sequence[Path], scene_files: Sequence[Path]) -> None:
+    """Raise an `InputError` where the detector file or what lies beside it would be a file of the written scene."""
+    places = {path.resolve() for path in scene_files}
+    for path in written:
+        if path.resolve() in places:
+            raise InputError("--write-scene", [f"{path} is a file of the scene: give --out another folder or name"])
 
 
 def _rule(labelled: LabelledSet, match: Match | None, iou: float | None, distance: float | None) -> Rule:

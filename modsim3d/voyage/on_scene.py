@@ -111,6 +111,10 @@ def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[
     """The log of the wanted cameras, and the number in the scene of each of its cameras."""
     names = [camera.name for camera in scene.cameras]
     known = _names_in_logs(names)
+    if None in log.cameras and len(log.cameras) > 1:
+        raise InputError(
+            log.source, ["some frames or detections name a camera and others do not: name it in all, or none"]
+        )
     if wanted is not None:
         if wanted not in names:
             raise InputError("--camera", [f"{scene.title} has no camera {shown(wanted)} ({nearest(wanted, names)})"])

@@ -9,6 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Mask
 from modsim3d.errors import InputError, ModsimError
+from modsim3d.inputs.validation import shown
 from modsim3d.learn.learn_detector import LEAST_CONFIDENCE
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.attitude import Attitude
@@ -69,31 +70,28 @@ class Registering:
         """
         if ALL in self.fixed:
             return None
-        name = scene.cameras[log.camera].name
+        camera = scene.cameras[log.camera]
+        attitude = self.attitude if self.attitude and self.attitude.vessel == camera.mount.vessel else None
+        known = attitude.known(log.time_s) if attitude else np.ones(len(log.time_s), dtype=bool)
         sizes = not _SIZES & TruthNoise.of(scene).reasons.keys()
         ais = is_from_ais(scene)
         try:
             return register(
                 scene,
-                name,
-                _boxes(log, self._known(log), self.least_confidence),
+                camera.name,
+                _boxes(log, known, self.least_confidence),
                 fixed=self.fixed,
                 use_sizes=sizes,
                 offsets_m=OFFSETS_M if ais else None,
                 noise_m=self.position_m,
-                attitude=self.attitude,
+                attitude=attitude,
             )
         except ModsimError as error:
             text = str(error)
             if text.startswith("fixed: "):
                 raise InputError("--fixed", [text.removeprefix("fixed: ")]) from None
             way_out = "--fixed all learns with the camera and the clock as they are"
-            raise InputError(f"camera '{name}'", [f"{text}; {way_out}"]) from None
-
-    def _known(self, log: CameraLog) -> Mask:
-        if self.attitude is None:
-            return np.ones(len(log.time_s), dtype=bool)
-        return self.attitude.known(log.time_s)
+            raise InputError(f"camera '{camera.name}'", [f"{text}; {way_out}"]) from None
 
 
 def correction_of(registration: Registration | None) -> Correction:
@@ -106,7 +104,10 @@ def correction_of(registration: Registration | None) -> Correction:
 def parse_fixed(names: str | Sequence[str] | None) -> tuple[str, ...]:
     """Names of parameters from a text such as `pitch,yaw`, or a list of them."""
     each = names.split(",") if isinstance(names, str) else names or ()
-    return tuple(name for name in (text.strip() for text in each) if name)
+    fixed = tuple(name for name in (text.strip() for text in each) if name)
+    if ALL in fixed and len(fixed) > 1:
+        raise InputError("--fixed", [f"all stands alone (got {shown(','.join(fixed))})"])
+    return fixed
 
 
 def _boxes(log: CameraLog, frames: Mask, least: float) -> BoxesAtTimes:

@@ -132,6 +132,19 @@ def test_parquet_is_read_as_csv_is(tmp_path: Path) -> None:
     assert log.confidence.tolist() == [0.5, 0.25]
 
 
+def test_times_of_parquet_with_a_zone_are_the_same_moments(tmp_path: Path) -> None:
+    seconds = pa.array([1704362400, 1704362401], pa.int64()).cast(pa.timestamp("s", tz="Europe/Oslo"))
+    boxes = {"left": [1.5, 2.0], "top": [2.0, 3.0], "right": [4.0, 5.0], "bottom": [6.0, 7.0], "score": [0.5, 0.25]}
+    pq.write_table(pa.table({"utc": seconds} | boxes), tmp_path / "log.parquet")
+    assert read_log(tmp_path / "log.parquet").time_s.tolist() == [1704362400, 1704362401]
+
+
+def test_a_log_that_names_cameras_here_and_there_is_refused(tmp_path: Path, strait: Scene) -> None:
+    path = table(tmp_path, "1,2,3,40,50,boat,0.9,bow", "2,2,3,40,50,boat,0.9,", head=HEAD.strip() + ",camera\n")
+    with pytest.raises(InputError, match="some frames or detections name a camera and others do not"):
+        on_scene(read_log(path), strait, "bow")
+
+
 def test_mot_begins_at_the_start_and_has_the_frame_rate(tmp_path: Path) -> None:
     (tmp_path / "det.txt").write_text("1,-1,11,21,30,40,0.9,2\n4,-1,11,21,30,40,0.8,1\n")
     start = Start(5.0, Clock.STEP)

@@ -64,7 +64,7 @@ def test_json_has_the_registration_with_intervals_and_the_coverage(learned: Voya
     (registration,) = said["registration"]
     parameters = {each["name"]: each for each in registration["parameters"]}
     assert parameters["yaw_deg"]["low"] < parameters["yaw_deg"]["value"] < parameters["yaw_deg"]["high"]
-    assert parameters["mean_x_px"]["held"] == "mean errors are zero, or given"
+    assert parameters["mean_x_px"]["held"] == "mean errors are taken to be zero"
     (coverage,) = said["coverage"]
     matched, whole = np.array(coverage["matched"]), np.array(coverage["to_be_detected"])
     assert matched.shape == (len(coverage["bearings_deg"]) - 1, len(coverage["ranges_m"]) - 1)
@@ -110,6 +110,15 @@ def test_the_command_tells_the_registration_writes_the_page_and_the_scene(
     assert noted["clock_s"] == pytest.approx(REALLY["clock_s"], abs=0.03)
 
 
+def test_a_detector_is_no_file_of_the_written_scene(call: Call, voyage: Path, tmp_path: Path) -> None:
+    scene, out = voyage / "run" / "scene" / "strait.json", tmp_path / "scene" / "strait.json"
+    line = ("learn", "--scene", scene, "--detections", voyage / "run", "--fixed", "all", "--out", out)
+    status, said = call(*line, "--write-scene", out.parent)
+    assert status == 2
+    assert "is a file of the scene: give --out another folder or name" in " ".join(said.split())
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call, folder: Path, tmp_path: Path) -> None:
     rows = np.loadtxt(folder / "bow.csv", delimiter=",", skiprows=1)
     times, boxes = rows[:, 0], rows[:, 1:]
@@ -137,6 +146,7 @@ def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call
     ("given", "problem"),
     [
         (("--fixed", "pitsch"), "no parameter 'pitsch'"),
+        (("--fixed", "all,pitch"), "all stands alone (got 'all,pitch')"),
         (("--empty", "soon"), "must be FROM-TO in seconds"),
         (("--empty", "900-1000"), "no frame lies in it"),
         (("--position-noise", "-1"), "must be metres from 0 on (got -1)"),

@@ -97,7 +97,9 @@ def _plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
     """A column whose times are texts that `utc_s` reads."""
     if pa.types.is_dictionary(column.type):
         return column.cast(column.type.value_type)
-    return pc.strftime(column, "%Y-%m-%dT%H:%M:%S") if pa.types.is_timestamp(column.type) else column
+    if not pa.types.is_timestamp(column.type):
+        return column
+    return pc.strftime(column.cast(pa.timestamp(column.type.unit)), "%Y-%m-%dT%H:%M:%S")  # without its zone: in UTC
 
 
 def _first(table: TextTable, names: Sequence[str]) -> str:

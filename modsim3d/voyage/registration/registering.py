@@ -110,7 +110,7 @@ def register(
     linear = _linear(model, aligned)
     known = _known(linear, free, aligned, effects, together, noise_m)
     rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
-    rules |= {name: "mean errors are zero, or given" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
+    rules |= {name: "mean errors are taken to be zero" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
     rules |= {group.held: f"not determined: {group.words()}" for group in groups}
     vessels = _vessel_estimates(scene, model, aligned, effects, known.covariance)
     # Held by a rule: what the others would be under another one.

@@ -178,6 +178,8 @@ class _Jacobians:
             frame = np.full(len(labelled.images), -1)
             frame[view.images[some]] = some
             place = np.flatnonzero((frame[pairs.image] >= 0) & (identity >= 0))
+            if not len(place):
+                continue
             vessel[place] = identity[place] - view.first_identity
             jacobians = box_jacobians(scene, view, frame[pairs.image[place]], vessel[place])
             told = np.isfinite(jacobians).all(axis=(1, 2))

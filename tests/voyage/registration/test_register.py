@@ -63,7 +63,7 @@ def test_what_a_rule_settles_is_said_with_its_exchange(registered: Registration)
     assert "mean_y_px is held; 1 px of it looks like +0.0" in said
     assert "mean_x_px is held; 1 px of it looks like -0.0" in said
     assert "common_delay_s is held; 1 s of it looks like -1 s of clock_s" in said
-    assert registered["mean_x_px"].held == "mean errors are zero, or given"
+    assert registered["mean_x_px"].held == "mean errors are taken to be zero"
 
 
 def test_the_registered_scene_has_the_camera_as_it_really_is(

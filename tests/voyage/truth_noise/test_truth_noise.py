@@ -127,6 +127,16 @@ def test_an_upper_bound_is_the_learned_covariance_and_is_said(watched):
     assert [row[-1] for row in found.rows()] == ["upper bound", "", "", ""]
 
 
+def test_a_camera_without_known_pairs_takes_nothing_off(watched):
+    scene, view, times = watched
+    labelled = noisy_set(scene, view, times, 0, 10.0, LASTING_S, np.diag(STD_PX**2))
+    unknown = np.full(len(labelled.annotations.identity), -1)
+    labelled = replace(labelled, annotations=replace(labelled.annotations, identity=unknown))
+    learned = learned_from(labelled, 20, RICHER)
+    found = take_off_truth_noise(learned, scene, [view], noise_of(scene, 10.0))
+    assert found.learned.detector() == learned.detector()
+
+
 def test_no_noise_changes_nothing(watched):
     scene, view, times = watched
     learned = learned_from(noisy_set(scene, view, times, 0, 0.0, LASTING_S, np.diag(STD_PX**2)), 20, RICHER)
