@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from modsim3d.errors import ModsimError, RunDirectoryError
-from modsim3d.runs import stored_run
+from modsim3d.runs import pipeline, stored_run
 from modsim3d.runs.files.reading import truth_of
 from modsim3d.runs.pipeline import open_renderer, simulate_frames, truth_block
 from modsim3d.runs.run import run_scene
@@ -21,7 +21,14 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.truth.truth_record import COLUMNS
 from tests.scenes import write_scene
 
-STEPS = 300
+BLOCK, STEPS = 250, 300  # two blocks
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_blocks():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "MOST_BLOCK_STEPS", BLOCK)
+        yield
 
 
 @pytest.fixture(scope="module")

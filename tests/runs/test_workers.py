@@ -33,7 +33,7 @@ def children(pid: int) -> list[int]:
 
 def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_block(tmp_path):
     # A short block and a long one, drawn slowly, so that a worker is still busy when the first block is kept.
-    command = [sys.executable, "-m", "modsim3d.cli", "run", "simulation_2", "--no-sheet", "--steps", "300"]
+    command = [sys.executable, "-m", "modsim3d.cli", "run", "simulation_2", "--no-sheet", "--steps", "550"]
     command += ["--render", "full"]
     out = ["--workers", "2", "--out", str(tmp_path / "run")]
     running = subprocess.Popen([*command, *out], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -41,14 +41,15 @@ def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_blo
     deadline = time.monotonic() + 90
     while not list(parts.glob("truth_*.npz")) and time.monotonic() < deadline and running.poll() is None:
         time.sleep(0.02)
-    os.kill(children(running.pid)[0], signal.SIGKILL)
+    for child in children(running.pid):  # either may be the one that is still busy
+        os.kill(child, signal.SIGKILL)
     _, said = running.communicate(timeout=90)
     assert running.returncode == 2
     assert said.count("a worker process died") == 1
     assert "Traceback" not in said
     kept = {path.name: path.read_bytes() for path in parts.glob("truth_*.npz")}
     assert kept
-    scene = load_scene("simulation_2", steps=300, render="full")
+    scene = load_scene("simulation_2", steps=550, render="full")
     resumed = run_scene(scene, tmp_path / "run", resume=True)
     ranges = [name.removesuffix(".npz").split("_")[1:] for name in kept]
     assert resumed.resumed_steps == sum(int(stop) - int(first) for first, stop in ranges)

@@ -8,6 +8,7 @@ import warnings
 import pytest
 
 from modsim3d import cli
+from modsim3d.runs import pipeline
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.scenes import crossing, write_scene
@@ -121,6 +122,7 @@ def cut_short(scene, folder, blocks):
 
 
 def test_an_interrupted_run_is_drawn_as_far_as_it_goes_and_says_so(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(pipeline, "MOST_BLOCK_STEPS", 250)
     scene = load_scene(write_scene(tmp_path, {"boat": ([10, 4, 3], [[0, 250, 10], [999, 250, 12]])}, 400))
     cut_short(scene, tmp_path / "cut", 1)
     arguments = (tmp_path / "cut", "--film", "scene", "--every", 50, "--format", "png", "--width", 160)

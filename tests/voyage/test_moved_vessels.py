@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.voyages.reported import AisErrors, as_reported
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.moved_vessels import with_moved_vessels
-from tests.voyage.registration.wrong_camera import as_reported
 
 
 def test_antennas_and_delays_are_taken_off_again(strait: Scene) -> None:
-    reported, wrong = as_reported(strait, 0, (3.0, 1.0, 0.5))
+    reported, wrong = as_reported(strait, 0, AisErrors(along_m=3.0, across_m=1.0, delay_s=0.5))
     true, off, back = (
         each.poses.poses(0, strait.steps).positions_m[8:-8, :, :2]
         for each in (strait, reported, with_moved_vessels(reported, wrong))
