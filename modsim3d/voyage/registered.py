@@ -98,7 +98,7 @@ def correction_of(registration: Registration | None) -> Correction:
     """What a registration adds to the camera and to the clock of the log."""
     if registration is None:
         return NO_CORRECTION
-    return Correction(**{name: registration.values[name] for name in Correction.__dataclass_fields__})
+    return registration.correction
 
 
 def parse_fixed(names: str | Sequence[str] | None) -> tuple[str, ...]:

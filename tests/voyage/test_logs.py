@@ -132,6 +132,14 @@ def test_parquet_is_read_as_csv_is(tmp_path: Path) -> None:
     assert log.confidence.tolist() == [0.5, 0.25]
 
 
+def test_frames_that_lack_the_time_of_a_detection_are_refused(tmp_path: Path) -> None:
+    log = tmp_path / "detections.csv"
+    log.write_text(HEAD + "1,2,3,40,50,boat,0.9\n2.0001,2,3,40,50,boat,0.9\n")
+    (tmp_path / "frames.csv").write_text("time_s\n1\n2\n")
+    with pytest.raises(InputError, match=r"lacks the time of 1 detection \(first 2.0001\)"):
+        read_log(log)
+
+
 def test_times_of_parquet_with_a_zone_are_the_same_moments(tmp_path: Path) -> None:
     seconds = pa.array([1704362400, 1704362401], pa.int64()).cast(pa.timestamp("s", tz="Europe/Oslo"))
     boxes = {"left": [1.5, 2.0], "top": [2.0, 3.0], "right": [4.0, 5.0], "bottom": [6.0, 7.0], "score": [0.5, 0.25]}

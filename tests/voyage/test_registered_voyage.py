@@ -53,7 +53,13 @@ def test_the_correction_changes_camera_and_clock_as_the_registration_says(learne
     correction = correction_of(registration)
     scene = learned.told.voyage.scene
     camera = next(each for each in scene.cameras if each.name == "bow")
-    assert correction.camera(camera) == registration.camera_of(camera)
+    mount, changed = camera.mount, correction.camera(camera)
+    for name in ("roll", "pitch", "yaw"):
+        found = np.radians(registration[f"{name}_deg"].value)
+        assert getattr(changed.mount, f"{name}_rad") == pytest.approx(getattr(mount, f"{name}_rad") + found, abs=1e-12)
+    assert changed.mount.position_m[2] == pytest.approx(mount.position_m[2] + registration["height_m"].value)
+    larger = 1 + registration["focal_share"].value
+    assert changed.intrinsics.focal_px[0] == pytest.approx(camera.intrinsics.focal_px[0] * larger)
     assert correction.clock_s == registration["clock_s"].value
     times = learned.told.voyage.labelled.images.time_s
     assert times[-1] == pytest.approx(299 * 0.2, abs=0.21)  # the log ends 3.7 s before the scene, by its own clock

@@ -14,7 +14,7 @@ from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.kinds.detection_kinds import Kinds, kinds_of
 from modsim3d.learn.kinds.multiple_box_trials import Trials
-from modsim3d.learn.numbers.resampling import Resampling, resample, spread
+from modsim3d.learn.numbers.resampling import SIGNIFICANT, Resampling, resample, spread
 
 NAMES = ("duplicates", "merges", "splits")
 """The keys of the detector file, in its order."""
@@ -28,8 +28,6 @@ THRESHOLDS = {
     "splits": ("split_aspect", MergesAndSplits.split_aspect, np.arange(6, 33) * 0.25),
 }
 """Key of the threshold, its default and the other values that are tried."""
-_SURE = 3.3
-"""Standard errors from 0, see `resampling.SIGNIFICANT`."""
 _STRAY = 0.002
 """Share of hits below a threshold that are a mistake of the rules."""
 _TRIALS, _RUNS = 200, 24
@@ -124,11 +122,11 @@ def _shown(kinds: Kinds, wanted: list[str], images: Images, notes: list[str]) ->
         needed, strength = _needed(chance), 0.0
         if seen >= needed:
             strength = _strength(above, images)
-        if strength >= _SURE:
+        if strength >= SIGNIFICANT:
             shown[name] = least
             notes += remark
         elif seen >= needed:
-            why = f"{strength:.1f} standard errors from 0 in {len(above.image)} cases, needs {_SURE}"
+            why = f"{strength:.1f} standard errors from 0 in {len(above.image)} cases, needs {SIGNIFICANT}"
             notes.append(f"false_positives.{name}: none; {why}")
         else:
             by_chance = f", of which {chance:.1f} by chance" if chance >= 0.05 else ""
@@ -145,7 +143,7 @@ def _least(name: str, trials: Trials) -> tuple[float | None, list[str]]:
     key, default, others = THRESHOLDS[name]
     best = max([default, *others.tolist()], key=lambda value: _likelihood(trials, value))
     gain = 2 * (_likelihood(trials, best) - _likelihood(trials, default))
-    if gain <= _SURE**2:
+    if gain <= SIGNIFICANT**2:
         return default, []
     return float(f"{best:.4g}"), [f"false_positives.{key}: {best:.4g}, clearly likelier than {default:g}"]
 
@@ -156,7 +154,7 @@ def _above(trials: Trials, least: float | None) -> Trials:
 
 def _needed(chance: float) -> int:
     """How many are surely more than a number that chance makes."""
-    square = _SURE**2
+    square = SIGNIFICANT**2
     return int(np.ceil(chance + (square + np.sqrt(square**2 + 8 * chance * square)) / 2))
 
 

@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from modsim3d.arrays import Array
+from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems
 from modsim3d.formats.reading.confidences import Confidences
@@ -162,6 +163,10 @@ def _add_frames(
         times, other = times_of(frames, f"frames {beside}")
         if other is not clock:
             raise InputError(f"frames {beside}", [f"has times in {other.value}, and {path.name} in {clock.value}"])
+        lacking = np.flatnonzero(~np.isin(time_s, times))
+        if len(lacking):
+            first = f"{counted(len(lacking), 'detection')} (first {time_s[lacking[0]]:.12g})"
+            raise InputError(f"frames {beside}", [f"lacks the time of {first}: write both files with the same digits"])
         for camera, time in zip(_texts(frames, "camera"), times.tolist(), strict=True):
             rows.frame(camera, time)
         return f"the rows of {beside.name}"

@@ -119,8 +119,3 @@ def fit(
     first = unknowns.vector(start)
     found = least_squares(of, first, slopes, loss="soft_l1", f_scale=SOFT, xtol=1e-4, ftol=1e-5, max_nfev=most or MOST)
     return unknowns.values(found.x, start)
-
-
-def rms_px(residuals_px: Array) -> float:
-    """Root mean square of residuals in pixels."""
-    return float(np.sqrt(np.mean(residuals_px**2))) if len(residuals_px) else float("nan")

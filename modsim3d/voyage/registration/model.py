@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.geometry.camera import Intrinsics
@@ -14,7 +12,8 @@ from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.curved_sea import lowered
 from modsim3d.geometry.lens import Distortion
 from modsim3d.scene.scene import Scene
-from modsim3d.vessels.vessel import Solid, shoebox
+from modsim3d.vessels.vessel import shoebox
+from modsim3d.voyage.hulls import hull_of
 from modsim3d.voyage.registration.parameters import Values
 from modsim3d.voyage.registration.traffic import Traffic
 
@@ -102,15 +101,3 @@ class BoxModel:
         pixels = self.pixels(values, times_s, vessel, corners_m)
         edges: Array = np.take_along_axis(pixels, AXIS[None, :, None], axis=2)[..., 0]
         return edges
-
-
-@lru_cache(maxsize=256)
-def hull_of(solid: Solid) -> Array:
-    """The vertices of a solid on its convex hull, in the unit box of VCF, shape (K, 3): no other makes an edge."""
-    if len(solid.vertices) <= 8:
-        return solid.vertices
-    try:
-        hull: Array = solid.vertices[ConvexHull(solid.vertices).vertices]
-    except QhullError:  # a flat mesh
-        return solid.vertices
-    return hull

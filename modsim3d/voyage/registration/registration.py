@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.geometry.camera import Camera
-from modsim3d.geometry.lens import Distortion
 from modsim3d.scene.scene import Scene
+from modsim3d.voyage.correction import Correction
 from modsim3d.voyage.registration.determined import Group
 from modsim3d.voyage.registration.parameters import Values
 from modsim3d.voyage.registration.sightings import Sightings
@@ -78,22 +78,14 @@ class Registration:
         """Number of vessels that were matched."""
         return len(np.unique(self.sightings.vessel))
 
+    @property
+    def correction(self) -> Correction:
+        """What the estimates add to the camera and to the clock."""
+        return Correction(**{each.name: self.values[each.name] for each in fields(Correction)})
+
     def camera_of(self, camera: Camera) -> Camera:
         """The camera as it really is, from the scene's."""
-        values, mount, lens = self.values, camera.mount, camera.intrinsics
-        along, port, up = mount.position_m
-        turned = replace(
-            mount,
-            position_m=(along, port, up + values["height_m"]),
-            roll_rad=mount.roll_rad + float(np.radians(values["roll_deg"])),
-            pitch_rad=mount.pitch_rad + float(np.radians(values["pitch_deg"])),
-            yaw_rad=mount.yaw_rad + float(np.radians(values["yaw_deg"])),
-        )
-        (f1, f2), larger, k1 = lens.focal_px, 1 + values["focal_share"], values["k1"]
-        bent = lens.distortion or Distortion()
-        distortion = replace(bent, k1=bent.k1 + k1) if k1 else lens.distortion
-        sharper = replace(lens, focal_px=(f1 * larger, f2 * larger), distortion=distortion)
-        return replace(camera, mount=turned, intrinsics=sharper)
+        return self.correction.camera(camera)
 
     def scene_of(self, scene: Scene) -> Scene:
         """The scene with the camera as it really is. The clock and the vessels are left as they are."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.geometry.camera import Camera
@@ -14,12 +13,11 @@ from modsim3d.geometry.curved_sea import lowered
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.scene.scene import Scene
-from modsim3d.vessels.vessel import Solid
+from modsim3d.voyage.hulls import hull_of
 from modsim3d.voyage.truth_noise.noise import PARAMETERS
 
 _STEPS = (0.5, 0.5, 0.005, 0.1, 0.1, 0.1)
 """By how much places, headings and dimensions are moved to either side."""
-_LEAST_VERTICES = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +80,7 @@ class _Placed:
         poses = view.poses
         cameras = scene.camera_poses(view.camera, poses, np.arange(len(view.images)))
         cameras = CameraPoses(cameras.camera_R_world[frame], cameras.positions_m[frame])
-        hulls = [_hull(each.solid) for each in scene.vessels]
+        hulls = [hull_of(each.solid) for each in scene.vessels]
         most = max(map(len, hulls))
         padded = np.stack([np.concatenate([h, np.repeat(h[-1:], most - len(h), axis=0)]) for h in hulls])
         heading = poses.poses.headings_rad[frame, vessel]
@@ -106,14 +104,3 @@ class _Placed:
         low, high = pixels.min(axis=1), pixels.max(axis=1)
         boxes: Array = np.concatenate([(low + high) / 2, high - low], axis=1)
         return boxes
-
-
-def _hull(solid: Solid) -> Array:
-    """The vertices of a solid that lie on its convex hull, shape (K, 3): no other is at an edge of a box."""
-    if len(solid.vertices) <= _LEAST_VERTICES:
-        return solid.vertices
-    try:
-        outer: Array = solid.vertices[ConvexHull(solid.vertices).vertices]
-    except QhullError:  # a flat mesh
-        return solid.vertices
-    return outer
