@@ -96,4 +96,5 @@ def _least(rows: Array) -> Array:
 
 def _rounded(values: Any) -> Any:
     """Round to six digits: as precise as the integration, and coarse enough to hide the order of sums."""
-    return np.vectorize(lambda value: float(f"{value:.6g}"))(values).tolist()
+    rows = np.asarray(values).tolist()
+    return [_rounded(row) for row in rows] if isinstance(rows, list) else float(f"{rows:.6g}")

@@ -17,7 +17,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.json_text import Text, frame_lines, number_texts
+from modsim3d.runs.files.json_text import Text, frame_lines, number_texts, string_texts
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 
@@ -25,7 +25,7 @@ JOINED_BYTES = 1 << 20
 """Bytes of lines that are joined at a time."""
 
 
-def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
+def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
     """The annotations of a camera, one line a frame: timestamp → vessel ID → label and box with depth."""
     truth, rows = part.truth, part.target_rows
     heads = [_head(vessel.name, vessel.label, b"bbox") + b"{" for vessel in scene.vessels]
@@ -42,7 +42,7 @@ def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> list[byte
     )
 
 
-def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
+def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
     """The detections of a camera, one line a frame: timestamp → vessel ID or `false_positive_<n>` → label and so on."""
     detections = part.detections
     second = np.isin(detections.kind, (DUPLICATE, FRAGMENT))
@@ -122,8 +122,9 @@ def _box_texts(boxes: Array) -> tuple[Text, ...]:
     return b'"centre":{"x":', x, b',"y":', y, b'},"height":', height, b',"width":', width
 
 
-def _lines(block: Block, part: CameraBlock, frame: Indices, *columns: Text) -> list[bytes]:
-    heads = [b"{" + orjson.dumps(block.timestamps[step - block.first]) + b":{" for step in part.steps.tolist()]
+def _lines(block: Block, part: CameraBlock, frame: Indices, *columns: Text) -> bytes:
+    timestamps = string_texts(block.timestamps)
+    heads = [b"{" + timestamps[step - block.first] + b":{" for step in part.steps.tolist()]
     return frame_lines(heads, b"}}\n", frame, *columns)
 
 
