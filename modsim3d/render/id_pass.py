@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass
 from functools import cached_property
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -107,16 +108,13 @@ class IdRenderer:
     """
 
     def __init__(self, context: GLContext) -> None:
-        """Draw with a context, which must stay open."""
+        """Draw in a context."""
         self.context = context
         self._buffers: dict[tuple[int, int], tuple[int, Any]] = {}
 
     @cached_property
-    def _gl(self) -> Any:
-        """OpenGL's functions, with the shaders compiled and the state set that all drawings share.
-
-        Only the first drawing asks for them: where geometry tells what is visible, a run draws nothing.
-        """
+    def _gl(self) -> ModuleType:
+        """OpenGL, once the shaders are compiled and the state is set that all drawings share."""
         gl = self.context.gl
         gl.glBindVertexArray(gl.glGenVertexArrays(1))
         gl.glUseProgram(_program(gl))
@@ -195,7 +193,8 @@ class IdRenderer:
 
     def _bind_buffer(self, width: int, height: int) -> None:
         """Bind a buffer that is little larger than a region, since all of it is cleared; make it at first use."""
-        size, gl = (_buffer_side(width), _buffer_side(height)), self._gl
+        size = _buffer_side(width), _buffer_side(height)
+        gl = self._gl
         if size in self._buffers:
             self._buffers[size] = self._buffers.pop(size)  # which makes it the last used
         else:
