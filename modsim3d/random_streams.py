@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from enum import Enum, unique
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from modsim3d.philox import NUMBERS_PER_BLOCK
 _UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps differently and would overlap
 # Below so many streams, and with so many rows for each, NumPy's own generator of one stream after the other is faster.
 _STREAMS_IN_TURN, _ROWS_AS_A_STREAM = 20, 25
+_WORDS_KEPT = 65_536
 _NO_STEP = np.iinfo(np.int64).max
 _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
 GRID = 2.0**-20
@@ -124,6 +126,7 @@ class Streams:
         self.seed = seed
         self._root = np.random.SeedSequence(seed)
         self._keys: dict[tuple[int, Purpose, tuple[str, ...]], NDArray[np.uint64]] = {}
+        self._keys_of_owners: dict[tuple[int, Purpose, tuple[str, ...], tuple[str, ...]], NDArray[np.uint64]] = {}
         self._scratch = np.random.Philox(self._root)
         self._scratch_generator = np.random.Generator(self._scratch)
         self._counter = np.zeros(NUMBERS_PER_BLOCK, dtype=np.uint64)
@@ -165,11 +168,12 @@ class Streams:
         """
         width = purpose.uniforms
         used, place = _distinct(owner, len(owners))
-        of_used = [(*names, owners[index]) for index in used.tolist()]
         if len(used) > _STREAMS_IN_TURN + len(steps) // _ROWS_AS_A_STREAM:
             blocks = -(-width // NUMBERS_PER_BLOCK)
+            keys = self._keys_of(_UNIFORMS, purpose, names, owners)[owner]
             low = steps.astype(np.uint64) * np.uint64(blocks)
-            return philox.uniforms(self._keys_of(_UNIFORMS, purpose, of_used)[place], low, np.zeros_like(low), 0, width)
+            return philox.uniforms(keys, low, np.zeros_like(low), 0, width)
+        of_used = [(*names, owners[index]) for index in used.tolist()]
         first, last = np.full(len(used), _NO_STEP), np.zeros(len(used), dtype=np.int64)
         np.minimum.at(first, place, steps)
         np.maximum.at(last, place, steps)
@@ -216,8 +220,7 @@ class Streams:
             ValueError: The purpose has a fixed number of uniform numbers a step.
         """
         _check_has_generators(purpose)
-        used, place = _distinct(owner, len(owners))
-        keys = self._keys_of(_GENERATOR, purpose, [(*names, owners[index]) for index in used.tolist()])[place]
+        keys = self._keys_of(_GENERATOR, purpose, names, owners)[owner]
         low, high = np.zeros(len(steps), dtype=np.uint64), steps.astype(np.uint64)
         return philox.uniforms(keys, low, high, first, count)
 
@@ -233,16 +236,20 @@ class Streams:
             "uinteger": 0,
         }
 
-    def _keys_of(self, kind: int, purpose: Purpose, names: Sequence[tuple[str, ...]]) -> NDArray[np.uint64]:
-        """Keys of k streams, shape (k, 2)."""
-        keys = [self._key(kind, purpose, each) for each in names]
-        return np.array(keys, dtype=np.uint64).reshape(-1, 2)
+    def _keys_of(
+        self, kind: int, purpose: Purpose, names: tuple[str, ...], owners: Sequence[str]
+    ) -> NDArray[np.uint64]:
+        """Keys of k streams whose names differ only in the last one, its owner's, shape (k, 2)."""
+        streams = (kind, purpose, names, tuple(owners))
+        if streams not in self._keys_of_owners:
+            spawn_keys = np.array([_spawn_key(kind, purpose, (*names, owner)) for owner in owners], dtype=np.uint32)
+            self._keys_of_owners[streams] = philox.seeded_keys(self.seed, spawn_keys.T)
+        return self._keys_of_owners[streams]
 
     def _key(self, kind: int, purpose: Purpose, names: tuple[str, ...]) -> NDArray[np.uint64]:
         stream = (kind, purpose, names)
         if stream not in self._keys:
-            spawn_key = (kind, *_words(purpose.value), *(word for name in names for word in _words(name)))
-            sequence = np.random.SeedSequence(self.seed, spawn_key=spawn_key)
+            sequence = np.random.SeedSequence(self.seed, spawn_key=_spawn_key(kind, purpose, names))
             self._keys[stream] = sequence.generate_state(2, np.uint64).astype(np.uint64)
         return self._keys[stream]
 
@@ -285,6 +292,12 @@ def grid_normals(uniforms: Array) -> Array:
     return on_grid(normals(uniforms))
 
 
+def _spawn_key(kind: int, purpose: Purpose, names: tuple[str, ...]) -> tuple[int, ...]:
+    """The key of a stream beside the seed, as 32-bit words."""
+    return (kind, *_words(purpose.value), *(word for name in names for word in _words(name)))
+
+
+@lru_cache(_WORDS_KEPT)
 def _words(text: str) -> tuple[int, int]:
     """Two 32-bit words of a text; unlike `hash`, the same in every process."""
     digest = hashlib.blake2b(text.encode("utf-8"), digest_size=8).digest()

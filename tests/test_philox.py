@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from modsim3d import philox
 
-WORD = st.integers(0, 2**64 - 1)
+WORD, HALF_WORD = st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1)
 
 
 def generator(key: tuple[int, int], low: int, high: int) -> np.random.Generator:
@@ -33,6 +33,17 @@ def test_numbers_are_those_of_numpy(drawn: list[tuple[tuple[int, int], int, int]
     keys, low, high = (np.array(part, dtype=np.uint64) for part in zip(*drawn, strict=True))
     numpys = [generator(*each).random(first + count)[first:] for each in drawn]
     assert np.array_equal(philox.uniforms(keys, low, high, first, count), numpys)
+
+
+@given(
+    st.integers(0, 2**200),
+    st.integers(1, 9).flatmap(lambda width: st.lists(st.tuples(*[HALF_WORD] * width), min_size=1, max_size=4)),
+)
+def test_seeded_keys_are_those_of_numpy(seed: int, spawn_keys: list[tuple[int, ...]]) -> None:
+    numpys = [np.random.SeedSequence(seed, spawn_key=key).generate_state(2, np.uint64) for key in spawn_keys]
+    assert philox.seeded_keys(seed, np.array(spawn_keys, dtype=np.uint32).T).tolist() == [
+        key.tolist() for key in numpys
+    ]
 
 
 def test_no_rows_give_no_numbers() -> None:

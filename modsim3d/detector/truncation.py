@@ -235,5 +235,5 @@ def truncated_errors(
         if in_file_units:
             errors = source.in_file_units(states[rows], sizes(truth[rows]), errors)
         accepted[rows], means[rows] = part.acceptance, part.mean(errors)
-        seconds[rows] = np.einsum("np,npi,npj->nij", part.weights, errors, errors, optimize=True)
+        seconds[rows] = np.swapaxes(errors, 1, 2) @ (part.weights[..., None] * errors)
     return TruncatedErrors(accepted, means, seconds)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
 import re
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,10 @@ _CORE = "tag:yaml.org,2002:"
 _MERGE = f"{_CORE}merge"
 _REPEATED_CHARACTERS = 100_000
 """A faulty text of at most this length is parsed again by PyYAML's own parser, whose messages say more."""
+
+
+_TEXTS_KEPT, _KEPT_CHARACTERS = 16, 100_000
+"""How many values are kept for whoever reads the same text again, and of how long texts at most."""
 
 
 def _refused(problem: str, node: yaml.Node) -> yaml.constructor.ConstructorError:
@@ -190,7 +196,7 @@ def parse_yaml(text: str, source: str) -> Any:
         InputError: The text exceeds a budget or is not valid YAML.
     """
     try:
-        return _parsed(text)
+        return pickle.loads(_pickled(text)) if len(text) <= _KEPT_CHARACTERS else _parsed(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
@@ -202,6 +208,12 @@ def parse_yaml(text: str, source: str) -> Any:
         raise InputError(source, [f"line {line}, column {column}: {problem}"]) from None
     except RecursionError:
         raise InputError(source, ["is nested too deeply"]) from None
+
+
+@lru_cache(_TEXTS_KEPT)
+def _pickled(text: str) -> bytes:
+    """The value of a text of YAML as bytes, since callers change values: many runs read the same scene and detector."""
+    return pickle.dumps(_parsed(text))
 
 
 def _parsed(text: str) -> Any:

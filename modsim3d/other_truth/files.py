@@ -37,11 +37,12 @@ def class_numbers(classes: FileClasses, to_label: Sequence[int], labels: Sequenc
 
 def tracker_files(parts: Sequence[Part], model: DetectorModel) -> dict[str, bytes]:
     """`tracker_input_<sequence>.jsonl` of each sequence."""
-    lines: dict[str, list[bytes]] = {}
+    files: dict[str, bytes] = {}
     for part in parts:
         name = f"{TRACKER_INPUT}_{part.video.file_name}.jsonl"
-        lines.setdefault(name, []).extend(detection_lines(part.detections, model.labels, part.steps, part.times_s))
-    return {name: b"".join(of_file) for name, of_file in lines.items()}
+        lines = detection_lines(part.detections, model.labels, part.steps, part.times_s)
+        files[name] = files.get(name, b"") + lines
+    return files
 
 
 def mot_files(truth: bytes, video: Video, parts: Sequence[Part], numbers: Sequence[int]) -> dict[str, bytes]:

@@ -32,7 +32,7 @@ from modsim3d.truth.truth_record import Truth, concatenate, no_truth
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-BLOCK_VESSELS, MOST_BLOCK_STEPS = 8_000, 500
+BLOCK_VESSELS, MOST_BLOCK_STEPS = 8_000, 1_000
 """Most vessels times steps of a block, and most steps: few calls, but arrays that fit a cache."""
 
 Range = tuple[int, int]

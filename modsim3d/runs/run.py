@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
-from importlib.metadata import version
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -278,5 +278,5 @@ def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
 
 @cache
 def _versions() -> dict[str, str]:
-    """The versions of the packages that make a run; finding them reads files of each."""
-    return {name: version(name) for name in VERSIONED}
+    """The versions of the packages that make a run, from themselves: `importlib.metadata` reads files of each."""
+    return {name: str(import_module(name).__version__) for name in VERSIONED}

@@ -53,5 +53,10 @@ def told(frame: Indices, label: Indices, boxes_px: Array, confidence: Array) -> 
     any order, and not rounded.
     """
     boxes_px, confidence = np.round(boxes_px, BOX_DECIMALS), np.round(confidence, _CONFIDENCE_DECIMALS)
-    order = np.lexsort((label, *boxes_px.T[::-1], -confidence, frame))
+    order = np.lexsort((-confidence, frame))
+    # Few detections are equally confident: only those are put in order of their boxes.
+    same = (np.diff(frame[order]) == 0) & (np.diff(confidence[order]) == 0)
+    tied = np.flatnonzero(np.append(same, False) | np.append(False, same))
+    rows = order[tied]
+    order[tied] = rows[np.lexsort((label[rows], *boxes_px[rows].T[::-1], -confidence[rows], frame[rows]))]
     return Told(frame, label, boxes_px, confidence).take(order)

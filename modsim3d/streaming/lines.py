@@ -80,7 +80,7 @@ def _lines_of(block: Block, scene: Scene, streams: Streams) -> Iterator[StepLine
         (
             orjson.dumps(scene.cameras[part.camera].name),
             attitudes.get(scene.cameras[part.camera].mount.vessel),
-            dict(zip(part.steps.tolist(), tracker_lines(block, part, scene), strict=True)),
+            dict(zip(part.steps.tolist(), tracker_lines(block, part, scene).splitlines(keepends=True), strict=True)),
         )
         for part in block.cameras
     ]

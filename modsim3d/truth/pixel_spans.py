@@ -46,21 +46,24 @@ class Spans:
         return Spans(self.row, self.y + dy, self.start + dx, self.stop + dx)
 
 
+_FAR = np.iinfo(np.int64).max
+_NO_BOX = np.array([np.inf, np.inf, -np.inf, -np.inf])
+
+
 def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
     """Numbers of pixels, shape (n,), and bounding boxes, shape (n, 4), of n = `count` silhouettes; spans in any order.
 
     Boxes are half-open, [x_min, x_max) × [y_min, y_max); the box of a silhouette without a pixel is
     (inf, inf, −inf, −inf).
     """
-    pixels: Array = np.bincount(spans.row, spans.stop - spans.start, minlength=count).astype(np.float64)
-    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (count, 1))
-    filled = pixels > 0
-    for column, (bound, values) in enumerate(
-        ((np.minimum, spans.start), (np.minimum, spans.y), (np.maximum, spans.stop), (np.maximum, spans.y + 1))
-    ):
-        bounds = np.full(count, np.iinfo(np.int64).max if bound is np.minimum else -1)
-        bound.at(bounds, spans.row, values)
-        boxes[filled, column] = bounds[filled]
+    first = np.flatnonzero(np.diff(spans.row, prepend=-1))  # of the spans of one silhouette that follow each other
+    row = spans.row[first]
+    pixels: Array = np.bincount(row, np.add.reduceat(spans.stop - spans.start, first), minlength=count).astype(float)
+    low, high = np.full((2, count), _FAR), np.full((2, count), -1)
+    for axis, (starts, stops) in enumerate(((spans.start, spans.stop), (spans.y, spans.y + 1))):
+        np.minimum.at(low[axis], row, np.minimum.reduceat(starts, first))
+        np.maximum.at(high[axis], row, np.maximum.reduceat(stops, first))
+    boxes: Array = np.where(pixels > 0, np.concatenate([low, high]), _NO_BOX[:, None]).T.copy()
     return pixels, boxes
 
 

@@ -14,7 +14,7 @@ import pytest
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.json_text import frame_lines, list_texts, number_texts
+from modsim3d.runs.files.json_text import frame_lines, list_texts, number_texts, string_texts
 from modsim3d.runs.files.thesis_json import annotation_lines, detection_lines, join_lines
 from modsim3d.runs.files.tracker_input import tracker_lines
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
@@ -105,12 +105,12 @@ def plain_lines(block: Block, part: CameraBlock, entries: list[dict[str, Any]]) 
 def test_lines_are_those_of_a_dictionary_for_each_row(made: Made, fast: Callable, plain: Callable) -> None:
     scene, block = made
     for part in block.cameras:
-        assert fast(block, part, scene) == plain(block, part, scene)
+        assert fast(block, part, scene) == b"".join(plain(block, part, scene))
 
 
 def test_the_scenes_have_second_boxes_false_positives_and_empty_frames(made: Made) -> None:
     scene, block = made
-    text = b"".join(line for part in block.cameras for line in detection_lines(block, part, scene))
+    text = b"".join(detection_lines(block, part, scene) for part in block.cameras)
     assert (b'#2":' in text and b'"false_positive_1":' in text) == (scene.name == "strait")
     assert (b":{}}" in text) == (scene.name == "simulation_3")
 
@@ -120,8 +120,8 @@ def test_names_are_escaped_and_a_missing_depth_is_null(made: Made) -> None:
     odd = replace(scene, vessels=tuple(replace(vessel, name=f'"ø\n{vessel.name}') for vessel in scene.vessels))
     for part in block.cameras:
         shallow = replace(part, truth=replace(part.truth, depth_m=np.full(len(part.truth), np.nan)))
-        assert annotation_lines(block, shallow, odd) == plain_annotations(block, shallow, odd)
-        assert detection_lines(block, shallow, odd) == plain_detections(block, shallow, odd)
+        assert annotation_lines(block, shallow, odd) == b"".join(plain_annotations(block, shallow, odd))
+        assert detection_lines(block, shallow, odd) == b"".join(plain_detections(block, shallow, odd))
 
 
 def test_number_texts_are_the_shortest_that_give_the_number_again() -> None:
@@ -132,13 +132,18 @@ def test_number_texts_are_the_shortest_that_give_the_number_again() -> None:
     assert list_texts(np.empty((0, 4))) == []
 
 
+@pytest.mark.parametrize("strings", [[], ["0.0"], ['a",\n  "b', "", ",\n  ", "\\", 'ø"', "[\n"]])
+def test_string_texts_are_those_of_each_string(strings: list[str]) -> None:
+    assert string_texts(strings) == [orjson.dumps(string) for string in strings]
+
+
 def test_a_line_holds_the_rows_of_its_frame_and_may_be_empty() -> None:
     none = np.empty(0, dtype=np.int64)
-    assert frame_lines([], b"}\n", none) == []
-    assert frame_lines([b"a{", b"b{"], b"}\n", none, b"x", []) == [b"a{}\n", b"b{}\n"]
+    assert frame_lines([], b"}\n", none) == b""
+    assert frame_lines([b"a{", b"b{"], b"}\n", none, b"x", []) == b"a{}\nb{}\n"
     frame = np.array([1, 1, 3])
     lines = frame_lines([b"a{", b"b{", b"c{", b"d{", b"e{"], b"}\n", frame, b"x", [b"1", b"2", b"3"])
-    assert lines == [b"a{}\n", b"b{x1,x2}\n", b"c{}\n", b"d{x3}\n", b"e{}\n"]
+    assert lines == b"a{}\nb{x1,x2}\nc{}\nd{x3}\ne{}\n"
 
 
 @pytest.mark.parametrize("at_a_time", [1, 2, 7, 1 << 22])

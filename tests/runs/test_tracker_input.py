@@ -97,7 +97,7 @@ def block_of(scene: Scene) -> Block:
 
 
 def lines_with(scene: Scene, block: Block, part: CameraBlock, detections: Detections) -> list[bytes]:
-    return list(tracker_lines(block, replace(part, detections=detections), scene))
+    return tracker_lines(block, replace(part, detections=detections), scene).splitlines(keepends=True)
 
 
 def permuted(detections: Detections, order: Indices) -> Detections:

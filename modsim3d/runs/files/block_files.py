@@ -67,11 +67,7 @@ class BlockFiles:
         rows = {name: table(block, scene) for name, (_, table) in TABLES.items()}
         if scene.own_ships and not scene.live:  # accelerations need later steps: written at the end
             rows[OWN_SHIP] = own_ships_table.own_ship_table(scene, block.first, block.stop)
-        lines = {
-            (kind, part.camera): b"".join(JSON_LINES[kind](block, part, scene))
-            for part in block.cameras
-            for kind in kinds
-        }
+        lines = {(kind, part.camera): JSON_LINES[kind](block, part, scene) for part in block.cameras for kind in kinds}
         return cls(rows, lines)
 
 

@@ -1,4 +1,4 @@
-"""JSON text of many rows at once: columns of texts are joined to one line for each frame."""
+"""JSON text of many rows at once: columns of texts are joined to one text with a line for each frame."""
 
 from __future__ import annotations
 
@@ -11,6 +11,12 @@ from modsim3d.arrays import Array, Indices
 
 Text = bytes | Sequence[bytes]
 """A text that is the same in all rows, or one text for each row."""
+
+
+def string_texts(strings: Sequence[str]) -> list[bytes]:
+    """The JSON text of each string."""
+    # One a line: JSON has no line breaks inside a string.
+    return orjson.dumps(strings, option=orjson.OPT_INDENT_2)[4:-2].split(b",\n  ") if strings else []
 
 
 def number_texts(numbers: Array | Indices) -> list[bytes]:
@@ -27,12 +33,12 @@ def list_texts(numbers: Array) -> list[bytes]:
     return orjson.dumps(np.ascontiguousarray(numbers), option=orjson.OPT_SERIALIZE_NUMPY)[2:-2].split(b"],[")
 
 
-def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: Text) -> list[bytes]:
-    """One line for each frame: its head, the texts of its rows with commas between them, and the tail.
+def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: Text) -> bytes:
+    """A line for each frame: its head, the texts of its rows with commas between them, and the tail.
 
     Args:
-        heads: What the line of each of F frames begins with; JSON has no line breaks.
-        tail: What every line ends with; its last character is the only line break.
+        heads: What the line of each of F frames begins with.
+        tail: What every line ends with.
         frame: The frame of each of n rows, from 0, ascending, shape (n,).
         columns: The texts that stand side by side in each row.
     """
@@ -47,4 +53,4 @@ def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: T
     pieces = [between] * (len(frame) * len(texts) + 1)
     for place, column in enumerate(texts):
         pieces[place : -1 : len(texts)] = [column] * len(frame) if isinstance(column, bytes) else column
-    return b"".join(pieces).splitlines(keepends=True)  # one pass over all texts
+    return b"".join(pieces)

@@ -7,6 +7,7 @@ stay lines.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
@@ -17,7 +18,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.json_text import Text, frame_lines, number_texts
+from modsim3d.runs.files.json_text import Text, frame_lines, number_texts, string_texts
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 
@@ -25,10 +26,12 @@ JOINED_BYTES = 1 << 20
 """Bytes of lines that are joined at a time."""
 
 
-def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
+def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
     """The annotations of a camera, one line a frame: timestamp → vessel ID → label and box with depth."""
     truth, rows = part.truth, part.target_rows
-    heads = [_head(vessel.name, vessel.label, b"bbox") + b"{" for vessel in scene.vessels]
+    names = string_texts(scene.vessel_names)
+    labels = _label_texts([vessel.label for vessel in scene.vessels], b"bbox")
+    heads = [name + label + b"{" for name, label in zip(names, labels, strict=True)]
     boxes = centre_form(annotation_boxes(truth, scene.annotation.mode)[rows])
     return _lines(
         block,
@@ -42,7 +45,7 @@ def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> list[byte
     )
 
 
-def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
+def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
     """The detections of a camera, one line a frame: timestamp → vessel ID or `false_positive_<n>` → label and so on."""
     detections = part.detections
     second = np.isin(detections.kind, (DUPLICATE, FRAGMENT))
@@ -51,11 +54,13 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes
     vessel = np.full(len(rows), -1)
     vessel[rows >= 0] = part.truth.vessel[rows[rows >= 0]]
     before = _before_in_group(frame * (len(scene.vessels) + 1) + vessel + 1)
+    labels = _label_texts(scene.detector.labels, b"confidenceScore")
     return _lines(
         block,
         part,
         frame,
-        _detection_heads(scene, vessel, before, detections.label[order]),
+        _keys(scene, vessel, before),
+        [labels[label] for label in detections.label[order].tolist()],
         number_texts(detections.confidence[order]),
         b',"bbox":{',
         *_box_texts(centre_form(detections.boxes_px[order])),
@@ -88,32 +93,27 @@ def _before_in_group(group: Indices) -> Indices:
     return before
 
 
-def _detection_heads(scene: Scene, vessel: Indices, before: Indices, label: Indices) -> list[bytes]:
-    """The beginning of each detection, up to its confidence.
+def _keys(scene: Scene, vessel: Indices, before: Indices) -> list[bytes]:
+    """The key of each detection in the object of its frame.
 
-    False positives are numbered from 1; the second box of a vessel is `<vessel ID>#2`.
+    It is the vessel's ID, and `<vessel ID>#2` for the vessel's second box. False positives are numbered from 1.
 
     Args:
         scene: The scene.
         vessel: The vessel of each of m detections, −1 for a false positive, shape (m,).
         before: How many detections of the frame before each are of its vessel, shape (m,).
-        label: The label of each, shape (m,).
     """
-    names, labels = scene.vessel_names, scene.detector.labels
-
-    def head(vessel: int, before: int, label: int) -> bytes:
-        name = names[vessel] if vessel >= 0 else f"false_positive_{before + 1}"
-        key = f"{name}#{before + 1}" if before and vessel >= 0 else name
-        return _head(key, labels[label], b"confidenceScore")
-
-    rows = list(zip(vessel.tolist(), before.tolist(), label.tolist(), strict=True))
-    heads = {row: head(*row) for row in set(rows)}
-    return [heads[row] for row in rows]
+    names = string_texts(scene.vessel_names)
+    keys = [names[index] for index in vessel.tolist()]
+    for row in np.flatnonzero((vessel < 0) | (before > 0)).tolist():
+        prefix = f"{scene.vessel_names[vessel[row]]}#" if vessel[row] >= 0 else "false_positive_"
+        keys[row] = orjson.dumps(f"{prefix}{before[row] + 1}")
+    return keys
 
 
-def _head(key: str, label: str, after: bytes) -> bytes:
-    """The beginning of an entry, up to what follows the label."""
-    return orjson.dumps(key) + b':{"label":' + orjson.dumps(label) + b',"' + after + b'":'
+def _label_texts(labels: Sequence[str], after: bytes) -> list[bytes]:
+    """What follows the key of an entry, up to what comes after its label."""
+    return [b':{"label":' + label + b',"' + after + b'":' for label in string_texts(labels)]
 
 
 def _box_texts(boxes: Array) -> tuple[Text, ...]:
@@ -122,8 +122,9 @@ def _box_texts(boxes: Array) -> tuple[Text, ...]:
     return b'"centre":{"x":', x, b',"y":', y, b'},"height":', height, b',"width":', width
 
 
-def _lines(block: Block, part: CameraBlock, frame: Indices, *columns: Text) -> list[bytes]:
-    heads = [b"{" + orjson.dumps(block.timestamps[step - block.first]) + b":{" for step in part.steps.tolist()]
+def _lines(block: Block, part: CameraBlock, frame: Indices, *columns: Text) -> bytes:
+    timestamps = string_texts(block.timestamps)
+    heads = [b"{" + timestamps[step - block.first] + b":{" for step in part.steps.tolist()]
     return frame_lines(heads, b"}}\n", frame, *columns)
 
 
