@@ -46,14 +46,14 @@ def ranks_of(
     gap_m = per_metre * np.maximum(farthest[first], farthest[second])
     first_nearer = farthest[first] + gap_m < nearest[second]
     second_nearer = farthest[second] + gap_m < nearest[first]
-    asked = np.flatnonzero(~first_nearer & ~second_nearer)
-    order = order_of_pairs(_as_convex(outlines), first[asked], second[asked], gap_m[asked])
-    first_nearer[asked], second_nearer[asked] = order.first_can_hide, order.second_can_hide
-    touching = asked[order.intersecting]
-    first_nearer[touching] = _in_front(outlines, first[touching], second[touching], gap_m[touching])
-    second_nearer[touching] = _in_front(outlines, second[touching], first[touching], gap_m[touching])
-    known = np.ones(len(first), dtype=bool)
-    known[touching] = first_nearer[touching] | second_nearer[touching]
+    asked, known = np.flatnonzero(~first_nearer & ~second_nearer), np.ones(len(first), dtype=bool)
+    if len(asked):
+        order = order_of_pairs(_as_convex(outlines), first[asked], second[asked], gap_m[asked])
+        first_nearer[asked], second_nearer[asked] = order.first_can_hide, order.second_can_hide
+        touching = asked[order.intersecting]
+        first_nearer[touching] = _in_front(outlines, first[touching], second[touching], gap_m[touching])
+        second_nearer[touching] = _in_front(outlines, second[touching], first[touching], gap_m[touching])
+        known[touching] = first_nearer[touching] | second_nearer[touching]
     near = np.concatenate([first[first_nearer], second[second_nearer]])
     far = np.concatenate([second[first_nearer], first[second_nearer]])
     ranks = _ranks(near, far, len(outlines))

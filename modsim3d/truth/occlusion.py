@@ -150,7 +150,7 @@ class Occlusion:
             annotated=np.zeros(len(step), dtype=bool),
             intersections=np.column_stack([pair_step, pair_camera, outlines.occluder[self.intersecting]]),
         )
-        return truth.take(outlines.boxed)
+        return truth if outlines.boxed.all() else truth.take(outlines.boxed)
 
 
 _COLUMNS = ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px")

@@ -46,6 +46,10 @@ class Spans:
         return Spans(self.row, self.y + dy, self.start + dx, self.stop + dx)
 
 
+_FAR = np.iinfo(np.int64).max
+_NO_BOX = np.array([np.inf, np.inf, -np.inf, -np.inf])
+
+
 def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
     """Numbers of pixels, shape (n,), and bounding boxes, shape (n, 4), of n = `count` silhouettes; spans in any order.
 
@@ -53,14 +57,13 @@ def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
     (inf, inf, −inf, −inf).
     """
     pixels: Array = np.bincount(spans.row, spans.stop - spans.start, minlength=count).astype(np.float64)
-    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (count, 1))
-    filled = pixels > 0
-    for column, (bound, values) in enumerate(
-        ((np.minimum, spans.start), (np.minimum, spans.y), (np.maximum, spans.stop), (np.maximum, spans.y + 1))
-    ):
-        bounds = np.full(count, np.iinfo(np.int64).max if bound is np.minimum else -1)
-        bound.at(bounds, spans.row, values)
-        boxes[filled, column] = bounds[filled]
+    low = np.full((2, count), _FAR)
+    high = np.full((2, count), -1)
+    for column, values in enumerate((spans.start, spans.y)):
+        np.minimum.at(low[column], spans.row, values)
+    for column, values in enumerate((spans.stop, spans.y + 1)):
+        np.maximum.at(high[column], spans.row, values)
+    boxes: Array = np.where(pixels > 0, np.concatenate([low, high]), _NO_BOX[:, None]).T.copy()
     return pixels, boxes
 
 

@@ -27,7 +27,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, ranges
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.truth.pixel_spans import Spans
-from modsim3d.truth.silhouettes import doubled_areas
+from modsim3d.truth.silhouettes import doubled_areas, doubled_face_areas
 from modsim3d.vessels.vessel import Solid
 
 HALF = SUBPIXELS // 2
@@ -141,7 +141,7 @@ def _outline_edges(vertices_px: Array, solid: Solid, height: int) -> tuple[_Edge
     """The edges between a face turned to the camera and one turned away: those on the left, and those on the right."""
     (start, end, left, right), grid = _edges_of(solid), _on_grid(vertices_px)
     # A face seen edge-on is taken to be turned away: the outline then runs around it.
-    towards = facing(vertices_px[:, solid.faces]) > 0
+    towards = doubled_face_areas(grid, solid.faces) > 0
     row, edge = np.nonzero(towards[:, left] != towards[:, right])
     # Walked with the face that is turned to the camera on the left, an edge that runs down is a left edge.
     forward = towards[row, left[edge]]
