@@ -56,13 +56,13 @@ def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
     Boxes are half-open, [x_min, x_max) × [y_min, y_max); the box of a silhouette without a pixel is
     (inf, inf, −inf, −inf).
     """
-    pixels: Array = np.bincount(spans.row, spans.stop - spans.start, minlength=count).astype(np.float64)
-    low = np.full((2, count), _FAR)
-    high = np.full((2, count), -1)
-    for column, values in enumerate((spans.start, spans.y)):
-        np.minimum.at(low[column], spans.row, values)
-    for column, values in enumerate((spans.stop, spans.y + 1)):
-        np.maximum.at(high[column], spans.row, values)
+    first = np.flatnonzero(np.diff(spans.row, prepend=-1))  # of the spans of one silhouette that follow each other
+    row = spans.row[first]
+    pixels: Array = np.bincount(row, np.add.reduceat(spans.stop - spans.start, first), minlength=count).astype(float)
+    low, high = np.full((2, count), _FAR), np.full((2, count), -1)
+    for axis, (starts, stops) in enumerate(((spans.start, spans.stop), (spans.y, spans.y + 1))):
+        np.minimum.at(low[axis], row, np.minimum.reduceat(starts, first))
+        np.maximum.at(high[axis], row, np.maximum.reduceat(stops, first))
     boxes: Array = np.where(pixels > 0, np.concatenate([low, high]), _NO_BOX[:, None]).T.copy()
     return pixels, boxes
 

@@ -24,10 +24,10 @@ from functools import cache
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, ranges
+from modsim3d.arrays import Array, Indices, Mask, ranges
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.truth.pixel_spans import Spans
-from modsim3d.truth.silhouettes import doubled_areas, doubled_face_areas
+from modsim3d.truth.silhouettes import doubled_areas
 from modsim3d.vessels.vessel import Solid
 
 HALF = SUBPIXELS // 2
@@ -58,43 +58,78 @@ def facing(corners_px: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Edges of outlines, ordered by silhouette, that all bound their silhouettes on the same side.
+    """Edges of the outlines of n silhouettes that cross scan lines of the image.
+
+    The left edges of all silhouettes come first, ordered by silhouette and from top to bottom, and then the right ones.
 
     Attributes:
-        row: Silhouette of each edge, shape (e,).
-        upper: Upper end on the grid, shape (e, 2).
-        lower: Lower end, shape (e, 2).
+        side: Silhouette of each edge; for right edges n is added, shape (e,).
+        upper: Column and row of the upper end on the grid, shape (2, e).
+        lower: Those of the lower end, shape (2, e).
         first: First scan line of the image that the edge crosses, shape (e,).
-        lines: Number of scan lines that it crosses, shape (e,).
+        stop: The scan line after the last, shape (e,).
     """
 
-    row: Indices
+    side: Indices
     upper: Array
     lower: Array
     first: Indices
-    lines: Indices
+    stop: Indices
 
     @classmethod
-    def of(cls, row: Indices, upper: Array, lower: Array, height: int) -> _Edges:
-        """Those edges that cross a scan line of an image of some height."""
+    def of(cls, vertices_px: Array, solid: Solid, height: int) -> _Edges:
+        """The edges between a face turned to the camera and one turned away, in an image of some height."""
+        x, y = _on_grid(vertices_px.T.copy())  # rows of a vertex each: they are taken faster than columns
+        (a, b, c), (start, end, left, right) = solid.faces.T, _edges_of(solid)
+        # As `facing` says. A face seen edge-on is taken to be turned away: the outline then runs around it.
+        towards = (y[b] - y[a]) * (x[c] - x[a]) > (x[b] - x[a]) * (y[c] - y[a])
+        edge, row = np.nonzero(towards[left] != towards[right])
+        one, other = start[edge], end[edge]
+        falls = y[one, row] < y[other, row]
+        above, below = np.where(falls, one, other), np.where(falls, other, one)
         # Pixel rows whose centre is at or below the upper end and above the lower: 256 y + 128 in [upper, lower).
         first, stop = (
-            np.clip(np.ceil((end[:, 1] - HALF) / SUBPIXELS), 0, height).astype(np.int64) for end in (upper, lower)
+            np.clip(np.ceil((y[vertex, row] - HALF) / SUBPIXELS), 0, height).astype(np.int64)
+            for vertex in (above, below)
         )
-        some = first < stop
-        return cls(row[some], upper[some], lower[some], first[some], (stop - first)[some])
+        # Walked with the face that is turned to the camera on the left, an edge that runs down is a left edge.
+        side = row + len(vertices_px) * (towards[left[edge], row] != falls)
+        some = np.flatnonzero(first < stop)
+        some = some[np.argsort(side[some] * height + first[some])]
+        above, below, row = above[some], below[some], row[some]
+        upper, lower = np.stack([x[above, row], y[above, row]]), np.stack([x[below, row], y[below, row]])
+        return cls(side[some], upper, lower, first[some], stop[some])
 
-    def columns(self, width: int) -> Indices:
-        """First column at or to the right of each edge in each of its lines, one edge after another, shape (c,)."""
-        (x, y), (dx, dy) = self.upper.T, (self.lower - self.upper).T
-        # 256 dy times the crossing, counted from the centre of column 0, at line 0 and from one line to the next.
-        at_zero, step, scale = (
-            np.repeat(values, self.lines)
-            for values in ((HALF - y) * dx + (x - HALF) * dy, SUBPIXELS * dx, SUBPIXELS * dy)
+    def broken(self, count: int) -> Mask:
+        """Which of n = `count` silhouettes do not have one left and one right edge in each of their lines, shape (n,).
+
+        The edges of a side must follow each other without a gap, and both sides must have the same lines.
+        """
+        same = self.side[1:] == self.side[:-1]
+        ends = np.full((2, 2 * count), -1)  # the first line of each side, and the one after its last
+        ends[0, self.side[::-1]], ends[1, self.side] = self.first[::-1], self.stop
+        broken: Mask = (ends[:, :count] != ends[:, count:]).any(axis=0)
+        broken[self.side[1:][same & (self.first[1:] != self.stop[:-1])] % count] = True
+        return broken
+
+    def take(self, chosen: Mask) -> _Edges:
+        """The chosen edges, by a mask of shape (e,)."""
+        return _Edges(
+            self.side[chosen], self.upper[:, chosen], self.lower[:, chosen], self.first[chosen], self.stop[chosen]
         )
-        crossing = (at_zero + step * ranges(self.first, self.lines)) / scale
-        columns: Indices = np.clip(np.ceil(crossing), 0, width).astype(np.int64)
-        return columns
+
+    def crossings(self, width: int) -> tuple[Indices, Indices, Indices]:
+        """Side, scan line, and first column at or to the right of the edge, of each line of each edge, shapes (c,)."""
+        lines = self.stop - self.first
+        y = ranges(self.first, lines)
+        (x0, y0), (dx, dy) = self.upper, self.lower - self.upper
+        # 256 dy times the crossing, counted from the centre of column 0, at line 0 and from one line to the next.
+        crossing = (SUBPIXELS * dx).repeat(lines)
+        crossing *= y
+        crossing += ((HALF - y0) * dx + (x0 - HALF) * dy).repeat(lines)
+        crossing /= (SUBPIXELS * dy).repeat(lines)
+        np.ceil(crossing, out=crossing)
+        return self.side.repeat(lines), y, np.clip(crossing, 0, width, out=crossing).astype(np.int64)
 
 
 def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int]) -> tuple[Spans, Indices]:
@@ -110,42 +145,16 @@ def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int
         convex outline.
     """
     (width, height), count = image_size_px, len(vertices_px)
-    sides = _outline_edges(vertices_px, solid, height)
-    # Each scan line from the first to the last of a silhouette has a place of its own.
-    top, bottom = np.full(count, height), np.zeros(count, dtype=np.int64)
-    for edges in sides:
-        np.minimum.at(top, edges.row, edges.first)
-        np.maximum.at(bottom, edges.row, edges.first + edges.lines)
-    heights = np.maximum(bottom - top, 0)
-    row, y = np.repeat(np.arange(count), heights), ranges(top, heights)
-    to_place = np.cumsum(heights) - heights - top
-    columns, crossings = [], []
-    for edges in sides:
-        place = ranges(to_place[edges.row] + edges.first, edges.lines)
-        columns.append(np.zeros(len(row), dtype=np.int64))
-        columns[-1][place] = edges.columns(width)
-        crossings.append(np.bincount(place, minlength=len(row)))
-    odd = np.unique(row[(crossings[0] != crossings[1]) | (crossings[0] > 1)])
-    filled = (columns[0] < columns[1]) & (crossings[0] == 1)
-    if len(odd):
-        filled &= ~np.isin(row, odd)
-    return Spans(row, y, *columns).take(filled), odd
+    edges = _Edges.of(vertices_px, solid, height)
+    broken = edges.broken(count)
+    if broken.any():
+        edges = edges.take(~broken[edges.side % count])
+    side, y, columns = edges.crossings(width)
+    start, stop = columns.reshape(2, -1)
+    spans = Spans(side[: len(start)], y[: len(start)], start, stop)
+    return spans.take(np.flatnonzero(start < stop)), np.flatnonzero(broken)
 
 
 def _on_grid(points_px: Array) -> Array:
     """Points in units of 1/256 px, rounded to whole numbers, same shape."""
     return np.rint(points_px * SUBPIXELS)
-
-
-def _outline_edges(vertices_px: Array, solid: Solid, height: int) -> tuple[_Edges, _Edges]:
-    """The edges between a face turned to the camera and one turned away: those on the left, and those on the right."""
-    (start, end, left, right), grid = _edges_of(solid), _on_grid(vertices_px)
-    # A face seen edge-on is taken to be turned away: the outline then runs around it.
-    towards = doubled_face_areas(grid, solid.faces) > 0
-    row, edge = np.nonzero(towards[:, left] != towards[:, right])
-    # Walked with the face that is turned to the camera on the left, an edge that runs down is a left edge.
-    forward = towards[row, left[edge]]
-    tail = grid[row, np.where(forward, start[edge], end[edge])]
-    head = grid[row, np.where(forward, end[edge], start[edge])]
-    down, up = head[:, 1] > tail[:, 1], head[:, 1] < tail[:, 1]
-    return _Edges.of(row[down], tail[down], head[down], height), _Edges.of(row[up], head[up], tail[up], height)
