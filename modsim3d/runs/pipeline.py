@@ -63,7 +63,7 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
         ModsimError: The vessel that carries a camera is missing.
     """
     taken = [(index, camera, scene.frame_steps(camera, first, stop)) for index, camera in enumerate(scene.cameras)]
-    every = np.unique(np.concatenate([steps for _, _, steps in taken]))
+    every = taken[0][2] if len(taken) == 1 else np.unique(np.concatenate([steps for _, _, steps in taken]))
     if not len(every):
         return no_truth()
     vessel_poses = scene.motion.at(every)  # waves take time: once for all cameras

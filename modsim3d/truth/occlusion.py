@@ -32,6 +32,8 @@ class HiddenPixels:
 
         There are such entries because an obstacle may consist of several solids.
         """
+        if not len(row):
+            return cls(row, occluder, px)
         order = np.lexsort((occluder, row))
         row, occluder, px = row[order], occluder[order], px[order]
         first = np.flatnonzero((np.diff(row, prepend=-1) != 0) | (np.diff(occluder, prepend=-1) != 0))

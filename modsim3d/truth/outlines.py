@@ -115,6 +115,9 @@ def outline(
     the near plane cuts they are the whole image, and it may be outside.
     """
     found = [_outline(intrinsics, camera_poses, some, measured) for some in bodies]
+    if len(found) == 1:  # they are in order
+        ((columns, part),) = found
+        return Outlines(**columns, parts=(part,) if len(part.rows) else ())
     columns = {name: np.concatenate([_NOTHING[name], *(columns[name] for columns, _ in found)]) for name in _COLUMNS}
     order = np.lexsort((columns["occluder"], columns["frame"]))
     place = new_numbers(order, len(order))
