@@ -180,9 +180,10 @@ class Intrinsics:
         line = (-up[..., None, :] @ self.inverse_matrix)[..., 0, :]  # one by one: many at once round otherwise
         length = np.hypot(line[..., 0], line[..., 1])
         level = length < 1e-12 * np.abs(line[..., 2])
-        scaled = line / np.where(level, 1.0, length)[..., None]
-        nadir = np.stack([0 * length, 0 * length, np.sign(line[..., 2])], axis=-1)
-        return np.where(level[..., None], nadir, scaled)
+        scaled: Array = line / np.where(level, 1.0, length)[..., None]
+        if level.any():
+            scaled[level, :2], scaled[level, 2] = 0.0, np.sign(line[level, 2])
+        return scaled
 
 
 @dataclass(frozen=True)
