@@ -196,13 +196,15 @@ def _measured(
         return boxes, areas, fractions
     # Of an obstacle only a box is needed, which may be too large. A mesh that the near plane cuts has no share.
     box_only = cut & (crosses & (not solid.convex and intrinsics.distortion is None) | (not bodies.boxed))
-    boxes[box_only] = _boxes_in_image(vertices[box_only], crosses[box_only], intrinsics, solid, bodies.boxed)
-    areas[box_only & ~(boxes[:, :2] < boxes[:, 2:]).all(axis=1)] = 0.0
+    if box_only.any():
+        boxes[box_only] = _boxes_in_image(vertices[box_only], crosses[box_only], intrinsics, solid, bodies.boxed)
+        areas[box_only & ~(boxes[:, :2] < boxes[:, 2:]).all(axis=1)] = 0.0
     rest = cut & ~box_only
-    silhouettes = silhouette_polygons(pinhole, vertices[rest], pixels[rest], crosses[rest], solid)
-    inside = in_image(silhouettes, intrinsics)
-    boxes[rest], areas[rest] = shapely.bounds(inside), shapely.area(inside)
-    fractions[rest] = np.where(crosses[rest], np.nan, share_in_image(silhouettes, inside, intrinsics))
+    if rest.any():
+        silhouettes = silhouette_polygons(pinhole, vertices[rest], pixels[rest], crosses[rest], solid)
+        inside = in_image(silhouettes, intrinsics)
+        boxes[rest], areas[rest] = shapely.bounds(inside), shapely.area(inside)
+        fractions[rest] = np.where(crosses[rest], np.nan, share_in_image(silhouettes, inside, intrinsics))
     return boxes, areas, fractions
 
 
