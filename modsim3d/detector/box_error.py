@@ -149,6 +149,8 @@ class BoxErrorSource:
             ModsimError: A box stays degenerate in `MOST_DRAWS` draws.
         """
         image, truth = true.frames.image_size_px, true.boxes_px
+        if not len(truth):
+            return MisplacedBoxes(truth, truth, np.empty(0, dtype=bool))
         errors = self.errors_px(true.state, sizes(truth), latent)
         redrawn = ~inside_image(move(truth, errors), image)
         rows = np.flatnonzero(redrawn)

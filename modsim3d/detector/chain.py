@@ -232,6 +232,7 @@ class Detector:
     def _scored(self, states: Indices, parts: Sequence[_Unscored], passed: Mask) -> Detections:
         """All detections with their confidence; their order within a frame is random."""
         names = [field.name for field in fields(_Unscored)]
+        parts = [part for part in parts if len(part.frame)] or parts[:1]  # in a live step, most are empty
         every = _Unscored(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
         width, height = sizes(every.boxes_px).T
         false, (uniforms, ties) = are_false(every.kind), every.uniforms.T

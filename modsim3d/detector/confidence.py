@@ -155,5 +155,7 @@ class Confidence:
         score = np.empty(len(state))
         for index, confidence in enumerate(self.states):
             rows = np.flatnonzero(state == index)
+            if not len(rows):
+                continue
             score[rows] = confidence.score(uniforms[rows], false[rows], visible_fraction[rows], size_px[rows])
         return np.clip(score, self.threshold, 1.0)

@@ -36,6 +36,8 @@ def keyed_uniforms(
 
     `frame` and `owner` are the index of each row into the frames and into `owners`, shapes (n,).
     """
+    if not len(frame):
+        return np.empty((0, purpose.uniforms))
     steps = frames.steps[frame]
     return streams.uniforms_of(purpose, frames.camera, owners=owners, owner=owner, steps=steps)
 

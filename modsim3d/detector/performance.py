@@ -23,6 +23,8 @@ class Performance:
 
     def forced(self, times_s: Array, states: Indices) -> Indices:
         """The states at times in seconds, given those of the chain, all of shape (S,)."""
+        if not self.schedule:
+            return states
         starts = [time_s for time_s, _ in self.schedule]
         entry = np.searchsorted(starts, times_s + _EARLY_S, side="right")
         schedule = np.array([-1, *(state for _, state in self.schedule)])[entry]

@@ -35,8 +35,9 @@ class PerformanceStates:
         """
         performance = self._model.performance
         owner = (frames.camera,) if performance.per_camera else ()
-        chain = self._chains.setdefault(owner, StateSequence(self._model, self._streams, *owner))
-        return performance.forced(frames.times_s, chain.at(frames))
+        if owner not in self._chains:
+            self._chains[owner] = StateSequence(self._model, self._streams, *owner)
+        return performance.forced(frames.times_s, self._chains[owner].at(frames))
 
 
 def transitions_before(interval_s: float | None, steps: Indices, times_s: Array) -> Indices:

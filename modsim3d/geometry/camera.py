@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, read_only
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.geometry.lens import Distortion
 
@@ -66,6 +66,11 @@ class Intrinsics:
         """K = [[f1, s, a1], [0, f2, a2], [0, 0, 1]], shape (3, 3)."""
         (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
         return np.array([[f1, self.skew, a1], [0.0, f2, a2], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def inverse_matrix(self) -> Array:
+        """K⁻¹, shape (3, 3)."""
+        return read_only(np.linalg.inv(self.matrix))
 
     def project(self, points_camera: ArrayLike) -> Array:
         """Columns and rows of points in CCF, in metres, shape (..., 3) to (..., 2) (eq. 4.18).
@@ -172,12 +177,13 @@ class Intrinsics:
             from the horizon in pixels. (0, 0, ±1) if the camera looks straight down or up.
         """
         up = np.asarray(camera_R_world, dtype=np.float64)[..., :, 2]
-        line = (-up[..., None, :] @ np.linalg.inv(self.matrix))[..., 0, :]  # one by one: many at once round otherwise
+        line = (-up[..., None, :] @ self.inverse_matrix)[..., 0, :]  # one by one: many at once round otherwise
         length = np.hypot(line[..., 0], line[..., 1])
         level = length < 1e-12 * np.abs(line[..., 2])
-        scaled = line / np.where(level, 1.0, length)[..., None]
-        nadir = np.stack([0 * length, 0 * length, np.sign(line[..., 2])], axis=-1)
-        return np.where(level[..., None], nadir, scaled)
+        scaled: Array = line / np.where(level, 1.0, length)[..., None]
+        if level.any():
+            scaled[level, :2], scaled[level, 2] = 0.0, np.sign(line[level, 2])
+        return scaled
 
 
 @dataclass(frozen=True)

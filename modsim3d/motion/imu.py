@@ -51,9 +51,12 @@ class Imu:
 
     def attitude_errors(self, streams: Streams, vessel: str, first: int, count: int) -> Array:
         """Errors of measured roll, pitch and heading of a vessel in rad, n = `count` steps from `first` on, (n, 3)."""
+        noises, biases = self._attitude_noises_rad, self._attitude_biases_rad
+        if not (noises.any() or biases.any()):
+            return np.zeros((count, 3))
         sample = grid_normals(streams.uniforms(Purpose.ATTITUDE_NOISE, vessel, first=first, count=count))
         offset = grid_normals(streams.uniforms(Purpose.ATTITUDE_BIAS, vessel, first=0, count=1))
-        return self._attitude_noises_rad * sample + self._attitude_biases_rad * offset
+        return noises * sample + biases * offset
 
     def errors(self, streams: Streams, vessel: str, first: int, count: int) -> tuple[Array, Array]:
         """Errors of the unit of a vessel at the n = `count` steps from `first` on.

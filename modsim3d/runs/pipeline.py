@@ -63,7 +63,7 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
         ModsimError: The vessel that carries a camera is missing.
     """
     taken = [(index, camera, scene.frame_steps(camera, first, stop)) for index, camera in enumerate(scene.cameras)]
-    every = np.unique(np.concatenate([steps for _, _, steps in taken]))
+    every = taken[0][2] if len(taken) == 1 else np.unique(np.concatenate([steps for _, _, steps in taken]))
     if not len(every):
         return no_truth()
     vessel_poses = scene.motion.at(every)  # waves take time: once for all cameras
@@ -77,6 +77,8 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
 
 def _camera_truth(scene: Scene, index: int, sight: Sight, renderer: IdRenderer | None) -> Truth:
     outlines = sight.outlines(as_shoeboxes=scene.annotation.source != "rendered")
+    if not outlines.boxed.any():
+        return no_truth()
     occlusion = occlusion_by(outlines, sight.camera.intrinsics, scene.annotation, renderer)
     truth = occlusion.truth(outlines, sight.steps, index)
     return truth.with_annotated(annotated_rows(truth, scene.annotation))
@@ -119,7 +121,7 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
     labels = np.array([index[vessel.label] for vessel in scene.vessels])
     times_s = scene.times_s(first, stop)
     for number, camera in enumerate(scene.cameras):
-        seen = truth.take(truth.camera == number)
+        seen = truth.of_camera(number)
         rows = np.flatnonzero(seen.annotated)
         steps, before = scene.frame_steps(camera, first, stop), scene.last_frame(camera, first)
         frames = CameraFrames(

@@ -112,7 +112,7 @@ def _check_place(scene: Scene, calm: Sight) -> None:
     if scene.annotation.allow_camera_inside:
         return
     sight, motion = calm, scene.motion
-    if within_reach := {*calm.vessels_within_reach().tolist()}.intersection(motion.moved):
+    if within_reach := {*calm.vessels_within_reach.tolist()}.intersection(motion.moved):
         moved = tuple(sorted(within_reach.union(scene.own_ships)))
         sight = scene.sight(calm.camera, calm.steps, replace(motion, moved=moved).at(calm.steps))
     inside = sight.body_around()

@@ -158,7 +158,7 @@ class Scene:
             detector_seed=detector_seed,
         )
 
-    @property
+    @cached_property
     def vessel_names(self) -> tuple[str, ...]:
         """IDs of the vessels, in order."""
         return tuple(vessel.name for vessel in self.vessels)
@@ -210,7 +210,7 @@ class Scene:
         """Times of steps first to stop − 1 since the first step, in seconds, shape (stop − first,)."""
         return times_s(self.poses.timestamps, first, stop)
 
-    @property
+    @cached_property
     def own_ships(self) -> tuple[int, ...]:
         """Indices of the vessels that carry a camera, ascending."""
         carriers = {camera.mount.vessel for camera in self.cameras}
@@ -280,9 +280,9 @@ class Scene:
         if carrier is None:
             return poses_ashore(camera.mount, len(steps))
         column = self.vessel_names.index(carrier)
-        absent = np.flatnonzero(~vessel_poses.poses.present[:, column])
-        if len(absent):
-            when = self.poses.timestamps[int(steps[absent[0]])]
+        present = vessel_poses.poses.present[:, column]
+        if not present.all():
+            when = self.poses.timestamps[int(steps[present.argmin()])]
             problem = f"cameras.{camera.name}.mount.vessel: '{carrier}' has no pose at time {when} s"
             raise InputError(self.title, [problem])
         composition = self.waves.composition if self.waves else "rigid"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -62,19 +63,22 @@ class Sight:
     def body_around(self) -> tuple[int, int] | None:
         """The first step (as an index) and the occluder that the camera is inside of, or None."""
         near = np.zeros(len(self.vessels), dtype=bool)
-        near[self.vessels_within_reach()] = True
+        near[self.vessels_within_reach] = True
         bodies = self._bodies(self.others & near) + self._own_hull() + self._obstacle_bodies()
         return first_body_around(self.camera_poses.positions_m, bodies)
 
+    @cached_property
     def vessels_within_reach(self) -> Indices:
         """Other vessels that the camera may be inside of at one of the steps, however waves move them, shape (k,)."""
-        reach_m = np.linalg.norm([vessel.extents_m for vessel in self.vessels], axis=1)
+        reach_m = np.array([vessel.reach_m for vessel in self.vessels])
         away_m = self.poses.positions_m - self.camera_poses.positions_m[:, None]
         near = self.others & (np.hypot(away_m[..., 0], away_m[..., 1]) <= reach_m)
         return np.flatnonzero(near.any(axis=0))
 
     def _own_hull(self) -> list[Bodies]:
         """The vessel that carries the camera, if it has a mesh: it hides others and has no box."""
+        if self.camera.mount.vessel is None:
+            return []
         with_mesh = np.array([vessel.has_mesh for vessel in self.vessels])
         return self._bodies(self.carriers & with_mesh, boxed=False)
 
@@ -97,7 +101,7 @@ def line_of_sight(
     curved: bool,
 ) -> Sight:
     """What a camera with some poses at S ascending steps, shape (S,), has in front of it; see `Sight`."""
-    carrier = np.array([vessel.name for vessel in vessels]) == camera.mount.vessel
+    carrier = np.array([vessel.name == camera.mount.vessel for vessel in vessels])
     poses = vessel_poses.poses
     if curved:
         lower = lowered(poses.positions_m, camera_poses.positions_m[:, None])

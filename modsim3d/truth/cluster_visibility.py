@@ -32,10 +32,14 @@ class Visibility:
     px: Indices
 
     @classmethod
-    def joined(cls, parts: list[Visibility]) -> Visibility:
-        """Several buffers as one."""
+    def none(cls) -> Visibility:
+        """Of no vessel."""
         nothing = np.empty(0, dtype=np.int64)
-        parts = [cls(nothing, Spans.none(), nothing, nothing, nothing), *parts]
+        return cls(nothing, Spans.none(), nothing, nothing, nothing)
+
+    @classmethod
+    def joined(cls, parts: list[Visibility]) -> Visibility:
+        """Several buffers, one at least, as one."""
         rows, hidden_row, hider, px = (
             np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "hidden_row", "hider", "px")
         )
@@ -144,7 +148,7 @@ def visibility_in_order(ordered: Ordered, boxed: Mask, image_size_px: tuple[int,
     number[order] = np.cumsum(is_new) - 1
     cuts = ends[order[is_new]]
     # Between two cuts, a piece of the line shows one span all along: the one that is painted last.
-    begin, end = np.split(number, 2)
+    begin, end = number.reshape(2, -1)
     piece, span = ranges(begin, end - begin), np.repeat(np.arange(len(begin)), end - begin)
     front = np.full(len(cuts), -1)
     front[piece] = span

@@ -8,15 +8,16 @@ apart in depth, which is seen without looking for a plane.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, read_only
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.truth.occlusion_order import order_of_pairs, pairs_by_parts
 from modsim3d.truth.outlines import Outlines, Part
-from modsim3d.vessels.vessel import shoebox
+from modsim3d.vessels.vessel import Solid, shoebox
 
 DEPTH_ERROR = 1e-4
 """Solids that are apart by less than this share of their distance are left to the depth buffer. Its 24 bits hold depths
@@ -46,14 +47,14 @@ def ranks_of(
     gap_m = per_metre * np.maximum(farthest[first], farthest[second])
     first_nearer = farthest[first] + gap_m < nearest[second]
     second_nearer = farthest[second] + gap_m < nearest[first]
-    asked = np.flatnonzero(~first_nearer & ~second_nearer)
-    order = order_of_pairs(_as_convex(outlines), first[asked], second[asked], gap_m[asked])
-    first_nearer[asked], second_nearer[asked] = order.first_can_hide, order.second_can_hide
-    touching = asked[order.intersecting]
-    first_nearer[touching] = _in_front(outlines, first[touching], second[touching], gap_m[touching])
-    second_nearer[touching] = _in_front(outlines, second[touching], first[touching], gap_m[touching])
-    known = np.ones(len(first), dtype=bool)
-    known[touching] = first_nearer[touching] | second_nearer[touching]
+    asked, known = np.flatnonzero(~first_nearer & ~second_nearer), np.ones(len(first), dtype=bool)
+    if len(asked):
+        order = order_of_pairs(_as_convex(outlines), first[asked], second[asked], gap_m[asked])
+        first_nearer[asked], second_nearer[asked] = order.first_can_hide, order.second_can_hide
+        touching = asked[order.intersecting]
+        first_nearer[touching] = _in_front(outlines, first[touching], second[touching], gap_m[touching])
+        second_nearer[touching] = _in_front(outlines, second[touching], first[touching], gap_m[touching])
+        known[touching] = first_nearer[touching] | second_nearer[touching]
     near = np.concatenate([first[first_nearer], second[second_nearer]])
     far = np.concatenate([second[first_nearer], first[second_nearer]])
     ranks = _ranks(near, far, len(outlines))
@@ -95,11 +96,15 @@ def _as_convex(outlines: Outlines) -> Outlines:
 
 def _boxes_around(part: Part) -> Array:
     """Corners of the boxes that the solids of vessels fill, in CCF, shape (m, 8, 3)."""
-    unit, corners = (
-        np.column_stack([solid.vertices, np.ones(len(solid.vertices))]) for solid in (part.solid, shoebox())
-    )
-    boxes: Array = corners @ np.linalg.pinv(unit) @ part.vertices_camera
+    boxes: Array = _corners_from_vertices(part.solid) @ part.vertices_camera
     return boxes
+
+
+@cache
+def _corners_from_vertices(solid: Solid) -> Array:
+    """What turns the vertices of a vessel's solid into the corners of its box, wherever it is, shape (8, K)."""
+    unit, corners = (np.column_stack([each.vertices, np.ones(len(each.vertices))]) for each in (solid, shoebox()))
+    return read_only(corners @ np.linalg.pinv(unit))
 
 
 def _depths(outlines: Outlines) -> tuple[Array, Array]:

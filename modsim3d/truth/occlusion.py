@@ -32,6 +32,8 @@ class HiddenPixels:
 
         There are such entries because an obstacle may consist of several solids.
         """
+        if not len(row):
+            return cls(row, occluder, px)
         order = np.lexsort((occluder, row))
         row, occluder, px = row[order], occluder[order], px[order]
         first = np.flatnonzero((np.diff(row, prepend=-1) != 0) | (np.diff(occluder, prepend=-1) != 0))
@@ -150,7 +152,7 @@ class Occlusion:
             annotated=np.zeros(len(step), dtype=bool),
             intersections=np.column_stack([pair_step, pair_camera, outlines.occluder[self.intersecting]]),
         )
-        return truth.take(outlines.boxed)
+        return truth if outlines.boxed.all() else truth.take(outlines.boxed)
 
 
 _COLUMNS = ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px")

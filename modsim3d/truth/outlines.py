@@ -115,6 +115,9 @@ def outline(
     the near plane cuts they are the whole image, and it may be outside.
     """
     found = [_outline(intrinsics, camera_poses, some, measured) for some in bodies]
+    if len(found) == 1:  # they are in order
+        ((columns, part),) = found
+        return Outlines(**columns, parts=(part,) if len(part.rows) else ())
     columns = {name: np.concatenate([_NOTHING[name], *(columns[name] for columns, _ in found)]) for name in _COLUMNS}
     order = np.lexsort((columns["occluder"], columns["frame"]))
     place = new_numbers(order, len(order))
@@ -144,32 +147,20 @@ def _outline(
     camera = camera_poses.to_camera(bodies.vertices_world())
     in_front = camera[..., 2] >= intrinsics.near_clip_m
     frame, body = np.nonzero(bodies.present & in_front.any(axis=-1))
-    vertices, behind = camera[frame, body], ~in_front[frame, body]
-    crosses: Mask = np.any(behind, axis=-1)
+    vertices, crosses = camera[frame, body], ~np.all(in_front[frame, body], axis=-1)
     pixels = pinhole.project(vertices)
-    boxes = np.concatenate([_least(pixels), -_least(-pixels)], axis=-1)
-    size = np.array(pinhole.image_size_px, dtype=np.float64)
-    touching = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1)
-    touching[crosses] = ~_beside_image(vertices[crosses], pinhole)
-    areas, fractions = np.full((2, len(boxes)), np.nan)
+    boxes, size = _boxes_of(pixels), np.array(pinhole.image_size_px, dtype=np.float64)
+    touching: Mask = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1)
+    if crosses.any():
+        touching[crosses] = ~_beside_image(vertices[crosses], pinhole)
+    frame, body, crosses = frame[touching], body[touching], crosses[touching]
+    vertices, pixels, boxes = vertices[touching], pixels[touching], boxes[touching]
     if measured:
-        whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
-        cut = touching & ~(whole & (intrinsics.distortion is None))
-        fractions[~cut] = 1.0
-        if solid.convex:
-            areas[~cut] = _projected_areas(pixels[~cut], solid)
-        # Of an obstacle only a box is needed, which may be too large. A mesh that the near plane cuts has no share.
-        box_only = cut & (crosses & (not solid.convex and intrinsics.distortion is None) | (not bodies.boxed))
-        boxes[box_only] = _boxes_in_image(vertices[box_only], crosses[box_only], intrinsics, solid, bodies.boxed)
-        rest = cut & ~box_only
-        silhouettes = silhouette_polygons(pinhole, vertices[rest], pixels[rest], crosses[rest], solid)
-        inside = in_image(silhouettes, intrinsics)
-        boxes[rest], areas[rest] = shapely.bounds(inside), shapely.area(inside)
-        fractions[rest] = np.where(crosses[rest], np.nan, share_in_image(silhouettes, inside, intrinsics))
-        touching &= ~box_only | np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
+        boxes, areas, fractions = _measured(intrinsics, bodies, vertices, pixels, crosses, boxes)
     else:
         boxes[crosses] = [0, 0, *size]
-    rows = np.flatnonzero(touching & ~(areas <= 0))
+        areas, fractions = np.full((2, len(boxes)), np.nan)
+    rows = np.flatnonzero(~(areas <= 0))
     if solid.convex:
         depth = vertices[rows, :, 2].mean(axis=-1)
     else:
@@ -185,6 +176,36 @@ def _outline(
         "crosses_near": crosses[rows],
     }
     return columns, Part(solid, np.arange(len(rows)), vertices[rows], pixels[rows])
+
+
+def _measured(
+    intrinsics: Intrinsics, bodies: Bodies, vertices: Array, pixels: Array, crosses: Mask, boxes: Array
+) -> tuple[Array, Array, Array]:
+    """Boxes in the image (n, 4), areas (n,) and shares (n,) of n solids, as `Outlines` has them.
+
+    The area is 0 where the box of an obstacle shows that it is not in the image. `boxes` (n, 4) are around the pixels;
+    for `vertices`, `pixels` and `crosses` see `silhouette_polygons`.
+    """
+    solid, pinhole, boxes = bodies.solid, intrinsics.pinhole, boxes.copy()
+    whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= pinhole.image_size_px), axis=1) & ~crosses
+    cut: Mask = ~(whole & (intrinsics.distortion is None))
+    areas, fractions = np.full(len(boxes), np.nan), np.where(cut, np.nan, 1.0)
+    if solid.convex:
+        areas[~cut] = _projected_areas(pixels[~cut], solid)
+    if not cut.any():
+        return boxes, areas, fractions
+    # Of an obstacle only a box is needed, which may be too large. A mesh that the near plane cuts has no share.
+    box_only = cut & (crosses & (not solid.convex and intrinsics.distortion is None) | (not bodies.boxed))
+    if box_only.any():
+        boxes[box_only] = _boxes_in_image(vertices[box_only], crosses[box_only], intrinsics, solid, bodies.boxed)
+        areas[box_only & ~(boxes[:, :2] < boxes[:, 2:]).all(axis=1)] = 0.0
+    rest = cut & ~box_only
+    if rest.any():
+        silhouettes = silhouette_polygons(pinhole, vertices[rest], pixels[rest], crosses[rest], solid)
+        inside = in_image(silhouettes, intrinsics)
+        boxes[rest], areas[rest] = shapely.bounds(inside), shapely.area(inside)
+        fractions[rest] = np.where(crosses[rest], np.nan, share_in_image(silhouettes, inside, intrinsics))
+    return boxes, areas, fractions
 
 
 def _beside_image(vertices_camera: Array, intrinsics: Intrinsics) -> Mask:
@@ -215,10 +236,11 @@ def _boxes_in_image(vertices_camera: Array, crosses: Mask, intrinsics: Intrinsic
     return boxes
 
 
-def _least(pixels: Array) -> Array:
-    """Least column and row of the projected vertices (n, K, 2) of each solid; NaN is left out, shape (n, 2)."""
-    columns, rows = (np.where(np.isnan(place), np.inf, place).min(axis=1) for place in np.moveaxis(pixels, -1, 0))
-    return np.stack([columns, rows], axis=-1)
+def _boxes_of(pixels: Array) -> Array:
+    """Boxes around the projected vertices (n, K, 2) of n solids; those that are NaN are left out, shape (n, 4)."""
+    x, y = pixels[..., 0], pixels[..., 1]
+    sides = [bound.reduce(values, axis=1) for bound in (np.fmin, np.fmax) for values in (x, y)]
+    return np.stack(sides, axis=-1)
 
 
 def _projected_areas(pixels: Array, solid: Solid) -> Array:

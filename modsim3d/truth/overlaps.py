@@ -29,9 +29,12 @@ def overlapping_pairs(frame: Indices, boxes_px: Array, some_of: Mask | None = No
         First and second rows in ascending order, each of shape (P,), first < second.
     """
     n, chosen = len(frame), np.ones(len(frame), dtype=bool) if some_of is None else some_of
+    if n < 2:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     left, top, right, bottom = np.ascontiguousarray(boxes_px.T)
     # Right sides come before left sides at the same place: boxes that only touch do not overlap.
-    side = np.lexsort((np.repeat([1, 0], n), np.concatenate([left, right]), np.tile(frame, 2)))
+    is_left = np.arange(2 * n) < n
+    side = np.lexsort((is_left, np.concatenate([left, right]), np.concatenate([frame, frame])))
     place = np.empty(2 * n, dtype=np.int64)
     place[side] = np.arange(2 * n)
     begun = side[side < n]
@@ -58,6 +61,8 @@ def _begins_within(place: Indices, side: Indices, rows: Indices, others: Indices
         rows: Shape (k,).
         others: In the order of the sweep, shape (m,).
     """
+    if not len(rows):
+        return rows, rows
     n = len(place) // 2
     # How many of `others` begin before each place.
     is_other = np.zeros(2 * n + 1, dtype=np.int64)

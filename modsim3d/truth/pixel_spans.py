@@ -68,7 +68,9 @@ def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
 
 
 def joined_spans(parts: Sequence[Spans]) -> Spans:
-    """Spans of several sets, one set after another."""
+    """Spans of several sets, one at least, one set after another."""
+    if len(parts) == 1:
+        return parts[0]
     return Spans(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("row", "y", "start", "stop")))
 
 

@@ -54,6 +54,8 @@ def rendered_occlusion(
 def _portions(outlines: Outlines, supersample: int) -> list[Indices]:
     """The rows of runs of whole frames that have about `MOST_LINES` scan lines together; one run at least."""
     heights = (outlines.boxes_px[:, 3] - outlines.boxes_px[:, 1]) * supersample
+    if heights.sum() < MOST_LINES:
+        return [np.arange(len(outlines))]
     before = np.cumsum(heights) - heights
     begins = np.flatnonzero(np.diff(outlines.frame, prepend=-1))
     portion = before[begins] // MOST_LINES
@@ -66,19 +68,13 @@ def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer,
     silhouettes = _silhouettes(drawing, whole)
     full_px, full_boxes = counts_and_boxes(silhouettes, len(outlines))
     boxes = np.where(outlines.boxed[:, None], full_boxes, drawing.pixel_boxes)
-    pairs = ClusteredPairs.of(outlines, boxes)
-    ordered = _in_order(drawing, silhouettes, boxes, pairs, whole)
-    to_draw = ~np.isin(pairs.cluster, ordered.pairs.cluster)
-    clusters = clusters_of(outlines, boxes, pairs.take(to_draw))
-    if not all(fits_a_buffer((cluster.shared.width, cluster.shared.height)) for cluster in clusters):
+    seen = _seen(drawing, silhouettes, boxes, whole)
+    if seen is None:
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)  # which draws in tiles
-    in_order = visibility_in_order(ordered, outlines.boxed, (drawing.image.width, drawing.image.height))
-    seen = Visibility.joined(
-        [in_order, *(visibility_in(drawing, silhouettes, batch) for batch in batches_of(clusters))]
-    )
-    drawn_px, drawn_boxes = counts_and_boxes(seen.visible, len(outlines))
     visible_px, visible_boxes = full_px.copy(), full_boxes.copy()
-    visible_px[seen.rows], visible_boxes[seen.rows] = drawn_px[seen.rows], drawn_boxes[seen.rows]
+    if len(seen.rows):
+        drawn_px, drawn_boxes = counts_and_boxes(seen.visible, len(outlines))
+        visible_px[seen.rows], visible_boxes[seen.rows] = drawn_px[seen.rows], drawn_boxes[seen.rows]
     # In buffer pixels all counts are whole numbers, whose sums are exact; only then are they divided.
     hidden = HiddenPixels.of(seen.hidden_row, outlines.occluder[seen.hider], seen.px.astype(np.float64))
     return Occlusion(
@@ -88,6 +84,27 @@ def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer,
         visible_px=visible_px / supersample**2,
         hidden=replace(hidden, px=hidden.px / supersample**2),
     )
+
+
+def _seen(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, whole: Mask) -> Visibility | None:
+    """What is visible of the vessels whose boxes (n, 4) of whole pixels overlap others; None if no buffer holds them.
+
+    For `silhouettes` and `whole` see `_silhouettes`.
+    """
+    outlines = drawing.outlines
+    pairs = ClusteredPairs.of(outlines, boxes)
+    if not len(pairs.first):
+        return Visibility.none()
+    ordered = _in_order(drawing, silhouettes, boxes, pairs, whole)
+    in_order = visibility_in_order(ordered, outlines.boxed, (drawing.image.width, drawing.image.height))
+    if len(ordered.pairs.first) == len(pairs.first):
+        return in_order
+    to_draw = ~np.isin(pairs.cluster, ordered.pairs.cluster)
+    clusters = clusters_of(outlines, boxes, pairs.take(to_draw))
+    if not all(fits_a_buffer((cluster.shared.width, cluster.shared.height)) for cluster in clusters):
+        return None
+    drawn = [visibility_in(drawing, silhouettes, batch) for batch in batches_of(clusters)]
+    return Visibility.joined([in_order, *drawn])
 
 
 def _silhouettes(drawing: BufferDrawing, whole: Mask) -> Spans:
@@ -151,8 +168,9 @@ def _in_order(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, pairs: C
     doubtful = np.ones(len(pairs.first), dtype=bool)
     doubtful[asked] = ~known[: len(asked)]
     unknown = ~known[len(asked) :]
-    doubtful |= _behind_both(pairs, ranks, boxes, one[unknown], other[unknown])
-    in_order = pairs.take(~np.isin(pairs.cluster, pairs.cluster[doubtful]))
+    if unknown.any():
+        doubtful |= _behind_both(pairs, ranks, boxes, one[unknown], other[unknown])
+    in_order = pairs.take(~np.isin(pairs.cluster, pairs.cluster[doubtful])) if doubtful.any() else pairs
     every = joined_spans([silhouettes, spans]).ordered() if len(spans.row) else silhouettes
     return Ordered(in_order, ranks, every)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -32,10 +33,12 @@ def silhouette_polygons(
     """
     polygons = np.empty(len(pixels), dtype=object)
     if solid.convex:
-        polygons[~crosses] = shapely.convex_hull(shapely.multipoints(pixels[~crosses]))
+        polygons[~crosses] = shapely.convex_hull(shapely.linestrings(pixels[~crosses]))
     else:
         for row in np.flatnonzero(~crosses).tolist():
             polygons[row] = union_of(pixels[row][solid.faces], both_sides=not solid.closed)
+    if not crosses.any():
+        return polygons
     triangles, member = cut_near(vertices[crosses][:, solid.faces], intrinsics, solid)
     rows, clipped = np.flatnonzero(crosses).tolist(), intrinsics.project(triangles)
     for row, own in zip(rows, np.split(clipped, np.searchsorted(member, np.arange(1, len(rows)))), strict=False):
@@ -51,7 +54,7 @@ def in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> NDArra
 
     They are seen through the lens if it distorts.
     """
-    seen: NDArray[np.object_] = shapely.intersection(silhouettes, _image(intrinsics.pinhole))
+    seen: NDArray[np.object_] = shapely.intersection(silhouettes, _image(intrinsics.pinhole.image_size_px))
     if intrinsics.distortion is None:
         return seen
 
@@ -61,7 +64,7 @@ def in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> NDArra
         return intrinsics.through_lens(points)[which.reshape(-1)]
 
     bent = shapely.transform(shapely.segmentize(seen, intrinsics.chord_px), _bend)
-    return np.asarray(shapely.intersection(shapely.make_valid(bent), _image(intrinsics)))
+    return np.asarray(shapely.intersection(shapely.make_valid(bent), _image(intrinsics.image_size_px)))
 
 
 def share_in_image(silhouettes: NDArray[np.object_], inside: NDArray[np.object_], intrinsics: Intrinsics) -> Array:
@@ -77,8 +80,9 @@ def share_in_image(silhouettes: NDArray[np.object_], inside: NDArray[np.object_]
     return share
 
 
-def _image(intrinsics: Intrinsics) -> shapely.Polygon:
-    return shapely.box(0, 0, *map(float, intrinsics.image_size_px))
+@cache
+def _image(size_px: tuple[int, int]) -> shapely.Polygon:
+    return shapely.box(0, 0, *map(float, size_px))
 
 
 def doubled_areas(triangles_px: NDArray[Number]) -> NDArray[Number]:
@@ -93,7 +97,7 @@ def doubled_areas(triangles_px: NDArray[Number]) -> NDArray[Number]:
 
 def doubled_face_areas(vertices_px: Array, faces: Indices) -> Array:
     """`doubled_areas` of the faces (F, 3) of n solids from their projected vertices (n, K, 2), shape (n, F)."""
-    (x, y), (a, b, c) = np.moveaxis(vertices_px, -1, 0), faces.T
+    x, y, (a, b, c) = vertices_px[..., 0], vertices_px[..., 1], faces.T
     ax, bx, ay, by = x[:, b] - x[:, a], x[:, c] - x[:, a], y[:, b] - y[:, a], y[:, c] - y[:, a]
     areas: Array = ay * bx - ax * by
     return areas

@@ -72,6 +72,11 @@ class Truth:
             intersections=self.intersections,
         )
 
+    def of_camera(self, camera: int) -> Truth:
+        """The rows of one camera, by its index."""
+        rows = self.camera == camera
+        return self if rows.all() else self.take(rows)
+
     def with_annotated(self, annotated: Mask) -> Truth:
         """The same rows with another column `annotated`, shape (n,)."""
         return replace(self, annotated=annotated)
@@ -102,7 +107,9 @@ def no_truth() -> Truth:
 
 
 def concatenate(parts: Sequence[Truth]) -> Truth:
-    """The rows of several records, at least one, in order of step, camera and vessel."""
+    """The rows of several records, at least one, in order of step, camera and vessel; each has this order already."""
+    if len(parts) == 1:
+        return parts[0]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ROW_COLUMNS}
     counts = np.concatenate([np.diff(part.occluder_offsets) for part in parts])
     truth = Truth(

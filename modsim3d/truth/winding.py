@@ -15,7 +15,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask, ranges
 from modsim3d.render.id_pass import SUBPIXELS
-from modsim3d.truth.pixel_spans import Spans
+from modsim3d.truth.pixel_spans import Spans, joined_spans
 from modsim3d.truth.silhouettes import doubled_face_areas
 from modsim3d.vessels.vessel import Solid
 
@@ -91,6 +91,8 @@ class _Edges:
 
     def portions(self) -> list[_Edges]:
         """The edges of some silhouettes after the others."""
+        if self.lines.sum() < MOST_CROSSINGS:
+            return [self]
         crossings = np.cumsum(np.bincount(self.row, self.lines))
         limits = np.searchsorted(self.row, np.flatnonzero(np.diff(crossings // MOST_CROSSINGS)) + 1)
         columns = [np.split(getattr(self, field.name), limits) for field in fields(self)]
@@ -125,5 +127,4 @@ def winding_spans(vertices_px: Array, solid: Solid, image_size_px: tuple[int, in
         image_size_px: Width and height of the buffer.
     """
     width, height = image_size_px
-    portions = [some.spans(width, height) for some in _Edges.of(vertices_px, solid, height).portions()]
-    return Spans(*(np.concatenate([getattr(some, field.name) for some in portions]) for field in fields(Spans)))
+    return joined_spans([some.spans(width, height) for some in _Edges.of(vertices_px, solid, height).portions()])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, read_only
 from modsim3d.geometry.curved_sea import drop_m
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.vessels.bodies import Bodies
@@ -102,21 +102,17 @@ def obstacle_bodies(
     On a curved sea `cameras_m` are the camera centres in WCF, shape (S, 3), and each obstacle is lowered by the drop at
     its centre. On a flat sea it is None.
     """
-    members_of: dict[Solid, list[tuple[int, Array]]] = {}
-    for index, obstacle in enumerate(obstacles):
-        for solid, vertices in obstacle.solids:
-            members_of.setdefault(solid, []).append((index, vertices))
     bodies = []
-    for solid, members in members_of.items():
-        vertices, count = np.stack([vertices for _, vertices in members]), len(members)
+    for solid, index, vertices in _grouped(tuple(obstacles)):
+        count = len(index)
         positions = np.zeros((steps, count, 3))
         if cameras_m is not None:
-            centres = np.array([obstacles[index].centre_m for index, _ in members])
+            centres = np.array([obstacles[each].centre_m for each in index.tolist()])
             positions[..., 2] -= drop_m(centres, cameras_m[:, None])
         bodies.append(
             Bodies(
                 solid=solid,
-                occluder=np.array([first_occluder + index for index, _ in members]),
+                occluder=first_occluder + index,
                 boxed=False,
                 vertices_m=vertices,
                 centres_m=(vertices.min(axis=1) + vertices.max(axis=1)) / 2,
@@ -126,3 +122,16 @@ def obstacle_bodies(
             )
         )
     return bodies
+
+
+@lru_cache(maxsize=16)
+def _grouped(obstacles: tuple[Obstacle, ...]) -> tuple[tuple[Solid, Indices, Array], ...]:
+    """Solids, and for each the index of its obstacles (B,) and their vertices (B, K, 3); a live step has no time."""
+    members_of: dict[Solid, list[tuple[int, Array]]] = {}
+    for index, obstacle in enumerate(obstacles):
+        for solid, vertices in obstacle.solids:
+            members_of.setdefault(solid, []).append((index, vertices))
+    return tuple(
+        (solid, np.array([index for index, _ in members]), read_only([vertices for _, vertices in members]))
+        for solid, members in members_of.items()
+    )

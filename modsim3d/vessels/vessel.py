@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, field_validator
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, read_only
 from modsim3d.errors import InputError
 from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.validation import MOST_PROBLEMS, Strict, describe, join_path, kind_of, shown
@@ -69,10 +69,15 @@ class Vessel:
     solid: Solid = field(default_factory=shoebox)
     shape: str = ""
 
-    @property
+    @cached_property
     def extents_m(self) -> Array:
-        """Length, beam and air draft in metres, shape (3,)."""
-        return np.array([self.length_m, self.beam_m, self.air_draft_m])
+        """Length, beam and air draft in metres, read-only, shape (3,)."""
+        return read_only([self.length_m, self.beam_m, self.air_draft_m])
+
+    @cached_property
+    def reach_m(self) -> float:
+        """Greatest distance from the origin of VCF to a point of the vessel, or more."""
+        return float(np.linalg.norm(self.extents_m))
 
     def to_trimesh(self) -> trimesh.Trimesh:
         """The vessel's solid in VCF, scaled to length × beam × air draft, in metres."""

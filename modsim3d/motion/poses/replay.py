@@ -160,8 +160,8 @@ def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Ma
         if name not in columns:
             problems.append(f"{join_path(timestamp, name)}: no vessel '{name}' ({nearest(name, columns)})")
             continue
-        if found := _pose_problems(entry, join_path(timestamp, name)):
-            problems += found
+        if found := _pose_problems(entry):
+            problems += [join_path(timestamp, name) + problem for problem in found]
             continue
         column = columns[name]
         poses.present[step, column] = True
@@ -186,27 +186,34 @@ def time_problems(timestamps: list[str]) -> list[str]:
     return problems[:MAX_PROBLEMS]
 
 
-def _pose_problems(entry: Any, path: str) -> list[str]:
+_KEYS = {"center_position_m", "heading_rad"}
+
+
+def _pose_problems(entry: Any) -> list[str]:
+    """What is wrong with the entry of a vessel, each to stand right after the entry's path."""
     if not isinstance(entry, dict):
-        return [f"{path}: a mapping with center_position_m and heading_rad is needed (got {shown(entry)})"]
-    known = ("center_position_m", "heading_rad")
-    unknown = [key for key in entry if key not in known][:MAX_PROBLEMS]
-    problems = [f"{path}.{key}: unknown key ({nearest(key, known)})" for key in unknown]
-    problems += [f"{path}.{key}: missing" for key in known if key not in entry]
-    if problems:
-        return problems
+        return [f": a mapping with center_position_m and heading_rad is needed (got {shown(entry)})"]
+    if entry.keys() != _KEYS:
+        known = sorted(_KEYS)
+        unknown = [key for key in entry if key not in known][:MAX_PROBLEMS]
+        problems = [f".{key}: unknown key ({nearest(key, known)})" for key in unknown]
+        return problems + [f".{key}: missing" for key in known if key not in entry]
+    problems = []
     position, heading = entry["center_position_m"], entry["heading_rad"]
     if not isinstance(position, list) or len(position) != 3 or not all(map(_finite, position)):
-        problems.append(f"{path}.center_position_m: three finite numbers in metres are needed (got {shown(position)})")
+        problems.append(f".center_position_m: three finite numbers in metres are needed (got {shown(position)})")
     elif max(map(abs, position)) > MAX_COORDINATE_M:
-        problems.append(f"{path}.center_position_m: is farther than {MAX_COORDINATE_M:g} m (got {shown(position)})")
+        problems.append(f".center_position_m: is farther than {MAX_COORDINATE_M:g} m (got {shown(position)})")
     if not _finite(heading):
-        problems.append(f"{path}.heading_rad: a finite number of radians is needed (got {shown(heading)})")
+        problems.append(f".heading_rad: a finite number of radians is needed (got {shown(heading)})")
     return problems
 
 
+_NUMBERS = float, int
+
+
 def _finite(value: Any) -> bool:
-    if not isinstance(value, int | float) or isinstance(value, bool):
+    if not isinstance(value, _NUMBERS) or isinstance(value, bool):
         return False
     try:
         return math.isfinite(value)
