@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
+from functools import cached_property
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -106,10 +108,14 @@ class IdRenderer:
     """
 
     def __init__(self, context: GLContext) -> None:
-        """Compile the shaders and set the state that all drawings share."""
+        """Draw in a context."""
         self.context = context
-        gl = context.gl
         self._buffers: dict[tuple[int, int], tuple[int, Any]] = {}
+
+    @cached_property
+    def _gl(self) -> ModuleType:
+        """OpenGL, once the shaders are compiled and the state is set that all drawings share."""
+        gl = self.context.gl
         gl.glBindVertexArray(gl.glGenVertexArrays(1))
         gl.glUseProgram(_program(gl))
         gl.glBindBuffer(gl.GL_ARRAY_BUFFER, gl.glGenBuffers(1))
@@ -121,6 +127,7 @@ class IdRenderer:
         gl.glDepthFunc(gl.GL_GREATER)
         gl.glClearDepth(0.0)
         gl.glPixelStorei(gl.GL_PACK_ALIGNMENT, 4)
+        return gl
 
     def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
         """The ID at each pixel of a region, shape (region.height, region.width); zero where nothing is.
@@ -166,7 +173,7 @@ class IdRenderer:
                 f"an ID buffer of {width} × {height} px is too large: at most {MAX_REGION_PX} px a side"
             )
         vertices, origins = _vertices(corners_px, inverse_depth, ids, counts, sheet)
-        gl = self.context.gl
+        gl = self._gl
         self._bind_buffer(width, height)
         gl.glClearBufferuiv(gl.GL_COLOR, 0, np.zeros(4, dtype=np.uint32))
         gl.glClear(gl.GL_DEPTH_BUFFER_BIT)
@@ -187,7 +194,7 @@ class IdRenderer:
     def _bind_buffer(self, width: int, height: int) -> None:
         """Bind a buffer that is little larger than a region, since all of it is cleared; make it at first use."""
         size = _buffer_side(width), _buffer_side(height)
-        gl = self.context.gl
+        gl = self._gl
         if size in self._buffers:
             self._buffers[size] = self._buffers.pop(size)  # which makes it the last used
         else:
