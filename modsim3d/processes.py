@@ -2,41 +2,30 @@
 
 from __future__ import annotations
 
-import ctypes
-import multiprocessing
 import os
 import re
-import signal
-import sys
 import threading
-import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
+from functools import partial
 from numbers import Integral
-from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from modsim3d.errors import ModsimError
+from modsim3d.worker_process import DiedError, Task, WorkerProcess, may_fork
 
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
 MOST_WORKERS = 1024
 AHEAD = 3
-"""Pieces that may wait for each worker process; it bounds the memory."""
+"""Pieces that may wait for each worker; it bounds the memory."""
 
 T = TypeVar("T")
 P = TypeVar("P")
 W = TypeVar("W")
 W_co = TypeVar("W_co", covariant=True)
-
-
-_Task = tuple[Future[Any], Callable[[Any, Any], Any], Any]
-"""Where the result goes, the work and the piece."""
 
 
 WorkerCount = int | Literal["auto"]
@@ -91,7 +80,11 @@ class Workers(Protocol[W_co]):
 
 
 def open_workers(
-    workers: WorkerCount, if_killed: str, set_up: Callable[..., AbstractContextManager[W]], *arguments: Any
+    workers: WorkerCount,
+    if_killed: str,
+    set_up: Callable[..., AbstractContextManager[W]],
+    *arguments: Any,
+    here_too: bool = False,
 ) -> AbstractContextManager[Workers[W]]:
     """One worker in this process, or several in processes of their own.
 
@@ -100,32 +93,34 @@ def open_workers(
         if_killed: What a user should do if a worker process dies.
         set_up: Opens a worker. Called once in each process with `arguments`, which must be picklable.
         *arguments: Arguments of `set_up`.
+        here_too: Of several workers, one is in this process and works while it waits for the others.
 
     Raises:
-        ModsimError: This is no number of workers, or there are several and this process is itself a worker.
+        ModsimError: This is no number of workers.
     """
-    count = worker_count(workers)
-    if count > 1 and _made_by_multiprocessing():
-        raise ModsimError(
-            "workers cannot be started inside a process that multiprocessing made; a script that starts them must do "
-            "so under `if __name__ == '__main__':`"
-        )
-    return _opened(count, if_killed, set_up, *arguments)
+    return _opened(worker_count(workers), if_killed, set_up, arguments, here_too)
 
 
 @contextmanager
 def _opened(
-    count: int, if_killed: str, set_up: Callable[..., AbstractContextManager[W]], *arguments: Any
+    count: int,
+    if_killed: str,
+    set_up: Callable[..., AbstractContextManager[W]],
+    arguments: tuple[Any, ...],
+    here_too: bool,
 ) -> Iterator[Workers[W]]:
     if count == 1:
         with set_up(*arguments) as worker:
             yield _ThisProcess(worker)
         return
-    start = multiprocessing.get_context("fork").Process if _may_fork() else multiprocessing.get_context("spawn").Process
-    started = [_WorkerProcess(start, set_up, arguments) for _ in range(count)]  # all before the first thread starts
-    processes: _Processes[W] = _Processes(started, if_killed)
+    fork = may_fork()
+    started = [WorkerProcess(fork, set_up, arguments) for _ in range(count - here_too)]  # before the first thread
+    processes: _Processes[W] = _Processes(started, count * AHEAD, if_killed)
     try:
-        yield processes
+        with ExitStack() as opened:
+            if here_too:
+                processes.work_here(opened.enter_context(set_up(*arguments)))
+            yield processes
     finally:
         processes.close()
 
@@ -139,22 +134,27 @@ class _ThisProcess(Generic[W]):
 
 
 class _Processes(Generic[W]):
-    """Worker processes, each with a thread here that hands it one piece after another and waits for the result."""
+    """Worker processes, each with a thread here that hands it pieces and waits for the results."""
 
-    def __init__(self, processes: list[_WorkerProcess], if_killed: str) -> None:
-        self._processes = processes
+    def __init__(self, processes: list[WorkerProcess], most_waiting: int, if_killed: str) -> None:
         self._if_killed = if_killed
-        self._tasks: SimpleQueue[_Task | None] = SimpleQueue()
-        self._threads = [threading.Thread(target=self._hand_out, args=(process,)) for process in processes]
+        self._most_waiting = most_waiting
+        self._do_here: Callable[[Task | None], None] | None = None
+        self._tasks: SimpleQueue[Task | None] = SimpleQueue()
+        self._threads = [threading.Thread(target=process.do_all, args=(self._tasks,)) for process in processes]
         for thread in self._threads:
             thread.start()
+
+    def work_here(self, worker: W) -> None:
+        """Let this process do pieces too, with a worker of its own, while it waits for a result."""
+        self._do_here = partial(_do, worker)
 
     def map(self, work: Callable[[W, P], T], pieces: Iterable[P]) -> Iterator[T]:
         waiting: deque[Future[T]] = deque()
         for piece in pieces:
             waiting.append(Future())
             self._tasks.put((waiting[-1], work, piece))
-            if len(waiting) >= len(self._processes) * AHEAD:
+            if len(waiting) >= self._most_waiting:
                 yield self._result(waiting.popleft())
         while waiting:
             yield self._result(waiting.popleft())
@@ -167,116 +167,21 @@ class _Processes(Generic[W]):
             self._tasks.put(None)
         for thread in self._threads:
             thread.join()
-        for process in self._processes:
-            process.close()
 
     def _result(self, future: Future[T]) -> T:
+        with suppress(Empty):
+            while self._do_here is not None and not future.done():
+                self._do_here(self._tasks.get_nowait())
         try:
             return future.result()
-        except _DiedError:
+        except DiedError:
             raise ModsimError(f"a worker process died (killed, or out of memory); {self._if_killed}") from None
 
-    def _hand_out(self, process: _WorkerProcess) -> None:
-        while (task := self._tasks.get()) is not None:
-            future, work, piece = task
-            try:
-                future.set_result(process.do(work, piece))
-            except BaseException as error:
-                future.set_exception(error)
 
-
-class _WorkerProcess:
-    """A worker in a process of its own.
-
-    Nobody else holds the other end of its pipe, so that the pipe ends when the process dies, whatever it was doing. In
-    a queue that several processes share, half a result would be waited for without end.
-    """
-
-    def __init__(
-        self, start: Callable[..., BaseProcess], set_up: Callable[..., Any], arguments: tuple[Any, ...]
-    ) -> None:
-        self._pipe, other_end = multiprocessing.Pipe()
-        self._process = start(target=_serve, args=(other_end, set_up, arguments), daemon=True)
-        self._process.start()
-        other_end.close()  # before the next process is forked, which would hold it too
-
-    def do(self, work: Callable[[Any, P], T], piece: P) -> T:
-        """Do the work on a piece.
-
-        Raises:
-            _DiedError: The process died, now or before.
-            BaseException: What the work raised.
-        """
-        try:
-            self._pipe.send((work, piece))
-            result, error = self._pipe.recv()
-        except (EOFError, OSError) as lost:
-            raise _DiedError from lost
-        if error is not None:
-            raise error
-        done: T = result
-        return done
-
-    def close(self) -> None:
-        """End the process, if it has not died."""
-        with suppress(OSError):
-            self._pipe.send(None)
-        self._process.join()
-        self._pipe.close()
-
-
-class _DiedError(Exception):
-    """A worker process died."""
-
-
-def end_with_parent(parent: int | None = None) -> None:
-    """Let the system end this process when its parent ends, however it ends: a killed one must not leave workers.
-
-    Args:
-        parent: Number of the parent; if it has ended already, this process ends now.
-    """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if parent is not None and os.getppid() != parent:
-        os._exit(1)
-
-
-def _serve(pipe: Connection, set_up: Callable[..., AbstractContextManager[Any]], arguments: tuple[Any, ...]) -> None:
-    """Set up the worker of this process, and do what comes through a pipe until None comes."""
-    end_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process tells the user what was interrupted
-    with ExitStack() as opened:
-        worker, problem = None, None
-        try:
-            worker = opened.enter_context(set_up(*arguments))
-        except ModsimError as error:
-            problem = error
-        while (task := pipe.recv()) is not None:
-            work, piece = task
-            _answer(pipe, problem, work, worker, piece)
-
-
-def _answer(
-    pipe: Connection, problem: ModsimError | None, work: Callable[[Any, Any], Any], worker: Any, piece: Any
-) -> None:
-    """Send a result and no error, or an error with its traceback as a note."""
+def _do(worker: Any, task: Task | None) -> None:
+    assert task is not None  # it comes only after all tasks
+    future, work, piece = task
     try:
-        if problem is not None:
-            raise problem
-        pipe.send((work(worker, piece), None))
-    except BaseException as error:
-        if not isinstance(error, ModsimError):
-            error.add_note("".join(traceback.format_exception(error)))
-        pipe.send((None, error))
-
-
-def _made_by_multiprocessing() -> bool:
-    """Whether this process is a worker, or one that still imports the script that starts workers."""
-    importing = getattr(multiprocessing.current_process(), "_inheriting", False)  # before `parent_process` is set
-    return bool(importing) or multiprocessing.parent_process() is not None
-
-
-def _may_fork() -> bool:
-    """Whether this process has one thread only; a fork starts at once, but is not safe otherwise."""
-    tasks = Path("/proc/self/task")
-    return (len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()) == 1
+        future.set_result(work(worker, piece))
+    except Exception as error:
+        future.set_exception(error)

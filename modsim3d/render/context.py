@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from types import ModuleType
 from typing import Any
 
@@ -19,6 +20,7 @@ BACKENDS = ("osmesa", "egl")
 LIBRARIES = {"osmesa": ("OSMesa", ("libOSMesa.so.8", "libOSMesa.so.6")), "egl": ("EGL", ("libEGL.so.1",))}
 
 GL_LOWER_LEFT, GL_ZERO_TO_ONE = 0x8CA1, 0x935F
+GL_RENDERER, GL_VERSION, GL_UNSIGNED_BYTE = 0x1F01, 0x1F02, 0x1401
 
 INSTALL_HINT = """no OpenGL software renderer was found ({wanted}). Install one:
   Debian, Ubuntu: apt install libosmesa6 (where that is gone: libegl1 libegl-mesa0 libopengl0)
@@ -68,12 +70,17 @@ class GLContext:
     """A current OpenGL context.
 
     Attributes:
-        gl: The module of OpenGL functions, `OpenGL.GL`.
         description: Backend, renderer and version, for run.json.
     """
 
-    gl: ModuleType
     description: str
+
+    @cached_property
+    def gl(self) -> ModuleType:
+        """The module of OpenGL functions; many runs draw nothing, and its import takes a tenth of a short one."""
+        import OpenGL.GL as gl
+
+        return gl  # type: ignore[no-any-return]
 
 
 _open_here: GLContext | None = None
@@ -108,11 +115,12 @@ def open_context() -> Iterator[GLContext]:
 def _make_context(backend: str, stack: ExitStack) -> GLContext:
     """Make a context current until the stack is closed."""
     get_address = stack.enter_context(_osmesa_context() if backend == "osmesa" else egl_context())
-    from OpenGL import GL
-
+    get_address.restype = ctypes.c_void_p
+    get_address.argtypes = [ctypes.c_char_p]
     _use_reversed_depth(get_address)
-    name, version = (GL.glGetString(key).decode() for key in (GL.GL_RENDERER, GL.GL_VERSION))
-    return GLContext(GL, f"{backend}: {name}, OpenGL {version}")
+    get_string = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_uint)(get_address(b"glGetString"))
+    name, version = (get_string(key).decode() for key in (GL_RENDERER, GL_VERSION))
+    return GLContext(f"{backend}: {name}, OpenGL {version}")
 
 
 def prepare_environment(backend: str) -> None:
@@ -132,8 +140,6 @@ def prepare_environment(backend: str) -> None:
 
 def _use_reversed_depth(get_address: GetAddress) -> None:
     """Map depth to [0, 1] without the usual halving, so that a float depth near/c3 keeps its relative precision."""
-    get_address.restype = ctypes.c_void_p
-    get_address.argtypes = [ctypes.c_char_p]
     address = get_address(b"glClipControl")  # PyOpenGL does not resolve it through OSMesa
     if not address:
         raise RendererError("the OpenGL renderer has no glClipControl: OpenGL 4.5 (Mesa 18 or newer) is needed")
@@ -143,7 +149,7 @@ def _use_reversed_depth(get_address: GetAddress) -> None:
 @contextmanager
 def _osmesa_context() -> Iterator[GetAddress]:
     import numpy as np
-    from OpenGL import GL, arrays, osmesa
+    from OpenGL import arrays, osmesa
     from OpenGL.platform import PLATFORM
 
     wanted = [
@@ -157,7 +163,7 @@ def _osmesa_context() -> Iterator[GetAddress]:
         raise RendererError("OSMesa gave no OpenGL 4.5 context: Mesa 18 or newer is needed")
     window = np.zeros((8, 8, 4), dtype=np.uint8)  # OSMesa wants one; drawing goes to framebuffer objects
     try:
-        if not osmesa.OSMesaMakeCurrent(context, window, GL.GL_UNSIGNED_BYTE, 8, 8):
+        if not osmesa.OSMesaMakeCurrent(context, window, GL_UNSIGNED_BYTE, 8, 8):
             raise RendererError("OSMesa did not accept its context")
         # PyOpenGL's own type is a new object at every call, and no two are equal: its tables and pyrender's programs,
         # which are kept by context, would grow with every picture.

@@ -127,13 +127,12 @@ BlockWorkers = Workers[BlockMaker]
 def open_block_workers(
     scene: Scene, workers: WorkerCount, truth_run: Path | None = None
 ) -> AbstractContextManager[BlockWorkers]:
-    """One worker in this process, or several in processes of their own; see `BlockMaker`.
+    """One worker in this process, and perhaps more in processes of their own; see `BlockMaker`.
 
     Raises:
-        ModsimError: This process cannot start others.
-        RendererError: There is no OpenGL library; with several workers, when they are first used.
+        RendererError: There is no OpenGL library.
     """
-    return open_workers(workers, IF_KILLED, _open_block_maker, scene, truth_run)
+    return open_workers(workers, IF_KILLED, _open_block_maker, scene, truth_run, here_too=True)
 
 
 def backend_of(workers: BlockWorkers) -> str:

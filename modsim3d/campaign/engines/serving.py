@@ -15,7 +15,7 @@ from modsim3d.campaign.engines.worker_process import READY
 from modsim3d.campaign.work.admission import check_worker
 from modsim3d.campaign.work.task import Task, TaskReport, Work, Worker
 from modsim3d.errors import ModsimError
-from modsim3d.processes import end_with_parent
+from modsim3d.worker_process import end_with_parent
 
 
 def serve(pipe: Connection) -> None:

@@ -9,13 +9,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import subprocess
-import sys
 from contextlib import suppress
-from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from modsim3d.errors import ModsimError
+from modsim3d.worker_process import new_interpreter
 
 if TYPE_CHECKING:
     from modsim3d.campaign.work.task import Task, TaskReport
@@ -24,8 +22,6 @@ READY = "ready"
 """What a process says when it can take tasks."""
 _END_S = 10.0
 """How long an idle process may take to close its OpenGL context."""
-_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Processes share the cores; threads of each would only wait for each other."""
 
 
 class ProcessDiedError(Exception):
@@ -43,7 +39,8 @@ class WorkerProcess:
         self.pipe, other_end = multiprocessing.Pipe()
         self._busy = self._ready = False
         with other_end:
-            self._process = _started(other_end)
+            serving = "modsim3d.campaign.engines.serving", str(other_end.fileno()), str(os.getpid())
+            self._process = new_interpreter(other_end, "-m", *serving)
 
     @property
     def id(self) -> int:
@@ -123,22 +120,3 @@ class WorkerProcess:
 
 def _said(code: int) -> str:
     return f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
-
-
-def _started(pipe: Connection) -> subprocess.Popen[bytes]:
-    """A process that serves a pipe.
-
-    It is in a group of its own, because Ctrl-C goes to all of a group, and the main process tells the user what was
-    interrupted. What trackers print goes to standard error, because standard output is the command's.
-    """
-    paths = [path or str(Path.cwd()) for path in sys.path]
-    environment = {**dict.fromkeys(_ONE_THREAD, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
-    return subprocess.Popen(
-        # -P: the working directory may hold files that are named like modules
-        [sys.executable, "-P", "-m", "modsim3d.campaign.engines.serving", str(pipe.fileno()), str(os.getpid())],
-        env=environment,
-        pass_fds=[pipe.fileno()],
-        stdin=subprocess.DEVNULL,
-        stdout=2,
-        process_group=0,
-    )

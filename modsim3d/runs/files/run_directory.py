@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
+from threading import Lock
 from types import TracebackType
 from typing import IO, Any
 
@@ -123,6 +124,7 @@ class RunDirectory:
             for kind in self.line_kinds
             for index in range(len(self._scene.cameras))
         }
+        self._closing = Lock()
         self._poses = (self.work / POSES_FILE).open("wb") if self._scene.live else None
         self._poses_sha256 = hashlib.sha256()
         self._files: FileList = {}
@@ -304,7 +306,8 @@ class RunDirectory:
         path = self.work / name
         lines = path.with_suffix(".jsonl")
         if path.suffix == ".parquet" and path.stem in self._writers:
-            self._writers[path.stem].close()
+            with self._closing:  # the last row group of one table takes memory enough
+                self._writers[path.stem].close()
         elif lines in {self._lines_path(*key) for key in self._lines} and path != lines:
             with path.open("wb") as out:
                 thesis_json.join_lines(lines, out)

@@ -22,7 +22,7 @@ from modsim3d.runs.files.json_text import Text, frame_lines, number_texts, strin
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 
-JOINED_BYTES = 1 << 20
+JOINED_BYTES = 1 << 17
 """Bytes of lines that are joined at a time."""
 
 

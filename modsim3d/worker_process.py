@@ -1,0 +1,209 @@
+"""A worker in a process of its own, which is handed one piece of work after another through a pipe."""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import AbstractContextManager, ExitStack, suppress
+from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from modsim3d.errors import ModsimError
+
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+IN_HAND = 2
+"""Pieces that a worker process has at once: the one that it does, and the next."""
+_END = b""
+"""The message after the last piece."""
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""Processes share the cores; threads of each would only wait for each other."""
+
+Task = tuple[Future[Any], Callable[[Any, Any], Any], Any]
+"""Where the result goes, the work and the piece."""
+
+
+class DiedError(Exception):
+    """A worker process died."""
+
+
+class WorkerProcess:
+    """A worker in a process of its own.
+
+    Nobody else holds the other end of its pipe, so that the pipe ends when the process dies, whatever it was doing. In
+    a queue that several processes share, half a result would be waited for without end.
+    """
+
+    def __init__(self, fork: bool, set_up: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+        """Start the process, a fork of this one or a new interpreter; `set_up` of `arguments` opens its worker."""
+        self._pipe, other_end = multiprocessing.Pipe()
+        self._first: Any = None  # what is sent before the first task
+        with other_end:  # closed before the next process is forked, which would hold it too
+            if fork:
+                context = multiprocessing.get_context("fork")
+                process = context.Process(target=_serve, args=(other_end, set_up, arguments), daemon=True)
+                process.start()
+                self._wait: Callable[[], Any] = process.join
+            else:
+                # A script without `if __name__ == "__main__":` would start again in a process of multiprocessing.
+                code = f"from modsim3d.worker_process import serve; serve({other_end.fileno()}, {os.getpid()})"
+                self._wait = new_interpreter(other_end, "-c", code).wait
+                self._first = set_up, arguments
+
+    def do_all(self, tasks: SimpleQueue[Task | None]) -> None:
+        """Have tasks done until None comes, and end the process.
+
+        The process has its next task before it has done one, so that it need not wait for this process.
+        """
+        begun: deque[Future[Any]] = deque()
+        more = True
+        while True:
+            with suppress(Empty):
+                while more and len(begun) < IN_HAND:
+                    task = tasks.get(block=not begun)
+                    if task is None:
+                        more = False
+                    else:
+                        begun.append(self._hand(*task))
+            if not begun:
+                break
+            self._take_result(begun.popleft())
+        with suppress(OSError):
+            self._pipe.send_bytes(_END)
+        self._wait()
+        self._pipe.close()
+
+    def _hand(self, future: Future[Any], work: Callable[[Any, Any], Any], piece: Any) -> Future[Any]:
+        try:
+            if self._first is not None:
+                self._pipe.send(self._first)
+                self._first = None
+            self._pipe.send((work, piece))
+        except OSError:
+            future.set_exception(DiedError())
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def _take_result(self, future: Future[Any]) -> None:
+        """Wait for what a process has to say of a task, unless the task could not be handed to it."""
+        if future.done():
+            return
+        try:
+            result, error = self._pipe.recv()
+        except (EOFError, OSError):
+            result, error = None, DiedError()
+        except Exception as unreadable:
+            result, error = None, unreadable
+        if error is None:
+            future.set_result(result)
+        else:
+            future.set_exception(error)
+
+
+def end_with_parent(parent: int | None = None) -> None:
+    """Let the system end this process when its parent ends, however it ends: a killed one must not leave workers.
+
+    Args:
+        parent: Number of the parent; if it has ended already, this process ends now.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if parent is not None and os.getppid() != parent:
+        os._exit(1)
+
+
+def new_interpreter(pipe: Connection, *arguments: str) -> subprocess.Popen[bytes]:
+    """A new Python that finds the modules that this one finds, and holds a pipe under the same number.
+
+    It is in a group of its own, because Ctrl-C goes to all of a group, and the main process tells the user what was
+    interrupted. What it prints goes to standard error, because standard output is the command's.
+
+    Args:
+        pipe: Its end of the pipe.
+        *arguments: Options of Python that say what it does.
+    """
+    paths = [path or str(Path.cwd()) for path in sys.path]
+    environment = {**dict.fromkeys(_ONE_THREAD, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    return subprocess.Popen(
+        [sys.executable, "-P", *arguments],  # -P: the working directory may hold files that are named like modules
+        env=environment,
+        pass_fds=[pipe.fileno()],
+        stdin=subprocess.DEVNULL,
+        stdout=2,
+        process_group=0,
+    )
+
+
+def serve(pipe_number: int, parent: int) -> None:
+    """Be a worker in a new interpreter; what its worker is comes through the pipe first."""
+    end_with_parent(parent)
+    pipe: Connection = Connection(pipe_number)
+    try:
+        set_up, arguments = pipe.recv()
+        _serve(pipe, set_up, arguments)
+    except (EOFError, OSError):  # the parent has gone
+        os._exit(1)
+
+
+def _serve(pipe: Connection, set_up: Callable[..., AbstractContextManager[Any]], arguments: tuple[Any, ...]) -> None:
+    """Set up the worker of this process, and do what comes through a pipe until its end is told."""
+    end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process tells the user what was interrupted
+    messages: SimpleQueue[bytes] = SimpleQueue()
+    # A thread reads, or both sides might wait with a full pipe: one to hand a task, the other to give a result.
+    threading.Thread(target=_read, args=(pipe, messages), daemon=True).start()
+    with ExitStack() as opened:
+        worker, problem = None, None
+        try:
+            worker = opened.enter_context(set_up(*arguments))
+        except ModsimError as error:
+            problem = error
+        while message := messages.get():
+            _answer(pipe, problem, worker, message)
+
+
+def _read(pipe: Connection, messages: SimpleQueue[bytes]) -> None:
+    """Take messages from a pipe until its end is told or the parent has gone."""
+    message = None
+    while message != _END:
+        try:
+            message = pipe.recv_bytes()
+        except (EOFError, OSError):
+            message = _END
+        messages.put(message)
+
+
+def _answer(pipe: Connection, problem: ModsimError | None, worker: Any, message: bytes) -> None:
+    """Send a result and no error, or an error with its traceback as a note."""
+    try:
+        if problem is not None:
+            raise problem
+        work, piece = ForkingPickler.loads(message)
+        pipe.send((work(worker, piece), None))
+    except BaseException as error:
+        if not isinstance(error, ModsimError):
+            error.add_note("".join(traceback.format_exception(error)))
+        pipe.send((None, error))
+
+
+def may_fork() -> bool:
+    """Whether this process has one thread only; a fork starts at once, but is not safe otherwise.
+
+    A process of `multiprocessing` may not fork others.
+    """
+    if multiprocessing.parent_process() is not None:
+        return False
+    tasks = Path("/proc/self/task")
+    return (len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()) == 1

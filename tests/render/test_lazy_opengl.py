@@ -1,0 +1,22 @@
+"""A run that draws nothing does not load the thousand functions of OpenGL, whose import takes a tenth of its time."""
+
+import subprocess
+import sys
+
+DRAWS_NOTHING = """
+import sys
+from modsim3d.runs.pipeline import open_renderer, truth_block
+from modsim3d.scene.reading import load_scene
+scene = load_scene("simulation_1", steps=3)
+with open_renderer(scene) as renderer:
+    truth = truth_block(scene, 0, 3, renderer)
+    assert "OpenGL 4.5" in renderer.context.description
+print(len(truth) > 0, "OpenGL.GL" in sys.modules)
+"""
+
+
+def test_functions_of_opengl_are_loaded_at_the_first_drawing() -> None:
+    assert subprocess.check_output([sys.executable, "-c", DRAWS_NOTHING], text=True, timeout=60).split() == [
+        "True",
+        "False",
+    ]
