@@ -63,10 +63,12 @@ class Registered:
     Attributes:
         source: What messages call the log.
         registration: The registration.
+        clock_s: What was added to the log's times before, as is noted beside the scene.
     """
 
     source: str
     registration: Registration
+    clock_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +182,7 @@ class _CameraSet:
         """The set with what it was made by."""
         view = View(self.camera, self.poses, np.arange(len(self.times_s)))
         found = self.registration
-        registered = () if found is None else (Registered(self.log.source, found),)
+        registered = () if found is None else (Registered(self.log.source, found, self.frames.clock_s),)
         return LabelledVoyage(self._labelled(), self.scene, (view,), registered)
 
     def _labelled(self) -> LabelledSet:
@@ -192,7 +194,7 @@ class _CameraSet:
             condition=np.zeros(number, dtype=np.int64),
             source=np.zeros(number, dtype=np.int64),
             sequence=np.zeros(number, dtype=np.int64),
-            time_s=self.times_s,
+            time_s=frames.time_s - frames.clock_s,  # by the log's clock, which is what a user reads
             half_planes=self.truth.half_planes,
         )
         results = Results(frames.frame, frames.label, frames.boxes_px, frames.confidence)
