@@ -25,8 +25,10 @@ from modsim3d.commands.learn_voyage import (
     EmptyOption,
     FixedOption,
     ImagesOption,
+    KnownOption,
     PositionNoiseOption,
     SceneOption,
+    StaleOption,
     StartOption,
     WriteSceneOption,
     asked_voyage,
@@ -105,7 +107,9 @@ def learn_command(
     images: ImagesOption = None,
     attitude: AttitudeOption = None,
     fixed: FixedOption = None,
+    known: KnownOption = None,
     empty: EmptyOption = None,
+    stale: StaleOption = None,
     position_noise: PositionNoiseOption = None,
     write_scene: WriteSceneOption = None,
     state: Annotated[
@@ -225,7 +229,8 @@ def learn_command(
         )
     shift = bias or correct
     voyage = asked_voyage(
-        *(scene, truth, run, camera, start, images, attitude, fixed, empty, position_noise, write_scene, shift)
+        *(scene, truth, run, camera, start, images, attitude, fixed, known, empty, stale, position_noise),
+        *(write_scene, shift),
     )
     with timed("reading"), inputs_noted() as read:  # also of files that no option names, such as data.yaml
         runs: tuple[StoredRun, ...] = ()

@@ -136,7 +136,8 @@ def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[
         return log.of_one_camera(given[0] if given else 0), [number]
     if log.cameras == (None,):
         if len(names) > 1:
-            problem = f"does not say which camera of the scene it is of ({', '.join(names)}): give --camera"
+            which = f"does not say which camera of the scene it is of ({', '.join(names)})"
+            problem = f"{which}: give --camera, once for all logs or for each in their order"
             raise InputError(log.source, [problem])
         return log, [0]
     if wrong := [str(name) for name in log.cameras if name not in known]:

@@ -94,6 +94,7 @@ def _content(scene: Scene, registered: Sequence[Registered]) -> dict[str, Any]:
             each.registration.camera: {
                 "log": each.source,
                 "clock_s": each.clock_s + each.registration.values["clock_s"],
+                "known": each.known.given(),
                 "added": {
                     found.name: {"value": found.value, "low": found.low, "high": found.high, "held": found.held or None}
                     for found in each.registration.estimates

@@ -86,6 +86,35 @@ def test_an_image_without_detections_is_a_frame(tmp_path: Path) -> None:
     assert log.size_px.tolist() == [[640, 480]] * 2
 
 
+@pytest.mark.parametrize("captured", ["", 0, "2013-11-14 17:02:52", None])
+@pytest.mark.parametrize(("numbers", "times"), [((10, 13, 11), [1, 1.1, 1.3]), ((None, None, None), [0, 0.1, 0.2])])
+def test_images_that_date_captured_does_not_tell_apart_have_the_frame_rate(tmp_path: Path, captured, numbers, times):
+    images = [
+        {"id": k, "date_captured": captured} | ({} if number is None else {"frame_id": number})
+        for k, number in enumerate(numbers)
+    ]
+    content = {"images": images, "annotations": [], "categories": [{"id": 3, "name": "boat"}]}
+    (tmp_path / "log.json").write_text(json.dumps(content))
+    log = read_log(tmp_path / "log.json", LogOptions(frame_rate_hz=10))
+    np.testing.assert_allclose(log.time_s, times)
+    assert log.clock is Clock.STEP
+    said = " ".join(log.notes)
+    if captured is not None:
+        assert "date_captured is empty or the same in several images, so their" in said
+    assert ("places in the file are taken, at 10 Hz" in said) == (numbers[0] is None)
+    with pytest.raises(InputError, match=r"a time is needed: .*frame_id with --frame-rate|another image has the time"):
+        read_log(tmp_path / "log.json")
+
+
+def test_images_with_times_of_their_own_keep_them_beside_a_frame_rate(tmp_path: Path) -> None:
+    images = [{"id": k, "frame_id": k, "date_captured": f"2024-01-04 10:00:0{k}"} for k in range(3)]
+    content = {"images": images, "annotations": [], "categories": []}
+    (tmp_path / "log.json").write_text(json.dumps(content))
+    log = read_log(tmp_path / "log.json", LogOptions(frame_rate_hz=10))
+    assert log.span == "2024-01-04T10:00:00Z to 2024-01-04T10:00:02Z"
+    assert log.notes == ()
+
+
 def table(folder: Path, *rows: str, head: str = HEAD) -> Path:
     path = folder / "log.csv"
     path.write_text(head + "".join(f"{row}\n" for row in rows))

@@ -27,6 +27,8 @@ def registration_table(registered: Registered, scene: Scene) -> Table:
     found = registered.registration
     (camera,) = (each for each in scene.cameras if each.name == found.camera)
     before, after = _values(camera), _values(found.camera_of(camera))
+    before["clock_s"] = f"{registered.clock_s:+.3f} s" if registered.clock_s else "0 s"
+    after["clock_s"] = f"{registered.clock_s + found.values['clock_s']:+.3f} s"
     rows = tuple(
         (
             _name(each),
@@ -36,7 +38,7 @@ def registration_table(registered: Registered, scene: Scene) -> Table:
             _interval(each),
             each.held,
         )
-        for each in (*found.estimates, *found.vessels)
+        for each in (*found.estimates, delay_of(registered), *found.vessels)
     )
     return Table(f"Registration of camera '{found.camera}' in {registered.source}", HEADER, rows)
 
@@ -50,6 +52,13 @@ def registration_lead(registered: Registered) -> str:
         f"waterlines are off by {found.rms_before_px:.3g} px with the scene's values and by "
         f"{found.rms_after_px:.3g} px with the registered ones (root mean square, by the same matches)."
     )
+
+
+def delay_of(registered: Registered) -> Estimate:
+    """The mean delay of all reports, which is held by a rule."""
+    given, nan = registered.known.delay_s, float("nan")
+    rule = "the mean delay is taken to be zero" if given is None else f"given as {given:+g} s"
+    return Estimate(COMMON_DELAY, _WORDS[COMMON_DELAY], "s", given or 0.0, nan, nan, nan, rule)
 
 
 def exchanges(registration: Registration) -> Iterator[str]:
