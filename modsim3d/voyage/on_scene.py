@@ -185,6 +185,6 @@ def _labels(log: DetectionLog, scene: Scene) -> tuple[tuple[str, ...], Indices, 
         return used, alike, None, said
     problem = (
         f"the scene has no label {shown(wrong[0])} ({nearest(wrong[0], known)}); its vessels and the detector must "
-        "have the same, or its vessels only one; --labels names the classes of MOT"
+        "have the same labels, or all vessels one, as modsim3d ais gives them; --labels names the classes of MOT"
     )
     raise InputError(log.source, [problem])

@@ -22,7 +22,7 @@ from modsim3d.voyage.registration import Registration
 
 _VESSELS = "vessels.json"
 _HEAD = (
-    "Scene {name} with its cameras as they were registered; made by `modsim3d learn --write-scene`.",
+    "Scene '{name}', with its cameras as they were registered; made by `modsim3d learn --write-scene`.",
     "registration.json has the clocks of the logs, which `modsim3d learn --scene` adds to their times.",
 )
 

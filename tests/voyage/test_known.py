@@ -58,7 +58,7 @@ def test_known_means_are_told_in_the_table_and_beside_the_written_scene(voyage: 
     rows = {row[0]: row[-1] for row in registration_table(registered, voyage.scene).rows}
     assert rows["mean box error in x"] == "given as +6 px"
     assert rows["mean box error in y"] == "mean errors are taken to be zero"
-    assert rows["a common delay of all reports"] == "given as +2 s"
+    assert rows["mean delay of all reports"] == "given as +2 s"
     assert delay_of(registered).value == 2
     files = scene_files(load_scene(voyage.scene.path), voyage.registered, Path("there"))
     noted = orjson.loads(files[Path("there/registration.json")])["cameras"]["shore"]

@@ -210,7 +210,18 @@ def test_a_time_without_a_zone_is_utc_wherever_the_log_is_read(monkeypatch: pyte
 
 ROW = "0,1,2,3,4,boat,0.5"
 WRONG = {
-    "no time": ("log.csv", "left,top,width,height\n1,2,3,4\n", "line 1: a column with the time is missing"),
+    "no time": (
+        "log.csv",
+        "left,top,width,height\n1,2,3,4\n",
+        "line 1: a column with the time is missing (got 'left', 'top'",
+    ),
+    "no columns": (
+        "log.csv",
+        "utc;left;top\n1;2;3\n",
+        "line 1: a column with the time is missing (got 'utc;left;top')",
+    ),
+    "no content": ("log.csv", "\n", "the file is empty"),
+    "shares": ("log.csv", f"{HEAD}0,0.1,0.2,0.3,0.4,boat,0.5\n", "give pixels, not shares of the image"),
     "no box": ("log.csv", "time_s,left\n0,1\n", "line 1: columns of the box are missing"),
     "a time": ("log.csv", f"{HEAD}noon,1,2,3,4,boat,0.5\n", "line 2: time_s must be seconds, or a time such as"),
     "two clocks": ("log.csv", f"{HEAD}{ROW}\n2024-01-04,1,2,3,4,boat,1\n", "some times are UTC and others are not"),

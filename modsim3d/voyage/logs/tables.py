@@ -87,6 +87,8 @@ def read_table(path: Path, source: str) -> TextTable:
             raise InputError(source, [f"cannot be read as Parquet: {error}"]) from None
         return TextTable(columns, RowProblems(source, np.arange(len(read)), "row"))
     text = read_text(path, "detections").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    if not text.strip():
+        raise InputError(source, ["the file is empty"])
     head, _, body = text.partition("\n")
     names = [name.strip().strip('"') for name in head.split(",")]
     if repeated := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
@@ -123,7 +125,9 @@ def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
     """
     name = _first(table, _TIMES)
     if not name:
-        raise InputError(source, [f"line 1: a column with the time is missing; needed are {_NEEDED}"])
+        raise InputError(
+            source, [f"line 1: a column with the time is missing (got {_got(table)}); needed are {_NEEDED}"]
+        )
     texts = table.columns[name].to_pylist()
     times = np.array([seconds(text) for text in texts])
     of_utc = np.isnan(times)
@@ -144,7 +148,11 @@ def _form(table: TextTable, source: str) -> BoxForm:
     for form in _FORMS:
         if all(table.has(name) for name in form.names):
             return form
-    raise InputError(source, [f"line 1: columns of the box are missing; needed are {_NEEDED}"])
+    raise InputError(source, [f"line 1: columns of the box are missing (got {_got(table)}); needed are {_NEEDED}"])
+
+
+def _got(table: TextTable) -> str:
+    return ", ".join(map(shown, list(table.columns)[:8])) + (", …" if len(table.columns) > 8 else "")
 
 
 def _add_frames(

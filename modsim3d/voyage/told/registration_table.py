@@ -17,7 +17,7 @@ from modsim3d.voyage.registration.determined import COMMON_DELAY, Group
 from modsim3d.voyage.registration.parameters import SHARED
 
 HEADER = ("parameter", "scene", "registered", "change", "95 % interval", "held")
-_WORDS = {parameter.name: parameter.words for parameter in SHARED} | {COMMON_DELAY: "a common delay of all reports"}
+_WORDS = {parameter.name: parameter.words for parameter in SHARED} | {COMMON_DELAY: "mean delay of all reports"}
 _WORDS |= {"clock_s": "clock", "focal_share": "focal length", "k1": "lens distortion k1"}
 _UNITS = {parameter.name: parameter.unit for parameter in SHARED} | {COMMON_DELAY: "s"}
 
