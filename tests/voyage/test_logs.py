@@ -213,12 +213,12 @@ WRONG = {
     "no time": (
         "log.csv",
         "left,top,width,height\n1,2,3,4\n",
-        "line 1: a column with the time is missing (got 'left', 'top'",
+        "a column with the time is missing (got 'left', 'top'",
     ),
     "no columns": (
         "log.csv",
         "utc;left;top\n1;2;3\n",
-        "line 1: a column with the time is missing (got 'utc;left;top')",
+        "the time is missing (got 'utc;left;top')",
     ),
     "no content": ("log.csv", "\n", "the file is empty"),
     "shares": ("log.csv", f"{HEAD}0,0.1,0.2,0.3,0.4,boat,0.5\n", "give pixels, not shares of the image"),
