@@ -74,7 +74,7 @@ def amount(name: str, value: float, unit: str, error: float | None = None) -> st
     if error is None:
         return f"{size * value:+.3g}{shown}"
     digits = min(max(1 - math.floor(math.log10(max(size * error, 1e-6))), 0), 6)
-    return f"{size * value:+.{digits}f}{shown}"
+    return f"{round(size * value, digits) + 0.0:+.{digits}f}{shown}"  # + 0.0: no minus before zero
 
 
 def _name(estimate: Estimate) -> str:
