@@ -106,6 +106,29 @@ def test_images_that_date_captured_does_not_tell_apart_have_the_frame_rate(tmp_p
         read_log(tmp_path / "log.json")
 
 
+def test_results_may_name_images_by_their_files(tmp_path: Path) -> None:
+    """As detectors write them that do not know the IDs."""
+    images = [{"id": k, "file_name": f"day/{k:04d}.png", "time_s": k} for k in range(3)]
+    (tmp_path / "gt.json").write_text(json.dumps({"images": images, "categories": [{"id": 1, "name": "boat"}]}))
+    entry = {"category_id": 1, "bbox": [1, 2, 30, 40], "score": 0.5}
+    for name in ("0002", "0002.png", "day/0002.png"):
+        (tmp_path / "dt.json").write_text(json.dumps([entry | {"image_id": name}]))
+        log = read_log(tmp_path / "dt.json", LogOptions(images=tmp_path / "gt.json"))
+        assert log.frame.tolist() == [2]
+        assert "taken for the names of the images' files" in log.notes[0]
+    (tmp_path / "dt.json").write_text(json.dumps([entry | {"image_id": "other"}]))
+    with pytest.raises(InputError, match="unknown image_id 'other'"):
+        read_log(tmp_path / "dt.json", LogOptions(images=tmp_path / "gt.json"))
+
+
+@pytest.mark.parametrize(
+    "names", ["left,top,right,bottom", "x1,y1,x2,y2", "xmin,ymin,xmax,ymax", "x_min,y_min,x_max,y_max"]
+)
+def test_corners_have_the_names_that_detectors_give_them(tmp_path: Path, names: str) -> None:
+    log = read_log(table(tmp_path, "0,1,2,30,40", head=f"time_s,{names}\n"))
+    assert log.boxes_px.tolist() == [[1, 2, 30, 40]]
+
+
 def test_images_with_times_of_their_own_keep_them_beside_a_frame_rate(tmp_path: Path) -> None:
     images = [{"id": k, "frame_id": k, "date_captured": f"2024-01-04 10:00:0{k}"} for k in range(3)]
     content = {"images": images, "annotations": [], "categories": []}
@@ -224,6 +247,7 @@ WRONG = {
     "shares": ("log.csv", f"{HEAD}0,0.1,0.2,0.3,0.4,boat,0.5\n", "give pixels, not shares of the image"),
     "no box": ("log.csv", "time_s,left\n0,1\n", "line 1: columns of the box are missing"),
     "a time": ("log.csv", f"{HEAD}noon,1,2,3,4,boat,0.5\n", "line 2: time_s must be seconds, or a time such as"),
+    "milliseconds": ("log.csv", f"{HEAD}1704362396300,1,2,3,4,boat,0.5\n", "which may be milliseconds)"),
     "two clocks": ("log.csv", f"{HEAD}{ROW}\n2024-01-04,1,2,3,4,boat,1\n", "some times are UTC and others are not"),
     "half a box": ("log.csv", f"{HEAD}0,1,,3,4,boat,0.5\n", "line 2: left, top, width, height must be numbers"),
     "no area": ("log.csv", f"{HEAD}{ROW}\n1,1,2,0,4,boat,0.5\n", "line 3: bbox has no area"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from modsim3d.errors import InputError
@@ -49,6 +49,12 @@ def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) ->
     confidences = Confidences.of(scores, options.confidence_scale, problems, "score") if scored else None
     rows = LogRows(source, problems, confidences)
     frame_of, clock, notes = _frames(truth, where, options, rows)
+    given = {_key(each.get("image_id")) for each in results if isinstance(each, dict)}
+    if given and not given & frame_of.keys():
+        by_name = _by_name(truth["images"], frame_of)
+        if given & by_name.keys():
+            frame_of = by_name
+            notes.append(f"{source}: its image_id are taken for the names of the images' files")
     for index, entry in enumerate(results):
         place = f"[{index}]"
         if not isinstance(entry, dict):
@@ -114,6 +120,16 @@ def _frames(
     if problems:
         raise InputError(source, problems)
     return frame_of, Clock.UTC if utc else Clock.STEP, notes
+
+
+def _by_name(images: Sequence[Mapping[str, Any]], frame_of: Mapping[Any, int]) -> dict[Any, int]:
+    """Number of the frame of each image by the name of its file, with and without folders and ending."""
+    found: dict[Any, int] = {}
+    for entry in images:
+        name = PurePosixPath(str(entry.get("file_name", "")).replace("\\", "/"))
+        for each in (name.stem, name.name, str(name)):
+            found[each] = frame_of[_key(entry.get("id"))]
+    return found
 
 
 def _times(

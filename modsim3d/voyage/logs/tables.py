@@ -28,7 +28,11 @@ from modsim3d.voyage.logs.times import LEAST_UNIX_S, seconds, utc_s
 _TIMES, _SCORES, _LABELS = ("utc", "time_s", "time", "timestamp"), ("score", "confidence"), ("label", "class")
 _EDGES = BoxForm("edges", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
 _SIDES = BoxForm("corner and sides", ("left", "top", "width", "height"), 0, TOP_LEFT.to_corners)
-_FORMS = (_EDGES, _SIDES, CORNERS, CENTRE)
+_DETECTORS = tuple(  # as the tables of common detectors have them
+    BoxForm("corners", names, 0, CORNERS.to_corners)
+    for names in (("x1", "y1", "x2", "y2"), ("xmin", "ymin", "xmax", "ymax"), ("x_min", "y_min", "x_max", "y_max"))
+)
+_FORMS = (_EDGES, _SIDES, *_DETECTORS, CORNERS, CENTRE)
 _NEEDED = "time_s or utc; left, top, right, bottom or left, top, width, height; and perhaps camera, label, score"
 
 
@@ -134,7 +138,10 @@ def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
     times = np.where(of_utc, [utc_s(text) if bad else 0.0 for text, bad in zip(texts, of_utc, strict=True)], times)
     table.problems.refuse(
         np.isnan(times),
-        lambda row: f"{name} must be seconds, or a time such as 2024-01-04T10:00:00.250Z (got {shown(texts[row])})",
+        lambda row: (
+            f"{name} must be seconds, or a time such as 2024-01-04T10:00:00.250Z (got {shown(texts[row])}"
+            f"{', which may be milliseconds' if texts[row].strip().isdigit() else ''})"
+        ),
     )
     table.problems.settle()
     of_utc |= (times >= LEAST_UNIX_S) | (name == "utc")
