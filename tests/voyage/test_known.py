@@ -32,7 +32,7 @@ def voyage(tmp_path_factory: pytest.TempPathFactory) -> LabelledVoyage:
     """A camera whose boxes are 6 px too far to the right, and vessels whose reports are two seconds late."""
     folder = tmp_path_factory.mktemp("known")
     write_scene(read_traffic([SAMPLE], Options()), folder / "ais", Path("benchmarks/voyages/one_label.yaml"))
-    scene = load_scene(folder / "ais", source="analytic")
+    scene = load_scene(folder / "ais", source="analytic", steps=200)
     found = Voyage.of(KNOWN.scene_of(scene), "shore", {}).detections(0)
     log = written(folder / "log.csv", found.times_s[found.frame], found.boxes_px + np.array([6.0, 0, 6.0, 0]))
     return labelled_voyage(on_scene(read_log(log), scene), VoyageOptions(Registering(("k1",), known=KNOWN)))

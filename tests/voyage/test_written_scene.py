@@ -46,7 +46,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_scene(read_traffic([SAMPLE], Options()), folder / "ais", BENCHMARKS / "one_label.yaml")
     scene = folder / "ais" / "scene.yaml"
     scene.write_text(scene.read_text().replace("source: rendered", "source: analytic"))
-    Voyage.of(load_scene(scene), "shore", WRONG).write_log(0, folder / "log.csv")
+    Voyage.of(load_scene(scene, steps=200), "shore", WRONG).write_log(0, folder / "log.csv")
     return folder / "log.csv"
 
 
