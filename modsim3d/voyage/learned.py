@@ -143,6 +143,8 @@ def learn_voyage(
             or nothing can be learned.
     """
     path = as_path(log, "log")
+    if registration is not None and (fixed or known):
+        raise ModsimError("learn_voyage: fixed and known are for a registration that is estimated, and one is given")
     with inputs_noted() as inputs:
         loaded = scene if isinstance(scene, Scene) else load_scene(scene)
         read = on_scene(read_log(path, log_options), loaded, camera)

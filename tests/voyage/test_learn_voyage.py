@@ -164,3 +164,8 @@ def test_fixed_names_are_those_of_the_help() -> None:
 def test_nothing_can_be_learned_where_no_vessel_is_seen(strait: Scene, voyage: Path) -> None:
     with pytest.raises(ModsimError, match="nothing can be learned"):
         learn_voyage(strait, voyage / "run", camera="bow", registration=Correction(yaw_deg=180), replicates=20)
+
+
+def test_what_is_fixed_or_known_is_of_an_estimated_registration(strait: Scene, voyage: Path) -> None:
+    with pytest.raises(ModsimError, match="fixed and known are for a registration that is estimated"):
+        learn_voyage(strait, voyage / "run", registration=NO_CORRECTION, known="delay=2")

@@ -312,6 +312,11 @@ def test_a_log_in_utc_needs_a_scene_that_knows_its_start(tmp_path: Path, strait:
         on_scene(read_log(table(tmp_path, "2024-01-04T10:00Z,1,2,3,4,boat,1")), strait, "bow")
 
 
+def test_images_are_for_coco(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--images:\n +is for COCO results, and .*log.csv says itself"):
+        read_log(table(tmp_path, ROW), LogOptions(images=tmp_path / "gt.json"))
+
+
 def test_a_start_is_for_logs_that_count_from_zero(tmp_path: Path) -> None:
     path = table(tmp_path, "2024-01-04T10:00Z,1,2,3,4,boat,1")
     with pytest.raises(InputError, match="leave --start out"):
