@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ from modsim3d.voyage.labelled_voyage import LabelledVoyage, VoyageOptions, label
 from modsim3d.voyage.logs.reading import read_log
 from modsim3d.voyage.on_scene import on_scene
 from modsim3d.voyage.registered import Registering, check_known
-from modsim3d.voyage.told.registration_table import delay_of, registration_table
+from modsim3d.voyage.registration.determined import Group
+from modsim3d.voyage.told.registration_table import delay_of, exchanges, registration_table
 from modsim3d.voyage.written_scene import scene_files
 from tests.voyage.strait_logs import written
 
@@ -63,6 +65,15 @@ def test_known_means_are_told_in_the_table_and_beside_the_written_scene(voyage: 
     files = scene_files(load_scene(voyage.scene.path), voyage.registered, Path("there"))
     noted = orjson.loads(files[Path("there/registration.json")])["cameras"]["shore"]
     assert noted["known"] == {"mean_x_px": 6, "delay_s": 2}
+
+
+def test_what_looks_alike_is_told_by_the_step_that_is_named(voyage: LabelledVoyage) -> None:
+    """Shares and coefficients are told for a step of 0.01, all others for one of their units."""
+    groups = Group("k1", (("focal_share", -0.08), ("yaw_deg", 2.0))), Group("mean_x_px", (("yaw_deg", -0.04),))
+    assert list(exchanges(replace(voyage.registered[0].registration, groups=groups))) == [
+        "lens distortion k1 is held; +0.01 of it would look like -0.08 % of focal length, +0.02° of yaw of the camera",
+        "mean box error in x is held; +1 px of it would look like -0.04° of yaw of the camera",
+    ]
 
 
 def test_names_and_values_are_read() -> None:

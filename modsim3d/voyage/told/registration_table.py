@@ -15,6 +15,7 @@ from modsim3d.voyage.labelled_voyage import Registered
 from modsim3d.voyage.registration import Estimate, Registration
 from modsim3d.voyage.registration.determined import COMMON_DELAY, Group
 from modsim3d.voyage.registration.parameters import SHARED
+from modsim3d.voyage.registration.registering import BY_RULE
 
 HEADER = ("parameter", "scene", "registered", "change", "95 % interval", "held")
 _WORDS = {parameter.name: parameter.words for parameter in SHARED} | {COMMON_DELAY: "mean delay of all reports"}
@@ -29,6 +30,7 @@ def registration_table(registered: Registered, scene: Scene) -> Table:
     before, after = _values(camera), _values(found.camera_of(camera))
     before["clock_s"] = f"{registered.clock_s:+.3f} s" if registered.clock_s else "0 s"
     after["clock_s"] = f"{registered.clock_s + found.values['clock_s']:+.3f} s"
+    lost = {group.held for group in found.groups} - {*BY_RULE, COMMON_DELAY}
     rows = tuple(
         (
             _name(each),
@@ -36,7 +38,7 @@ def registration_table(registered: Registered, scene: Scene) -> Table:
             after.get(each.name, "") if not each.held else "",
             amount(each.name, each.value, each.unit, each.standard_error) if not each.held else "",
             _interval(each),
-            each.held,
+            "not determined, see below" if each.name in lost else each.held,
         )
         for each in (*found.estimates, delay_of(registered), *found.vessels)
     )
@@ -86,9 +88,9 @@ def _exchange(group: Group) -> str:
     held = _WORDS[group.held]
     if not group.exchange:
         return f"{held} is held: the detections say nothing of it"
-    one = amount(group.held, 0.01 if _UNITS[group.held] == "" else 1, _UNITS[group.held])
-    changes = ", ".join(f"{amount(name, by, _UNITS[name])} of {_WORDS[name]}" for name, by in group.exchange)
-    return f"{held} is held; {one} of it would look like {changes}"
+    one = 0.01 if _UNITS[group.held] == "" else 1.0
+    changes = ", ".join(f"{amount(name, one * by, _UNITS[name])} of {_WORDS[name]}" for name, by in group.exchange)
+    return f"{held} is held; {amount(group.held, one, _UNITS[group.held])} of it would look like {changes}"
 
 
 def _interval(estimate: Estimate) -> str:
