@@ -1,9 +1,9 @@
-"""The commands `modsim3d learn` and `modsim3d export`: from a detector's output to a detector file."""
+"""The command `modsim3d learn`: from a detector's output to a detector file."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,19 +19,21 @@ from modsim3d.commands.labelled_options import (
     read_options,
 )
 from modsim3d.commands.learn_json import learn_json
+from modsim3d.commands.learn_tables import show_report
 from modsim3d.commands.learn_voyage import (
     AttitudeOption,
     CameraOption,
     EmptyOption,
     FixedOption,
     ImagesOption,
+    KnownOption,
     PositionNoiseOption,
     SceneOption,
+    StaleOption,
     StartOption,
     WriteSceneOption,
     asked_voyage,
     show_voyage,
-    show_voyage_tables,
 )
 from modsim3d.commands.shared import (
     JsonOption,
@@ -39,23 +41,17 @@ from modsim3d.commands.shared import (
     QuietOption,
     VerboseOption,
     out_file,
-    print_line,
-    print_written,
 )
-from modsim3d.commands.tables import print_prose, print_table
-from modsim3d.commands.terminal import open_console, say_json, tell_files, timed, warn
+from modsim3d.commands.terminal import say_json, tell_files, timed
 from modsim3d.commands.typed import typed_command
 from modsim3d.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rich.console import Console
-
     from modsim3d.formats.labelled import LabelledSet
     from modsim3d.formats.matching import Rule
     from modsim3d.formats.reading.builder import ReadOptions
-    from modsim3d.learn.told.report import Report
     from modsim3d.runs.stored_run import StoredRun
     from modsim3d.voyage.told.voyage_report import VoyageReport
 
@@ -105,7 +101,9 @@ def learn_command(
     images: ImagesOption = None,
     attitude: AttitudeOption = None,
     fixed: FixedOption = None,
+    known: KnownOption = None,
     empty: EmptyOption = None,
+    stale: StaleOption = None,
     position_noise: PositionNoiseOption = None,
     write_scene: WriteSceneOption = None,
     state: Annotated[
@@ -225,7 +223,8 @@ def learn_command(
         )
     shift = bias or correct
     voyage = asked_voyage(
-        *(scene, truth, run, camera, start, images, attitude, fixed, empty, position_noise, write_scene, shift)
+        *(scene, truth, run, camera, start, images, attitude, fixed, known, empty, stale, position_noise),
+        *(write_scene, shift),
     )
     with timed("reading"), inputs_noted() as read:  # also of files that no option names, such as data.yaml
         runs: tuple[StoredRun, ...] = ()
@@ -261,7 +260,7 @@ def learn_command(
             write_files(learned_files(report, out, page, sources, correct, sections) | scene_files)
     if told:
         show_voyage(told)
-    _show(report, written, told)
+    show_report(report, written, told)
     say_json(learn_json(report, written) | {"voyage": voyage_json(told) if told else None})
 
 
@@ -318,42 +317,3 @@ def _labelled_set(
         parts.append(labelled)
         opened_runs.append(opened)
     return joined(parts), tuple(opened_runs)
-
-
-def _show(report: Report, written: Sequence[Path], told: VoyageReport | None) -> None:
-    """Print the tables."""
-    from modsim3d.learn.told.report import lead
-    from modsim3d.learn.told.tables import NEVER_LEARNED, tables
-
-    console = open_console()
-    print_prose(console, lead(report))
-    for remark in report.remarks:
-        print_prose(console, f"Remark: {remark}.")
-    if told:
-        show_voyage_tables(told)
-    for table in tables(report):
-        _print(console, table.title, table.header, table.rows)
-    print_line(console, "\nLeft simple, and why", "bold")
-    for note in report.learned.notes or ("nothing: there was enough of everything",):
-        print_prose(console, note, indent=2)
-    print_line(console, "")
-    print_prose(console, NEVER_LEARNED)
-    print_written(console, written)
-    if report.warning:
-        warn(report.warning)
-
-
-_BREAKS: tuple[Callable[[str], str], ...] = (
-    lambda cell: cell.replace(" [", "\n["),
-    lambda cell: "\n".join(cell.split()) if " to " not in cell else cell,
-)
-"""Where cells are broken that are too wide: first before intervals, then before both their ends."""
-
-
-def _print(console: Console, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    left = {
-        place
-        for place in range(len(header))
-        if place == 0 or not any(row[place][:1].isdigit() or row[place][:1] in ("", "-", "–") for row in rows)
-    }
-    print_table(console, title, rows, header=header, right=set(range(len(header))) - left, breaks=_BREAKS)

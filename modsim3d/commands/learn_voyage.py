@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from modsim3d.learn.learned import Settings
     from modsim3d.learn.told.report import Report
     from modsim3d.scene.scene import Scene
+    from modsim3d.voyage.known import KnownMeans
     from modsim3d.voyage.labelled_voyage import LabelledVoyage
     from modsim3d.voyage.logs.log import Start
     from modsim3d.voyage.told.voyage_report import VoyageReport
@@ -35,8 +36,11 @@ SceneOption = Annotated[
     ),
 ]
 CameraOption = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Camera of --scene that --detections are of, where they do not say it."),
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="Camera of --scene that --detections are of: once for all logs, or for each of them in their order.",
+    ),
 ]
 StartOption = Annotated[
     str | None,
@@ -54,13 +58,32 @@ FixedOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME,...",
-        help="Parameters of --scene that are not registered: clock, roll, pitch, yaw, height, focal, k1; or all.",
+        help="Parameters of --scene that are not registered: clock, roll, pitch, yaw, height, focal, k1, mean_width, "
+        "mean_height; or all.",
+    ),
+]
+KnownOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME=VALUE,...",
+        help="Means that are known, for registration in --scene: of box errors, mean_x and mean_y in pixels, "
+        "mean_width and mean_height as shares; of position reports, delay in seconds.",
+        show_default="zero",
+    ),
+]
+StaleOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        help="Least time without an AIS report after which a vessel of --scene that is under way is left out.",
+        show_default="60",
     ),
 ]
 EmptyOption = Annotated[
     str | None,
     typer.Option(
-        metavar="FROM-TO,...", help="Stretches in which nothing floats but the vessels of --scene, in seconds or UTC."
+        metavar="FROM-TO,...",
+        help="Stretches in which nothing floats but the vessels of --scene, by the log's clock, in seconds or UTC.",
     ),
 ]
 PositionNoiseOption = Annotated[
@@ -73,7 +96,7 @@ PositionNoiseOption = Annotated[
 ]
 WriteSceneOption = Annotated[
     Path | None,
-    typer.Option(metavar="DIR", help="Folder to write --scene to, with registered cameras."),
+    typer.Option(metavar="DIR", help="Scene folder to write, --scene with registered cameras."),
 ]
 
 
@@ -82,12 +105,14 @@ class AskedVoyage:
     """A scene, what its logs do not say, and how it is learned from."""
 
     scene: Scene
-    camera: str | None
+    cameras: tuple[str | None, ...]
     start: Start | None
     images: Path | None
     attitude: Path | None
     fixed: tuple[str, ...]
+    known: KnownMeans
     stretches: tuple[Stretch, ...]
+    stale_s: float
     position_m: float
     write_scene: Path | None
 
@@ -111,6 +136,9 @@ class AskedVoyage:
             raise ModsimError("nothing to learn from: --scene needs --detections, the log of its camera's detector")
         if conditions and len(conditions) != len(logs):
             raise ModsimError(f"--condition is given {len(conditions)} times, with {len(logs)} logs: name each")
+        if len(self.cameras) not in (1, len(logs)):
+            given = f"--camera is given {len(self.cameras)} times, with {len(logs)} logs"
+            raise ModsimError(f"{given}: give it once for all, or for each in their order")
         for name, value in (("--image-size", options.image_size_px), ("--horizon", options.horizon)):
             if value is not None:
                 raise ModsimError(f"{name} is not for --scene, whose camera says it")
@@ -125,12 +153,13 @@ class AskedVoyage:
         )
         attitude = None if self.attitude is None else read_attitude(self.attitude, self.scene)
         least = LEAST_CONFIDENCE if confidence is None else confidence
-        registering = Registering(self.fixed, self.position_m, least, attitude)
+        registering = Registering(self.fixed, self.position_m, least, attitude, self.known)
         names = conditions or [CONDITION] * len(logs)
+        cameras = self.cameras * (len(logs) // len(self.cameras))
         parts = []
-        for path, name in zip(logs, names, strict=True):
-            log = on_scene(read_log(path, said), self.scene, self.camera)
-            parts.append(labelled_voyage(log, VoyageOptions(registering, attitude=attitude, condition=name)))
+        for path, name, camera in zip(logs, names, cameras, strict=True):
+            log = on_scene(read_log(path, said), self.scene, camera)
+            parts.append(labelled_voyage(log, VoyageOptions(registering, self.stale_s, attitude, name)))
         return joined_voyages(parts)
 
     def learn(self, voyage: LabelledVoyage, settings: Settings, options: LearnOptions) -> tuple[Report, VoyageReport]:
@@ -170,12 +199,14 @@ def asked_voyage(
     scene: str | None,
     truth: Sequence[Path] | None,
     run: Sequence[Path] | None,
-    camera: str | None,
+    camera: Sequence[str] | None,
     start: str | None,
     images: Path | None,
     attitude: Path | None,
     fixed: str | None,
+    known: str | None,
     empty: str | None,
+    stale: float | None,
     position_noise: float | None,
     write_scene: Path | None,
     shift: bool,
@@ -189,7 +220,8 @@ def asked_voyage(
     """
     if scene is None:
         given: dict[str, object] = {"--camera": camera, "--start": start, "--images": images, "--attitude": attitude}
-        given |= {"--fixed": fixed, "--empty": empty, "--position-noise": position_noise, "--write-scene": write_scene}
+        given |= {"--fixed": fixed, "--known": known, "--empty": empty, "--stale": stale}
+        given |= {"--position-noise": position_noise, "--write-scene": write_scene}
         if stray := [name for name, value in given.items() if value is not None]:
             raise ModsimError(f"{stray[0]} is for --scene: a voyage whose vessels' tracks are known")
         return None
@@ -200,21 +232,27 @@ def asked_voyage(
         )
     from modsim3d.scene.reading import load_scene
     from modsim3d.voyage.clock import SceneClock
+    from modsim3d.voyage.known import parse_known
     from modsim3d.voyage.learned import NO_SHIFT
-    from modsim3d.voyage.registered import parse_fixed, position_noise_m
+    from modsim3d.voyage.left_out import stale_limit_s
+    from modsim3d.voyage.registered import check_known, parse_fixed, position_noise_m
     from modsim3d.voyage.unseen.stretches import parse_stretches
 
     if shift:
         raise ModsimError(NO_SHIFT)
     loaded = load_scene(scene)
+    means = parse_known(known)
+    check_known(means, held := parse_fixed(fixed))
     return AskedVoyage(
         loaded,
-        camera,
+        tuple(camera or (None,)),
         None if start is None else _start(start),
         images,
         attitude,
-        parse_fixed(fixed),
+        held,
+        means,
         parse_stretches(empty, SceneClock.of(loaded).start_s) if empty is not None else (),
+        stale_limit_s(loaded, stale),
         position_noise_m(loaded, position_noise),
         write_scene,
     )

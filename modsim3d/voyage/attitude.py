@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,8 @@ COLUMNS = ("roll_rad", "pitch_rad", "heading_rad")
 MOST_APART_S = 2.0
 """Angles are linear between rows that are no further apart; in a longer gap they are not known."""
 _NEAR_S = 1e-6
+_MOST_HEADING = 8 * np.pi
+"""Headings may go on counting where a vessel turns round, but not as far as degrees do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +54,20 @@ class Attitude:
         return np.column_stack([roll, pitch, np.arctan2(np.sin(off), np.cos(off))])
 
 
+def _check(time_s: Array, angles_rad: Array, source: str, where: Sequence[str]) -> None:
+    """Refuse rows (n,) out of order, and angles (n, 3 or 4) that cannot be radians."""
+    if len(time_s) < 2:
+        raise InputError(source, [f"at least two rows are needed (got {len(time_s)})"])
+    if len(late := np.flatnonzero(np.diff(time_s) <= 0)):
+        raise InputError(source, [f"{where[late[0] + 1]}: its time must be later than that of the row before"])
+    too_large = (np.abs(angles_rad[:, :2]) > np.pi / 2).any(axis=1) | (np.abs(angles_rad[:, 2]) > _MOST_HEADING)
+    if too_large.any():
+        first = int(np.argmax(too_large))
+        got = ", ".join(f"{angle:g}" for angle in angles_rad[first, :3])
+        problem = f"{where[first]}: roll, pitch and heading must be in radians (got {got}): are these degrees?"
+        raise InputError(source, [problem])
+
+
 def read_attitude(path: Path, scene: Scene) -> Attitude:
     """The attitude in a table, as CSV or Parquet, such as the `ownship.csv` of `modsim3d export --format csv`.
 
@@ -68,7 +85,8 @@ def read_attitude(path: Path, scene: Scene) -> Attitude:
         raise InputError(source, ["no such file"])
     table = read_table(path, source)
     if missing := [name for name in COLUMNS if not table.has(name)]:
-        raise InputError(source, [f"line 1: the columns {', '.join(missing)} are missing"])
+        got = ", ".join(list(table.columns)[:8])
+        raise InputError(source, [f"line 1: the columns {', '.join(missing)} are missing (got {got})"])
     time_s, kind = times_of(table, source)
     names = (*COLUMNS, "yaw_rad") if table.has("yaw_rad") else COLUMNS
     angles = np.column_stack([table.numbers(name) for name in names])
@@ -85,8 +103,12 @@ def read_attitude(path: Path, scene: Scene) -> Attitude:
         problem = f"give a file of one vessel: several carry cameras ({', '.join(carriers)})"
         raise InputError(source, [problem])
     time_s, angles = time_s[mine], angles[mine]
-    if len(time_s) < 2 or (np.diff(time_s) <= 0).any():
-        raise InputError(source, ["at least two rows are needed, and their times must increase"])
+    _check(time_s, angles, source, [f"{table.problems.word} {line}" for line in table.problems.line[mine].tolist()])
     heading = np.unwrap(angles[:, 2:].sum(axis=1))
-    times = on_scene_clock(time_s, kind, source, scene, SceneClock.of(scene))
+    clock = SceneClock.of(scene)
+    times = on_scene_clock(time_s, kind, source, scene, clock)
+    if times[0] > clock.length_s or times[-1] < 0:
+        spans = f"from {times[0]:.12g} s to {times[-1]:.12g} s", f"from 0 s to {clock.length_s:.12g} s"
+        problem = f"its rows are {spans[0]} after the scene's first step, and {scene.title} is {spans[1]}"
+        raise InputError(source, [problem])
     return Attitude(carriers[0], times, np.column_stack([angles[:, :2], heading]))

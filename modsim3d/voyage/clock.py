@@ -12,6 +12,8 @@ from modsim3d.voyage.logs.times import LEAST_UNIX_S, time_text
 from modsim3d.voyage.reports import read_reports
 
 _HOUR_S = 3600.0
+_ZONES = 14.5
+"""No two zones are further apart from UTC, in hours."""
 _WHOLE_HOURS = 0.02
 """Clocks that differ by whole hours up to this much of one are probably in two time zones."""
 
@@ -95,7 +97,7 @@ def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneC
     zones = ""
     if (
         log.clock is Clock.UTC
-        and abs(between_starts) > 0.5
+        and 0.5 < abs(between_starts) < _ZONES
         and abs(between_starts - round(between_starts)) < _WHOLE_HOURS
     ):
         zones = f"; the starts differ by {abs(round(between_starts))} h: is one of the clocks in local time?"

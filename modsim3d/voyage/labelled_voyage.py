@@ -16,6 +16,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
+from modsim3d.voyage.known import NOTHING_KNOWN, KnownMeans
 from modsim3d.voyage.left_out import STALE_S, Freshness, Regions, left_out
 from modsim3d.voyage.moved_vessels import with_moved_vessels
 from modsim3d.voyage.on_scene import CameraLog, SceneLog
@@ -63,10 +64,14 @@ class Registered:
     Attributes:
         source: What messages call the log.
         registration: The registration.
+        clock_s: What was added to the log's times before, as is noted beside the scene.
+        known: Means that were known beforehand.
     """
 
     source: str
     registration: Registration
+    clock_s: float = 0.0
+    known: KnownMeans = NOTHING_KNOWN
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +114,15 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
         InputError: No frame is within the scene.
         ModsimError: The truth cannot be made.
     """
+    known = _known(options)
+    log = replace(log, scene=known.scene_of(log.scene))
     reports = read_reports(log.scene.path)
     fresh = Freshness(log.scene, reports, options.stale_s)
     with open_renderer(log.scene) as renderer:
         parts = [_CameraSet(log, each, fresh, options, renderer).voyage() for each in log.cameras]
     notes = list(log.notes)
+    if known.delay_s:
+        notes.append(f"reports of vessels are taken to be {known.delay_s:g} s late, as was given")
     if reports is not None and not reports.used_s:
         notes.append(f"{log.scene.title}: has no report times beside it, so stale AIS is not left out: make it again")
     for part in parts:
@@ -122,6 +131,10 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     number = len(whole.labelled.images)
     images = replace(whole.labelled.images, source=np.zeros(number, dtype=np.int64))  # cameras see the same traffic
     return replace(whole, labelled=replace(whole.labelled, images=images, notes=tuple(notes)))
+
+
+def _known(options: VoyageOptions) -> KnownMeans:
+    return options.registration.known if isinstance(options.registration, Registering) else NOTHING_KNOWN
 
 
 class _CameraSet:
@@ -180,7 +193,9 @@ class _CameraSet:
         """The set with what it was made by."""
         view = View(self.camera, self.poses, np.arange(len(self.times_s)))
         found = self.registration
-        registered = () if found is None else (Registered(self.log.source, found),)
+        registered = (
+            () if found is None else (Registered(self.log.source, found, self.frames.clock_s, _known(self.options)),)
+        )
         return LabelledVoyage(self._labelled(), self.scene, (view,), registered)
 
     def _labelled(self) -> LabelledSet:
@@ -192,7 +207,7 @@ class _CameraSet:
             condition=np.zeros(number, dtype=np.int64),
             source=np.zeros(number, dtype=np.int64),
             sequence=np.zeros(number, dtype=np.int64),
-            time_s=self.times_s,
+            time_s=frames.time_s - frames.clock_s,  # by the log's clock, which is what a user reads
             half_planes=self.truth.half_planes,
         )
         results = Results(frames.frame, frames.label, frames.boxes_px, frames.confidence)

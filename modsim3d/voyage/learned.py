@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -23,12 +23,13 @@ from modsim3d.scene.scene import Scene
 from modsim3d.voyage.attitude import read_attitude
 from modsim3d.voyage.clock import SceneClock
 from modsim3d.voyage.correction import Correction
+from modsim3d.voyage.known import KnownMeans, parse_known
 from modsim3d.voyage.labelled_voyage import LabelledVoyage, Registered, Registrar, VoyageOptions, labelled_voyage
-from modsim3d.voyage.left_out import STALE_S
+from modsim3d.voyage.left_out import stale_limit_s
 from modsim3d.voyage.logs.log import NO_OPTIONS, LogOptions
 from modsim3d.voyage.logs.reading import read_log
 from modsim3d.voyage.on_scene import on_scene
-from modsim3d.voyage.registered import Registering, parse_fixed, position_noise_m
+from modsim3d.voyage.registered import Registering, check_known, parse_fixed, position_noise_m
 from modsim3d.voyage.told.sections import voyage_sections
 from modsim3d.voyage.told.voyage_report import VoyageReport
 from modsim3d.voyage.truth_noise.noise import TruthNoise
@@ -95,9 +96,10 @@ def learn_voyage(
     camera: str | None = None,
     registration: Correction | Registrar | Registering | None = None,
     fixed: str | Sequence[str] = (),
+    known: str | Mapping[str, float] | KnownMeans | None = None,
     empty: str | None = None,
     position_noise: float | None = None,
-    stale_s: float = STALE_S,
+    stale_s: float | None = None,
     attitude: StrPath | None = None,
     log_options: LogOptions = NO_OPTIONS,
     match: Method | None = None,
@@ -116,13 +118,16 @@ def learn_voyage(
     Args:
         scene: The scene, its file, or the name of a shipped scene: the vessels, their tracks, and the camera.
         log: What the detector wrote; docs/voyage.md has the formats.
-        camera: The scene's camera that the log is of; needed where neither says it.
+        camera: The scene's camera that the log is of; needed where the log does not say it and the scene has several.
         registration: What is added to the camera and to the clock, or what finds it for each camera; None to have it
             estimated from the detections.
         fixed: Parameters that are not estimated, such as `pitch,yaw`, or `all`.
-        empty: Stretches in which nothing floats but the scene's vessels, such as `120-300,900-1000`.
+        known: Means that are known beforehand, which else are taken to be zero: `mean_x=1.5,mean_y=-0.8,delay=2`, a
+            mapping of these names, or `KnownMeans`. Pixels, shares for `mean_width` and `mean_height`, seconds.
+        empty: Stretches in which nothing floats but the scene's vessels, by the clock of the log, such as
+            `120-300,900-1000`.
         position_noise: Standard deviation of each coordinate of positions, in metres; if None, 10 m with AIS, else 0.
-        stale_s: Least time without an AIS report of a vessel under way that is left out.
+        stale_s: Least time without an AIS report of a vessel under way that is left out; if None, 60 s.
         attitude: File of own ship's roll, pitch and heading, in place of the scene's waves.
         log_options: What the log does not say itself.
         match: As that of `modsim3d.learn_detector`; as are the following.
@@ -138,6 +143,8 @@ def learn_voyage(
             or nothing can be learned.
     """
     path = as_path(log, "log")
+    if registration is not None and (fixed or known):
+        raise ModsimError("learn_voyage: fixed and known are for a registration that is estimated, and one is given")
     with inputs_noted() as inputs:
         loaded = scene if isinstance(scene, Scene) else load_scene(scene)
         read = on_scene(read_log(path, log_options), loaded, camera)
@@ -146,8 +153,9 @@ def learn_voyage(
         stretches = parse_stretches(empty, SceneClock.of(loaded).start_s) if empty else ()
         if registration is None:
             least = LEAST_CONFIDENCE if confidence is None else confidence
-            registration = Registering(parse_fixed(fixed), position_m, least, measured)
-        voyage = labelled_voyage(read, VoyageOptions(registration, stale_s, measured))
+            registration = Registering(parse_fixed(fixed), position_m, least, measured, parse_known(known))
+            check_known(registration.known, registration.fixed)
+        voyage = labelled_voyage(read, VoyageOptions(registration, stale_limit_s(loaded, stale_s), measured))
     rule = Rule(match or usual_method(voyage.labelled), least_iou, most_distance_px)
     least = least_confidence(voyage.labelled, confidence)
     settings = Settings(rule, least, replicates, seed, without=left_out(without, "learn_voyage: without"))

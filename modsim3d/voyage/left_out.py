@@ -10,6 +10,7 @@ import numpy as np
 
 from modsim3d.ais.headings import KNOT_M_S
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.rotations import world_R_vehicle
@@ -17,11 +18,14 @@ from modsim3d.motion.poses import Poses
 from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import line_of_sight
-from modsim3d.voyage.reports import Reports
+from modsim3d.voyage.reports import Reports, read_reports
 from modsim3d.voyage.sampling import NEAR_S
 
 STALE_S = 60.0
 """A vessel under way that has not reported for so long before and after a frame is left out of it."""
+SLOW_KN, SLOW_STALE_S = 2.0, 180.0
+"""Below this speed transponders report every three minutes: of class B always, of class A when they are moored
+(ITU-R M.1371-5, Annex 1, Tables 1 and 2)."""
 LYING_M_S = 0.25
 """A slower vessel does not move between its reports, which come every three minutes."""
 MOST_KN = 60.0
@@ -33,7 +37,7 @@ ALWAYS_OFF_M, OFF_M_S = 10.0, 0.5
 class Reason(Enum):
     """Why a vessel is left out of a frame."""
 
-    STALE = "stale, no report within {stale_s:g} s"
+    STALE = "stale, no report within {limit}"
     JUMP = "jumping"
     OFF = "off"
 
@@ -74,6 +78,22 @@ class Known:
     off: Poses
 
 
+def stale_limit_s(scene: Scene, given: float | None) -> float:
+    """Least time without a report of a vessel under way that is left out: the given one, else 60 s.
+
+    Raises:
+        InputError: The given one is not positive, or the scene was not made from AIS.
+    """
+    if given is None:
+        return STALE_S
+    if not (np.isfinite(given) and given > 0):
+        raise InputError("--stale", [f"must be seconds above 0 (got {given:g})"])
+    if read_reports(scene.path) is None:
+        problem = f"{scene.title} was not made by modsim3d ais: nothing says when its vessels have reported"
+        raise InputError("--stale", [problem])
+    return given
+
+
 class Freshness:
     """How well the places of a scene's vessels are known."""
 
@@ -83,7 +103,7 @@ class Freshness:
         Args:
             scene: The scene.
             reports: When its vessels have reported, if it was made from AIS.
-            stale_s: Least time without a report of a vessel under way that is left out.
+            stale_s: Least time without a report of a vessel under way that is left out; slow ones have three minutes.
         """
         self._scene, self._reports, self.stale_s = scene, reports, stale_s
         self._every_s, self._poses = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
@@ -122,7 +142,8 @@ class Freshness:
         previous = np.searchsorted(used, times_s, side="right") - 1
         last, first = used[np.maximum(previous, 0)], used[np.minimum(previous + 1, len(used) - 1)]
         near = np.minimum(np.abs(times_s - last), np.abs(first - times_s))
-        known.reason[Reason.STALE][:, column] = there & (near > self.stale_s) & (speed > LYING_M_S)
+        least_s = np.where(speed < SLOW_KN * KNOT_M_S, max(self.stale_s, SLOW_STALE_S), self.stale_s)
+        known.reason[Reason.STALE][:, column] = there & (near > least_s) & (speed > LYING_M_S)
         jumps = self._reports.jumps_s.get(name, np.empty(0))
         between = np.searchsorted(jumps, first) > np.searchsorted(jumps, last)
         known.reason[Reason.JUMP][:, column] |= there & between
@@ -176,8 +197,8 @@ def left_out(
             ours = holds[part.frame, part.vessel]
             rows[start:stop] |= ours
             counts[each] += np.bincount(part.vessel[ours], minlength=len(scene.vessels))
-        boxes.append(_grown(part.rows(rows[start:stop]), camera, known).boxes_px)
         look = CameraPoses(camera_poses.camera_R_world[frames], camera_poses.positions_m[frames])
+        boxes.append(_grown(part.rows(rows[start:stop]), camera, look, known).boxes_px)
         away = _off_regions(scene, camera, look, known)
         counts[Reason.OFF] += np.bincount(away.vessel, minlength=len(scene.vessels))
         pieces.append(away.rows(slice(None), first))
@@ -191,11 +212,10 @@ _AT_ONCE = 1_000_000
 
 
 def _told(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: float) -> Iterator[str]:
+    limit = f"{stale_s:g} s" + (f" ({SLOW_STALE_S:g} s below {SLOW_KN:g} kn)" if stale_s < SLOW_STALE_S else "")
     for column, name in enumerate(scene.vessel_names):
         if parts := [
-            f"{each.value.format(stale_s=stale_s)} in {count[column]:,}"
-            for each, count in counts.items()
-            if count[column]
+            f"{each.value.format(limit=limit)} in {count[column]:,}" for each, count in counts.items() if count[column]
         ]:
             yield f"vessel '{name}' is left out of frames: its AIS is {'; '.join(parts)} of {frames:,}"
 
@@ -208,15 +228,22 @@ def _off_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known:
     sight = line_of_sight(camera, camera_poses, frames, scene.vessels, places, (), scene.sea == "curved")
     outlines = sight.outlines(as_shoeboxes=True)
     found = Regions(outlines.frame, outlines.occluder, outlines.boxes_px, outlines.depth_m)
-    return _grown(found, camera, known)
+    return _grown(found, camera, camera_poses, known)
 
 
-def _grown(regions: Regions, camera: Camera, known: Known) -> Regions:
-    """Regions that are as much larger as the places may be off."""
+def _grown(regions: Regions, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
+    """Regions that are as much larger as the places may be off, across the line of sight or along it.
+
+    A vessel at distance r that is nearer by d has its waterline lower by the share d / (r − d) of the rows between that
+    and the horizon, and is larger by the same share. One that is farther moves by less.
+    """
     off_m = ALWAYS_OFF_M + OFF_M_S * known.since_s[regions.frame, regions.vessel]
-    share = off_m / np.maximum(regions.depth_m, camera.intrinsics.near_clip_m)
+    depth_m = np.maximum(regions.depth_m, camera.intrinsics.near_clip_m)
+    share = off_m / np.maximum(depth_m - off_m, off_m)  # at most 1, which is off by half the distance
     low, high = regions.boxes_px[:, :2], regions.boxes_px[:, 2:]
-    more = np.column_stack([camera.intrinsics.focal_px[0] * share, (high - low)[:, 1] * share])
+    f1, f2 = camera.intrinsics.focal_px
+    below_px = f2 * np.abs(camera_poses.positions_m[regions.frame, 2]) / depth_m
+    more = share[:, None] * np.column_stack([np.full(len(share), f1), below_px + (high - low)[:, 1]])
     size = np.array(camera.intrinsics.image_size_px, dtype=np.float64)
     boxes = np.concatenate([np.maximum(low - more, 0), np.minimum(high + more, size)], axis=1)
     return replace(regions, boxes_px=boxes)

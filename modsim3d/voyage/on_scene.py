@@ -14,6 +14,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.voyage.clock import SceneClock, check_overlap, scene_times
 from modsim3d.voyage.logs.bags import ros_name
 from modsim3d.voyage.logs.log import DetectionLog
+from modsim3d.voyage.noted_clocks import REGISTRATION, noted_clock_s
 
 ONE_LABEL = "vessel"
 """What all vessels are called where a log names no classes and the scene has several."""
@@ -25,12 +26,14 @@ class CameraLog:
 
     Attributes:
         camera: Number of the camera in the scene.
-        time_s: Times since the scene's first step by the log's own clock, ascending, shape (n,).
+        time_s: Times since the scene's first step by the log's own clock and what is noted of it beside the scene,
+            ascending, shape (n,).
         names: The frames as messages call them.
         frame: Frame of each detection, non-decreasing, shape (m,).
         label: Index into the labels of the `SceneLog`, shape (m,).
         boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
         confidence: In [0, 1], NaN where not given, shape (m,).
+        clock_s: What was added to the log's own times.
     """
 
     camera: int
@@ -40,6 +43,7 @@ class CameraLog:
     label: Indices
     boxes_px: Array
     confidence: Array
+    clock_s: float = 0.0
 
     def take(self, frames: Mask) -> CameraLog:
         """Some of its frames, shape (n,), with their detections."""
@@ -47,7 +51,7 @@ class CameraLog:
         rows = frames[self.frame]
         names = tuple(name for name, kept in zip(self.names, frames.tolist(), strict=True) if kept)
         columns = self.label[rows], self.boxes_px[rows], self.confidence[rows]
-        return CameraLog(self.camera, self.time_s[frames], names, place[self.frame[rows]], *columns)
+        return CameraLog(self.camera, self.time_s[frames], names, place[self.frame[rows]], *columns, self.clock_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +94,8 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
     _check_sizes(log, scene, numbers)
     labels, of_vessel, of_log, said = _labels(log, scene)
     clock = SceneClock.of(scene)
-    times_s = scene_times(log, scene, clock)
+    clocks_s = [noted_clock_s(scene.path, scene.cameras[number].name) for number in numbers]
+    times_s = scene_times(log, scene, clock) + np.array(clocks_s)[log.camera]
     check_overlap(log, times_s, scene, clock)
     label = np.zeros(len(log.label), dtype=np.int64) if of_log is None else of_log[log.label]
     cameras = []
@@ -101,8 +106,13 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
         rows = np.flatnonzero((log.frame >= frames[0]) & (log.frame <= frames[-1]))
         name = scene.cameras[number].name
         names = tuple(f"{name} {log.when(time)}" for time in log.time_s[frames].tolist())
-        columns = label[rows], log.boxes_px[rows], log.confidence[rows]
-        cameras.append(CameraLog(number, times_s[frames], names, log.frame[rows] - frames[0], *columns))
+        columns = log.frame[rows] - frames[0], label[rows], log.boxes_px[rows], log.confidence[rows]
+        cameras.append(CameraLog(number, times_s[frames], names, *columns, clocks_s[index]))
+        if clocks_s[index]:
+            said.append(
+                f"{log.source}: {clocks_s[index]:+.3f} s are added to its times of camera '{name}', which is clock_s "
+                f"in {REGISTRATION} beside the scene: set that to 0 if the clock has been set right since"
+            )
     notes = (*log.notes, f"{log.source}: its frames are known from {log.frames_from}", *said)
     return SceneLog(log.source, scene, clock.length_s, labels, of_vessel, tuple(cameras), notes)
 
@@ -126,7 +136,8 @@ def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[
         return log.of_one_camera(given[0] if given else 0), [number]
     if log.cameras == (None,):
         if len(names) > 1:
-            problem = f"does not say which camera of the scene it is of ({', '.join(names)}): give --camera"
+            which = f"does not say which camera of the scene it is of ({', '.join(names)})"
+            problem = f"{which}: give --camera, once for all logs or for each in their order"
             raise InputError(log.source, [problem])
         return log, [0]
     if wrong := [str(name) for name in log.cameras if name not in known]:
@@ -174,6 +185,6 @@ def _labels(log: DetectionLog, scene: Scene) -> tuple[tuple[str, ...], Indices, 
         return used, alike, None, said
     problem = (
         f"the scene has no label {shown(wrong[0])} ({nearest(wrong[0], known)}); its vessels and the detector must "
-        "have the same, or its vessels only one; --labels names the classes of MOT"
+        "have the same labels, or all vessels one, as modsim3d ais gives them; --labels names the classes of MOT"
     )
     raise InputError(log.source, [problem])

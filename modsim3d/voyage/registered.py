@@ -9,18 +9,24 @@ import numpy as np
 
 from modsim3d.arrays import Mask
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.inputs.validation import shown
+from modsim3d.inputs.validation import nearest, shown
 from modsim3d.learn.learn_detector import LEAST_CONFIDENCE
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
+from modsim3d.voyage.known import NOTHING_KNOWN, KnownMeans
 from modsim3d.voyage.on_scene import CameraLog
 from modsim3d.voyage.registration import BoxesAtTimes, Registration, register
+from modsim3d.voyage.registration.parameters import SHARED_NAMES, SHORT
+from modsim3d.voyage.registration.registering import BY_RULE
 from modsim3d.voyage.reports import read_reports
 from modsim3d.voyage.truth_noise.noise import POSITION_M, TruthNoise
 
 ALL = "all"
 """The name in `fixed` that stands for all parameters: then nothing is registered."""
+SHORT_OF = {full: short for short, full in SHORT.items()}
+FIXED_NAMES = tuple(SHORT_OF.get(name, name) for name in SHARED_NAMES if name not in BY_RULE)
+"""What `fixed` takes: the parameters that are registered, by their names without units."""
 OFFSETS_M = 5.0
 """How far positions of AIS are expected to be off for as long as a vessel is seen: antennas, late reports."""
 _SIZES = frozenset({"length", "beam", "air draft"})
@@ -55,12 +61,14 @@ class Registering:
         position_m: Standard deviation of each coordinate of positions.
         least_confidence: Least confidence of a detection that takes part.
         attitude: That of own ship as it was measured.
+        known: Means that are known beforehand.
     """
 
     fixed: tuple[str, ...] = ()
     position_m: float = 0.0
     least_confidence: float = LEAST_CONFIDENCE
     attitude: Attitude | None = None
+    known: KnownMeans = NOTHING_KNOWN
 
     def of(self, scene: Scene, log: CameraLog) -> Registration | None:
         """The registration of a camera; None if all of it is fixed.
@@ -81,6 +89,7 @@ class Registering:
                 camera.name,
                 _boxes(log, known, self.least_confidence),
                 fixed=self.fixed,
+                mean_errors=self.known.mean_errors,
                 use_sizes=sizes,
                 offsets_m=OFFSETS_M if ais else None,
                 noise_m=self.position_m,
@@ -88,7 +97,7 @@ class Registering:
             )
         except ModsimError as error:
             text = str(error)
-            if text.startswith("fixed: "):
+            if text.startswith("fixed: "):  # all of them, one by one
                 raise InputError("--fixed", [text.removeprefix("fixed: ")]) from None
             way_out = "--fixed all learns with the camera and the clock as they are"
             raise InputError(f"camera '{camera.name}'", [f"{text}; {way_out}"]) from None
@@ -102,12 +111,28 @@ def correction_of(registration: Registration | None) -> Correction:
 
 
 def parse_fixed(names: str | Sequence[str] | None) -> tuple[str, ...]:
-    """Names of parameters from a text such as `pitch,yaw`, or a list of them."""
-    each = names.split(",") if isinstance(names, str) else names or ()
-    fixed = tuple(name for name in (text.strip() for text in each) if name)
+    """Names of parameters from a text such as `pitch,yaw`, or a list of them; names with units, too.
+
+    Raises:
+        InputError: A name is not known, or `all` does not stand alone.
+    """
+    fixed = tuple(text.strip() for text in (names.split(",") if isinstance(names, str) else names or ()))
+    known = (*FIXED_NAMES, ALL)
+    if unknown := [name for name in fixed if SHORT_OF.get(name, name) not in known]:
+        raise InputError("--fixed", [f"no parameter {shown(unknown[0])} ({nearest(unknown[0], known)})"])
     if ALL in fixed and len(fixed) > 1:
         raise InputError("--fixed", [f"all stands alone (got {shown(','.join(fixed))})"])
     return fixed
+
+
+def check_known(known: KnownMeans, fixed: tuple[str, ...]) -> None:
+    """Refuse means of boxes where nothing is registered.
+
+    Raises:
+        InputError: They are given, and all parameters are fixed.
+    """
+    if ALL in fixed and any(value is not None for value in known.mean_errors):
+        raise InputError("--known", ["means of box errors are for registration, which --fixed all leaves out"])
 
 
 def _boxes(log: CameraLog, frames: Mask, least: float) -> BoxesAtTimes:

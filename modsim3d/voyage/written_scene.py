@@ -1,9 +1,8 @@
-"""A scene with its cameras as they were registered, as files of a folder."""
+"""A scene with its cameras as they were registered, as a folder that every command takes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,19 +12,26 @@ import orjson
 
 from modsim3d.ais.report_times import REPORT_TIMES
 from modsim3d.ais.scene_folder import REPORT
+from modsim3d.detector.file.writing import detector_text as yaml_text
 from modsim3d.errors import ModsimError
+from modsim3d.scene.parts import SCENE_FILE
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.labelled_voyage import Registered
+from modsim3d.voyage.noted_clocks import REGISTRATION, noted_cameras
 from modsim3d.voyage.registration import Registration
 
-REGISTRATION = "registration.json"
-"""What was registered, the clock of the log included, which is no value of a scene."""
+_VESSELS = "vessels.json"
+_HEAD = (
+    "Scene '{name}', with its cameras as they were registered; made by `modsim3d learn --write-scene`.",
+    "registration.json has the clocks of the logs, which `modsim3d learn --scene` adds to their times.",
+)
 
 
 def scene_files(scene: Scene, registered: Sequence[Registered], folder: Path) -> dict[Path, bytes | str]:
     """The files of a copy of a scene whose cameras have the registered values.
 
-    What `modsim3d ais` wrote beside the scene is copied too.
+    The scene is `scene.yaml`, so that the folder stands for it. What `modsim3d ais` wrote beside the scene is copied
+    too, so that the copy knows as much of its vessels.
 
     Args:
         scene: The scene.
@@ -42,14 +48,23 @@ def scene_files(scene: Scene, registered: Sequence[Registered], folder: Path) ->
     for each in registered:
         cameras[each.registration.camera] = _camera_keys(cameras[each.registration.camera], each.registration)
     document = {**scene.copy.document, "cameras": cameras}
-    with TemporaryDirectory() as temporary:
-        written = Path(temporary)
-        replace(scene.copy, document=document).write(written)
-        found = {path.relative_to(written): path.read_bytes() for path in written.rglob("*") if path.is_file()}
+    found = _files_beside(scene)
+    if isinstance(document.get("vessels"), dict):
+        found[Path(_VESSELS)], document["vessels"] = _json(document["vessels"]), _VESSELS
     beside = (scene.path.parent / name for name in (REPORT, REPORT_TIMES))
     found |= {Path(path.name): path.read_bytes() for path in beside if path.is_file()}
-    found[Path(REGISTRATION)] = orjson.dumps(_content(registered), option=orjson.OPT_INDENT_2) + b"\n"
+    found[Path(REGISTRATION)] = _json(_content(scene, registered))
+    found[Path(SCENE_FILE)] = yaml_text(document, [line.format(name=scene.name) for line in _HEAD])
     return {folder / name: content for name, content in found.items()}
+
+
+def _files_beside(scene: Scene) -> dict[Path, bytes | str]:
+    """The files that the copy's scene file names."""
+    with TemporaryDirectory() as temporary:
+        written = Path(temporary)
+        scene_file = scene.copy.write(written)
+        paths = [path for path in written.rglob("*") if path.is_file() and path != scene_file]
+        return {path.relative_to(written): path.read_bytes() for path in paths}
 
 
 def _camera_keys(keys: Mapping[str, Any], registration: Registration) -> dict[str, Any]:
@@ -67,14 +82,19 @@ def _camera_keys(keys: Mapping[str, Any], registration: Registration) -> dict[st
     return changed
 
 
-def _content(registered: Sequence[Registered]) -> dict[str, Any]:
-    """What was registered: the clock is added to the times of the log, the others are in the scene already."""
+def _content(scene: Scene, registered: Sequence[Registered]) -> dict[str, Any]:
+    """What was registered: the clock is added to the times of the log, the others are in the scene already.
+
+    A camera that was not registered keeps what is noted of it beside the scene.
+    """
     return {
         "format": 1,
-        "cameras": {
+        "cameras": dict(noted_cameras(scene.path))
+        | {
             each.registration.camera: {
                 "log": each.source,
-                "clock_s": each.registration.values["clock_s"],
+                "clock_s": each.clock_s + each.registration.values["clock_s"],
+                "known": each.known.given(),
                 "added": {
                     found.name: {"value": found.value, "low": found.low, "high": found.high, "held": found.held or None}
                     for found in each.registration.estimates
@@ -83,3 +103,7 @@ def _content(registered: Sequence[Registered]) -> dict[str, Any]:
             for each in registered
         },
     }
+
+
+def _json(content: Mapping[str, Any]) -> bytes:
+    return orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n"

@@ -6,13 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 import modsim3d
+from modsim3d.cli import app
+from modsim3d.commands.labelled_options import read_options
+from modsim3d.commands.learn_voyage import asked_voyage
 from modsim3d.errors import ModsimError
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
 from modsim3d.voyage.learned import learn_voyage
 from modsim3d.voyage.on_scene import CameraLog
+from modsim3d.voyage.registered import FIXED_NAMES
 from tests.commands.bad_input.builders import Call
 from tests.voyage.test_logs import LOGS, options
 
@@ -135,6 +140,32 @@ def test_options_of_a_voyage_need_a_scene(call: Call, tmp_path: Path, given) -> 
     assert f"{given[0]} is for --scene" in text
 
 
+def test_logs_that_name_no_camera_are_of_those_that_are_given(voyage: Path) -> None:
+    """`--camera` names that of each log, in their order."""
+    folder, scene = voyage / "csv", str(voyage / "run" / "scene" / "strait.json")
+    logs = [folder / "detections_bow.csv", folder / "detections_quay.csv"]
+
+    def views(*cameras: str) -> list[str]:
+        asked = asked_voyage(scene, None, None, cameras, None, None, None, "all", None, None, None, None, None, False)
+        assert asked is not None
+        options = read_options(None, None, False, None, 0, None, None)
+        return [view.camera.name for view in asked.labelled(logs, [], options, None).views]
+
+    assert views("bow", "quay") == ["bow", "quay"]
+    with pytest.raises(ModsimError, match=r"--camera is given 3 times, with 2 logs: .* for each in their order"):
+        views("bow", "quay", "bow")
+
+
+def test_fixed_names_are_those_of_the_help() -> None:
+    (said,) = (each.help for each in typer.main.get_command(app).commands["learn"].params if each.name == "fixed")
+    assert said.partition(": ")[2] == f"{', '.join(FIXED_NAMES)}; or all."
+
+
 def test_nothing_can_be_learned_where_no_vessel_is_seen(strait: Scene, voyage: Path) -> None:
     with pytest.raises(ModsimError, match="nothing can be learned"):
         learn_voyage(strait, voyage / "run", camera="bow", registration=Correction(yaw_deg=180), replicates=20)
+
+
+def test_what_is_fixed_or_known_is_of_an_estimated_registration(strait: Scene, voyage: Path) -> None:
+    with pytest.raises(ModsimError, match="fixed and known are for a registration that is estimated"):
+        learn_voyage(strait, voyage / "run", registration=NO_CORRECTION, known="delay=2")

@@ -8,25 +8,28 @@ import numpy as np
 import pytest
 
 from modsim3d.ais.scene_folder import write_scene
+from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.inputs.shipped import data_folder
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from modsim3d.voyage.labelled_voyage import VoyageOptions, labelled_voyage
+from modsim3d.voyage.labelled_voyage import NO_OPTIONS, VoyageOptions, labelled_voyage
+from modsim3d.voyage.left_out import stale_limit_s
 from modsim3d.voyage.logs.log import Clock
 from modsim3d.voyage.logs.reading import read_log
+from modsim3d.voyage.moved_vessels import with_moved_vessels
 from modsim3d.voyage.on_scene import on_scene
 from modsim3d.voyage.reports import read_reports
 from tests.ais.ais_builders import old_file, row, traffic_of
 
-FRESH, STALE, OFF, JUMPING, LYING = range(219000001, 219000006)
+FRESH, STALE, OFF, JUMPING, LYING, SLOW = range(219000001, 219000007)
 LAST_S = 720
 LATITUDE_M, LONGITUDE_M = 111_200, 62_250
 CAMERA = {"position_m": [0, 0, 30], "yaw_rad": 0}
 
 
-def reports(mmsi: int, times: list[int], speed_kn: float = 2.0) -> list[str]:
+def reports(mmsi: int, times: list[int], speed_kn: float = 3.0) -> list[str]:
     """A vessel 800 m east of the origin that goes east, each in a lane of its own."""
     lane_m = 60 * (mmsi - JUMPING + 1)
     rows = []
@@ -48,20 +51,23 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         *reports(JUMPING, every),
         *jump,
         *reports(LYING, list(range(0, LAST_S + 1, 180)), 0.0),
+        *reports(SLOW, list(range(0, LAST_S + 1, 180)), 1.0),
     ]
     traffic = traffic_of(old_file(folder, *rows), origin=(56.0, 12.0))
     write_scene(traffic, folder / "scene", data_folder("scenes") / "detectors" / "thesis.yaml")
     return load_scene(folder / "scene", source="analytic", settings={"cameras.shore.pose": CAMERA})
 
 
-def labelled_at(scene: Scene, folder: Path, times: list[int], *detections: str) -> LabelledSet:
+def labelled_at(
+    scene: Scene, folder: Path, times: list[int], *detections: str, options: VoyageOptions = NO_OPTIONS
+) -> LabelledSet:
     """The voyage with a frame at each time, and detections as rows without their scores."""
     rows = [f"2024-01-04T10:{time // 60:02d}:{time % 60:02d}Z,,,,,," for time in times]
     text = "\n".join(["utc,left,top,right,bottom,label,score", *rows, *detections])
     (folder / "log.csv").write_text(text + "\n")
     log = read_log(folder / "log.csv")
     assert log.clock is Clock.UTC
-    return labelled_voyage(on_scene(log, scene), VoyageOptions()).labelled
+    return labelled_voyage(on_scene(log, scene), options).labelled
 
 
 def vessel(scene: Scene, mmsi: int) -> int:
@@ -95,7 +101,7 @@ def test_vessels_are_left_out_while_their_ais_is_stale_jumps_or_is_off(scene: Sc
     for mmsi, left_out in expected.items():
         assert [ignored(scene, labelled, mmsi, image) for image in range(6)] == [[each] for each in left_out], mmsi
     said = "\n".join(labelled.notes)
-    assert f"vessel '{STALE}' is left out of frames: its AIS is stale, no report within 60 s in 2 of 6" in said
+    assert f"vessel '{STALE}' is left out of frames: its AIS is stale, no report within 60 s (180 s below 2 kn)" in said
     assert f"vessel '{JUMPING}' is left out of frames: its AIS is jumping in 2 of 6" in said
     assert f"vessel '{OFF}' is left out of frames: its AIS is off in 4 of 6" in said
     assert str(FRESH) not in said
@@ -122,7 +128,36 @@ def test_a_vessel_that_is_left_out_is_neither_missed_nor_a_false_detection(scene
     matched = match(labelled, Rule())
     assert matched.counts.sum() == 1
     assert matched.false.tolist() == [int(np.argmin(labelled.results.boxes_px[:, 1]))]
-    assert matched.sought.sum() == 2  # the fresh one and the one that lies still
+    assert matched.sought.sum() == 3  # the fresh one, the one that lies still and the slow one
+
+
+def test_slow_vessels_have_three_minutes_and_the_limit_is_an_option(scene: Scene, tmp_path: Path) -> None:
+    """Transponders of slow vessels report every three minutes."""
+    assert ignored(scene, labelled_at(scene, tmp_path, [90]), SLOW, 0) == [False]
+    longer = VoyageOptions(stale_s=stale_limit_s(scene, 110))
+    assert ignored(scene, labelled_at(scene, tmp_path, [200], options=longer), STALE, 0) == [False]
+    shorter = VoyageOptions(stale_s=stale_limit_s(scene, 2))
+    assert ignored(scene, labelled_at(scene, tmp_path, [205], options=shorter), FRESH, 0) == [True]
+    with pytest.raises(InputError, match=r"--stale:\n +must be seconds above 0"):
+        stale_limit_s(scene, 0)
+    with pytest.raises(InputError, match=r"--stale:\n.* was not made by modsim3d ais"):
+        stale_limit_s(load_scene("strait", steps=2), 90)
+
+
+@pytest.mark.parametrize("moved_m", [(60, 0), (-60, 0), (0, 60), (0, -60)])
+def test_a_region_covers_the_vessel_wherever_it_may_be(scene: Scene, tmp_path: Path, moved_m) -> None:
+    """A hundred seconds from a report it is off by 60 m: along the line of sight, or across."""
+    offsets = np.zeros((len(scene.vessels), 3))
+    offsets[vessel(scene, STALE), :2] = moved_m
+    really = with_moved_vessels(scene, offsets)
+    ours, theirs = (
+        labelled_at(each, tmp_path, [200], options=VoyageOptions(stale_s=stale_s)).annotations
+        for each, stale_s in ((scene, 60), (really, 1e9))
+    )
+    (region,), (box,) = (rows.boxes_px[rows.identity == vessel(scene, STALE)] for rows in (ours, theirs))
+    assert (region[:2] <= box[:2]).all()
+    assert (region[2:] >= box[2:]).all()
+    assert region[3] - box[3] < 8  # and is not much larger
 
 
 def test_a_scene_made_by_an_older_version_says_what_it_does_not_know(scene: Scene, tmp_path: Path) -> None:

@@ -86,6 +86,58 @@ def test_an_image_without_detections_is_a_frame(tmp_path: Path) -> None:
     assert log.size_px.tolist() == [[640, 480]] * 2
 
 
+@pytest.mark.parametrize("captured", ["", 0, "2013-11-14 17:02:52", None])
+@pytest.mark.parametrize(("numbers", "times"), [((10, 13, 11), [1, 1.1, 1.3]), ((None, None, None), [0, 0.1, 0.2])])
+def test_images_that_date_captured_does_not_tell_apart_have_the_frame_rate(tmp_path: Path, captured, numbers, times):
+    images = [
+        {"id": k, "date_captured": captured} | ({} if number is None else {"frame_id": number})
+        for k, number in enumerate(numbers)
+    ]
+    content = {"images": images, "annotations": [], "categories": [{"id": 3, "name": "boat"}]}
+    (tmp_path / "log.json").write_text(json.dumps(content))
+    log = read_log(tmp_path / "log.json", LogOptions(frame_rate_hz=10))
+    np.testing.assert_allclose(log.time_s, times)
+    assert log.clock is Clock.STEP
+    said = " ".join(log.notes)
+    if captured is not None:
+        assert "date_captured is empty or the same in several images, so their" in said
+    assert ("places in the file are taken, at 10 Hz" in said) == (numbers[0] is None)
+    with pytest.raises(InputError, match=r"a time is needed: .*frame_id with --frame-rate|another image has the time"):
+        read_log(tmp_path / "log.json")
+
+
+def test_results_may_name_images_by_their_files(tmp_path: Path) -> None:
+    """As detectors write them that do not know the IDs."""
+    images = [{"id": k, "file_name": f"day/{k:04d}.png", "time_s": k} for k in range(3)]
+    (tmp_path / "gt.json").write_text(json.dumps({"images": images, "categories": [{"id": 1, "name": "boat"}]}))
+    entry = {"category_id": 1, "bbox": [1, 2, 30, 40], "score": 0.5}
+    for name in ("0002", "0002.png", "day/0002.png"):
+        (tmp_path / "dt.json").write_text(json.dumps([entry | {"image_id": name}]))
+        log = read_log(tmp_path / "dt.json", LogOptions(images=tmp_path / "gt.json"))
+        assert log.frame.tolist() == [2]
+        assert "taken for the names of the images' files" in log.notes[0]
+    (tmp_path / "dt.json").write_text(json.dumps([entry | {"image_id": "other"}]))
+    with pytest.raises(InputError, match="unknown image_id 'other'"):
+        read_log(tmp_path / "dt.json", LogOptions(images=tmp_path / "gt.json"))
+
+
+@pytest.mark.parametrize(
+    "names", ["left,top,right,bottom", "x1,y1,x2,y2", "xmin,ymin,xmax,ymax", "x_min,y_min,x_max,y_max"]
+)
+def test_corners_have_the_names_that_detectors_give_them(tmp_path: Path, names: str) -> None:
+    log = read_log(table(tmp_path, "0,1,2,30,40", head=f"time_s,{names}\n"))
+    assert log.boxes_px.tolist() == [[1, 2, 30, 40]]
+
+
+def test_images_with_times_of_their_own_keep_them_beside_a_frame_rate(tmp_path: Path) -> None:
+    images = [{"id": k, "frame_id": k, "date_captured": f"2024-01-04 10:00:0{k}"} for k in range(3)]
+    content = {"images": images, "annotations": [], "categories": []}
+    (tmp_path / "log.json").write_text(json.dumps(content))
+    log = read_log(tmp_path / "log.json", LogOptions(frame_rate_hz=10))
+    assert log.span == "2024-01-04T10:00:00Z to 2024-01-04T10:00:02Z"
+    assert log.notes == ()
+
+
 def table(folder: Path, *rows: str, head: str = HEAD) -> Path:
     path = folder / "log.csv"
     path.write_text(head + "".join(f"{row}\n" for row in rows))
@@ -181,9 +233,21 @@ def test_a_time_without_a_zone_is_utc_wherever_the_log_is_read(monkeypatch: pyte
 
 ROW = "0,1,2,3,4,boat,0.5"
 WRONG = {
-    "no time": ("log.csv", "left,top,width,height\n1,2,3,4\n", "line 1: a column with the time is missing"),
+    "no time": (
+        "log.csv",
+        "left,top,width,height\n1,2,3,4\n",
+        "a column with the time is missing (got 'left', 'top'",
+    ),
+    "no columns": (
+        "log.csv",
+        "utc;left;top\n1;2;3\n",
+        "the time is missing (got 'utc;left;top')",
+    ),
+    "no content": ("log.csv", "\n", "the file is empty"),
+    "shares": ("log.csv", f"{HEAD}0,0.1,0.2,0.3,0.4,boat,0.5\n", "give pixels, not shares of the image"),
     "no box": ("log.csv", "time_s,left\n0,1\n", "line 1: columns of the box are missing"),
     "a time": ("log.csv", f"{HEAD}noon,1,2,3,4,boat,0.5\n", "line 2: time_s must be seconds, or a time such as"),
+    "milliseconds": ("log.csv", f"{HEAD}1704362396300,1,2,3,4,boat,0.5\n", "which may be milliseconds)"),
     "two clocks": ("log.csv", f"{HEAD}{ROW}\n2024-01-04,1,2,3,4,boat,1\n", "some times are UTC and others are not"),
     "half a box": ("log.csv", f"{HEAD}0,1,,3,4,boat,0.5\n", "line 2: left, top, width, height must be numbers"),
     "no area": ("log.csv", f"{HEAD}{ROW}\n1,1,2,0,4,boat,0.5\n", "line 3: bbox has no area"),
@@ -246,6 +310,11 @@ def test_labels_that_the_scene_has_not_are_refused(tmp_path: Path, strait: Scene
 def test_a_log_in_utc_needs_a_scene_that_knows_its_start(tmp_path: Path, strait: Scene) -> None:
     with pytest.raises(InputError, match=r"its times are UTC .* does not say when it starts"):
         on_scene(read_log(table(tmp_path, "2024-01-04T10:00Z,1,2,3,4,boat,1")), strait, "bow")
+
+
+def test_images_are_for_coco(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--images:\n +is for COCO results, and .*log.csv says itself"):
+        read_log(table(tmp_path, ROW), LogOptions(images=tmp_path / "gt.json"))
 
 
 def test_a_start_is_for_logs_that_count_from_zero(tmp_path: Path) -> None:

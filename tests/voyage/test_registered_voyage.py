@@ -10,11 +10,14 @@ import orjson
 import pytest
 
 import modsim3d
+from modsim3d.errors import InputError
 from modsim3d.scene.reading import load_scene
 from modsim3d.voyage.correction import Correction
 from modsim3d.voyage.learned import VoyageResult, learn_voyage
 from modsim3d.voyage.registered import correction_of
 from modsim3d.voyage.told.voyage_json import voyage_json
+from modsim3d.voyage.unseen.judged import judge
+from modsim3d.voyage.unseen.stretches import Stretch
 from tests.commands.bad_input.builders import Call
 from tests.voyage.strait_logs import REALLY, strait_log, strait_scene, written
 from tests.voyage.test_learn_voyage import WITHOUT
@@ -62,7 +65,16 @@ def test_the_correction_changes_camera_and_clock_as_the_registration_says(learne
     assert changed.intrinsics.focal_px[0] == pytest.approx(camera.intrinsics.focal_px[0] * larger)
     assert correction.clock_s == registration["clock_s"].value
     times = learned.told.voyage.labelled.images.time_s
-    assert times[-1] == pytest.approx(299 * 0.2, abs=0.21)  # the log ends 3.7 s before the scene, by its own clock
+    assert times[-1] == pytest.approx(299 * 0.2 - REALLY["clock_s"], abs=0.21)  # by the clock of the log
+
+
+def test_empty_stretches_are_by_the_clock_of_the_log(learned: VoyageResult) -> None:
+    """The log ends 3.7 s before the scene, by its own clock; a stretch is what a user reads there."""
+    observed = learned.told.judged.observed
+    last = 59.8 - REALLY["clock_s"]
+    assert judge(observed, (Stretch(last - 0.9, last + 9),)).empty.sum() == 5
+    with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.5 s to 56"):
+        judge(observed, (Stretch(last + 0.5, 59.8),))
 
 
 def test_json_has_the_registration_with_intervals_and_the_coverage(learned: VoyageResult) -> None:
@@ -109,7 +121,7 @@ def test_the_command_tells_the_registration_writes_the_page_and_the_scene(
     for title in ("Registration", "What AIS does not see", "Coverage of the sea", "The longest without a match"):
         assert f">{title}</h2>" in page
     modsim3d.load_detector(out)
-    (camera,) = (each for each in load_scene(scene / "strait.json").cameras if each.name == "bow")
+    (camera,) = (each for each in load_scene(scene).cameras if each.name == "bow")
     assert np.degrees(camera.mount.yaw_rad) == pytest.approx(REALLY["yaw_deg"], abs=0.1)
     assert np.degrees(camera.mount.pitch_rad) == pytest.approx(np.degrees(0.03) + REALLY["pitch_deg"], abs=0.05)
     noted = json.loads((scene / "registration.json").read_text())["cameras"]["bow"]
@@ -117,7 +129,7 @@ def test_the_command_tells_the_registration_writes_the_page_and_the_scene(
 
 
 def test_a_detector_is_no_file_of_the_written_scene(call: Call, voyage: Path, tmp_path: Path) -> None:
-    scene, out = voyage / "run" / "scene" / "strait.json", tmp_path / "scene" / "strait.json"
+    scene, out = voyage / "run" / "scene" / "strait.json", tmp_path / "scene" / "scene.yaml"
     line = ("learn", "--scene", scene, "--detections", voyage / "run", "--fixed", "all", "--out", out)
     status, said = call(*line, "--write-scene", out.parent)
     assert status == 2
@@ -153,6 +165,9 @@ def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call
     [
         (("--fixed", "pitsch"), "no parameter 'pitsch'"),
         (("--fixed", "all,pitch"), "all stands alone (got 'all,pitch')"),
+        (("--fixed", ""), "no parameter '' (known: clock, roll, pitch, yaw, height, focal, k1, mean_width"),
+        (("--known", "mean_x=1"), "--fixed all leaves out"),
+        (("--stale", "90"), "was not made by modsim3d ais"),
         (("--empty", "soon"), "must be FROM-TO in seconds"),
         (("--empty", "900-1000"), "no frame lies in it"),
         (("--position-noise", "-1"), "must be metres from 0 on (got -1)"),

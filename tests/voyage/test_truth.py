@@ -171,10 +171,20 @@ def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> 
     assert "camera 'bow': 15 frames without attitude are left out" in found.notes
 
 
+HEAD = "time_s,roll_rad,pitch_rad,heading_rad\n"
 WRONG = {
     "columns": ("time_s,roll_rad\n0,1\n", "the columns pitch_rad, heading_rad are missing"),
-    "a number": ("time_s,roll_rad,pitch_rad,heading_rad\n0,1,2,3\n1,x,2,3\n", "line 3: roll_rad must be a number"),
-    "the order": ("time_s,roll_rad,pitch_rad,heading_rad\n1,1,2,3\n0,1,2,3\n", "their times must increase"),
+    "a number": (f"{HEAD}0,1,0,3\n1,x,0,3\n", "line 3: roll_rad must be a number"),
+    "the order": (f"{HEAD}1,1,2,3\n0,1,2,3\n", "line 3: its time must be later than"),
+    "one row": (f"{HEAD}1,1,2,3\n", r"at least two rows are needed \(got 1\)"),
+    "degrees": (
+        f"{HEAD}0,1,0,3\n1,2.5,0,190\n",
+        r"line 3: .* \(got 2.5, 0, 190\): are these",
+    ),
+    "another day": (
+        f"{HEAD}90000,0,0,0\n90001,0,0,0\n",
+        "its rows are from 90000 s to",
+    ),
     "the vessel": ("vessel,time_s,roll_rad,pitch_rad,heading_rad\nowl,0,1,2,3\n", "no row of own"),
 }
 

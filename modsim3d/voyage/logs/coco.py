@@ -1,14 +1,15 @@
 """COCO: results with the file of their images, or one file whose annotations have scores.
 
-The time of an image is its `time_s`, `utc` or `date_captured`, or its `frame_id` with a frame rate. Its camera is
-`camera`, or `sequence` (or `video_id`) where that is a text or there are several.
+The time of an image is its `time_s`, `utc` or `date_captured`. Many tools leave the last empty, or write the same into
+all images: then, with a frame rate, the time is that of its `frame_id`, or else of its place in the file. The camera of
+an image is `camera`, or `sequence` (or `video_id`) where that is a text or there are several.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from modsim3d.errors import InputError
@@ -18,7 +19,8 @@ from modsim3d.inputs.validation import shown
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
 from modsim3d.voyage.logs.times import all_utc, time_of
 
-_TIMES = ("time_s", "utc", "date_captured")
+_CAPTURED = "date_captured"
+_TIMES = ("time_s", "utc", _CAPTURED)
 SECTIONS = ("images", "annotations", "categories")
 
 
@@ -46,7 +48,13 @@ def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) ->
     scored = any(value is not None for _, value in scores)
     confidences = Confidences.of(scores, options.confidence_scale, problems, "score") if scored else None
     rows = LogRows(source, problems, confidences)
-    frame_of, clock = _frames(truth, where, options, rows)
+    frame_of, clock, notes = _frames(truth, where, options, rows)
+    given = {_key(each.get("image_id")) for each in results if isinstance(each, dict)}
+    if given and not given & frame_of.keys():
+        by_name = _by_name(truth["images"], frame_of)
+        if given & by_name.keys():
+            frame_of = by_name
+            notes.append(f"{source}: its image_id are taken for the names of the images' files")
     for index, entry in enumerate(results):
         place = f"[{index}]"
         if not isinstance(entry, dict):
@@ -60,7 +68,7 @@ def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) ->
             frame = frame_of[_key(entry["image_id"])]
             rows.add(frame, place, box if isinstance(box, list) else [], label, entry.get("score"))
     labels = {name: k for k, name in enumerate(categories.values())}
-    return rows.log(clock, f"the images of {(options.images or path).name}", labels)
+    return rows.log(clock, f"the images of {(options.images or path).name}", labels, notes)
 
 
 def _key(value: Any) -> Any:
@@ -79,9 +87,14 @@ def _categories(truth: Any, source: str, offset: int) -> dict[Any, str]:
     return found
 
 
-def _frames(truth: Mapping[str, Any], source: str, options: LogOptions, rows: LogRows) -> tuple[dict[Any, int], Clock]:
-    """Number of the frame of each image by its ID, and what their times count from."""
-    times = [_time(entry, options.frame_rate_hz) for entry in truth["images"]]
+def _frames(
+    truth: Mapping[str, Any], source: str, options: LogOptions, rows: LogRows
+) -> tuple[dict[Any, int], Clock, list[str]]:
+    """Number of the frame of each image by its ID, what their times count from, and what was taken for granted."""
+    if wrong := [k for k, entry in enumerate(truth["images"]) if not isinstance(entry, dict)]:
+        raise InputError(source, [f"images[{wrong[0]}]: must be a mapping (got {shown(truth['images'][wrong[0]])})"])
+    cameras = _cameras(truth["images"])
+    times, notes = _times(truth["images"], cameras, source, options.frame_rate_hz)
     lacking = [k for k, (time_s, _) in enumerate(times) if math.isnan(time_s)]
     if lacking:
         needed = f"a time is needed: {', '.join(_TIMES)}, or frame_id with --frame-rate"
@@ -93,7 +106,6 @@ def _frames(truth: Mapping[str, Any], source: str, options: LogOptions, rows: Lo
         raise InputError(source, ["images: some times are UTC and others are not"])
     frame_of: dict[Any, int] = {}
     problems = []
-    cameras = _cameras(truth["images"])
     for index, (entry, camera, (time_s, _)) in enumerate(zip(truth["images"], cameras, times, strict=True)):
         where, identity = f"images[{index}]", _key(entry.get("id"))
         if identity is None or identity in frame_of:
@@ -107,18 +119,46 @@ def _frames(truth: Mapping[str, Any], source: str, options: LogOptions, rows: Lo
             frame_of[identity] = rows.frame(camera, time_s, _size(entry))
     if problems:
         raise InputError(source, problems)
-    return frame_of, Clock.UTC if utc else Clock.STEP
+    return frame_of, Clock.UTC if utc else Clock.STEP, notes
 
 
-def _time(entry: Any, frame_rate_hz: float | None) -> tuple[float, bool]:
-    """Time of an image, and whether it is UTC."""
-    if not isinstance(entry, dict):
-        return math.nan, False
+def _by_name(images: Sequence[Mapping[str, Any]], frame_of: Mapping[Any, int]) -> dict[Any, int]:
+    """Number of the frame of each image by the name of its file, with and without folders and ending."""
+    found: dict[Any, int] = {}
+    for entry in images:
+        name = PurePosixPath(str(entry.get("file_name", "")).replace("\\", "/"))
+        for each in (name.stem, name.name, str(name)):
+            found[each] = frame_of[_key(entry.get("id"))]
+    return found
+
+
+def _times(
+    images: Sequence[Mapping[str, Any]], cameras: Sequence[str | None], source: str, rate_hz: float | None
+) -> tuple[list[tuple[float, bool]], list[str]]:
+    """Time of each image, and whether it is UTC; and a remark if it is not what the images have."""
+    times = [_time(entry) for entry in images]
+    if rate_hz is None or any(entry.get(key) is not None for entry in images for key in ("time_s", "utc")):
+        return times, []
+    if not any(math.isnan(time_s) for time_s, _ in times) and len(set(zip(cameras, times, strict=True))) == len(times):
+        return times, []
+    numbered = all(is_number(entry.get("frame_id")) for entry in images)
+    place, counts = [], dict[str | None, int]()
+    for entry, camera in zip(images, cameras, strict=True):
+        counts[camera] = counts.get(camera, -1) + 1
+        place.append(float(entry["frame_id"]) if numbered else counts[camera])
+    used = "frame_id" if numbered else "places in the file"
+    given = any(entry.get(_CAPTURED) is not None for entry in images)
+    why = f"{_CAPTURED} is empty or the same in several images" if given else "the images have no times"
+    notes = [f"{source}: {why}, so their {used} are taken, at {rate_hz:g} Hz"] if given or not numbered else []
+    return [(number / rate_hz, False) for number in place], notes
+
+
+def _time(entry: Mapping[str, Any]) -> tuple[float, bool]:
+    """Time of an image, NaN if it has none, and whether it is UTC."""
     for key in _TIMES:
-        if entry.get(key) is not None:
+        if entry.get(key) is not None and not (key == _CAPTURED and entry[key] in ("", 0, "0")):
             return time_of(entry[key])
-    frame = entry.get("frame_id")
-    return (frame / frame_rate_hz, False) if frame_rate_hz and is_number(frame) else (math.nan, False)
+    return math.nan, False
 
 
 def _cameras(images: Sequence[Any]) -> list[str | None]:

@@ -17,6 +17,8 @@ from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.voyage.logs.times import time_text
 
 NO_LABEL = -1
+_SHARES = 2.0
+"""Boxes in shares of an image are no further from its corner than this."""
 
 
 class Clock(Enum):
@@ -224,6 +226,10 @@ class LogRows:
         place_of = np.empty(len(time_s), dtype=np.int64)
         place_of[order_of_frames] = np.arange(len(time_s))
         frame = place_of[np.array([row[0] for row in self._rows], dtype=np.int64)]
+        boxes_px = from_top_left(np.array(self._boxes, dtype=np.float64).reshape(-1, 4))
+        if len(boxes_px) and (np.abs(boxes_px) <= _SHARES).all():
+            problem = f"all boxes lie within {_SHARES:g} px of the image's corner: give pixels, not shares of the image"
+            raise InputError(self.source, [problem])
         rows = np.argsort(frame, kind="stable")
         return DetectionLog(
             source=self.source,
@@ -235,7 +241,7 @@ class LogRows:
             labels=tuple(names),
             frame=frame[rows],
             label=number[rows],
-            boxes_px=from_top_left(np.array(self._boxes, dtype=np.float64).reshape(-1, 4))[rows],
+            boxes_px=boxes_px[rows],
             confidence=np.array([row[2] for row in self._rows], dtype=np.float64)[rows],
             frames_from=frames_from,
             notes=tuple(notes),

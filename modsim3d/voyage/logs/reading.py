@@ -29,6 +29,8 @@ def read_log(path: Path, options: LogOptions = NO_OPTIONS) -> DetectionLog:
         InputError: It cannot be read, is of no known kind, or is wrong.
     """
     log = _reader(path, options)
+    if options.images is not None and ".json" not in path.suffixes:
+        raise InputError("--images", [f"is for COCO results, and {path} says itself when its images were taken"])
     return log.shifted(options.start)
 
 

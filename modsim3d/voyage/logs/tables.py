@@ -28,7 +28,11 @@ from modsim3d.voyage.logs.times import LEAST_UNIX_S, seconds, utc_s
 _TIMES, _SCORES, _LABELS = ("utc", "time_s", "time", "timestamp"), ("score", "confidence"), ("label", "class")
 _EDGES = BoxForm("edges", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
 _SIDES = BoxForm("corner and sides", ("left", "top", "width", "height"), 0, TOP_LEFT.to_corners)
-_FORMS = (_EDGES, _SIDES, CORNERS, CENTRE)
+_DETECTORS = tuple(  # as the tables of common detectors have them
+    BoxForm("corners", names, 0, CORNERS.to_corners)
+    for names in (("x1", "y1", "x2", "y2"), ("xmin", "ymin", "xmax", "ymax"), ("x_min", "y_min", "x_max", "y_max"))
+)
+_FORMS = (_EDGES, _SIDES, *_DETECTORS, CORNERS, CENTRE)
 _NEEDED = "time_s or utc; left, top, right, bottom or left, top, width, height; and perhaps camera, label, score"
 
 
@@ -87,6 +91,8 @@ def read_table(path: Path, source: str) -> TextTable:
             raise InputError(source, [f"cannot be read as Parquet: {error}"]) from None
         return TextTable(columns, RowProblems(source, np.arange(len(read)), "row"))
     text = read_text(path, "detections").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    if not text.strip():
+        raise InputError(source, ["the file is empty"])
     head, _, body = text.partition("\n")
     names = [name.strip().strip('"') for name in head.split(",")]
     if repeated := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
@@ -123,14 +129,19 @@ def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
     """
     name = _first(table, _TIMES)
     if not name:
-        raise InputError(source, [f"line 1: a column with the time is missing; needed are {_NEEDED}"])
+        raise InputError(
+            source, [f"line 1: a column with the time is missing (got {_got(table)}); needed are {_NEEDED}"]
+        )
     texts = table.columns[name].to_pylist()
     times = np.array([seconds(text) for text in texts])
     of_utc = np.isnan(times)
     times = np.where(of_utc, [utc_s(text) if bad else 0.0 for text, bad in zip(texts, of_utc, strict=True)], times)
     table.problems.refuse(
         np.isnan(times),
-        lambda row: f"{name} must be seconds, or a time such as 2024-01-04T10:00:00.250Z (got {shown(texts[row])})",
+        lambda row: (
+            f"{name} must be seconds, or a time such as 2024-01-04T10:00:00.250Z (got {shown(texts[row])}"
+            f"{', which may be milliseconds' if texts[row].strip().isdigit() else ''})"
+        ),
     )
     table.problems.settle()
     of_utc |= (times >= LEAST_UNIX_S) | (name == "utc")
@@ -144,7 +155,11 @@ def _form(table: TextTable, source: str) -> BoxForm:
     for form in _FORMS:
         if all(table.has(name) for name in form.names):
             return form
-    raise InputError(source, [f"line 1: columns of the box are missing; needed are {_NEEDED}"])
+    raise InputError(source, [f"line 1: columns of the box are missing (got {_got(table)}); needed are {_NEEDED}"])
+
+
+def _got(table: TextTable) -> str:
+    return ", ".join(map(shown, list(table.columns)[:8])) + (", …" if len(table.columns) > 8 else "")
 
 
 def _add_frames(

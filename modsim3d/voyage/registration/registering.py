@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from modsim3d.voyage.registration.determined import COMMON_DELAY, Group, exchang
 from modsim3d.voyage.registration.fitting import SOFT, Unknowns, derivatives
 from modsim3d.voyage.registration.hiding import Hiding
 from modsim3d.voyage.registration.model import BoxModel
-from modsim3d.voyage.registration.parameters import SHARED, SHARED_NAMES, Values, held, plausible
+from modsim3d.voyage.registration.parameters import MEAN_ERRORS, SHARED, SHARED_NAMES, Values, held, plausible
 from modsim3d.voyage.registration.registration import Estimate, Registration
 from modsim3d.voyage.registration.residuals import Residuals
 from modsim3d.voyage.registration.search import search
@@ -54,7 +55,7 @@ def register(
     found: BoxesAtTimes,
     *,
     fixed: Sequence[str] = (),
-    mean_errors: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    mean_errors: Sequence[float | None] = (None, None, None, None),
     use_sizes: bool = True,
     searched_s: float = SEARCHED_S,
     offsets_m: float | None = None,
@@ -71,7 +72,8 @@ def register(
         camera: Name of the camera.
         found: What its detector wrote.
         fixed: Names of parameters that are held at the scene's values, such as `pitch`.
-        mean_errors: Mean box errors in x and y, in pixels, and in width and height, as shares; they are taken off.
+        mean_errors: Mean box errors in x and y, in pixels, and in width and height, as shares; they are taken off and
+            held. None where one is not known: those in x and y are taken to be zero then.
         use_sizes: Whether widths and heights of boxes count: not if the vessels' dimensions are guesses.
         searched_s: Greatest offset of the clock that is looked for.
         offsets_m: Standard deviation, over vessels, that is expected of how far positions are off, such as by unknown
@@ -89,8 +91,9 @@ def register(
         raise ModsimError(f"{scene.title}: a registration needs poses that are known beforehand, not live ones")
     model = BoxModel.of(scene, Traffic.of(scene, eye, attitude))
     check_times(model, found, searched_s)
-    given = _corrected(found, np.asarray(mean_errors, dtype=np.float64))
-    stays = held([*fixed, *BY_RULE, *(() if use_sizes else _SIZES)])
+    given = _corrected(found, np.array([value or 0.0 for value in mean_errors]))
+    known_means = {name: value for name, value in zip(_MEANS, mean_errors, strict=True) if value is not None}
+    stays = held([*fixed, *BY_RULE, *known_means, *(() if use_sizes else _SIZES)])
     free = tuple(name for name, stay in zip(SHARED_NAMES, stays, strict=True) if not stay)
     if not free:
         raise ModsimError("fixed: all parameters are fixed; leave at least one to be estimated")
@@ -112,15 +115,23 @@ def register(
     rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
     rules |= {name: "mean errors are taken to be zero" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
     rules |= {group.held: f"not determined: {group.words()}" for group in groups}
+    rules |= {name: f"given as {_mean_text(name, value)}" for name, value in known_means.items()}
     vessels = _vessel_estimates(scene, model, aligned, effects, known.covariance)
     # Held by a rule: what the others would be under another one.
     groups += [exchange(linear, PROBED, name, list(free)) for name in (*BY_RULE, COMMON_DELAY)]
     if some is not given:
         aligned = Aligner(model, hiding, given, free, use_sizes).matched(aligned)
-    return _registration(camera, model, aligned, free, known, rules, groups, vessels, len(found.frame))
+    done = _registration(camera, model, aligned, free, known, rules, groups, vessels, len(found.frame))
+    estimates = (replace(each, value=known_means.get(each.name, each.value)) for each in done.estimates)
+    return replace(done, estimates=tuple(estimates))
 
 
-_SIZES = ("mean_width_share", "mean_height_share")
+_MEANS = tuple(parameter.name for parameter in MEAN_ERRORS)
+_SIZES = _MEANS[2:]
+
+
+def _mean_text(name: str, value: float) -> str:
+    return f"{value:+g} px" if name in BY_RULE else f"{100 * value:+g} %"
 
 
 def _camera(scene: Scene, name: str) -> Camera:

@@ -56,14 +56,14 @@ def coverage_drawing(coverage: Coverage) -> str:
 def frame_sketch(voyage: LabelledVoyage, judged: Judged, stretch: Stretch) -> str:
     """A part of the middle frame of a stretch: what was matched, missed, and detected of nothing known."""
     middle = len(stretch.image) // 2
-    image, time_s = int(stretch.image[middle]), float(stretch.time_s[middle])
+    image, when = int(stretch.image[middle]), stretch.when(middle)
     labelled, matched = voyage.labelled, judged.observed.matched
     part = _Part.around(stretch.boxes_px[middle], labelled.images.sizes_px[image])
     sought = np.flatnonzero(matched.sought & (labelled.annotations.image == image))
     found = matched.detection[sought] >= 0
     unmatched = matched.false[labelled.results.image[matched.false] == image]
     boxes = labelled.annotations.boxes_px
-    title = f"{stretch.camera}, {time_s:.1f} s: {stretch.what}"
+    title = f"{stretch.camera}, {when}: {stretch.what}"
     content = [
         *_horizon(labelled.images.half_planes[image], part),
         *(_box(part.of(each), _MATCHED) for each in boxes[sought[found]]),
@@ -79,7 +79,7 @@ def frame_sketch(voyage: LabelledVoyage, judged: Judged, stretch: Stretch) -> st
         _label(0, 11, title, "start", "var(--ink)"),
         _label(_SKETCH_WIDTH, 11, f"{part.width_px:.0f} px wide", "end"),
     ]
-    name = f"Frame of camera {stretch.camera} at {time_s:.1f} s"
+    name = f"Frame of camera {stretch.camera} at {when}"
     return svg(_SKETCH_WIDTH, part.height + _TITLE + 2, name, "\n".join(parts))
 
 

@@ -15,9 +15,10 @@ from modsim3d.voyage.labelled_voyage import Registered
 from modsim3d.voyage.registration import Estimate, Registration
 from modsim3d.voyage.registration.determined import COMMON_DELAY, Group
 from modsim3d.voyage.registration.parameters import SHARED
+from modsim3d.voyage.registration.registering import BY_RULE
 
 HEADER = ("parameter", "scene", "registered", "change", "95 % interval", "held")
-_WORDS = {parameter.name: parameter.words for parameter in SHARED} | {COMMON_DELAY: "a common delay of all reports"}
+_WORDS = {parameter.name: parameter.words for parameter in SHARED} | {COMMON_DELAY: "mean delay of all reports"}
 _WORDS |= {"clock_s": "clock", "focal_share": "focal length", "k1": "lens distortion k1"}
 _UNITS = {parameter.name: parameter.unit for parameter in SHARED} | {COMMON_DELAY: "s"}
 
@@ -27,6 +28,9 @@ def registration_table(registered: Registered, scene: Scene) -> Table:
     found = registered.registration
     (camera,) = (each for each in scene.cameras if each.name == found.camera)
     before, after = _values(camera), _values(found.camera_of(camera))
+    before["clock_s"] = f"{registered.clock_s:+.3f} s" if registered.clock_s else "0 s"
+    after["clock_s"] = f"{registered.clock_s + found.values['clock_s']:+.3f} s"
+    lost = {group.held for group in found.groups} - {*BY_RULE, COMMON_DELAY}
     rows = tuple(
         (
             _name(each),
@@ -34,9 +38,9 @@ def registration_table(registered: Registered, scene: Scene) -> Table:
             after.get(each.name, "") if not each.held else "",
             amount(each.name, each.value, each.unit, each.standard_error) if not each.held else "",
             _interval(each),
-            each.held,
+            "not determined, see below" if each.name in lost else each.held,
         )
-        for each in (*found.estimates, *found.vessels)
+        for each in (*found.estimates, delay_of(registered), *found.vessels)
     )
     return Table(f"Registration of camera '{found.camera}' in {registered.source}", HEADER, rows)
 
@@ -52,6 +56,13 @@ def registration_lead(registered: Registered) -> str:
     )
 
 
+def delay_of(registered: Registered) -> Estimate:
+    """The mean delay of all reports, which is held by a rule."""
+    given, nan = registered.known.delay_s, float("nan")
+    rule = "the mean delay is taken to be zero" if given is None else f"given as {given:+g} s"
+    return Estimate(COMMON_DELAY, _WORDS[COMMON_DELAY], "s", given or 0.0, nan, nan, nan, rule)
+
+
 def exchanges(registration: Registration) -> Iterator[str]:
     """What cannot be told apart: by how much other values would change if a held one were another."""
     for group in registration.groups:
@@ -65,7 +76,7 @@ def amount(name: str, value: float, unit: str, error: float | None = None) -> st
     if error is None:
         return f"{size * value:+.3g}{shown}"
     digits = min(max(1 - math.floor(math.log10(max(size * error, 1e-6))), 0), 6)
-    return f"{size * value:+.{digits}f}{shown}"
+    return f"{round(size * value, digits) + 0.0:+.{digits}f}{shown}"  # + 0.0: no minus before zero
 
 
 def _name(estimate: Estimate) -> str:
@@ -77,9 +88,9 @@ def _exchange(group: Group) -> str:
     held = _WORDS[group.held]
     if not group.exchange:
         return f"{held} is held: the detections say nothing of it"
-    one = amount(group.held, 0.01 if _UNITS[group.held] == "" else 1, _UNITS[group.held])
-    changes = ", ".join(f"{amount(name, by, _UNITS[name])} of {_WORDS[name]}" for name, by in group.exchange)
-    return f"{held} is held; {one} of it would look like {changes}"
+    one = 0.01 if _UNITS[group.held] == "" else 1.0
+    changes = ", ".join(f"{amount(name, one * by, _UNITS[name])} of {_WORDS[name]}" for name, by in group.exchange)
+    return f"{held} is held; {amount(group.held, one, _UNITS[group.held])} of it would look like {changes}"
 
 
 def _interval(estimate: Estimate) -> str:

@@ -9,7 +9,9 @@ import numpy as np
 from modsim3d.arrays import Array, Indices
 from modsim3d.display import counted
 from modsim3d.learn.told.tables import Table
+from modsim3d.voyage.clock import SceneClock
 from modsim3d.voyage.labelled_voyage import LabelledVoyage
+from modsim3d.voyage.logs.times import time_text
 from modsim3d.voyage.told.coverage import bearings
 from modsim3d.voyage.unseen.judged import Judged
 
@@ -24,11 +26,12 @@ class Stretch:
     Attributes:
         what: The vessel that was missed, or what the detections were taken for.
         camera: Name of the camera.
-        time_s: Times of the frames since the scene's first step, shape (n,).
+        time_s: Times of the frames by the log's clock, since the scene's first step, shape (n,).
         image: The frames, shape (n,).
         boxes_px: True or detected box in each, shape (n, 4).
         bearing_deg: Mean bearing from the camera's axis, to the right.
         range_m: Mean range; NaN of detections.
+        start_s: Unix time of the scene's first step; None if the scene does not say.
     """
 
     what: str
@@ -38,6 +41,12 @@ class Stretch:
     boxes_px: Array
     bearing_deg: float
     range_m: float
+    start_s: float | None
+
+    def when(self, place: int) -> str:
+        """The time of a frame by the log's clock, as `--empty` takes it: UTC if the scene says when it starts."""
+        time_s = float(self.time_s[place])
+        return f"{time_s:.1f} s" if self.start_s is None else time_text(self.start_s + time_s)
 
     @property
     def lasts_s(self) -> float:
@@ -49,7 +58,7 @@ def missed_stretches(voyage: LabelledVoyage, judged: Judged) -> list[Stretch]:
     """Stretches in which a vessel was to be detected in each frame that it was in, and was in none, longest first."""
     labelled, matched = voyage.labelled, judged.observed.matched
     identity, found = labelled.annotations.identity, []
-    number = np.full(len(labelled.images), -1)
+    number, start_s = np.full(len(labelled.images), -1), SceneClock.of(voyage.scene).start_s
     for view in voyage.views:
         number[:] = -1
         number[view.images] = np.arange(len(view.images))
@@ -65,13 +74,14 @@ def missed_stretches(voyage: LabelledVoyage, judged: Judged) -> list[Stretch]:
                     name = voyage.scene.vessel_names[who - view.first_identity]
                     chosen = rows[part]
                     boxes, depth = labelled.annotations.boxes_px[chosen], labelled.annotations.depth_m[chosen]
-                    found.append(_stretch(voyage, name, view.camera.name, chosen, boxes, depth))
+                    found.append(_stretch(voyage, name, view.camera.name, chosen, boxes, depth, start_s))
     return sorted(found, key=lambda each: (-len(each.image), each.time_s[0]))
 
 
 def unmatched_stretches(voyage: LabelledVoyage, judged: Judged) -> list[Stretch]:
     """Things that were detected and are no known vessel, those that were detected in most frames first."""
     links, of_view = judged.links, np.full(len(voyage.labelled.images), -1)
+    start_s = SceneClock.of(voyage.scene).start_s
     for place, view in enumerate(voyage.views):
         of_view[view.images] = place
     order = np.lexsort((links.time_s, links.link))
@@ -85,9 +95,8 @@ def unmatched_stretches(voyage: LabelledVoyage, judged: Judged) -> list[Stretch]
         what = f"a vessel without a transponder ({likely:.0%})" if likely >= _HALF else "false"
         if judged.empty[links.image[rows]].all():
             what = "false, in a stretch that is marked as empty"
-        found.append(
-            Stretch(what, view.camera.name, links.time_s[rows], links.image[rows], boxes, bearing, float("nan"))
-        )
+        times = links.time_s[rows], links.image[rows]
+        found.append(Stretch(what, view.camera.name, *times, boxes, bearing, float("nan"), start_s))
     return sorted(found, key=lambda each: (-len(each.image), each.time_s[0]))
 
 
@@ -117,12 +126,20 @@ def _of(stretches: list[Stretch]) -> str:
 
 
 def _times(each: Stretch) -> tuple[str, str, str]:
-    return f"{each.time_s[0]:.1f} s", f"{each.time_s[-1]:.1f} s", f"{len(each.image):,}"
+    return each.when(0), each.when(-1), f"{len(each.image):,}"
 
 
-def _stretch(voyage: LabelledVoyage, name: str, camera: str, rows: Indices, boxes_px: Array, depth_m: Array) -> Stretch:
+def _stretch(
+    voyage: LabelledVoyage,
+    name: str,
+    camera: str,
+    rows: Indices,
+    boxes_px: Array,
+    depth_m: Array,
+    start_s: float | None,
+) -> Stretch:
     image = voyage.labelled.annotations.image[rows]
     eye = next(view.camera for view in voyage.views if view.camera.name == camera)
     bearing, range_m = bearings(eye, boxes_px, depth_m)
     times = voyage.labelled.images.time_s[image]
-    return Stretch(name, camera, times, image, boxes_px, float(bearing.mean()), float(range_m.mean()))
+    return Stretch(name, camera, times, image, boxes_px, float(bearing.mean()), float(range_m.mean()), start_s)

@@ -6,7 +6,7 @@ from typing import Any
 
 from modsim3d.learn.numbers.resampling import Column
 from modsim3d.voyage.labelled_voyage import Registered
-from modsim3d.voyage.told.registration_table import exchanges
+from modsim3d.voyage.told.registration_table import delay_of, exchanges
 from modsim3d.voyage.told.voyage_report import VoyageReport
 from modsim3d.voyage.unseen.rates import StateRates
 
@@ -41,10 +41,11 @@ def _registration(registered: Registered) -> dict[str, Any]:
         "vessels": found.matched_vessels,
         "residual_before_px": found.rms_before_px,
         "residual_after_px": found.rms_after_px,
+        "clock_before_s": registered.clock_s,
         "parameters": [
             {"name": each.name, "unit": each.unit, "value": each.value, "low": each.low, "high": each.high}
             | {"held": each.held or None}
-            for each in (*found.estimates, *found.vessels)
+            for each in (*found.estimates, delay_of(registered), *found.vessels)
         ],
         "held_by_rule": list(exchanges(found)),
     }
