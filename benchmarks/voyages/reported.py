@@ -65,15 +65,25 @@ def as_reported(scene: Scene, seed: int, errors: AisErrors, silent: Sequence[str
     noise[own] = 0
     ahead = np.stack([np.cos(true.headings_rad), np.sin(true.headings_rad)], axis=-1)
     port = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
-    velocity = np.gradient(true.positions_m[..., :2], times_s, axis=0)
+    velocity = _velocities(true, times_s)
     moved = true.positions_m.copy()
-    moved[..., :2] += along * ahead + across * port - delay * np.nan_to_num(velocity)
+    moved[..., :2] += along * ahead + across * port - delay * velocity
     for vessel, axis in np.ndindex(noise.shape[:2]):
         moved[:, vessel, axis] += np.interp(times_s, reports, noise[vessel, axis])
     absent = errors.silent(scene, seed) if silent is None else silent
     present = true.present & ~np.isin(scene.vessel_names, list(absent))
     poses = RecordedPoses(scene.poses.timestamps, Poses(present, moved, true.headings_rad))
     return replace(scene, poses=poses), wrong
+
+
+def _velocities(poses: Poses, times_s: Array) -> Array:
+    """Velocities of vessels while they are there, in m/s, shape (S, V, 2)."""
+    velocities = np.zeros((*poses.present.shape, 2))
+    for vessel in range(poses.present.shape[1]):
+        steps = np.flatnonzero(poses.present[:, vessel])
+        if len(steps) > 1:
+            velocities[steps, vessel] = np.gradient(poses.positions_m[steps, vessel, :2], times_s[steps], axis=0)
+    return velocities
 
 
 def _lasting(noise: Array, errors: AisErrors) -> Array:

@@ -32,7 +32,7 @@ def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None
         raise ModsimError(
             f"registration: the scene has {others} vessels for the camera to see; at least {LEAST_VESSELS} are needed"
         )
-    low, high = model.traffic.times_s[[0, -1]]
+    low, high = model.traffic.span_s
     first, last = found.times_s[[0, -1]]
     if last + searched_s < low or first - searched_s > high:
         apart = first - high if first > high else last - low

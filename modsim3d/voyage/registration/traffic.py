@@ -15,14 +15,21 @@ from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.sampling import Sampler
 
 
+BEYOND_S = 60.0
+"""How long before the first step and after the last one vessels go on."""
+
+
 @dataclass(frozen=True, eq=False)
 class Traffic:
     """The poses of V vessels at S ascending times, to interpolate between.
 
+    Vessels go on at their speed where they are absent, and before the first step and after the last one. A fit of the
+    clock moves the times of its matches: a match near the end of a track must not tear away when that is passed.
+
     Attributes:
         camera: The camera that looks at them.
-        times_s: Times of the steps since the scene's first, shape (S,).
-        present: Whether each vessel is there, shape (S, V).
+        times_s: Times of the steps since the scene's first, with one `BEYOND_S` before and one after them, shape (S,).
+        present: Whether each vessel is there, shape (S, V); nowhere at the first and the last of these times.
         places_m: Positions and then unwrapped heading, roll, pitch and yaw in waves, in metres and radians, shape
             (S, V, 7).
         carrier: Index of the vessel that carries the camera; None ashore.
@@ -45,22 +52,29 @@ class Traffic:
         headings = np.unwrap(motion.poses.headings_rad, axis=0)
         places = np.concatenate([motion.poses.positions_m, headings[..., None], motion.angles_rad], axis=-1)
         name = camera.mount.vessel
+        steps_s = scene.times_s(0, scene.steps)
+        times_s = np.concatenate([[steps_s[0] - BEYOND_S], steps_s, [steps_s[-1] + BEYOND_S]])
+        present = np.pad(motion.poses.present, ((1, 1), (0, 0)))
         return cls(
             camera,
-            scene.times_s(0, scene.steps),
-            motion.poses.present,
-            places,
+            times_s,
+            present,
+            _continued(times_s, present, np.pad(places, ((1, 1), (0, 0), (0, 0)))),
             None if name is None else scene.vessel_names.index(name),
             scene.waves.composition if scene.waves else "rigid",
             scene.sea == "curved",
         )
 
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """Times of the scene's first and last step."""
+        return float(self.times_s[1]), float(self.times_s[-2])
+
     def there(self, times_s: Array, vessel: Indices) -> Mask:
         """Whether vessels are there at times: at the steps before and after, shape (n,)."""
         before, share = self._between(times_s)
-        inside = (times_s >= self.times_s[0]) & (times_s <= self.times_s[-1])
-        after = np.where(share > 0, np.minimum(before + 1, len(self.times_s) - 1), before)
-        found: Mask = inside & self.present[before, vessel] & self.present[after, vessel]
+        after = np.where(share > 0, before + 1, before)
+        found: Mask = self.present[before, vessel] & self.present[after, vessel]
         return found
 
     def at(self, times_s: Array, vessel: Indices) -> tuple[Array, Array]:
@@ -84,16 +98,33 @@ class Traffic:
 
     def _between(self, times_s: Array) -> tuple[Indices, Array]:
         """The step before each time, and the share of the way to the next."""
-        last = len(self.times_s) - 1
-        if last == 0:
-            return np.zeros(len(times_s), dtype=np.int64), np.zeros(len(times_s))
-        before = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, last - 1)
+        before = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, len(self.times_s) - 2)
         share = (times_s - self.times_s[before]) / (self.times_s[before + 1] - self.times_s[before])
         return before, np.clip(share, 0.0, 1.0)
 
     def _placed(self, times_s: Array, vessel: Indices) -> Array:
         before, share = self._between(times_s)
-        after = np.minimum(before + 1, len(self.times_s) - 1)
-        start, end = self.places_m[before, vessel], self.places_m[after, vessel]
+        start, end = self.places_m[before, vessel], self.places_m[before + 1, vessel]
         placed: Array = start + share[:, None] * (end - start)
         return placed
+
+
+def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
+    """Places with those of absent vessels filled in, shape (S, V, 7).
+
+    Between two stretches they are linear. Before the first one and after the last one the position goes on at its
+    speed, and the angles stay.
+    """
+    filled = places_m.copy()
+    for vessel in np.flatnonzero(present.any(axis=0)).tolist():
+        steps = np.flatnonzero(present[:, vessel])
+        known_s, known = times_s[steps], places_m[steps, vessel]
+        columns = [np.interp(times_s, known_s, column) for column in known.T]
+        absent = np.flatnonzero(~present[:, vessel])
+        filled[absent, vessel] = np.stack(columns, axis=-1)[absent]
+        if len(steps) > 1:
+            for edge, inner, beyond in ((0, 1, absent < steps[0]), (-1, -2, absent > steps[-1])):
+                speed = (known[edge, :2] - known[inner, :2]) / (known_s[edge] - known_s[inner])
+                rows = absent[beyond]
+                filled[rows, vessel, :2] += (times_s[rows] - known_s[edge])[:, None] * speed
+    return filled
