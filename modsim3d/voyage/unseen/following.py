@@ -1,7 +1,9 @@
 """Things followed from frame to frame, by those of their sides that are not cut off.
 
-In each frame the detections are assigned to the things of the frames before: as many as possible, and of those the
-least sum of distances to where each thing is expected. Things keep their velocity, and the sizes of their whole boxes.
+In each frame the detections are assigned to the things of the frames before, with the least sum of distances to where
+each thing is expected; a detection without a thing counts like one as far off as may be. Things keep their velocity,
+and the sizes of their whole boxes. What is left is tried again with the sides beside other detections as cut off: one
+thing may hide another.
 """
 
 from __future__ import annotations
@@ -25,6 +27,11 @@ _MOST_WAY_SIDES = 2.0
 _MOST_LOG_RATIO = np.log(2.0)
 _ASPECT = 3.0
 """Width over height of a thing whose width was never seen."""
+_VAGUE = 0.5
+"""How far off a thing counts to be along an axis where no side tells, in reaches."""
+_NOTHING = 1.001
+_BESIDE_PX = 5.0
+"""A side so near to another detection's box may be hidden by what is there."""
 _MEMORY = 12
 """Detections that a velocity is made from."""
 _AXES = np.array([0, 1, 0, 1])
@@ -35,7 +42,8 @@ _AXES = np.array([0, 1, 0, 1])
 class _Thing:
     """A thing: its number, how often, when first and when last it was seen.
 
-    Its sides (4,), which of them are known (4,), and its velocity along and below the horizon (2,).
+    Its sides (4,), which of them are known (4,), its velocity along and below the horizon (2,), and how many detections
+    tell where it is along each (2,).
     """
 
     number: int
@@ -45,6 +53,7 @@ class _Thing:
     sides: Array
     known: Mask
     velocity: Array
+    told: Array
 
     def lost(self, now: float, longest_s: float) -> bool:
         """Whether it is another thing if it is seen again: it may be hidden for as long as it was followed."""
@@ -59,14 +68,15 @@ class _Thing:
     def update(self, now: float, measured: Array, sure: Mask) -> None:
         """Move it to where it was detected, by least squares over its last detections."""
         apart, expected = now - self.last_s, self.expected(now)
+        usable = (sure & self.known).reshape(2, 2)
         self.seen += 1
-        count = min(self.seen, _MEMORY)
-        off = _offsets(measured[None], sure[None], expected[None], self.known[None])[0, 0]
+        self.told = np.minimum(self.told + usable.any(axis=0), _MEMORY)
+        off = _offsets(measured[None], sure[None], expected[None], self.known[None])[0, 0] * usable.any(axis=0)
         # Gains of a straight line through the last detections, evenly spaced (Brookner (1998), section 1.2.10).
-        sides = expected + (2 * (2 * count - 1) / (count * (count + 1)) * off)[_AXES]
-        self.velocity = self.velocity + 6 / (count * (count + 1)) * off / apart
-        both = (sure & self.known).reshape(2, 2).all(axis=0)  # then the size is seen as well
-        larger = ((measured - sides)[2:] - (measured - sides)[:2]) / 2 * both / count
+        sides = expected + (2 * (2 * self.told - 1) / (self.told * (self.told + 1)) * off)[_AXES]
+        self.velocity = self.velocity + 6 / (self.told * (self.told + 1)) * off / apart
+        both = usable.all(axis=0)  # then the size is seen as well
+        larger = ((measured - sides)[2:] - (measured - sides)[:2]) / 2 * both / self.told
         sides += np.concatenate([-larger, larger])
         sides = np.where(self.known, sides, measured)
         self.sides, self.known, self.last_s = sides, self.known | sure, now
@@ -86,13 +96,20 @@ def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float) -> Indices
     for ours in np.split(np.arange(len(time_s)), edges) if len(time_s) else []:
         now = float(time_s[ours[0]])
         things = [thing for thing in things if not thing.lost(now, longest_s)]
-        taken = _assigned(things, now, sides[ours], sure[ours])
-        for place, thing in taken:
-            numbers[ours[place]] = things[thing].number
-            things[thing].update(now, sides[ours[place]], sure[ours[place]])
-        for row in np.delete(ours, [place for place, _ in taken]).tolist():
+        free = np.arange(len(ours))
+        for seen in (sure[ours], sure[ours] & ~_beside_others(sides[ours])):
+            waiting = [thing for thing in things if thing.last_s < now]
+            taken = _assigned(waiting, now, sides[ours[free]], seen[free])
+            for place, thing in taken:
+                row = ours[free[place]]
+                numbers[row] = waiting[thing].number
+                waiting[thing].update(now, sides[row], seen[free[place]])
+            free = np.delete(free, [place for place, _ in taken])
+            if not len(free):
+                break
+        for row in ours[free].tolist():
             numbers[row] = count
-            things.append(_Thing(count, 1, now, now, sides[row].copy(), sure[row].copy(), np.zeros(2)))
+            things.append(_Thing(count, 1, now, now, sides[row].copy(), sure[row].copy(), np.zeros(2), np.ones(2)))
             count += 1
     return numbers
 
@@ -102,19 +119,29 @@ def _assigned(things: list[_Thing], now: float, measured: Array, sure: Mask) -> 
     if not things:
         return []
     expected, known = np.stack([each.expected(now) for each in things]), np.stack([each.known for each in things])
-    apart, seen = np.array([(now - each.last_s, each.seen) for each in things]).T
+    apart, told = np.array([(now - each.last_s, each.told.min()) for each in things]).T
     width, height = np.maximum(expected[:, 2:] - expected[:, :2], 1.0).T
     whole = known[:, 0] & known[:, 2]
     side = np.sqrt(np.where(whole, width, np.maximum(width, _ASPECT * height)) * height)
-    way = np.minimum(apart * _SPEED_SIDES_S, _MOST_WAY_SIDES) / np.sqrt(seen)
+    way = np.minimum(apart * _SPEED_SIDES_S, _MOST_WAY_SIDES) / np.sqrt(told)
     reach = np.maximum(_NEAR * side, _LEAST_NEAR_PX) + side * way
     off = np.linalg.norm(_offsets(measured, sure, expected, known), axis=-1) / reach
     fits = (off <= 1) & _alike(measured, sure, expected, known)
     if not fits.any():
         return []
-    cost = np.where(fits, off, 2.0 * min(off.shape) + 2)
+    vague = 2 - (sure[:, None] & known[None]).reshape(*off.shape, 2, 2).any(axis=2).sum(axis=-1)
+    cost = np.where(fits, np.maximum(off, _VAGUE * vague), _NOTHING)
     pairs = zip(*linear_sum_assignment(cost), strict=True)
     return [(int(a), int(b)) for a, b in pairs if fits[a, b]]
+
+
+def _beside_others(sides: Array) -> Mask:
+    """Which sides (n, 4) of detections in one frame lie in or just beside the box of another, shape (n, 4)."""
+    low, high = sides[:, :2] - _BESIDE_PX, sides[:, 2:] + _BESIDE_PX
+    meets = ((sides[:, None, :2] <= high) & (sides[:, None, 2:] >= low)).all(axis=-1) & ~np.eye(len(sides), dtype=bool)
+    inside = (sides[:, None] >= np.tile(low, 2)) & (sides[:, None] <= np.tile(high, 2))
+    beside: Mask = np.asarray((inside & meets[..., None]).any(axis=1))
+    return beside
 
 
 def _offsets(measured: Array, sure: Mask, expected: Array, known: Mask) -> Array:

@@ -82,7 +82,7 @@ def link(observed: Observed) -> Links:
         np.column_stack([sightings.along_px, sightings.depth_px]),
         np.where(sightings.known, sides.places_px[:, 3], np.nan),
         sightings.sizes_px,
-        sides.sure.all(axis=1),
+        np.asarray(sides.sure.all(axis=1)),
         sides.at_border,
         gap_s,
         longest,

@@ -17,8 +17,8 @@ from modsim3d.learn.observed.false_sightings import FalseSightings
 
 AT_BORDER_PX = 5.0
 """A side so near to the image's border may be cut by it."""
-_NEAR, _LEAST_NEAR_PX = 0.25, 5.0
-"""A side so near to a known vessel's box, in heights of that box and in pixels, may be hidden by the vessel."""
+_BESIDE, _NEAR_PX = 0.25, 5.0
+"""A side so near to a known vessel's box may be hidden by it: beside it in heights of the box, and in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Sides:
         """Those of false detections beside known vessels, in so many images."""
         centre, half = np.column_stack([sightings.along_px, sightings.depth_px]), sightings.sizes_px / 2
         cut = _at_border(sightings)
-        sure = ~(cut | _hidden(sightings, known, images))
+        sure: Mask = ~(cut | _hidden(sightings, known, images))
         return cls(np.concatenate([centre - half, centre + half], axis=1), sure, cut[:, 0] | cut[:, 2])
 
 
@@ -48,8 +48,9 @@ def _at_border(sightings: FalseSightings) -> Mask:
     """Which sides lie at the border of their image, shape (n, 4)."""
     boxes = sightings.boxes_px
     with np.errstate(invalid="ignore"):
-        far: Mask = boxes[:, 2:] >= sightings.image_px - AT_BORDER_PX
-    return np.concatenate([boxes[:, :2] <= AT_BORDER_PX, far], axis=1)
+        near, far = boxes[:, :2] <= AT_BORDER_PX, boxes[:, 2:] >= sightings.image_px - AT_BORDER_PX
+    cut: Mask = np.concatenate([near, far], axis=1)
+    return cut
 
 
 def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
@@ -57,9 +58,10 @@ def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
     hidden = np.zeros((len(sightings), 4), dtype=bool)
     for row, vessel in image_pairs(sightings.image, known.image, images):
         ours, theirs = sightings.boxes_px[row], known.boxes_px[vessel]
-        near = np.maximum(_NEAR * (theirs[:, 3:] - theirs[:, 1:2]), _LEAST_NEAR_PX)
+        beside_px = np.maximum(_BESIDE * (theirs[:, 3] - theirs[:, 1]), _NEAR_PX)
+        near = np.column_stack([beside_px, np.full(len(row), _NEAR_PX)])
         low, high = theirs[:, :2] - near, theirs[:, 2:] + near
-        beside = ((ours[:, :2] <= high) & (ours[:, 2:] >= low)).all(axis=1)
+        meets = ((ours[:, :2] <= high) & (ours[:, 2:] >= low)).all(axis=1)
         inside = (ours >= np.tile(low, 2)) & (ours <= np.tile(high, 2))
-        np.logical_or.at(hidden, row, inside & beside[:, None])
+        np.logical_or.at(hidden, row, inside & meets[:, None])
     return hidden
