@@ -71,12 +71,18 @@ class Judged:
     @cached_property
     def crossings(self) -> Crossings:
         """Where they pass known ones."""
-        return crossings(self.tracks, self.observed.labelled, self.observed.matched)
+        return crossings(self.tracks, self.links, self.observed.labelled, self.observed.matched)
+
+    @cached_property
+    def passing(self) -> Mask:
+        """Which detections tell nothing, since vessels pass each other there or come into view, shape (D,)."""
+        passing: Mask = self.crossings.results & ~self.empty[self.observed.labelled.results.image]
+        return passing
 
     @cached_property
     def left_out(self) -> Mask:
         """Which detections are neither hits nor false, since a vessel without a transponder is there, shape (D,)."""
-        left_out: Mask = self.crossings.results.copy()
+        left_out: Mask = self.passing.copy()
         left_out[self.links.rows[self.likely]] = True
         observed = self.observed
         left_out[fainter(self.tracks, observed.labelled, observed.matched, observed.threshold)] = True
@@ -98,7 +104,7 @@ class Judged:
         kinds = kinds_of(self.things, weights, self.links.gap_s, self.least_s)
         lasting = np.append(kinds.lasting, np.ones((len(weights), 1)), axis=1)  # the last is that of all left out
         likely, perhaps = (np.append(self.kinds.lasting[0], 1.0) >= probability for probability in (_LIKELY, _PERHAPS))
-        passing = self.crossings.results[self.links.rows] & ~self.likely
+        passing = self.passing[self.links.rows] & ~self.likely
         duration = np.where(passing, lasting.shape[1] - 1, kinds.of_thing[self.links.link])
         weighing = Weighing(self.links.image, duration, lasting, likely, perhaps, self.empty)
         return rates_of(weighing, resampling, image_state, states, self.kinds.found, self.kinds.inflation)
