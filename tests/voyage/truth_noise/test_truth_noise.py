@@ -76,7 +76,8 @@ def test_draws_have_the_covariance_of_independent_errors_where_these_are(watched
     count = 3000
     jacobians = rng.normal(size=(count, 4, len(PARAMETERS)))
     fleeting = replace(noise_of(scene, 2.0, heading=0.1), position_s=1e-3)
-    errors = TruthErrors(jacobians, np.arange(count) * 1.0, rng.integers(0, 12, count), fleeting)
+    vessel, still = rng.integers(0, 12, count), np.full(count, -1)
+    errors = TruthErrors(jacobians, np.arange(count) * 1.0, vessel, fleeting, np.ones((count, 4)), still)
     drawn = errors.covariances(20, 0).mean(axis=0)
     part = jacobians[..., :3] * fleeting.std[0, :3]
     np.testing.assert_allclose(drawn, (part @ np.swapaxes(part, 1, 2)).mean(axis=0), rtol=0.05, atol=0.1)
@@ -89,6 +90,8 @@ def test_what_all_boxes_share_is_in_their_mean_and_not_in_the_covariance(watched
         np.arange(50.0),
         np.zeros(50, dtype=np.int64),
         replace(noise_of(scene, 10.0), position_s=1e9),
+        np.ones((50, 4)),
+        np.full(50, -1),
     )
     assert np.abs(one.covariances(20, 0)).max() < 1e-3
 
