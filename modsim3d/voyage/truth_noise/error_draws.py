@@ -16,11 +16,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.voyage.truth_noise.noise import CONSTANT, SLOW, TruthNoise
 
 _DRAWS_AT_ONCE = 20
+_KNOWN_TO = 0.1
+"""Share to which standard deviations of errors of truth are known themselves: they are rules of thumb."""
 _SEEN = np.array([[1, 0, 0, 0], [0, 1, 0, 0.5]])
 """What registration looks at: bearing and waterline, from centre x, centre y, width and height."""
 _MOVED = slice(6, 8)
@@ -64,7 +67,9 @@ class TruthErrors:
         for errors in self._errors(rng, draws):
             about = errors - errors.mean(axis=1, keepdims=True)
             found.append(np.swapaxes(about, 1, 2) @ about / count)
-        return np.concatenate(found)
+        larger = 1 + _KNOWN_TO * special.ndtri((rng.permutation(draws) + 0.5) / max(draws, 1))
+        covariances: Array = np.concatenate(found) * larger[:, None, None] ** 2
+        return covariances
 
     def _errors(self, rng: np.random.Generator, draws: int) -> Iterator[Array]:
         """Errors of the boxes, some draws at a time, shape (some, n, 4)."""

@@ -130,9 +130,10 @@ def take_off_truth_noise(
         drawn = of_truth.covariances(rows - 1, seed + index)
         found = np.concatenate([drawn.mean(axis=0, keepdims=True), drawn])
         lost = box_errors.used[index].lost
-        measured = _measured(learned, ours, relative) if lost <= _MOST_LOST else None
+        measured = _measured(learned, ours, relative)
         at_least = _changes(learned, ours, relative, of_truth.change, noise.position_s)
-        states.append(less_noise(errors, found, pairs.sides_px[ours], level, measured, at_least))
+        cut_off = lost > _MOST_LOST
+        states.append(less_noise(errors, found, pairs.sides_px[ours], level, measured, at_least, cut_off))
     box_s, share = box_errors.box_s, box_errors.box_vessel_share
     slow = box_s is not None and float(box_s.estimate) * _SLOW <= noise.position_s
     if slow and box_s is not None:
