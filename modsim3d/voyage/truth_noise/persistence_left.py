@@ -9,7 +9,6 @@ import numpy as np
 from modsim3d.arrays import Array
 from modsim3d.learn.numbers.entries import Entry
 
-
 _LEAST = 0.01
 """Correlation from one frame to the next that a replicate keeps: frames do not tell less from none."""
 
