@@ -71,7 +71,8 @@ def less_noise(
         level: Level of the intervals that must not reach 0.
         measured: Covariances of the errors themselves, to take it off, shape (rows, 4, 4). Errors of truth differ from
             box to box, so that the likeliest law has not quite their covariance. Not used if they are far from it, as
-            wrong matches make them; then, too, they must be surely larger. None if unknown.
+            wrong matches make them; but where they are smaller, they must surely be larger than errors of truth.
+            None if unknown.
         at_least: Standard deviations of what changes from frame to frame, shape (4,).
         cut_off: Whether the matching has cut off errors, which only the law knows.
     """
@@ -82,8 +83,9 @@ def less_noise(
     if measured is not None and not cut_off and _alike(measured[0], whole[0]):
         whole = measured
     taken = _sure(whole, noise, level)
-    if measured is not None:
-        taken = taken & _sure(measured, noise, level)
+    if measured is not None:  # tails of the law may be wider than the errors
+        smaller = np.diag(measured[0]) < np.diag(whole[0])
+        taken = taken & (_sure(measured, noise, level) | ~smaller)
     part = noise * (taken[:, None] & taken[None, :])
     rest = whole - part
     if np.linalg.eigvalsh(rest[0])[0] <= 0:
