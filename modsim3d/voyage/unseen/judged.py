@@ -102,11 +102,10 @@ class Judged:
         """The rates of false positives in states of images (I,), with replicates of a resampling."""
         weights = resampling.weights[:, self.things.first_image]
         kinds = kinds_of(self.things, weights, self.links.gap_s, self.least_s)
-        lasting = np.append(kinds.lasting, np.ones((len(weights), 1)), axis=1)  # the last is that of all left out
-        likely, perhaps = (np.append(self.kinds.lasting[0], 1.0) >= probability for probability in (_LIKELY, _PERHAPS))
-        passing = self.passing[self.links.rows] & ~self.likely
-        duration = np.where(passing, lasting.shape[1] - 1, kinds.of_thing[self.links.link])
-        weighing = Weighing(self.links.image, duration, lasting, likely, perhaps, self.empty)
+        likely, perhaps = (self.kinds.lasting[0] >= probability for probability in (_LIKELY, _PERHAPS))
+        telling = self.likely | ~self.passing[self.links.rows]
+        image, duration = self.links.image[telling], kinds.of_thing[self.links.link[telling]]
+        weighing = Weighing(image, duration, kinds.lasting, likely, perhaps, self.empty)
         return rates_of(weighing, resampling, image_state, states, self.kinds.found, self.kinds.inflation)
 
     def own_rates(self, replicates: int, seed: int) -> tuple[StateRates, ...]:

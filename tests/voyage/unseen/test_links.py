@@ -64,6 +64,35 @@ def test_things_that_cross_keep_their_numbers():
     assert len(set(of_right.tolist())) == 1
 
 
+def test_a_thing_that_another_one_hides_in_part_is_one_thing():
+    frame = np.arange(60)
+    behind, before = 200 + 6.0 * frame, 700 - 4.0 * frame
+    low = np.column_stack([behind, 0 * behind + 370, behind + 60, 0 * behind + 400])
+    over = (behind + 60 > before) & (behind < before + 200)
+    low[over, 3] = 378
+    near = np.column_stack([before, 0 * before + 380, before + 200, 0 * before + 430])
+    boxes, image = np.concatenate([low, near]), np.tile(frame, 2)
+    rows = found(image, 0 * image, boxes, np.full(120, 0.9)).by_image()
+    assert over.sum() > 10
+    assert linked(replace(set_of(frame[:1], [0.0], [0.0]), results=rows)).count == 2
+
+
+def test_a_stray_detection_does_not_take_the_place_of_a_whole_one():
+    frame = np.arange(40)
+    known = np.tile([600.0, 380, 800, 420], (40, 1))
+    whole = boxes_at(300 + 6.0 * frame, np.full(40, 400.0), np.full(40, 60.0))
+    piece = np.tile([590.0, 395, 610, 400], (40, 1))[30:36]  # of the known vessel, where the other one is about to come
+    lone = np.tile([530.0, 440, 570, 460], (1, 1))
+    boxes = np.concatenate([whole, piece, lone])
+    image = np.r_[frame, frame[30:36], 29]
+    rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
+    labelled = replace(set_of(frame[:1], [0.0], [0.0]), results=rows, annotations=truth(frame, 0 * frame, known))
+    links = link(observed(labelled))
+    of_whole = links.link[np.isclose(links.sizes_px[:, 0], 60.0)]
+    assert len(of_whole) == 40
+    assert len(set(of_whole.tolist())) == 1
+
+
 def test_a_detection_of_another_size_is_another_thing():
     image = np.arange(10)
     links = linked(set_of(image, np.full(10, 300.0), np.full(10, 400.0), np.where(image < 5, 20.0, 60.0)))
