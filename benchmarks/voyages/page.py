@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.voyages.cases import AIS, CASES, DISTANCE_PX, TOLD_M, Case
+from benchmarks.voyages.cases import AIS, CASES, TOLD_M, Case
 from benchmarks.voyages.pixels import NEAR_AIS, PIXELS, VARIANTS
 from benchmarks.voyages.scores import PARTS, below, share
 from benchmarks.voyages.wrong_camera import WRONG
@@ -53,8 +53,8 @@ def _introduction() -> str:
         f"By AIS means: each coordinate of a position is off by {AIS.position_m:g} m (standard deviation), an error "
         f"that lasts {AIS.position_s:g} s and changes with each report, every {AIS.reports_s:g} s; a vessel's reports "
         f"are late by {AIS.delay_s:g} s (standard deviation over vessels); {AIS.absent:.0%} of the vessels have no "
-        f"transponder. All of these are drawn anew with each seed. Learning gets `--position-noise {TOLD_M:g}`, since "
-        f"late reports are errors of positions too, and `--match centre` within {DISTANCE_PX:g} px.\n\n"
+        f"transponder. All of these are drawn anew with each seed. Learning gets `--position-noise {TOLD_M:g}`; that "
+        "reports are late it finds itself.\n\n"
         "Held is the number of 95 % intervals that hold the true value, of so many voyages. Fewest is the binomial "
         "limit: intervals that hold 95 % of the time fall below it in 1 % of the campaigns. Bias and spread are mean "
         "and standard deviation of the estimates about the true value, half-width the median of the intervals. A "

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.voyages.cases import BY_NAME, DETECTOR, DISTANCE_PX, TOLD_M, Case
+from benchmarks.voyages.cases import BY_NAME, DETECTOR, TOLD_M, Case
 from benchmarks.voyages.reported import as_reported
 from benchmarks.voyages.wrong_camera import WRONG, Voyage
 from modsim3d.errors import ModsimError
@@ -103,8 +103,6 @@ def _learned(case: Case, voyage: Voyage, known: Any, seed: int) -> VoyageResult:
             log,
             fixed=() if case.registered else "all",
             position_noise=TOLD_M if case.errors.position_m else 0.0,
-            match="centre",
-            most_distance_px=DISTANCE_PX,
             replicates=REPLICATES,
             seed=seed,
         )

@@ -125,7 +125,7 @@ def learn_command(
         typer.Option(
             metavar="HOW",
             help="How boxes are matched: confidence, optimal, centre or provenance.",
-            show_default="provenance for --run, confidence for files, optimal without confidences",
+            show_default="provenance for --run, confidence for files, centre for AIS, optimal without confidences",
         ),
     ] = None,
     iou: Annotated[
@@ -237,7 +237,8 @@ def learn_command(
     if interval is None and runs:
         interval = runs[-1].scene.detector.transition_interval_s
     least = least_confidence(labelled, confidence)
-    settings = Settings(_rule(labelled, match, iou, distance), least, replicates, seed, clutter.value, plain)
+    rule = _rule(labelled, match, iou, distance, voyage.position_m if voyage else 0.0)
+    settings = Settings(rule, least, replicates, seed, clutter.value, plain)
     wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, shift)
     noted = list(read)
     read += [path for folder in run or () for path in read_of_run(folder)]
@@ -272,12 +273,14 @@ def _check_apart(written: Sequence[Path], scene_files: Sequence[Path]) -> None:
             raise InputError("--write-scene", [f"{path} is a file of the scene: give --out another folder or name"])
 
 
-def _rule(labelled: LabelledSet, match: Match | None, iou: float | None, distance: float | None) -> Rule:
+def _rule(
+    labelled: LabelledSet, match: Match | None, iou: float | None, distance: float | None, position_m: float
+) -> Rule:
     """The matching rule: the asked method or the usual one, and limits that it knows."""
     from modsim3d.formats.matching import Rule, usual_method
 
-    method = usual_method(labelled) if match is None else match.value
-    usual = "" if match else ", which a run is matched by unless --match says otherwise"
+    method = usual_method(labelled, position_m) if match is None else match.value
+    usual = "" if match else f", which {'AIS' if position_m else 'a run'} is matched by unless --match says otherwise"
     if iou is not None and method not in ("confidence", "optimal"):
         raise ModsimError(f"--iou is for --match confidence or optimal, not for {method}{usual}")
     if distance is not None and method != "centre":

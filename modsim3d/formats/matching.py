@@ -70,13 +70,16 @@ class Rule:
         return replace(self, method="confidence" if self.method == "optimal" else self.method, by_label=True)
 
 
-def usual_method(labelled: LabelledSet) -> str:
+def usual_method(labelled: LabelledSet, position_m: float = 0.0) -> str:
     """Provenance where the set says what each detection is of, as runs do; else in order of confidence, by IoU.
 
-    Without confidences, the optimal assignment.
+    Without confidences, the optimal assignment. Where true positions are off by some metres, boxes may hardly overlap,
+    so it is centres.
     """
     if labelled.results.origin is not None:
         return "provenance"
+    if position_m:
+        return "centre"
     return "confidence" if labelled.scored else "optimal"
 
 

@@ -152,7 +152,8 @@ class _CameraSet:
         self.scene, self.options, self.log, self.fresh = log.scene, options, log, fresh
         self.registration: Registration | None = None
         correction = self._correction(of_camera)
-        scene = self._as_registered()
+        offsets = self._offsets()
+        scene, self.moved = with_moved_vessels(self.scene, offsets), np.asarray(offsets.any(axis=1))
         self.camera = correction.camera(log.scene.cameras[of_camera.camera])
         times_s = of_camera.time_s + correction.clock_s
         inside = (times_s >= -NEAR_S) & (times_s <= log.length_s + NEAR_S)
@@ -182,16 +183,16 @@ class _CameraSet:
         self.registration = given.of(self.scene, of_camera)
         return correction_of(self.registration)
 
-    def _as_registered(self) -> Scene:
-        """The scene with its vessels off their reports, where positions are not surely known."""
+    def _offsets(self) -> Array:
+        """How far vessels are off their reports, see `with_moved_vessels`; 0 where positions are surely known."""
         given = self.options.registration
         if self.registration is None or not isinstance(given, Registering) or not given.position_m:
-            return self.scene
-        return with_moved_vessels(self.scene, self.registration.values.vessels)
+            return np.zeros((len(self.scene.vessels), 3))
+        return self.registration.values.vessels
 
     def voyage(self) -> LabelledVoyage:
         """The set with what it was made by."""
-        view = View(self.camera, self.poses, np.arange(len(self.times_s)))
+        view = View(self.camera, self.poses, np.arange(len(self.times_s)), moved=self.moved)
         found = self.registration
         registered = (
             () if found is None else (Registered(self.log.source, found, self.frames.clock_s, _known(self.options)),)

@@ -130,7 +130,8 @@ def learn_voyage(
         stale_s: Least time without an AIS report of a vessel under way that is left out; if None, 60 s.
         attitude: File of own ship's roll, pitch and heading, in place of the scene's waves.
         log_options: What the log does not say itself.
-        match: As that of `modsim3d.learn_detector`; as are the following.
+        match: As that of `modsim3d.learn_detector`, as are the following; but if None, by centres where positions are
+            not surely known.
         least_iou: Least IoU.
         most_distance_px: Largest distance between centres.
         confidence: Least confidence.
@@ -156,7 +157,7 @@ def learn_voyage(
             registration = Registering(parse_fixed(fixed), position_m, least, measured, parse_known(known))
             check_known(registration.known, registration.fixed)
         voyage = labelled_voyage(read, VoyageOptions(registration, stale_limit_s(loaded, stale_s), measured))
-    rule = Rule(match or usual_method(voyage.labelled), least_iou, most_distance_px)
+    rule = Rule(match or usual_method(voyage.labelled, position_m), least_iou, most_distance_px)
     least = least_confidence(voyage.labelled, confidence)
     settings = Settings(rule, least, replicates, seed, without=left_out(without, "learn_voyage: without"))
     report, told = learn_from(voyage, settings, LearnOptions(), stretches, position_m)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.curved_sea import lowered
@@ -29,12 +29,14 @@ class View:
         poses: Vessels in each frame.
         images: Rows of the labelled set's images, shape (F,).
         first_identity: The identity in these images of the scene's first vessel; `joined` sets count on.
+        moved: Which vessels registration has put where their detections are, shape (V,); None for none.
     """
 
     camera: Camera
     poses: PosesInWaves
     images: Indices
     first_identity: int = 0
+    moved: Mask | None = None
 
 
 def box_jacobians(scene: Scene, view: View, frame: Indices, vessel: Indices) -> Array:

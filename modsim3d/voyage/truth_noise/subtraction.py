@@ -52,7 +52,13 @@ class LessNoise:
 
 
 def less_noise(
-    errors: LearnedErrors, noise: Array, sides_px: Array, level: float, measured: Array | None, at_least: Array
+    errors: LearnedErrors,
+    noise: Array,
+    sides_px: Array,
+    level: float,
+    measured: Array | None,
+    at_least: Array,
+    cut_off: bool = False,
 ) -> LessNoise:
     """Take the covariance of errors of truth off, where the rest is surely positive.
 
@@ -65,16 +71,21 @@ def less_noise(
         level: Level of the intervals that must not reach 0.
         measured: Covariances of the errors themselves, to take it off, shape (rows, 4, 4). Errors of truth differ from
             box to box, so that the likeliest law has not quite their covariance. Not used if they are far from it, as
-            wrong matches make them. None where the matching has cut off errors, which only the law knows.
+            wrong matches make them; but where they are smaller, they must surely be larger than errors of truth.
+            None if unknown.
         at_least: Standard deviations of what changes from frame to frame, shape (4,).
+        cut_off: Whether the matching has cut off errors, which only the law knows.
     """
     std, correlation = np.nan_to_num(errors.std.column.values), np.nan_to_num(errors.correlation.column.values)
     growth = np.zeros_like(std) if errors.growth is None else np.maximum(errors.growth.column.values, 0)
     products = _mean_products(std, growth, sides_px)
     whole = products * _matrix(correlation)
-    if measured is not None and _alike(measured[0], whole[0]):
+    if measured is not None and not cut_off and _alike(measured[0], whole[0]):
         whole = measured
     taken = _sure(whole, noise, level)
+    if measured is not None:  # tails of the law may be wider than the errors
+        smaller = np.diag(measured[0]) < np.diag(whole[0])
+        taken = taken & (_sure(measured, noise, level) | ~smaller)
     part = noise * (taken[:, None] & taken[None, :])
     rest = whole - part
     if np.linalg.eigvalsh(rest[0])[0] <= 0:

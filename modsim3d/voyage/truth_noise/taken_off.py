@@ -122,15 +122,18 @@ def take_off_truth_noise(
         ours = pairs.edges.whole if form.source is not ErrorSource.ALL_PAIRS else np.ones(len(pairs), dtype=bool)
         if form.source is ErrorSource.OWN_STATE:
             ours = ours & (pairs.state == index)
-        found = jacobians.covariances(pairs, ours, errors.unit == "relative", noise, rows - 1, seed + index)
-        if found is None:
+        relative = errors.unit == "relative"
+        of_truth = jacobians.errors(pairs, ours, relative, noise)
+        if of_truth is None or rows < 2:
             states.append(None)
             continue
-        relative = errors.unit == "relative"
+        drawn = of_truth.covariances(rows - 1, seed + index)
+        found = np.concatenate([drawn.mean(axis=0, keepdims=True), drawn])
         lost = box_errors.used[index].lost
-        measured = _measured(learned, ours, relative) if lost <= _MOST_LOST else None
-        at_least = _changes(learned, ours, relative, np.diag(found[0]), noise.position_s)
-        states.append(less_noise(errors, found, pairs.sides_px[ours], level, measured, at_least))
+        measured = _measured(learned, ours, relative)
+        at_least = _changes(learned, ours, relative, of_truth.change, noise.position_s)
+        cut_off = lost > _MOST_LOST
+        states.append(less_noise(errors, found, pairs.sides_px[ours], level, measured, at_least, cut_off))
     box_s, share = box_errors.box_s, box_errors.box_vessel_share
     slow = box_s is not None and float(box_s.estimate) * _SLOW <= noise.position_s
     if slow and box_s is not None:
@@ -160,20 +163,25 @@ def report_less_truth_noise(
 
 @dataclass(frozen=True, eq=False)
 class _Jacobians:
-    """Derivatives of true boxes (n, 4, 8), with their times and vessels (n,), for pairs at `place` (n,)."""
+    """Derivatives of true boxes (n, 4, 8), with times, vessels and fits (n,), for pairs at `place` (n,).
+
+    See `TruthErrors` for `moved`.
+    """
 
     place: Indices
     jacobians: Array
     time_s: Array
     vessel: Indices
+    moved: Indices
 
     @classmethod
     def of(cls, learned: Learned, scene: Scene, views: Sequence[View]) -> _Jacobians:
         """Those of pairs in at most so many images of each camera."""
         pairs, labelled = learned.observed.pairs, learned.observed.labelled
         identity, vessel = labelled.annotations.identity[pairs.rows], np.full(len(pairs), -1)
+        moved = np.full(len(pairs), -1)
         places, found = [np.empty(0, dtype=np.int64)], [np.empty((0, 4, 8))]
-        for view in views:
+        for number, view in enumerate(views):
             some = np.unique(np.linspace(0, len(view.images) - 1, _MOST_FRAMES).round().astype(np.int64))
             frame = np.full(len(labelled.images), -1)
             frame[view.images[some]] = some
@@ -181,24 +189,24 @@ class _Jacobians:
             if not len(place):
                 continue
             vessel[place] = identity[place] - view.first_identity
+            if view.moved is not None:
+                moved[place] = np.where(view.moved[vessel[place]], number * len(scene.vessels) + vessel[place], -1)
             jacobians = box_jacobians(scene, view, frame[pairs.image[place]], vessel[place])
             told = np.isfinite(jacobians).all(axis=(1, 2))
             places.append(place[told])
             found.append(jacobians[told])
         place = np.concatenate(places)
-        return cls(place, np.concatenate(found), labelled.images.time_s[pairs.image[place]], vessel[place])
+        time_s = labelled.images.time_s[pairs.image[place]]
+        return cls(place, np.concatenate(found), time_s, vessel[place], moved[place])
 
-    def covariances(
-        self, pairs: Pairs, chosen: Mask, relative: bool, noise: TruthNoise, draws: int, seed: int
-    ) -> Array | None:
-        """Mean covariance of errors of truth and draws of it, (1 + draws, 4, 4); None of too few pairs."""
+    def errors(self, pairs: Pairs, chosen: Mask, relative: bool, noise: TruthNoise) -> TruthErrors | None:
+        """Errors of truth of some pairs; None of too few."""
         ours = chosen[self.place]
-        if ours.sum() < _LEAST_PAIRS or draws < 1:
+        if ours.sum() < _LEAST_PAIRS:
             return None
-        unit = pairs.sides_px[self.place[ours]] if relative else np.ones((int(ours.sum()), 4))
-        errors = TruthErrors(self.jacobians[ours] / unit[..., None], self.time_s[ours], self.vessel[ours], noise)
-        drawn = errors.covariances(draws, seed)
-        return np.concatenate([drawn.mean(axis=0, keepdims=True), drawn])
+        unit_px = pairs.sides_px[self.place[ours]] if relative else np.ones((int(ours.sum()), 4))
+        columns = self.jacobians[ours], self.time_s[ours], self.vessel[ours]
+        return TruthErrors(*columns, noise, unit_px, self.moved[ours])
 
 
 def _measured(learned: Learned, ours: Mask, relative: bool) -> Array:

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import iou
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet, Results
-from modsim3d.formats.matching import image_pairs, match
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.numbers.entries import Entry, with_entries
 from modsim3d.learn.numbers.resampling import Column, Resampling, resample
 from modsim3d.learn.observed.observed import Observed
+from modsim3d.voyage.unseen.crossings import Crossings, Tracks, crossings, fainter
 from modsim3d.voyage.unseen.lifetimes import LEAST_S, Kinds, kinds_of
 from modsim3d.voyage.unseen.links import Links, link
 from modsim3d.voyage.unseen.rates import RateSource, StateRates, Weighing, rates_of
@@ -28,7 +27,6 @@ _LIKELY, _PERHAPS = 0.5, 0.1
 """Probabilities from which a thing is taken for a vessel, and from which it may be one."""
 _RUN_TIMES = 12.0
 _LEAST_RUNS = 24
-_SAME_IOU = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,33 +58,54 @@ class Judged:
         return probability
 
     @cached_property
+    def likely(self) -> Mask:
+        """Which linked detections are taken for a vessel's, shape (n,)."""
+        likely: Mask = (self.lasting >= _LIKELY)[self.links.link] & ~self.empty[self.links.image]
+        return likely
+
+    @cached_property
+    def tracks(self) -> Tracks:
+        """Where the vessels without a transponder are."""
+        return Tracks.of(self.links, self.likely, self.observed.labelled)
+
+    @cached_property
+    def crossings(self) -> Crossings:
+        """Where they pass known ones."""
+        return crossings(self.tracks, self.links, self.observed.labelled, self.observed.matched)
+
+    @cached_property
+    def passing(self) -> Mask:
+        """Which detections tell nothing, since vessels pass each other there or come into view, shape (D,)."""
+        passing: Mask = self.crossings.results & ~self.empty[self.observed.labelled.results.image]
+        return passing
+
+    @cached_property
     def left_out(self) -> Mask:
-        """Which detections are neither hits nor false, since they are of a vessel without a transponder, shape (D,)."""
-        left_out: Mask = np.zeros(len(self.observed.labelled.results), dtype=bool)
-        likely = self._at_least(_LIKELY) & ~self.empty[self.links.image]
-        left_out[self.links.rows[likely]] = True
-        left_out[self._fainter(np.flatnonzero(likely))] = True
+        """Which detections are neither hits nor false, since a vessel without a transponder is there, shape (D,)."""
+        left_out: Mask = self.passing.copy()
+        left_out[self.links.rows[self.likely]] = True
+        observed = self.observed
+        left_out[fainter(self.tracks, observed.labelled, observed.matched, observed.threshold)] = True
         return left_out
 
     @cached_property
     def labelled(self) -> LabelledSet:
-        """The set without them: what is learned from."""
-        kept = ~self.left_out
-        given = vars(self._results)
-        columns: dict[str, Any] = {name: None if each is None else each[kept] for name, each in given.items()}
-        return replace(self.observed.labelled, results=Results(**columns))
-
-    @property
-    def _results(self) -> Results:
-        return self.observed.labelled.results
+        """The set without them, and known vessels that they pass ignored: what is learned from."""
+        kept, labelled = ~self.left_out, self.observed.labelled
+        columns: dict[str, Any] = {
+            k: None if each is None else each[kept] for k, each in vars(labelled.results).items()
+        }
+        annotations = replace(labelled.annotations, ignored=labelled.annotations.ignored | self.crossings.annotations)
+        return replace(labelled, annotations=annotations, results=Results(**columns))
 
     def rates(self, resampling: Resampling, image_state: Indices, states: Sequence[str]) -> tuple[StateRates, ...]:
         """The rates of false positives in states of images (I,), with replicates of a resampling."""
         weights = resampling.weights[:, self.things.first_image]
         kinds = kinds_of(self.things, weights, self.links.gap_s, self.least_s)
         likely, perhaps = (self.kinds.lasting[0] >= probability for probability in (_LIKELY, _PERHAPS))
-        duration = kinds.of_thing[self.links.link]
-        weighing = Weighing(self.links.image, duration, kinds.lasting, likely, perhaps, self.empty)
+        telling = self.likely | ~self.passing[self.links.rows]
+        image, duration = self.links.image[telling], kinds.of_thing[self.links.link[telling]]
+        weighing = Weighing(image, duration, kinds.lasting, likely, perhaps, self.empty)
         return rates_of(weighing, resampling, image_state, states, self.kinds.found, self.kinds.inflation)
 
     def own_rates(self, replicates: int, seed: int) -> tuple[StateRates, ...]:
@@ -117,39 +136,6 @@ class Judged:
 
         numbers = replace(learned.numbers, false_positives=with_entries(learned.numbers.false_positives, change))
         return replace(learned, numbers=numbers)
-
-    def _at_least(self, probability: float) -> Mask:
-        """Which linked detections are of things that last as vessels do, with this probability at least, shape (n,)."""
-        mask: Mask = (self.lasting >= probability)[self.links.link]
-        return mask
-
-    def _fainter(self, likely: Indices) -> Indices:
-        """Rows of detections below the least confidence that lie where a vessel without a transponder is.
-
-        Args:
-            likely: Places among the links of detections that are taken for a vessel's, shape (m,).
-        """
-        results, images = self._results, self.observed.labelled.images
-        faint = np.flatnonzero(results.confidence < self.observed.threshold)
-        if not len(faint) or not len(likely):
-            return faint[:0]
-        faint = faint[match(self.observed.labelled, self.observed.matched.rule).annotation[faint] < 0]
-        image, boxes_px = [], []
-        for thing in np.unique(self.links.link[likely]):
-            rows = likely[self.links.link[likely] == thing]
-            rows = rows[np.argsort(self.links.time_s[rows])]
-            seen_s, seen_px = self.links.time_s[rows], results.boxes_px[self.links.rows[rows]]
-            same = images.sequence == images.sequence[self.links.image[rows[0]]]
-            there = np.flatnonzero(same & (images.time_s >= seen_s[0]) & (images.time_s <= seen_s[-1]))
-            image.append(there)
-            boxes_px.append(np.column_stack([np.interp(images.time_s[there], seen_s, edge) for edge in seen_px.T]))
-        order = np.argsort(np.concatenate(image), kind="stable")
-        where, box = np.concatenate(image)[order], np.concatenate(boxes_px)[order]
-        found = [
-            faint[a][iou(results.boxes_px[faint[a]], box[b]) >= _SAME_IOU]
-            for a, b in image_pairs(results.image[faint], where, len(images))
-        ]
-        return np.unique(np.concatenate([faint[:0], *found]))
 
 
 def judge(observed: Observed, stretches: tuple[Stretch, ...] = (), least_s: float = LEAST_S) -> Judged:

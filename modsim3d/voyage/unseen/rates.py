@@ -22,7 +22,7 @@ class RateSource(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Weighing:
-    """Unmatched detections, and what speaks for each being of a vessel without a transponder.
+    """Unmatched detections that tell something, and what speaks for each being of a vessel without a transponder.
 
     Attributes:
         image: Image of each of n detections, shape (n,).

@@ -85,10 +85,13 @@ def things_of(links: Links, images: Images) -> Things:
     ends = _ends_s(images)[images.sequence[first_image]] if count else np.empty(0)
     with np.errstate(invalid="ignore"):
         cut = ends - time_s[stops - 1] < links.longest_gap_s if count else np.empty(0, dtype=bool)
+    cut = cut | links.at_border[order][stops - 1] if count else cut
     behaviour = np.zeros(count, dtype=np.int64)
     for thing in np.flatnonzero(detections >= _LEAST_SEEN).tolist():
         rows = order[starts[thing] : stops[thing]]
-        behaviour[thing] = _behaviour(links, rows, detections[thing] / frames[thing])
+        whole = rows[links.whole[rows]]
+        rows = whole if len(whole) >= _LEAST_SEEN else rows[:0]
+        behaviour[thing] = _behaviour(links, rows, detections[thing] / frames[thing]) if len(rows) else 0
     return Things(detections, first_image, frames, lasted, cut, behaviour)
 
 

@@ -76,7 +76,8 @@ def test_draws_have_the_covariance_of_independent_errors_where_these_are(watched
     count = 3000
     jacobians = rng.normal(size=(count, 4, len(PARAMETERS)))
     fleeting = replace(noise_of(scene, 2.0, heading=0.1), position_s=1e-3)
-    errors = TruthErrors(jacobians, np.arange(count) * 1.0, rng.integers(0, 12, count), fleeting)
+    vessel, still = rng.integers(0, 12, count), np.full(count, -1)
+    errors = TruthErrors(jacobians, np.arange(count) * 1.0, vessel, fleeting, np.ones((count, 4)), still)
     drawn = errors.covariances(20, 0).mean(axis=0)
     part = jacobians[..., :3] * fleeting.std[0, :3]
     np.testing.assert_allclose(drawn, (part @ np.swapaxes(part, 1, 2)).mean(axis=0), rtol=0.05, atol=0.1)
@@ -89,8 +90,26 @@ def test_what_all_boxes_share_is_in_their_mean_and_not_in_the_covariance(watched
         np.arange(50.0),
         np.zeros(50, dtype=np.int64),
         replace(noise_of(scene, 10.0), position_s=1e9),
+        np.ones((50, 4)),
+        np.full(50, -1),
     )
     assert np.abs(one.covariances(20, 0)).max() < 1e-3
+
+
+def test_of_a_vessel_that_was_put_in_its_place_only_what_changes_is_left(watched):
+    scene, view, times = watched
+    frame, vessel = (each.ravel() for each in np.mgrid[: len(times), : len(scene.vessels)])
+    jacobians = box_jacobians(scene, view, frame, vessel)
+    told = np.isfinite(jacobians).all(axis=(1, 2))
+    columns = jacobians[told], times[frame[told]], vessel[told]
+    ones, still = np.ones((int(told.sum()), 4)), np.full(int(told.sum()), -1)
+    wide = noise_of(scene, 10.0, antenna_along=20.0, antenna_across=5.0)
+    std = [
+        [np.sqrt(np.diag(TruthErrors(*columns, noise, ones, fit).covariances(20, 0).mean(axis=0)))[0] for fit in fits]
+        for noise, fits in ((replace(wide, position_s=1e9), (still, vessel[told])), (wide, (still, vessel[told])))
+    ]
+    assert std[0][1] < 0.02 * std[0][0]  # what never changes was found
+    assert 0.2 * std[1][0] < std[1][1] < 0.9 * std[1][0]
 
 
 def test_intervals_hold_the_detectors_errors_and_the_plain_ones_do_not(watched):
@@ -174,7 +193,9 @@ def test_what_persists_of_truth_is_taken_off_what_persists_of_errors():
     share = Entry(Key(("persistence", "box_vessel_share")), Column(part + (1 - part) * rest_share, "capped", seen[0]))
     np.testing.assert_allclose(share_left(share, part).column.values, rest_share, rtol=1e-9)
     np.testing.assert_array_equal(time_left(time, 0 * part, gap_s).column.values, time.column.values)
-    assert time_left(time, np.array([0.95, 0.95]), gap_s).estimate == 0
+    gone = time_left(time, np.array([0.95, 0.95]), gap_s).column.values
+    assert gone[0] == 0
+    assert gone[1] == pytest.approx(-gap_s / np.log(0.01))  # or intervals on a logarithmic scale have no end
 
 
 def test_errors_that_last_come_back_with_their_time():
@@ -207,6 +228,17 @@ def test_wrong_matches_among_the_measured_errors_do_not_pull(watched):
     assert std[1][0] == pytest.approx(np.sqrt(measured[0, 0, 0] - 4), rel=1e-6)
     np.testing.assert_allclose(std[2], std[0], rtol=1e-9)
     assert (std[2] < errors.std.estimate).all()
+
+
+def test_wide_tails_of_a_law_are_no_errors_of_the_detector(watched):
+    scene, view, times = watched
+    learned = learned_from(noisy_set(scene, view, times, 0, 0.0, LASTING_S, np.diag(STD_PX**2)), 20, RICHER)
+    errors, sides = learned.numbers.box_errors.states[0], np.full((50, 4), 40.0)
+    noise = np.tile(np.diag(0.8 * errors.std.estimate**2), (21, 1, 1))
+    measured = np.tile(np.diag(0.7 * errors.std.estimate**2), (21, 1, 1))
+    taken = [less_noise(errors, noise, sides, 0.95, each, np.full(4, np.nan)).taken_off for each in (None, measured)]
+    assert taken[0].any()
+    assert not taken[1].any()
 
 
 def test_mixed_errors_lose_the_mean_covariance_of_truth(watched):

@@ -1,5 +1,7 @@
 """False detections linked over time."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from modsim3d.formats.labelled import LabelledSet
@@ -21,10 +23,36 @@ def linked(labelled):
     return link(observed(labelled))
 
 
-def test_a_thing_is_followed_over_a_gap_and_not_over_a_longer_one():
-    image = np.array([0, 1, 2, 3, 8, 9, 10, 20, 21])
-    links = linked(set_of(image, 100 + 4.0 * image, np.full(9, 400.0)))
-    assert links.link.tolist() == [0] * 7 + [1] * 2
+def test_a_thing_is_followed_over_a_gap_as_long_as_it_was_seen_and_not_over_a_longer_one():
+    image = np.array([0, 1, 2, 3, 8, 9, 10, 20, 21, 50, 51])
+    links = linked(set_of(image, 100 + 4.0 * image, np.full(11, 400.0)))
+    assert links.link.tolist() == [0] * 9 + [1] * 2
+
+
+def test_a_thing_that_comes_into_view_and_leaves_it_is_one_thing():
+    frame = np.arange(120)
+    left = 1300 - 14.0 * frame  # 140 px wide, in an image of 1200 px
+    boxes = np.clip(np.column_stack([left, 0 * left + 400, left + 140, 0 * left + 440]), 0, [[WIDTH_PX, 700] * 2])
+    seen = boxes[:, 2] - boxes[:, 0] > 1
+    rows = found(frame[seen], 0 * frame[seen], boxes[seen], np.full(seen.sum(), 0.9)).by_image()
+    labelled = replace(set_of(frame[:1], [0.0], [0.0], frames=120), results=rows)
+    links = linked(labelled)
+    assert links.count == 1
+    assert things_of(links, labelled.images).cut.tolist() == [True]
+
+
+def test_a_thing_that_a_known_vessel_hides_in_part_is_one_thing():
+    frame = np.arange(60)
+    left = 200 + 6.0 * frame  # 60 px wide; the vessel is 200 px wide, and lower than it
+    low = np.column_stack([left, 0 * left + 370, left + 60, 0 * left + 400])
+    known = np.tile([350.0, 380, 450, 410], (60, 1))
+    behind = (left > 290) & (left + 60 < 510)
+    low[behind, 3] = 380
+    rows = found(frame, 0 * frame, low, np.full(60, 0.9)).by_image()
+    labelled = replace(set_of(frame[:1], [0.0], [0.0]), results=rows, annotations=truth(frame, 0 * frame, known))
+    links = link(observed(labelled))
+    assert behind.sum() > 10
+    assert links.count == 1
 
 
 def test_things_that_cross_keep_their_numbers():
@@ -34,6 +62,35 @@ def test_things_that_cross_keep_their_numbers():
     of_right = links.link[np.isclose(links.places_px[:, 1], 400 - HORIZON_PX)]
     assert links.count == 2
     assert len(set(of_right.tolist())) == 1
+
+
+def test_a_thing_that_another_one_hides_in_part_is_one_thing():
+    frame = np.arange(60)
+    behind, before = 200 + 6.0 * frame, 700 - 4.0 * frame
+    low = np.column_stack([behind, 0 * behind + 370, behind + 60, 0 * behind + 400])
+    over = (behind + 60 > before) & (behind < before + 200)
+    low[over, 3] = 378
+    near = np.column_stack([before, 0 * before + 380, before + 200, 0 * before + 430])
+    boxes, image = np.concatenate([low, near]), np.tile(frame, 2)
+    rows = found(image, 0 * image, boxes, np.full(120, 0.9)).by_image()
+    assert over.sum() > 10
+    assert linked(replace(set_of(frame[:1], [0.0], [0.0]), results=rows)).count == 2
+
+
+def test_a_stray_detection_does_not_take_the_place_of_a_whole_one():
+    frame = np.arange(40)
+    known = np.tile([600.0, 380, 800, 420], (40, 1))
+    whole = boxes_at(300 + 6.0 * frame, np.full(40, 400.0), np.full(40, 60.0))
+    piece = np.tile([590.0, 395, 610, 400], (40, 1))[30:36]  # of the known vessel, where the other one is about to come
+    lone = np.tile([530.0, 440, 570, 460], (1, 1))
+    boxes = np.concatenate([whole, piece, lone])
+    image = np.r_[frame, frame[30:36], 29]
+    rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
+    labelled = replace(set_of(frame[:1], [0.0], [0.0]), results=rows, annotations=truth(frame, 0 * frame, known))
+    links = link(observed(labelled))
+    of_whole = links.link[np.isclose(links.sizes_px[:, 0], 60.0)]
+    assert len(of_whole) == 40
+    assert len(set(of_whole.tolist())) == 1
 
 
 def test_a_detection_of_another_size_is_another_thing():
@@ -58,10 +115,10 @@ def test_frames_without_times_link_nothing():
 
 def test_what_lies_above_the_horizon_or_jumps_is_no_vessel():
     frame = np.arange(60)
-    side = np.where(frame < 8, 0, np.random.default_rng(2).choice([-1, 1], 60))
+    side = np.where(frame < 8, 0, 1 - 2 * (frame % 2))
     for y, jump, behaviour in (
         (HORIZON_PX - 60, 0.0, Behaviour.ABOVE_THE_HORIZON),
-        (HORIZON_PX + 60, 12.0, Behaviour.JUMPS),
+        (HORIZON_PX + 60, 9.0, Behaviour.JUMPS),
         (HORIZON_PX + 60, 1.0, Behaviour.LIKE_A_VESSEL),
     ):
         x = 400 + 2.0 * frame + jump * side

@@ -1,0 +1,83 @@
+"""A vessel without a transponder that passes a known one, and a known one at the image's border."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.voyage.unseen.judged import judge
+from tests.formats.labelled_sets import found, images, truth
+from tests.voyage.unseen.voyages import HEIGHT_PX, SEA, WIDTH_PX, boxes_at, observed
+
+FRAMES = 400
+
+
+def set_of(known, *tracks):
+    """Known boxes (F, 4), of which those without a place are absent, and the detections of some tracks (F, 4)."""
+    frame = np.arange(FRAMES)
+    image, boxes = np.tile(frame, len(tracks)), np.concatenate(tracks)
+    seen, there = np.isfinite(boxes).all(axis=1), np.isfinite(known).all(axis=1)
+    rng = np.random.default_rng(0)
+    single = rng.integers(0, FRAMES, 80)
+    stray = boxes_at(rng.uniform(50, 1150, 80), rng.uniform(500, 600, 80), rng.uniform(15, 60, 80))
+    image, boxes = np.r_[image[seen], single], np.concatenate([boxes[seen], stray])
+    results = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
+    annotated = truth(frame[there], 0 * frame[there], known[there], identity=0 * frame[there])
+    shots = images(FRAMES, (WIDTH_PX, HEIGHT_PX), 0.5 * frame, np.tile(SEA, (FRAMES, 1)))
+    return LabelledSet(("boat",), ("all",), shots, annotated, results)
+
+
+def at(x, y=400.0, size=60.0):
+    return boxes_at(np.broadcast_to(x, FRAMES), np.full(FRAMES, y), np.full(FRAMES, size))
+
+
+def passing():
+    """A known vessel at 600 px, hidden by another one that comes along it and has no transponder."""
+    x = 100 + 2.5 * np.arange(FRAMES)
+    known, other = at(600.0), at(x, 402.0, 75.0)
+    hidden = np.abs(x - 600) < 40
+    return set_of(known, np.where(hidden[:, None], np.nan, known), other), x, hidden
+
+
+def test_a_known_vessel_that_an_unseen_one_hides_is_not_missed():
+    labelled, x, hidden = passing()
+    judged = judge(observed(labelled))
+    ignored = judged.labelled.annotations.ignored
+    assert hidden.sum() > 20
+    assert ignored[hidden].all()
+    assert not ignored[np.abs(x - 600) > 150].any()
+    left = observed(judged.labelled)
+    assert not left.missed.any()
+    assert len(left.found) > 250
+
+
+def test_the_box_of_an_unseen_vessel_is_no_error_of_a_known_one():
+    labelled, _, _ = passing()
+    wrong = np.flatnonzero(np.abs(observed(labelled).pairs.error_px[:, 2]) > 10)
+    assert len(wrong) > 5  # the other one's box matches the known one that it hides
+    left = observed(judge(observed(labelled)).labelled)
+    assert np.abs(left.pairs.error_px).max() < 1e-6
+
+
+def test_a_vessel_whose_truth_is_off_is_still_missed():
+    known = at(600 + 0.2 * np.arange(FRAMES))
+    judged = judge(observed(set_of(known, known + np.array([40.0, 0, 40, 0]))))
+    assert judged.left_out.sum() >= FRAMES  # what lasts is taken for a vessel
+    assert not judged.labelled.annotations.ignored.any()
+
+
+def test_a_known_vessel_in_view_before_its_truth_is_no_false_positive():
+    x = -60 + 3.0 * np.arange(FRAMES)
+    late, early = at(x - 6.0), at(x)
+    known, seen = (np.clip(each, 0, [[WIDTH_PX, HEIGHT_PX] * 2]) for each in (late, early))
+    known[known[:, 2] - known[:, 0] < 1] = seen[seen[:, 2] - seen[:, 0] < 1] = np.nan
+    labelled = set_of(known, seen)
+    judged = judge(observed(labelled))
+    first = int(np.flatnonzero(np.isfinite(seen).all(axis=1))[0])
+    early_rows = np.flatnonzero((labelled.results.image < first + 2) & (labelled.results.boxes_px[:, 0] < 1))
+    assert len(early_rows)
+    assert judged.left_out[early_rows].all()
+    (rate,) = judged.own_rates(10, 0)
+    assert float(rate.used.estimate) * FRAMES <= 80 + 1e-9
+    inland = replace(labelled, annotations=replace(labelled.annotations, boxes_px=labelled.annotations.boxes_px + 300))
+    assert not judge(observed(inland)).crossings.results[early_rows].any()
