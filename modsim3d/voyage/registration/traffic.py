@@ -14,7 +14,6 @@ from modsim3d.scene.scene import Scene
 from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.sampling import Sampler
 
-
 BEYOND_S = 60.0
 """How long before the first step and after the last one vessels go on."""
 
