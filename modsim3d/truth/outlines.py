@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -141,7 +142,7 @@ _NOTHING = {
 
 def _outline(
     intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
-) -> tuple[dict[str, Array], Part]:
+) -> tuple[dict[str, Any], Part]:
     """The columns of `Outlines` for bodies with the same faces, and the part that they form."""
     solid, pinhole = bodies.solid, intrinsics.pinhole
     camera = camera_poses.to_camera(bodies.vertices_world())
