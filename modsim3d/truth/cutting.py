@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import shapely
 
-from modsim3d.arrays import Array, Indices, Mask, ranges
+from modsim3d.arrays import Array, Indices, Mask, ranges, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.clipping import clip_triangles, near_plane
 from modsim3d.vessels.vessel import Solid
@@ -108,7 +108,8 @@ def _convex_sections(clipped: Array, member: Indices, near: float) -> tuple[Arra
     distinct = np.ones(len(of), dtype=bool)
     distinct[1:] = (np.diff(of) != 0) | (np.diff(corners[:, :2], axis=0) != 0).any(axis=1)
     corners, of = corners[distinct], of[distinct]
-    first, count = np.flatnonzero(np.diff(of, prepend=-1)), np.bincount(of)[np.unique(of)]
+    first = run_starts(of)
+    count = np.bincount(of)[of[first]]
     centre = np.stack([np.bincount(of, corners[:, i])[of] for i in (0, 1)], axis=1) / np.repeat(count, count)[:, None]
     offset = corners[:, :2] - centre
     around = np.lexsort((np.arctan2(offset[:, 1], offset[:, 0]), of))

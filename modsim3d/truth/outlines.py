@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
@@ -228,7 +228,7 @@ def _boxes_in_image(vertices_camera: Array, crosses: Mask, intrinsics: Intrinsic
         pixels, of = np.clip(pinhole.project(seen), 0, pinhole.image_size_px), member[face]
         order = np.argsort(of, kind="stable")
         pixels, of = pixels[order], of[order]
-        first = np.flatnonzero(np.diff(of, prepend=-1))
+        first = run_starts(of)
         boxes[of[first], :2] = np.minimum.reduceat(pixels.min(axis=1), first)
         boxes[of[first], 2:] = np.maximum.reduceat(pixels.max(axis=1), first)
     if intrinsics.distortion is not None:
