@@ -60,6 +60,8 @@ def cut_near(
     Returns:
         Triangles in CCF, shape (T, 3, 3), and the solid of each, ascending, shape (T,). A section comes last.
     """
+    if not len(faces_camera):
+        return np.empty((0, 3, 3)), np.empty(0, dtype=np.int64)
     near = intrinsics.near_clip_m
     clipped, face = clip_triangles(faces_camera.reshape(-1, 3, 3), near_plane(intrinsics))
     member = face // max(faces_camera.shape[1], 1)
