@@ -1,4 +1,4 @@
-"""Names for the types of arrays, and three functions on arrays that many rooms use."""
+"""Names for the types of arrays, and functions on arrays that many rooms use."""
 
 from __future__ import annotations
 
@@ -22,6 +22,15 @@ def ranges(first: Indices, count: Indices) -> Indices:
     before = count.cumsum() - count  # methods: a live step calls this too often for functions that look for them
     numbers: Indices = np.arange(int(count.sum())) + (first - before).repeat(count)
     return numbers
+
+
+def run_starts(*columns: Indices) -> Indices:
+    """The first row, and those at which one of some columns (n,) has another value than in the row before, (k,)."""
+    starts = np.ones(len(columns[0]), dtype=bool)
+    starts[1:] = columns[0][1:] != columns[0][:-1]  # `np.diff` with `prepend` takes three times as long for few rows
+    for column in columns[1:]:
+        starts[1:] |= column[1:] != column[:-1]
+    return starts.nonzero()[0]
 
 
 def extents(column: Indices, wanted: Indices) -> tuple[Indices, Indices]:

@@ -32,7 +32,8 @@ def corner_form(centre_form_px: Array) -> Array:
 
 def clip(boxes_px: Array, image_size_px: tuple[int, int] | Array) -> Array:
     """Boxes (..., 4) cut at the edge of the image, or each of its own image of a size (..., 2), same shape."""
-    return np.clip(boxes_px, 0, np.tile(image_size_px, 2))
+    size = np.asarray(image_size_px)
+    return np.clip(boxes_px, 0, np.concatenate([size, size], axis=-1))
 
 
 def from_top_left(top_left_form_px: Array) -> Array:

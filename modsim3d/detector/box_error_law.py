@@ -87,7 +87,7 @@ def size_factors(sizes_px: Array, relative: Mask | bool, growths: Array) -> tupl
         growths: k over σ₀ of `mixed` errors, whose standard deviation is σ₀ + k·side, in 1/px; 0 for others. Broadcast
             with shape (..., 4).
     """
-    sides = np.tile(sizes_px, 2)
+    sides = np.concatenate([sizes_px, sizes_px], axis=-1)
     return np.where(relative, sides, 1.0), 1 + growths * sides
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, read_only
 from modsim3d.geometry.camera import Intrinsics
 
 
@@ -13,10 +15,11 @@ def near_plane(intrinsics: Intrinsics) -> Array:
     return np.array([[0.0, 0.0, 1.0, intrinsics.near_clip_m]])
 
 
+@lru_cache(maxsize=64)
 def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
     """The half-spaces that project to the image and a band of `guard_px` around it, shape (4, 4).
 
-    Each row is (n, d) with n · p >= d. The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera
+    Each row is (n, d) with n · p >= d, read-only. The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera
     coordinates; the others follow alike.
     """
     matrix, (width, height) = intrinsics.matrix, intrinsics.image_size_px
@@ -27,7 +30,7 @@ def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
         matrix[1] + guard_px * depth,
         (height + guard_px) * depth - matrix[1],
     ]
-    return np.column_stack([np.array(normals), np.zeros(4)])
+    return read_only(np.column_stack([np.array(normals), np.zeros(4)]))
 
 
 def clip_triangles(triangles_camera: Array, half_spaces: Array) -> tuple[Array, Indices]:

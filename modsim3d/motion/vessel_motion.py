@@ -119,10 +119,10 @@ class VesselMotion:
         first, stop = self.with_neighbours(steps, 1 if motion.needs_velocity else 0)
         around, times = self.source.poses(first, stop), times_s(self.source.timestamps, first, stop)
         rows = steps - first
-        velocity = np.zeros_like(around.positions_m[rows])
+        calm = around.rows(rows)
+        velocity = np.zeros_like(calm.positions_m)
         if motion.needs_velocity:
             velocity = velocities(times, around.positions_m, around.present)[rows]
-        calm = around.rows(rows)
         positions, angles = calm.positions_m.copy(), np.zeros(calm.positions_m.shape)
         for column in self.moved:
             here = np.flatnonzero(calm.present[:, column])

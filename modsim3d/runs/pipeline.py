@@ -51,6 +51,7 @@ def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
         return
     from modsim3d.render.context import open_context  # no OpenGL where none is needed
     from modsim3d.render.id_pass import IdRenderer
+    from modsim3d.truth import full_frame, rendered  # noqa: F401  # now, not at the first frame with a vessel
 
     with open_context() as context:
         yield IdRenderer(context)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Indices, Mask, extents, ranges
+from modsim3d.arrays import Indices, Mask, extents, ranges, run_starts
 from modsim3d.render.id_pass import Ids, Sheet
 from modsim3d.truth.buffer_drawing import BufferDrawing
 from modsim3d.truth.clusters import Batch, ClusteredPairs
@@ -143,10 +143,10 @@ def visibility_in_order(ordered: Ordered, boxed: Mask, image_size_px: tuple[int,
     line = (np.repeat(cluster[farthest_first], count) * height + spans.y) * (width + 1)
     ends = np.concatenate([line + spans.start, line + spans.stop])
     order = np.argsort(ends)
-    is_new = np.diff(ends[order], prepend=-1) > 0
-    number = np.empty(len(ends), dtype=np.int64)
-    number[order] = np.cumsum(is_new) - 1
-    cuts = ends[order[is_new]]
+    new = order[run_starts(ends[order])]
+    cuts, is_new, number = ends[new], np.zeros(len(ends), dtype=np.int64), np.empty(len(ends), dtype=np.int64)
+    is_new[new] = 1
+    number[order] = is_new[order].cumsum() - 1
     # Between two cuts, a piece of the line shows one span all along: the one that is painted last.
     begin, end = number.reshape(2, -1)
     piece, span = ranges(begin, end - begin), np.repeat(np.arange(len(begin)), end - begin)
@@ -168,5 +168,5 @@ def _sums(keys: Indices, values: Indices) -> tuple[Indices, Indices]:
     """The distinct keys, ascending, and the sum of the values of each; `keys` and `values` have shape (m,)."""
     order = np.argsort(keys)
     keys, values = keys[order], values[order]
-    first = np.flatnonzero(np.diff(keys, prepend=-1))
+    first = run_starts(keys)
     return keys[first], np.add.reduceat(values, first) if len(first) else values

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, run_starts
 from modsim3d.render.id_pass import Region, Sheet
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.overlaps import overlapping_pairs
@@ -96,7 +96,7 @@ def clusters_of(outlines: Outlines, boxes: Array, pairs: ClusteredPairs) -> list
     )
     members, member_cluster = pairs.members()
     rows = np.split(members, np.flatnonzero(np.diff(member_cluster)) + 1)
-    regions = _unions(shared, np.flatnonzero(np.diff(pair_cluster, prepend=-1)))
+    regions = _unions(shared, run_starts(pair_cluster))
     return [Cluster(*each) for each in zip(rows, regions, strict=True)]
 
 

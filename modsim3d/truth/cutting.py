@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import shapely
 
-from modsim3d.arrays import Array, Indices, Mask, ranges
+from modsim3d.arrays import Array, Indices, Mask, ranges, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.clipping import clip_triangles, near_plane
 from modsim3d.vessels.vessel import Solid
@@ -60,6 +60,8 @@ def cut_near(
     Returns:
         Triangles in CCF, shape (T, 3, 3), and the solid of each, ascending, shape (T,). A section comes last.
     """
+    if not len(faces_camera):
+        return np.empty((0, 3, 3)), np.empty(0, dtype=np.int64)
     near = intrinsics.near_clip_m
     clipped, face = clip_triangles(faces_camera.reshape(-1, 3, 3), near_plane(intrinsics))
     member = face // max(faces_camera.shape[1], 1)
@@ -108,7 +110,8 @@ def _convex_sections(clipped: Array, member: Indices, near: float) -> tuple[Arra
     distinct = np.ones(len(of), dtype=bool)
     distinct[1:] = (np.diff(of) != 0) | (np.diff(corners[:, :2], axis=0) != 0).any(axis=1)
     corners, of = corners[distinct], of[distinct]
-    first, count = np.flatnonzero(np.diff(of, prepend=-1)), np.bincount(of)[np.unique(of)]
+    first = run_starts(of)
+    count = np.bincount(of)[of[first]]
     centre = np.stack([np.bincount(of, corners[:, i])[of] for i in (0, 1)], axis=1) / np.repeat(count, count)[:, None]
     offset = corners[:, :2] - centre
     around = np.lexsort((np.arctan2(offset[:, 1], offset[:, 0]), of))

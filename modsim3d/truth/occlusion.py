@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, run_starts
 from modsim3d.truth.outlines import Outlines, new_numbers
 from modsim3d.truth.truth_record import Truth
 
@@ -36,7 +36,7 @@ class HiddenPixels:
             return cls(row, occluder, px)
         order = np.lexsort((occluder, row))
         row, occluder, px = row[order], occluder[order], px[order]
-        first = np.flatnonzero((np.diff(row, prepend=-1) != 0) | (np.diff(occluder, prepend=-1) != 0))
+        first = run_starts(row, occluder)
         if len(first) < len(row):
             row, occluder, px = row[first], occluder[first], np.add.reduceat(px, first)
         return cls(row, occluder, px)

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
@@ -141,7 +142,7 @@ _NOTHING = {
 
 def _outline(
     intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
-) -> tuple[dict[str, Array], Part]:
+) -> tuple[dict[str, Any], Part]:
     """The columns of `Outlines` for bodies with the same faces, and the part that they form."""
     solid, pinhole = bodies.solid, intrinsics.pinhole
     camera = camera_poses.to_camera(bodies.vertices_world())
@@ -227,7 +228,7 @@ def _boxes_in_image(vertices_camera: Array, crosses: Mask, intrinsics: Intrinsic
         pixels, of = np.clip(pinhole.project(seen), 0, pinhole.image_size_px), member[face]
         order = np.argsort(of, kind="stable")
         pixels, of = pixels[order], of[order]
-        first = np.flatnonzero(np.diff(of, prepend=-1))
+        first = run_starts(of)
         boxes[of[first], :2] = np.minimum.reduceat(pixels.min(axis=1), first)
         boxes[of[first], 2:] = np.maximum.reduceat(pixels.max(axis=1), first)
     if intrinsics.distortion is not None:

@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, ranges
+from modsim3d.arrays import Array, Indices, Mask, ranges, run_starts
 
 
 def frame_slices(frame: Indices) -> list[slice]:
     """The rows of each frame that has any; `frame` is that of each row, non-decreasing, shape (n,)."""
-    edges = [*np.flatnonzero(np.diff(frame, prepend=-1)).tolist(), len(frame)]
+    edges = [*run_starts(frame).tolist(), len(frame)]
     return [slice(first, stop) for first, stop in pairwise(edges)]
 
 

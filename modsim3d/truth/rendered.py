@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, extents, ranges
+from modsim3d.arrays import Array, Indices, Mask, extents, ranges, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.truth.buffer_drawing import BufferDrawing, fits_a_buffer, tiles_of
@@ -57,7 +57,7 @@ def _portions(outlines: Outlines, supersample: int) -> list[Indices]:
     if heights.sum() < MOST_LINES:
         return [np.arange(len(outlines))]
     before = np.cumsum(heights) - heights
-    begins = np.flatnonzero(np.diff(outlines.frame, prepend=-1))
+    begins = run_starts(outlines.frame)
     portion = before[begins] // MOST_LINES
     return np.split(np.arange(len(outlines)), begins[np.flatnonzero(np.diff(portion)) + 1])
 
