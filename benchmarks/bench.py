@@ -26,7 +26,8 @@ the least and the greatest of the rounds in brackets, and a ratio is the median 
 finished run directory, the renderer's start included (its context, its shaders), Python's imports and the contact \
 sheet not. Where a ratio is \
 meant to show how time grows (image size, number of vessels), a few steps are run first, as a constant start-up would \
-make the growth look smaller. `--workers`, memory and cold start are those of the command itself, by the clock.
+make the growth look smaller. `--workers`, memory and cold start are those of the command itself, by the clock. \
+Python keeps its byte code, as that of an installed package; the start that writes it is not counted.
 - Harbour and strait are the shipped scenes with all their steps; the strait has two cameras, and the frames of both \
 count. The thousand boats are those of `scenes.thousand` in `benchmarks/scenes.py`.
 - A live step is that of `modsim3d stream` with Simulation 2's poses on standard input, as in \

@@ -24,14 +24,21 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+def inherited() -> dict[str, str]:
+    """What commands inherit: they keep Python's byte code, as those of an installed package have it."""
+    left_out = ("PYOPENGL_PLATFORM", "PYTHONDONTWRITEBYTECODE")
+    return {name: value for name, value in os.environ.items() if name not in left_out}
+
+
 def environment() -> dict[str, str]:
     """That of the processes: as the command line sets it, and the same for the baselines."""
-    kept = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
+    kept = inherited()
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
     settings = {
         "LP_NUM_THREADS": "0",
         "OPENBLAS_NUM_THREADS": "1",
         "JE_ARROW_MALLOC_CONF": "background_thread:false",
+        "ARROW_DEFAULT_MEMORY_POOL": "system",
     }
     return {**kept, **settings, "PYTHONPATH": path}
 
@@ -89,7 +96,7 @@ def modsim3d(*arguments: str | Path, right: Container[int] = (0,)) -> Finished:
 
 def finished(command: Sequence[str | Path], right: Container[int] = (0,)) -> Finished:
     """Run a command; another exit status than those that are right is an error."""
-    kept = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
+    kept = inherited()
     with tempfile.TemporaryFile() as said:
         started = time.perf_counter()
         process = subprocess.Popen(command, env=kept, cwd=ROOT, stdout=said, stderr=said)

@@ -137,6 +137,7 @@ class _Processes(Generic[W]):
     """Worker processes, each with a thread here that hands it pieces and waits for the results."""
 
     def __init__(self, processes: list[WorkerProcess], most_waiting: int, if_killed: str) -> None:
+        self._processes = processes
         self._if_killed = if_killed
         self._most_waiting = most_waiting
         self._do_here: Callable[[Task | None], None] | None = None
@@ -160,10 +161,11 @@ class _Processes(Generic[W]):
             yield self._result(waiting.popleft())
 
     def close(self) -> None:
-        """Let the workers end what they have begun, and end them."""
+        """Let the workers end what they do now, and end them."""
         while not self._tasks.empty():
             self._tasks.get()
-        for _ in self._threads:
+        for process in self._processes:
+            process.stop()
             self._tasks.put(None)
         for thread in self._threads:
             thread.join()

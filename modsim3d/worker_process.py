@@ -48,6 +48,7 @@ class WorkerProcess:
     def __init__(self, fork: bool, set_up: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
         """Start the process, a fork of this one or a new interpreter; `set_up` of `arguments` opens its worker."""
         self._pipe, other_end = multiprocessing.Pipe()
+        self._sending = threading.Lock()
         self._first: Any = None  # what is sent before the first task
         with other_end:  # closed before the next process is forked, which would hold it too
             if fork:
@@ -62,7 +63,7 @@ class WorkerProcess:
                 self._first = set_up, arguments
 
     def do_all(self, tasks: SimpleQueue[Task | None]) -> None:
-        """Have tasks done until None comes, and end the process.
+        """Have tasks done until None comes, and wait for the end of the process.
 
         The process has its next task before it has done one, so that it need not wait for this process.
         """
@@ -79,17 +80,21 @@ class WorkerProcess:
             if not begun:
                 break
             self._take_result(begun.popleft())
-        with suppress(OSError):
-            self._pipe.send_bytes(_END)
         self._wait()
         self._pipe.close()
 
+    def stop(self) -> None:
+        """Let the process end after what it does now."""
+        with suppress(OSError), self._sending:
+            self._pipe.send_bytes(_END)
+
     def _hand(self, future: Future[Any], work: Callable[[Any, Any], Any], piece: Any) -> Future[Any]:
         try:
-            if self._first is not None:
-                self._pipe.send(self._first)
-                self._first = None
-            self._pipe.send((work, piece))
+            with self._sending:
+                if self._first is not None:
+                    self._pipe.send(self._first)
+                    self._first = None
+                self._pipe.send((work, piece))
         except OSError:
             future.set_exception(DiedError())
         except Exception as error:
@@ -182,7 +187,15 @@ def _read(pipe: Connection, messages: SimpleQueue[bytes]) -> None:
             message = pipe.recv_bytes()
         except (EOFError, OSError):
             message = _END
+        if message == _END:
+            _empty(messages)  # nobody waits for the results
         messages.put(message)
+
+
+def _empty(messages: SimpleQueue[bytes]) -> None:
+    with suppress(Empty):
+        while True:
+            messages.get_nowait()
 
 
 def _answer(pipe: Connection, problem: ModsimError | None, worker: Any, message: bytes) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.detector.draws import choose, cumulative
 from modsim3d.random_streams import on_grid
+from modsim3d.special_functions import special
 
 
 def sea_polygons(half_planes: Array, image_size_px: tuple[int, int]) -> Array:

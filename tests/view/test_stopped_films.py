@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from modsim3d.scene.reading import load_scene
 from tests.scenes import crossing
 
 STALLING = """
+import os
 import time
 from modsim3d.view.films.renderer import FilmRenderer
 
@@ -21,24 +23,15 @@ draw, asked = FilmRenderer.draw, []
 def stalling(self, step_frames):
     asked.append(step_frames.step)
     if len(asked) == {frame}:
-        print("in the middle", flush=True)
+        open({reached!r}, "w").close()
         {then}
     return draw(self, step_frames)
 
-FilmRenderer.draw = stalling  # also in workers, which import the file below or are copies of the process
-"""
-ALONE = """
-import os, sys
-# As `cli.main` does it, before numpy starts threads.
-os.environ.update(OPENBLAS_NUM_THREADS="1", JE_ARROW_MALLOC_CONF="background_thread:false")
-from modsim3d import cli
-exec(open({stalling!r}).read())
-if __name__ == "__main__":
-    cli.main()
+FilmRenderer.draw = stalling
 """
 MIDDLE = 11
 """Of 12 frames; a GIF draws four for its palette first. They are drawn and written four at a time."""
-WAIT = "time.sleep(600)"
+FOR_LONG = "time.sleep(600)"
 
 
 @pytest.fixture(scope="module")
@@ -49,27 +42,45 @@ def run(tmp_path_factory):
 
 
 @pytest.fixture
-def stalled(run, prepared):
+def go_on(tmp_path_factory):
+    """A file that workers wait for in the middle of a film."""
+    return tmp_path_factory.mktemp("go") / "on"
+
+
+def until_there_is(path):
+    return f"while not os.path.exists({str(path)!r}): time.sleep(0.01)"
+
+
+@pytest.fixture
+def stalled(run, prepared, tmp_path_factory):
     """A function that starts a command, which then has drawn some frames of a film."""
 
-    def begin(out, *options, frame=MIDDLE, then=WAIT, alone=False):
-        """`alone`: an interpreter with its own script and session, for workers and what cannot be passed on."""
-        stalling, script = run.parent / "stalling.py", run.parent / "alone.py"
-        stalling.write_text(STALLING.format(frame=frame, then=then))
-        script.write_text(ALONE.format(stalling=str(stalling)))
-        program = [sys.executable, script] if alone else [prepared]
+    def begin(out, *options, frame=MIDDLE, then=FOR_LONG, alone=False):
+        """`alone`: an interpreter and session of its own, for workers and what cannot be passed on."""
+        folder = tmp_path_factory.mktemp("stalling")
+        reached, first = folder / "reached", folder / "sitecustomize.py"  # which every interpreter runs, workers' too
+        first.write_text(STALLING.format(frame=frame, then=then, reached=str(reached)))
+        path = os.pathsep.join([str(folder), *sys.path])
+        # As `cli.main` does it, before numpy starts threads.
+        of_its_own = {
+            "PYTHONPATH": path,
+            "OPENBLAS_NUM_THREADS": "1",
+            "JE_ARROW_MALLOC_CONF": "background_thread:false",
+        }
+        program = [sys.executable, "-m", "modsim3d.cli"] if alone else [prepared]
         arguments = ("view", run, "--film", "detections", "--width", "320", "--out", out, *options)
         drawing = subprocess.Popen(
             [*map(str, program), *map(str, arguments)],
-            env=dict(os.environ) if alone else {**os.environ, "FIRST": str(stalling)},
+            env={**os.environ, **(of_its_own if alone else {"FIRST": str(first)})},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
         )
-        assert drawing.stdout is not None
-        if drawing.stdout.readline() != "in the middle\n":
-            raise AssertionError(drawing.communicate()[1])
+        while not reached.exists():
+            if drawing.poll() is not None:
+                raise AssertionError(drawing.communicate()[1])
+            time.sleep(0.02)
         return drawing
 
     return begin
@@ -127,10 +138,11 @@ def test_a_film_that_fails_in_the_middle_leaves_nothing(stalled, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_film_of_several_workers_can_be_stopped(stalled, tmp_path, number):
-    """Frame 3, as each worker counts its own, and not for long, as a worker ends what it has begun."""
-    drawing = stalled(tmp_path / "film.mp4", "--workers", "2", frame=3, then="time.sleep(2)", alone=True)
+def test_a_film_of_several_workers_can_be_stopped(stalled, go_on, tmp_path, number):
+    """Frame 3, as each worker counts its own; a worker ends what it does."""
+    drawing = stalled(tmp_path / "film.mp4", "--workers", "2", frame=3, then=until_there_is(go_on), alone=True)
     drawing.send_signal(number)
+    go_on.touch()
     _, said = drawing.communicate(timeout=60)
     assert drawing.returncode == 128 + number
     assert "no film was written" in said
@@ -158,10 +170,11 @@ def test_what_is_coming_is_said_before_it_is_drawn(stalled, tmp_path):
     drawing.communicate(timeout=60)
 
 
-def test_a_worker_is_stopped_without_a_word(stalled, tmp_path):
+def test_a_worker_is_stopped_without_a_word(stalled, go_on, tmp_path):
     """A signal to the whole group, as a terminal that is closed sends it."""
-    drawing = stalled(tmp_path / "film.mp4", "--workers", "2", frame=3, then="time.sleep(2)", alone=True)
+    drawing = stalled(tmp_path / "film.mp4", "--workers", "2", frame=3, then=until_there_is(go_on), alone=True)
     os.killpg(drawing.pid, signal.SIGHUP)
+    go_on.touch()
     _, said = drawing.communicate(timeout=60)
     assert drawing.returncode == 129
     assert "Traceback" not in said

@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from modsim3d.arrays import Array
 from modsim3d.motion.waves.base import GRAVITY_M_S2
@@ -97,10 +96,12 @@ def jonswap_sea(
         seed: Seed of frequencies and phases.
         peakedness: γ.
     """
+    from scipy.special import roots_legendre  # all of its package, which most scenes do not need
+
     peak = 2 * math.pi / peak_period_s
     bands = (OCTAVES_BELOW + OCTAVES_ABOVE) * COMPONENTS_PER_OCTAVE
     edges = peak * 2.0 ** np.linspace(-OCTAVES_BELOW, OCTAVES_ABOVE, bands + 1)  # one is the peak, where σ jumps
-    nodes, weights = special.roots_legendre(NODES_PER_BAND)
+    nodes, weights = roots_legendre(NODES_PER_BAND)
     widths, centres = np.diff(edges), (edges[1:] + edges[:-1]) / 2
     within = centres[:, None] + widths[:, None] / 2 * nodes
     energy = (jonswap_shape(within, peak, peakedness) * weights).sum(axis=1) * widths

@@ -165,10 +165,7 @@ class TableWriter:
         if len(self._waiting) == MOST_WAITING:
             self._waiting = [pa.concat_tables(self._waiting).combine_chunks()]
         while self._rows > ROW_GROUP_ROWS:  # at least one row is left for close()
-            joined = pa.concat_tables(self._waiting)
-            self._write_group(joined.slice(0, ROW_GROUP_ROWS))
-            self._waiting = [joined.slice(ROW_GROUP_ROWS)]
-            self._rows -= ROW_GROUP_ROWS
+            self._write_group(ROW_GROUP_ROWS)
 
     def close(self) -> None:
         """Write the remaining rows and the footer, unless rows before them could not be written.
@@ -178,16 +175,23 @@ class TableWriter:
         """
         if self._failed:
             return
-        waiting, self._waiting = self._waiting, []
-        if waiting:
-            self._write_group(pa.concat_tables(waiting))
+        if self._waiting:
+            self._write_group(self._rows)
         with self._once():
             self._writer.close()
 
-    def _write_group(self, rows: pa.Table) -> None:
+    def _write_group(self, count: int) -> None:
+        """Write the first rows that wait; they are copied, and the tables they come from are given up first."""
+        pool = pa.default_memory_pool()
+        pool.release_unused()  # what blocks and row groups took is kept, until it is told not to be
+        joined = pa.concat_tables(self._waiting)
+        group = joined.slice(0, count).combine_chunks()
+        self._waiting, self._rows = [joined.slice(count)] if count < self._rows else [], self._rows - count
+        del joined
         with self._once():
-            self._writer.write_table(rows.combine_chunks())
-        pa.default_memory_pool().release_unused()  # Arrow keeps what a row group took, until it is told not to
+            self._writer.write_table(group)
+        del group
+        pool.release_unused()
 
     @contextmanager
     def _once(self) -> Iterator[None]:

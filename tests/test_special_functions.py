@@ -1,0 +1,35 @@
+"""A run takes the functions of SciPy that it needs, and SciPy is whole for whoever wants more of it."""
+
+import subprocess
+import sys
+
+CODE = """
+import sys
+import modsim3d.runs.run
+from modsim3d.special_functions import special
+
+print("scipy.special" in sys.modules, "numpy.testing" in sys.modules)
+import scipy.special
+import scipy.stats
+
+names = ("ndtr", "ndtri", "log_ndtr", "gammaincinv", "pdtr", "pdtrik", "xlogy", "expit", "logit", "exp2", "log1p")
+print(all(getattr(scipy.special, name) is getattr(special, name) for name in names), scipy.stats.norm.cdf(0.0))
+"""
+PACKAGE_FIRST = """
+import scipy.special
+from modsim3d.special_functions import special
+
+print(special is scipy.special)
+"""
+
+
+def said(code: str) -> list[str]:
+    return subprocess.check_output([sys.executable, "-c", code], text=True, timeout=60).split()
+
+
+def test_run_does_not_import_the_whole_package() -> None:
+    assert said(CODE) == ["False", "False", "True", "0.5"]
+
+
+def test_package_that_is_there_is_used() -> None:
+    assert said(PACKAGE_FIRST) == ["True"]
