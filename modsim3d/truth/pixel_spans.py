@@ -56,7 +56,8 @@ def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
     Boxes are half-open, [x_min, x_max) × [y_min, y_max); the box of a silhouette without a pixel is
     (inf, inf, −inf, −inf).
     """
-    first = np.flatnonzero(np.diff(spans.row, prepend=-1))  # of the spans of one silhouette that follow each other
+    # The first of the spans of one silhouette that follow each other.
+    first = np.append(0, np.flatnonzero(spans.row[1:] != spans.row[:-1]) + 1)[: len(spans.row)]
     row = spans.row[first]
     pixels: Array = np.bincount(row, np.add.reduceat(spans.stop - spans.start, first), minlength=count).astype(float)
     low, high = np.full((2, count), _FAR), np.full((2, count), -1)

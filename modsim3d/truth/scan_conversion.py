@@ -118,18 +118,28 @@ class _Edges:
             self.side[chosen], self.upper[:, chosen], self.lower[:, chosen], self.first[chosen], self.stop[chosen]
         )
 
-    def crossings(self, width: int) -> tuple[Indices, Indices, Indices]:
-        """Side, scan line, and first column at or to the right of the edge, of each line of each edge, shapes (c,)."""
-        lines = self.stop - self.first
-        y = ranges(self.first, lines)
+    def lines(self, count: int) -> tuple[Indices, Indices]:
+        """Silhouette and scan line of each line of n = `count` silhouettes, none of which is broken, shapes (m,)."""
+        left = slice(0, int(np.searchsorted(self.side, count)))
+        first, lines = self.first[left], (self.stop - self.first)[left]
+        return self.side[left].repeat(lines), ranges(first, lines)
+
+    def columns(self, y: Indices, width: int) -> Indices:
+        """First column at or to the right of the left and of the right edge in each line, shape (2, m).
+
+        `y` are the scan lines of silhouettes of which none is broken, shape (m,).
+        """
         (x0, y0), (dx, dy) = self.upper, self.lower - self.upper
         # 256 dy times the crossing, counted from the centre of column 0, at line 0 and from one line to the next.
-        crossing = (SUBPIXELS * dx).repeat(lines)
-        crossing *= y
-        crossing += ((HALF - y0) * dx + (x0 - HALF) * dy).repeat(lines)
-        crossing /= (SUBPIXELS * dy).repeat(lines)
+        at_zero, step, scale = (HALF - y0) * dx + (x0 - HALF) * dy, SUBPIXELS * dx, SUBPIXELS * dy
+        lines = self.stop - self.first
+        crossing = step.repeat(lines).reshape(2, -1)
+        crossing *= y.astype(np.float64)
+        crossing += at_zero.repeat(lines).reshape(2, -1)
+        crossing /= scale.repeat(lines).reshape(2, -1)
         np.ceil(crossing, out=crossing)
-        return self.side.repeat(lines), y, np.clip(crossing, 0, width, out=crossing).astype(np.int64)
+        columns: Indices = np.clip(crossing, 0, width, out=crossing).astype(np.int64)
+        return columns
 
 
 def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int]) -> tuple[Spans, Indices]:
@@ -149,10 +159,9 @@ def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int
     broken = edges.broken(count)
     if broken.any():
         edges = edges.take(~broken[edges.side % count])
-    side, y, columns = edges.crossings(width)
-    start, stop = columns.reshape(2, -1)
-    spans = Spans(side[: len(start)], y[: len(start)], start, stop)
-    return spans.take(np.flatnonzero(start < stop)), np.flatnonzero(broken)
+    row, y = edges.lines(count)
+    start, stop = edges.columns(y, width)
+    return Spans(row, y, start, stop).take(np.flatnonzero(start < stop)), np.flatnonzero(broken)
 
 
 def _on_grid(points_px: Array) -> Array:
