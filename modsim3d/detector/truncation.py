@@ -10,7 +10,7 @@ every point has its weight. Distributions that are normal with a random scale ar
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +36,8 @@ _POINTS_AT_ONCE, _POINTS_IN_CACHE = 1 << 16, 1 << 14
 _ORDER = np.array([2, 3, 0, 1])  # e_w, e_h, e_x, e_y
 _LEAST_SIDE_PX = 1.0
 _LOWER_TAIL, _NOT_SMALL, _UPPER_TAIL = -13.0, -1.0, 8.5
-_ROUNDING_PX, _NO_SPREAD = 1e-9, 1e-30
+_ROUNDING_PX, _NO_SPREAD, _LEAST_UNIFORM = 1e-9, 1e-30, 1e-50
+_PARTS_KEPT = 2  # as many as a sample of one state has
 _NORMAL = Normal()
 
 
@@ -83,17 +84,36 @@ def accepted_errors(
     means = np.broadcast_to(mean, (len(boxes_px), 4))
     roots = np.broadcast_to(ordered_root(covariance), (len(boxes_px), 4, 4))
     width = ERROR_NORMALS + distribution.extra_normals
-    sequence = _sobol(width, points)
-    generator = np.random.default_rng(1)
     rows_at_once = max(1, at_once // points)
     for start in range(0, len(boxes_px), rows_at_once):
         rows = slice(start, min(start + rows_at_once, len(boxes_px)))
-        uniforms = sequence[:, None] + generator.random((rows.stop - start, width)).T[..., None]
-        uniforms -= uniforms >= 1
+        numbers = width, points, start, rows.stop
+        uniforms = _uniforms(*numbers)
         # One scale for all points if it is not random: what is then the same for them is worked out once.
         drawn = uniforms[ERROR_NORMALS:] if distribution.extra_normals else uniforms[ERROR_NORMALS:, :, :1]
         scales = distribution.scales(special.ndtri(np.moveaxis(drawn, 0, -1)))
-        yield _draw(rows, boxes_px[rows], images_px[rows], means[rows], roots[rows], uniforms, scales)
+        normals = functools.partial(_normals, *numbers)
+        yield _draw(rows, boxes_px[rows], images_px[rows], means[rows], roots[rows], uniforms, normals, scales)
+
+
+@functools.lru_cache(_PARTS_KEPT)
+def _uniforms(width: int, points: int, start: int, stop: int) -> Array:
+    """Uniform numbers of rows start to stop − 1, shape (width, rows, points): the same whatever their boxes are."""
+    bits = np.random.PCG64(1)
+    bits.advance(start * width)
+    shifts = np.random.Generator(bits).random((stop - start, width))
+    uniforms = _sobol(width, points)[:, None] + shifts.T[..., None]
+    uniforms -= uniforms >= 1
+    uniforms.setflags(write=False)
+    return uniforms
+
+
+@functools.lru_cache(_PARTS_KEPT * ERROR_NORMALS)
+def _normals(width: int, points: int, start: int, stop: int, error: int) -> Array:
+    """Standard normal numbers of one error from those uniform numbers, shape (rows, points)."""
+    normals: Array = special.ndtri(np.maximum(_uniforms(width, points, start, stop)[error], _LEAST_UNIFORM))
+    normals.setflags(write=False)
+    return normals
 
 
 @functools.cache
@@ -122,40 +142,65 @@ def ordered_root(covariance: Array) -> Array:
 
 
 def _draw(
-    rows: slice, boxes: Array, images: Array, means: Array, roots: Array, uniforms: Array, scales: Array
+    rows: slice,
+    boxes: Array,
+    images: Array,
+    means: Array,
+    roots: Array,
+    uniforms: Array,
+    normals: Callable[[int], Array],
+    scales: Array,
 ) -> Accepted:
     """Draw one error after the other within its bounds, given those before it.
 
-    Uniforms have shape (4 or more, rows, points). Scales have shape (rows, points) or, if they are the same for all
-    points, (rows, 1).
+    Uniforms have shape (4 or more, rows, points); `normals` gives the standard normal numbers of one of the first four.
+    Scales have shape (rows, points) or, if they are the same for all points, (rows, 1).
     """
     points = uniforms.shape[-1]
     standard: list[Array] = []
     errors = np.empty((4, len(means), points))
     chance = np.ones((len(means), points))
     for j, component in enumerate(_ORDER):
-        given = means[:, component, None]
-        if j:
-            given = given + scales * sum(roots[:, j, k, None] * standard[k] for k in range(j))
-        low, high = _bounds(component, boxes, images, errors)
-        spread = scales * roots[:, j, j, None]
-        drawn, inside = _within(low - given, high - given, spread, uniforms[j])
+        correlated = [roots[:, j, k, None] * standard[k] for k in range(j) if roots[:, j, k].any()]
+        given, spread = means[:, component, None] + scales * sum(correlated), scales * roots[:, j, j, None]
+        growth = errors[2 + component % 2] if component < 2 else means[:, component, None]
+        near = np.flatnonzero(~_far_from_bounds(component, boxes, images, growth, given, spread))
+        drawn = np.empty(chance.shape) if len(near) == len(means) else normals(j).copy()
+        if len(near):
+            bounds = _bounds(component, boxes[near], images[near], growth[near], given[near])
+            drawn[near], inside = _within(*bounds, spread[near], uniforms[j, near])
+            chance[near] *= inside
         standard.append(drawn)
         np.add(given, spread * drawn, out=errors[component])
-        chance *= inside
     acceptance = chance.mean(axis=1)
     weights = chance / np.where(acceptance > 0, acceptance, 1)[:, None] / points
     return Accepted(rows, np.moveaxis(errors, 0, -1), weights, acceptance)
 
 
-def _bounds(component: int, boxes: Array, images: Array, errors: Array) -> tuple[Array, Array]:
-    """Least and greatest error of a component that leaves a pixel, given the growth; shapes (n, 1) or (n, points)."""
+def _bounds(component: int, boxes: Array, images: Array, growth: Array, given: Array) -> tuple[Array, Array]:
+    """Least and greatest error of a component that leaves a pixel, less what is given; shapes (n, 1) or (n, points).
+
+    The growth along the component's axis bounds a shift; the growth itself has a lower bound only. Both arrays have one
+    of these shapes.
+    """
     axis = component % 2
     first, last = boxes[:, axis, None], boxes[:, 2 + axis, None]
     if component >= 2:
-        return _LEAST_SIDE_PX - (last - first), np.full((len(boxes), 1), np.inf)
-    half, image = errors[2 + axis] / 2, images[:, axis, None]
-    return _LEAST_SIDE_PX - last - half, image - _LEAST_SIDE_PX - first + half
+        return _LEAST_SIDE_PX - (last - first) - given, np.full((len(boxes), 1), np.inf)
+    half, image = growth / 2, images[:, axis, None]
+    return _LEAST_SIDE_PX - last - half - given, image - _LEAST_SIDE_PX - first + half - given
+
+
+def _far_from_bounds(component: int, boxes: Array, images: Array, growth: Array, given: Array, spread: Array) -> Mask:
+    """Which boxes are so far from the bounds of a component that these do not count at any point, shape (n,).
+
+    Of growth, of what is given and of spread, (n, 1) or (n, points), only the extremes are looked at.
+    """
+    growths, givens = (np.stack([each.min(axis=1), each.max(axis=1)], axis=1) for each in (growth, given))
+    low, high = _bounds(component, boxes, images, growths[:, [0, 0, 1, 1]], givens[:, [0, 1, 0, 1]])
+    most, least = spread.max(axis=1), spread.min(axis=1)
+    far: Mask = (low.max(axis=1) < _LOWER_TAIL * most) & (high.min(axis=1) > _UPPER_TAIL * most) & (least > 0)
+    return far
 
 
 def _within(low: Array, high: Array, spread: Array, uniforms: Array) -> tuple[Array, Array]:

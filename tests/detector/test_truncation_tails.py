@@ -1,9 +1,11 @@
 """Rows of points that lie in a tail of the normal distribution are worked out once: no bit of a result changes."""
 
 import numpy as np
+import pytest
 from scipy import special
 
 from modsim3d.detector import truncation
+from modsim3d.detector.box_error_law import Normal, StudentT
 
 POINTS = 512
 
@@ -27,3 +29,29 @@ def test_rows_that_all_lie_in_tails_have_one_probability_each():
     below, above = truncation._probabilities(np.full((3, POINTS), -50.0), np.full((3, POINTS), 20.0))
     assert below.shape == above.shape == (3, 1)
     assert (above - below == 1).all()
+
+
+@pytest.mark.parametrize("distribution", [Normal(), StudentT(4.0)])
+def test_boxes_far_from_their_bounds_have_the_bits_of_the_plain_way(monkeypatch, distribution):
+    generator = np.random.default_rng(2)
+    middles, halves = generator.uniform(0, 1000, (64, 2)), generator.choice([1.0, 30, 300], (64, 1))
+    boxes = np.clip(np.concatenate([middles - halves, middles + halves], axis=1), 0, 1000)
+    mix = generator.normal(size=(4, 4))
+    law = generator.normal(size=4), mix @ mix.T
+    images = np.full((64, 2), 1000.0)
+
+    def parts():
+        return list(truncation.accepted_errors(boxes, images, *law, distribution, POINTS, 16 * POINTS))
+
+    found, far = parts(), []
+
+    def none_far(*given):
+        far.append(plain(*given).mean())
+        return np.zeros(len(given[1]), dtype=bool)
+
+    plain = truncation._far_from_bounds
+    monkeypatch.setattr(truncation, "_far_from_bounds", none_far)
+    for part, other in zip(found, parts(), strict=True):
+        np.testing.assert_array_equal(part.errors, other.errors)
+        np.testing.assert_array_equal(part.weights, other.weights)
+    assert any(0 < share < 1 for share in far)
