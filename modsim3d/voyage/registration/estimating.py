@@ -23,10 +23,13 @@ BLOCK_S = 10.0
 PROBED = (*SHARED_NAMES, "along_m", "across_m", COMMON_DELAY)
 """A common delay is a delay of all vessels; the columns of single vessels' values are the same, each for its rows."""
 OWN = slice(len(SHARED_NAMES), len(PROBED))
-DELAYS_S = 0.5
+DELAY_S = 0.5
+"""Standard deviation, over vessels, of how late reports are, where offsets are expected."""
 FIRST_M = 5.0
-SAME = 0.003
+"""That of constant errors in the first fit, where none are expected."""
 EFFECT_ROUNDS, DRIFT_ROUNDS = 2, 6
+SAME = 0.003
+"""The drifts stay if no value changes by more, in plausible distances."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +89,23 @@ def _px_and_slopes(aligner: Aligner, aligned: Alignment) -> tuple[Array, Array]:
     return np.nan_to_num(px, nan=0.0), np.where(known, slopes, 0.0)
 
 
+def _with_mean_speeds(aligner: Aligner, aligned: Alignment, slopes: Array) -> Array:
+    """Slopes by the clock and by delays as if vessels kept their mean speed of a minute, shape (m, 14).
+
+    The speed from one report to the next has the errors of both. A fit would take their pattern for a mark by which
+    to set the clock.
+    """
+    residuals, scale = aligned.residuals, plausible(OF_A_VESSEL_NAMES)
+    time_s = residuals.sightings.time_s[residuals.row] + aligned.values["clock_s"]
+    speeds = aligner.model.traffic.velocities(time_s, residuals.vessel)
+    by_metres, late = slopes[:, OWN][:, :2] / scale[:2], PROBED.index(COMMON_DELAY)
+    smooth = -(by_metres * speeds).sum(axis=1)
+    changed, clock = slopes.copy(), PROBED.index("clock_s")
+    changed[:, clock] += (smooth - slopes[:, late] / scale[2]) * plausible(["clock_s"])
+    changed[:, late] = smooth * scale[2]
+    return changed
+
+
 def _with_effects(
     aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None
 ) -> tuple[Alignment, VesselEffects, float]:
@@ -138,57 +158,96 @@ def _known(
     return wider(wider(shared.known_by(vessel), shared.known_by(blocks)), by_model)
 
 
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """One fit with drifts.
+
+    Attributes:
+        aligned: The new values, with the matches of the old ones.
+        change: Change of the free shared values, in plausible distances, shape (p,).
+        linear: The fit near the old values, a column for each of `PROBED`.
+        rows: The same with the residuals that are left where all vessels are as they are reported.
+        axes: What unit normals of the row's vessel add, shape (m, q).
+        drifts: The same without what is estimated of the constant errors, shape (m, r).
+    """
+
+    aligned: Alignment
+    change: Array
+    linear: Linear
+    rows: Linear
+    axes: Array
+    drifts: Array
+
+
 def _with_drift(
+    aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None, noise_m: float
+) -> Estimated:
+    """The same where positions drift besides: linear fits, since all but the wrong matches is nearly linear."""
+    late = np.array([0.0, 0.0, 0.0 if offsets_m is None else DELAY_S])
+    first_m = FIRST_M if offsets_m is None else offsets_m
+    constant, together = np.array([first_m, first_m, 0.0]) + late, 1.0
+    for _ in range(DRIFT_ROUNDS):
+        fitted = _round(aligner, aligner.matched(aligned), free, constant, late, noise_m, together)
+        aligned, rows, vessel = fitted.aligned, fitted.rows, fitted.aligned.residuals.vessel
+        together = _together(rows.whitened(fitted.axes / np.sqrt(together), vessel), free, aligned.residuals)
+        steady = rows.whitened(fitted.drifts / np.sqrt(together), vessel)
+        effects = _effects(steady, free, aligned.residuals, together, offsets_m)
+        constant = effects.spreads + late
+        if np.abs(fitted.change).max() < SAME:
+            break
+    white = Linear(columns(rows, free), rows.residuals).whitened(fitted.axes / np.sqrt(together), vessel)
+    degrees = len(effects.vessels) + (0.0 if offsets_m is None else PRIOR_VESSELS)
+    known = white.known_by_model(together, degrees)
+    for cluster in (vessel, blocks_of(aligned.residuals)):
+        known = wider(known, white.known_by(cluster, degrees))
+    return Estimated(aligned, fitted.linear, effects, known)
+
+
+def _round(
     aligner: Aligner,
     aligned: Alignment,
     free: tuple[str, ...],
-    offsets_m: float | None,
+    constant: Array,
+    late: Array,
     noise_m: float,
-) -> Estimated:
-    """The same where positions drift besides."""
-    scale = plausible(OF_A_VESSEL_NAMES)
-    delays = np.array([0.0, 0.0, DELAYS_S])
-    places = [PROBED.index(name) for name in free]
-    constant, together = np.array([1.0, 1.0, 0.0]) * (offsets_m or FIRST_M) + delays, 1.0
-    for _ in range(DRIFT_ROUNDS):
-        aligned = aligner.matched(aligned)
-        residuals = aligned.residuals
-        vessel, time_s = residuals.vessel, residuals.sightings.time_s[residuals.row]
-        px, slopes = _px_and_slopes(aligner, aligned)
-        own = slopes[:, OWN] / scale
-        reported = px - (own * aligned.values.vessels[vessel]).sum(axis=1)
-        axes = drift_axes(time_s, vessel, constant, noise_m)
-        drift = fit_drift(residuals, reported, px, slopes[:, places], own, axes, together)
-        off_px = (own * drift.off).sum(axis=1)
-        drifting = (own[:, :, None] * axes).sum(axis=1)
-        alone = (own[:, :, None] * drift_axes(time_s, vessel, delays, noise_m)).sum(axis=1)
-        every = np.column_stack([slopes, off_px, drifting, alone]) / drift.spreads_px[:, None]
-        both = Linear.of_soft_loss(every, drift.errors_px / drift.spreads_px, SOFT)
-        cuts = np.cumsum([len(PROBED), 1, drifting.shape[1]])
-        each, off, drifting, alone = np.split(both.slopes, cuts, axis=1)
-        linear = Linear(each, both.residuals)
-        rows = Linear(each, both.residuals - off[:, 0])
-        white = rows.whitened(drifting / np.sqrt(together), vessel)
-        together = _together(white, free, residuals)
-        effects = _effects(rows.whitened(alone / np.sqrt(together), vessel), free, residuals, together, offsets_m)
-        constant = effects.spreads + delays
-        aligned = Alignment(_changed(aligned.values, free, drift.change, vessel, drift.off),
-                            aligned.sightings, residuals, aligned.spreads_px)  # fmt: skip
-        if DEBUG: print(_, "clock", aligned.values["clock_s"], "rows",len(residuals.row), "spr",effects.spreads, together)
-        if np.abs(drift.change).max() < SAME: break
-    shared = Linear(columns(rows, free), rows.residuals).whitened(drifting / np.sqrt(together), vessel)
-    degrees = len(effects.vessels) + (0.0 if offsets_m is None else PRIOR_VESSELS)
-    by_model = shared.known_by_model(together, degrees)
-    if DEBUG:
-        sc = plausible(free)
-        print("spreads",np.round(effects.spreads,2),"together",together, "vessels",len(effects.vessels))
-        for n,kn in (("vessel",shared.known_by(vessel)),("blocks",shared.known_by(blocks_of(residuals))),("model",by_model)):
-            print(f"{n:7s} half",np.round(kn.half_widths*sc,4)," se",np.round(kn.errors*sc,4))
-    known = wider(wider(by_model, shared.known_by(vessel, degrees)), shared.known_by(blocks_of(residuals), degrees))
-    return Estimated(aligned, linear, effects, known)
+    together: float,
+) -> _Round:
+    """Fit the shared values and where vessels are, near the values of an alignment.
 
-import os
-DEBUG=os.environ.get("DEBUG")
+    Args:
+        aligner: What is fitted.
+        aligned: The alignment.
+        free: Names of the shared values that may change.
+        constant: Standard deviations of constant errors: along, across and delay, shape (3,).
+        late: The same of those that are not estimated.
+        noise_m: That of the drift.
+        together: How many rows count as one.
+    """
+    residuals = aligned.residuals
+    vessel, time_s = residuals.vessel, residuals.sightings.time_s[residuals.row]
+    px, slopes = _px_and_slopes(aligner, aligned)
+    slopes = _with_mean_speeds(aligner, aligned, slopes)
+    own = slopes[:, OWN] / plausible(OF_A_VESSEL_NAMES)
+    reported = px - (own * aligned.values.vessels[vessel]).sum(axis=1)
+    axes = drift_axes(time_s, vessel, constant, noise_m)
+    places = [PROBED.index(name) for name in free]
+    drift = fit_drift(residuals, reported, px, slopes[:, places], own, axes, together)
+    parts = [axes, drift_axes(time_s, vessel, late, noise_m), drift.off[:, :, None]]
+    added = [(own[:, :, None] * part).sum(axis=1) for part in parts]
+    scaled = np.column_stack([slopes, *added]) / drift.spreads_px[:, None]
+    linear = Linear.of_soft_loss(scaled, drift.errors_px / drift.spreads_px, SOFT)
+    cuts = np.cumsum([len(PROBED), added[0].shape[1], added[1].shape[1]])
+    each, all_axes, drifts, off = np.split(linear.slopes, cuts, axis=1)
+    values = _changed(aligned.values, free, drift.change, vessel, drift.off)
+    return _Round(
+        Alignment(values, aligned.sightings, residuals, aligned.spreads_px),
+        drift.change,
+        Linear(each, linear.residuals),
+        Linear(each, linear.residuals - off[:, 0]),
+        all_axes,
+        drifts,
+    )
+
 
 def _changed(values: Values, free: tuple[str, ...], change: Array, vessel: Indices, off: Array) -> Values:
     """Values with a change of shared ones, in plausible distances, and vessels as far off as they are on average."""

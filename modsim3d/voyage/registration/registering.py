@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array
 from modsim3d.boxes import centre_form, corner_form
 from modsim3d.errors import ModsimError
 from modsim3d.geometry.camera import Camera
@@ -63,8 +63,9 @@ def register(
         use_sizes: Whether widths and heights of boxes count: not if the vessels' dimensions are guesses.
         searched_s: Greatest offset of the clock that is looked for.
         offsets_m: Standard deviation, over vessels, that is expected of how far positions are off, such as by unknown
-            places of antennas or late reports. It counts as much as four vessels. None if nothing is expected: then
-            the matches alone tell, which few vessels do badly.
+            places of antennas. It counts as much as four vessels. With `noise_m`, reports are also expected to be late,
+            by `DELAY_S` over vessels. None if nothing is expected: then the matches alone tell, which few vessels do
+            badly.
         noise_m: Standard deviation, in each direction, of errors of positions that change over minutes, such as those
             of satellite navigation: see `drifting`.
         attitude: That of own ship as it was measured, in place of the scene's waves.
@@ -97,7 +98,8 @@ def register(
     aligned = _settled(last, aligned, lost)
     estimated = estimate(last, aligned, free, offsets_m, noise_m)
     aligned, linear, effects = estimated.aligned, estimated.linear, estimated.effects
-    known = covering(estimated.known, [_fitted_from(rival, last, lost, free, offsets_m, noise_m).values.scaled(free) - aligned.values.scaled(free) for rival in rivals])
+    others = [_fitted_from(rival, last, lost, free, offsets_m, noise_m).scaled(free) for rival in rivals]
+    known = covering(estimated.known, [other - aligned.values.scaled(free) for other in others])
     rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
     rules |= {name: "mean errors are taken to be zero" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
     rules |= {group.held: f"not determined: {group.words()}" for group in groups}
@@ -129,10 +131,12 @@ def _corrected(found: BoxesAtTimes, mean: Array) -> BoxesAtTimes:
     return BoxesAtTimes(found.times_s, found.frame, corner_form(boxes))
 
 
-def _fitted_from(start: Values, aligner: Aligner, lost: set[str], free: tuple[str, ...], offsets_m: float | None, noise_m: float) -> Alignment:
-    """The last fit from another start."""
+def _fitted_from(
+    start: Values, aligner: Aligner, lost: set[str], free: tuple[str, ...], offsets_m: float | None, noise_m: float
+) -> Values:
+    """The values of the last fit from another start."""
     aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
-    return estimate(aligner, _settled(aligner, aligned, lost), free, offsets_m, noise_m).aligned
+    return estimate(aligner, _settled(aligner, aligned, lost), free, offsets_m, noise_m).aligned.values
 
 
 def _settled(aligner: Aligner, aligned: Alignment, lost: set[str]) -> Alignment:

@@ -7,7 +7,6 @@ aligned one by one, with vessels off their reports where that is expected, and c
 from __future__ import annotations
 
 import numpy as np
-import os
 
 from modsim3d.arrays import Array
 from modsim3d.scene.scene import Scene
@@ -64,7 +63,6 @@ def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -
         new = np.abs(np.array(clock_s) - other["clock_s"]).min() > APART_S
         if new and better.mean() < SURE * better.std(ddof=1) / np.sqrt(len(better)):
             rivals.append(other)
-    if os.environ.get("DEBUG"): print("starts",[(round(v["clock_s"],2),round(e.sum(),1)) for e,v in tried], "rivals",[round(v["clock_s"],2) for v in rivals])
     return values, rivals
 
 
@@ -79,4 +77,4 @@ def _explained(aligner: Aligner, aligned: Alignment) -> Array:
     times_s = aligner.found.times_s
     edges = np.linspace(times_s[0], times_s[-1], STRETCHES + 1)[1:-1]
     stretch = np.searchsorted(edges, residuals.sightings.time_s[residuals.row])
-    return np.bincount(stretch, close, STRETCHES)
+    return np.asarray(np.bincount(stretch, close, STRETCHES))
