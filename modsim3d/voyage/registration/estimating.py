@@ -16,7 +16,7 @@ from modsim3d.voyage.registration.fitting import SOFT, Unknowns, derivatives
 from modsim3d.voyage.registration.parameters import PLACE, SHARED_NAMES, Values, plausible
 from modsim3d.voyage.registration.residuals import Residuals
 from modsim3d.voyage.registration.vessel_effects import NAMES as OF_A_VESSEL_NAMES
-from modsim3d.voyage.registration.vessel_effects import PRIOR_VESSELS, VesselEffects, vessel_effects
+from modsim3d.voyage.registration.vessel_effects import VesselEffects, vessel_effects
 
 BLOCK_S = 10.0
 """Stretches of time within which a vessel's box errors are taken to go together."""
@@ -196,7 +196,7 @@ def _with_drift(
         if np.abs(fitted.change).max() < SAME:
             break
     white = Linear(columns(rows, free), rows.residuals).whitened(fitted.axes / np.sqrt(together), vessel)
-    degrees = len(effects.vessels) + (0.0 if offsets_m is None else PRIOR_VESSELS)
+    degrees = float(len(effects.vessels))
     known = white.known_by_model(together, degrees)
     for cluster in (vessel, blocks_of(aligned.residuals)):
         known = wider(known, white.known_by(cluster, degrees))
