@@ -60,16 +60,17 @@ def as_reported(scene: Scene, seed: int, errors: AisErrors, silent: Sequence[str
     wrong = rng.normal(0, (errors.along_m, errors.across_m, errors.delay_s), (vessels, 3))
     wrong[own] = 0
     along, across, delay = wrong.T[..., None]
-    reports = np.arange(0, times_s[-1] + errors.reports_s, errors.reports_s)
+    reports = np.arange(-errors.reports_s, times_s[-1] + errors.reports_s, errors.reports_s)
     noise = _lasting(rng.normal(0, errors.position_m, (vessels, 2, len(reports))), errors)
     noise[own] = 0
+    first_s = rng.uniform(0, errors.reports_s, vessels)  # in step with the frames, reports would tell the clock
     ahead = np.stack([np.cos(true.headings_rad), np.sin(true.headings_rad)], axis=-1)
     port = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
     velocity = _velocities(true, times_s)
     moved = true.positions_m.copy()
     moved[..., :2] += along * ahead + across * port - delay * velocity
     for vessel, axis in np.ndindex(noise.shape[:2]):
-        moved[:, vessel, axis] += np.interp(times_s, reports, noise[vessel, axis])
+        moved[:, vessel, axis] += np.interp(times_s, reports + first_s[vessel], noise[vessel, axis])
     absent = errors.silent(scene, seed) if silent is None else silent
     present = true.present & ~np.isin(scene.vessel_names, list(absent))
     poses = RecordedPoses(scene.poses.timestamps, Poses(present, moved, true.headings_rad))

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from modsim3d.arrays import Array
+import numpy as np
+
+from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.logs.log import Clock, DetectionLog
 from modsim3d.voyage.logs.times import LEAST_UNIX_S, time_text
 from modsim3d.voyage.reports import read_reports
 
+_NEAR_S = 1e-6
+_OUTSIDE_S = 0.1
 _HOUR_S = 3600.0
 _ZONES = 14.5
 """No two zones are further apart from UTC, in hours."""
@@ -75,6 +79,24 @@ def on_scene_clock(times_s: Array, kind: Clock, source: str, scene: Scene, clock
         )
         raise InputError(source, [problem])
     return times_s - clock.start_s
+
+
+def within_scene(log_s: Array, clock_s: float, length_s: float) -> tuple[Array, Mask]:
+    """Times of a log's frames by a registered clock, and which of them are within the scene, both of shape (F,).
+
+    A clock is not known to the millisecond. So a frame that it puts outside by less than half the time between two
+    frames, and by 0.1 s at most, is at the scene's first or last step.
+
+    Args:
+        log_s: Times since the scene's first step by the log's own clock, ascending, shape (F,).
+        clock_s: What is added to them; 0 if it was not registered.
+        length_s: Time of the scene's last step.
+    """
+    frame_s = float(np.diff(log_s).min()) if len(log_s) > 1 else 0.0
+    outside_s = max(min(frame_s / 2, _OUTSIDE_S), _NEAR_S) if clock_s else _NEAR_S
+    times_s = log_s + clock_s
+    inside = (times_s >= -outside_s) & (times_s <= length_s + outside_s)
+    return np.clip(times_s, 0, length_s), inside
 
 
 def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneClock) -> None:

@@ -15,6 +15,7 @@ from modsim3d.runs.pipeline import open_renderer
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 from modsim3d.voyage.attitude import Attitude
+from modsim3d.voyage.clock import within_scene
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
 from modsim3d.voyage.known import NOTHING_KNOWN, KnownMeans
 from modsim3d.voyage.left_out import STALE_S, Freshness, Regions, left_out
@@ -155,9 +156,7 @@ class _CameraSet:
         offsets = self._offsets()
         scene, self.moved = with_moved_vessels(self.scene, offsets), np.asarray(offsets.any(axis=1))
         self.camera = correction.camera(log.scene.cameras[of_camera.camera])
-        times_s = of_camera.time_s + correction.clock_s
-        inside = (times_s >= -NEAR_S) & (times_s <= log.length_s + NEAR_S)
-        times_s = np.clip(times_s, 0, log.length_s)
+        times_s, inside = within_scene(of_camera.time_s, correction.clock_s, log.length_s)
         carrier, attitude = self.camera.mount.vessel, options.attitude
         carried = inside & _carrier_there(log.scene, carrier, times_s)
         self.notes = list(_said_of_frames(self.camera.name, inside, carried, carrier))

@@ -86,12 +86,6 @@ class Aligner:
         sightings = self._match(predicted, self._close_gates(aligned, predicted))
         return self._fitted(sightings, aligned.values, self._unknowns(()), tied=False)
 
-    def explained(self, values: Values) -> int:
-        """Number of detections that match with the last of the wide gates."""
-        predicted = predict(self.model, self.hiding, values, self.found.times_s)
-        gate = np.radians(GATES_DEG[-1]) / 2 * self.model.traffic.camera.intrinsics.focal_px[0]
-        return len(self._match(predicted, gate + GATE_SHARE / 2 * sizes(predicted.boxes_px)))
-
     def _unknowns(self, names: tuple[str, ...]) -> Unknowns:
         chosen = tuple(name for name in names if name in self.free)
         return Unknowns(chosen, np.zeros(3), np.empty(0, dtype=np.int64))
@@ -121,12 +115,12 @@ class Aligner:
         px = np.abs(np.nan_to_num(residuals.px(self.model, aligned.values), nan=0.0))
         for axis, kind in enumerate((KINDS.index("centre"), KINDS.index("waterline"))):
             rows: Indices = np.flatnonzero(residuals.kind == kind)
-            typical = np.median(px[rows] / _usual(residuals.size_px[rows])) if len(rows) else 1.0
-            gates[:, axis] = SPREADS * 1.4826 * max(typical, 0.5) * _usual(sizes(predicted.boxes_px)[:, axis])
+            typical = np.median(px[rows] / usual_px(residuals.size_px[rows])) if len(rows) else 1.0
+            gates[:, axis] = SPREADS * 1.4826 * max(typical, 0.5) * usual_px(sizes(predicted.boxes_px)[:, axis])
         return gates
 
 
-def _usual(size_px: Array) -> Array:
+def usual_px(size_px: Array) -> Array:
     """The usual size of box errors, in pixels, of boxes of a width or height."""
     usual: Array = 1 + 0.05 * size_px
     return usual

@@ -10,8 +10,8 @@ leaves no residual by which the first could judge. With offsets of vessels, so d
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student_t
@@ -66,7 +66,7 @@ class Linear:
         Their covariance is 1 + Z Zᵀ; the rows are multiplied by its inverse root.
         """
         slopes, residuals = self.slopes.copy(), self.residuals.copy()
-        for rows in _clusters(cluster):
+        for rows in clusters(cluster):
             basis, upper = np.linalg.qr(shared[rows])
             spread, turn = np.linalg.eigh(upper @ upper.T)
             axes = basis @ turn
@@ -81,11 +81,11 @@ class Linear:
         product: Array = self.slopes.T @ self.slopes
         return product
 
-    def known_by(self, cluster: Indices) -> Knowledge:
-        """Covariance and intervals with clusters of rows, shape (m,)."""
+    def known_by(self, cluster: Indices, degrees: float | None = None) -> Knowledge:
+        """Covariance and intervals with clusters of rows, shape (m,), and degrees of freedom if they are known."""
         bread = np.linalg.pinv(self.information, hermitian=True)
         scores, reaches, squares = [], [], []
-        for rows in _clusters(cluster):
+        for rows in clusters(cluster):
             basis, upper = np.linalg.qr(self.slopes[rows])
             left, axes = np.linalg.eigh(np.eye(len(upper)) - upper @ bread @ upper.T)
             root = np.where(left > FULL, 1 / np.sqrt(np.maximum(left, FULL)), 0.0)
@@ -97,18 +97,16 @@ class Linear:
         sums = np.array(scores)
         covariance = bread @ (sums.T @ sums) @ bread
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        degrees = _degrees(np.array(reaches), np.array(squares), np.asarray(bread, dtype=np.float64))
-        half = errors * student_t.ppf((1 + LEVEL) / 2, degrees)
+        found = _degrees(np.array(reaches), np.array(squares), np.asarray(bread, dtype=np.float64))
+        half = errors * student_t.ppf((1 + LEVEL) / 2, found if degrees is None else degrees)
         return Knowledge(covariance, half, errors)
 
-    def known_by_model(self, together: float, degrees: float, wander: Array) -> Knowledge:
+    def known_by_model(self, together: float, degrees: float) -> Knowledge:
         """Covariance and intervals if the rows' errors are as the whitening has them.
 
-        `together` rows count as one, and the spreads of what vessels share have so many degrees of freedom. `wander`,
-        shape (p, q), is what independent unit errors of q other things add to the product of slopes and residuals.
+        `together` rows count as one, and the spreads of what vessels share have so many degrees of freedom.
         """
-        bread = np.linalg.pinv(self.information, hermitian=True)
-        covariance = together * bread + bread @ wander @ wander.T @ bread
+        covariance = together * np.linalg.pinv(self.information, hermitian=True)
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         return Knowledge(np.asarray(covariance), errors * student_t.ppf((1 + LEVEL) / 2, degrees), errors)
 
@@ -120,12 +118,6 @@ def wider(first: Knowledge, second: Knowledge) -> Knowledge:
     scale = np.where(np.isfinite(scale), scale, 1.0)
     covariance = first.covariance * scale[:, None] * scale
     return Knowledge(covariance, np.maximum(first.half_widths, second.half_widths), errors)
-
-
-def sums_by_cluster(first: Array, second: Array, cluster: Indices) -> Array:
-    """Products of the rows of each cluster, shapes (m, p) and (m, q), side by side, shape (p, clusters × q)."""
-    products: Array = np.concatenate([first[rows].T @ second[rows] for rows in _clusters(cluster)], axis=1)
-    return products
 
 
 def _degrees(reaches: Array, squares: Array, bread: Array) -> Array:
@@ -148,7 +140,14 @@ def _degrees(reaches: Array, squares: Array, bread: Array) -> Array:
     return np.clip(degrees, 1.0, MOST_DEGREES)
 
 
-def _clusters(cluster: Indices) -> Iterator[Indices]:
+def covering(known: Knowledge, others: Sequence[Array]) -> Knowledge:
+    """Intervals that also hold those about other values, which are so far from these, each of shape (p,)."""
+    away = np.max(np.abs(others), axis=0, initial=0.0) if len(others) else 0.0
+    return replace(known, half_widths=known.half_widths + away)
+
+
+def clusters(cluster: Indices) -> Iterator[Indices]:
+    """The rows of each cluster, in order of its number."""
     order = np.argsort(cluster, kind="stable")
     edges = np.flatnonzero(np.diff(cluster[order])) + 1
     yield from (part for part in np.split(order, edges) if len(part))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,6 +76,11 @@ class Values:
     def __getitem__(self, name: str) -> float:
         """A shared value by its name."""
         return float(self.shared[PLACE[name]])
+
+    def scaled(self, names: Sequence[str]) -> Array:
+        """Named shared values in plausible distances, shape (n,)."""
+        found: Array = self.shared[[PLACE[name] for name in names]] / plausible(names)
+        return found
 
     def changed(self, **by: float) -> Values:
         """The same with other shared values."""

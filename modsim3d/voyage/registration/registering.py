@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array
 from modsim3d.boxes import centre_form, corner_form
 from modsim3d.errors import ModsimError
 from modsim3d.geometry.camera import Camera
@@ -16,36 +16,24 @@ from modsim3d.scene.scene import Scene
 from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.registration.aligning import Aligner, Alignment
 from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
-from modsim3d.voyage.registration.checks import check_matches, check_search, check_times
-from modsim3d.voyage.registration.covariance import Knowledge, Linear, sums_by_cluster, wider
+from modsim3d.voyage.registration.checks import check_matches, check_times
+from modsim3d.voyage.registration.covariance import Knowledge, Linear, covering
 from modsim3d.voyage.registration.determined import COMMON_DELAY, Group, exchange, undetermined
-from modsim3d.voyage.registration.fitting import SOFT, Unknowns, derivatives
+from modsim3d.voyage.registration.estimating import PROBED, blocks_of, columns, estimate, linearized
 from modsim3d.voyage.registration.hiding import Hiding
 from modsim3d.voyage.registration.model import BoxModel
 from modsim3d.voyage.registration.parameters import MEAN_ERRORS, SHARED, SHARED_NAMES, Values, held, plausible
 from modsim3d.voyage.registration.registration import Estimate, Registration
-from modsim3d.voyage.registration.residuals import Residuals
-from modsim3d.voyage.registration.search import search
+from modsim3d.voyage.registration.starts import starts
 from modsim3d.voyage.registration.traffic import Traffic
-from modsim3d.voyage.registration.vessel_effects import NAMES as OF_A_VESSEL_NAMES
-from modsim3d.voyage.registration.vessel_effects import VesselEffects, known_of, vessel_effects
+from modsim3d.voyage.registration.vessel_effects import VesselEffects, known_of
 
 SEARCHED_S = 60.0
-CLOCK_STEP_S = 0.5
-MOST_TURN_DEG = 15.0
 FIRST_FRAMES = 150
 MOST_BOXES = 2500
 """Of more detections a fit takes frames that are evenly spread: those beside each other have nearly the same errors."""
-MOST_GUESSES, LIKELY = 4, 0.6
-"""How many guesses are tried, and with how many votes in shares of the best one's."""
-BLOCK_S = 10.0
-"""Stretches of time within which a vessel's box errors are taken to go together."""
 BY_RULE = ("mean_x_px", "mean_y_px")
 """Mean errors are zero, or given: in the images nothing else looks like yaw and pitch."""
-PROBED = (*SHARED_NAMES, "along_m", "across_m", COMMON_DELAY)
-"""A common delay is a delay of all vessels; the columns of single vessels' values are the same, each for its rows."""
-OWN = slice(len(SHARED_NAMES), len(PROBED))
-EFFECT_ROUNDS = 2
 NORMAL = 1.96
 
 
@@ -77,10 +65,11 @@ def register(
         use_sizes: Whether widths and heights of boxes count: not if the vessels' dimensions are guesses.
         searched_s: Greatest offset of the clock that is looked for.
         offsets_m: Standard deviation, over vessels, that is expected of how far positions are off, such as by unknown
-            places of antennas or late reports. It counts as much as four vessels. None if nothing is expected: then
-            the matches alone tell, which few vessels do badly.
-        noise_m: Standard deviation, in each direction, of errors of positions that change from report to report, such
-            as those of satellite navigation. They are taken to last `BLOCK_S`, and widen the intervals.
+            places of antennas. It counts as much as four vessels. With `noise_m`, reports are also expected to be late,
+            by `DELAY_S` over vessels. None if nothing is expected: then the matches alone tell, which few vessels do
+            badly.
+        noise_m: Standard deviation, in each direction, of errors of positions that change over minutes, such as those
+            of satellite navigation: see `drifting`.
         attitude: That of own ship as it was measured, in place of the scene's waves.
 
     Raises:
@@ -98,20 +87,22 @@ def register(
     if not free:
         raise ModsimError("fixed: all parameters are fixed; leave at least one to be estimated")
     hiding = Hiding.of(scene, model)
-    start = _guess(model, hiding, given, free, use_sizes, searched_s, scene)
+    first = Aligner(model, hiding, given.some(FIRST_FRAMES), free, use_sizes)
+    best, rivals = starts(first, searched_s, float(np.hypot(offsets_m or 0.0, noise_m)), scene)
     some = given.some(max(int(len(given.times_s) * MOST_BOXES / len(given.frame)), FIRST_FRAMES))
     aligner = Aligner(model, hiding, some, free, use_sizes)
-    aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
+    aligned = aligner.until_stable(aligner.first(best), aligner.all_unknowns(), tied=True)
     check_matches(model, aligned, scene.vessel_names)
-    linear, blocks = _linear(model, aligned), _blocks(aligned.residuals)
-    groups = undetermined(Linear(_columns(linear, free), linear.residuals), free, blocks)
+    linear, blocks = linearized(aligner, aligned), blocks_of(aligned.residuals)
+    groups = undetermined(Linear(columns(linear, free), linear.residuals), free, blocks)
     lost = {group.held for group in groups}
     free = tuple(name for name in free if name not in lost)
     last = Aligner(model, hiding, some, free, use_sizes)
     aligned = _settled(last, aligned, lost)
-    aligned, effects, together = _with_effects(last, aligned, free, offsets_m)
-    linear = _linear(model, aligned)
-    known = _known(linear, free, aligned, effects, together, noise_m)
+    estimated = estimate(last, aligned, free, offsets_m, noise_m)
+    aligned, linear, effects = estimated.aligned, estimated.linear, estimated.effects
+    others = [_fitted_from(rival, last, lost, free, offsets_m, noise_m).scaled(free) for rival in rivals]
+    known = covering(estimated.known, [other - aligned.values.scaled(free) for other in others])
     rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
     rules |= {name: "mean errors are taken to be zero" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
     rules |= {group.held: f"not determined: {group.words()}" for group in groups}
@@ -151,30 +142,12 @@ def _corrected(found: BoxesAtTimes, mean: Array) -> BoxesAtTimes:
     return BoxesAtTimes(found.times_s, found.frame, corner_form(boxes))
 
 
-def _guess(
-    model: BoxModel,
-    hiding: Hiding,
-    found: BoxesAtTimes,
-    free: tuple[str, ...],
-    use_sizes: bool,
-    searched_s: float,
-    scene: Scene,
+def _fitted_from(
+    start: Values, aligner: Aligner, lost: set[str], free: tuple[str, ...], offsets_m: float | None, noise_m: float
 ) -> Values:
-    """The best of the guesses of the search, each aligned roughly with some of the frames."""
-    clocks = np.arange(-searched_s, searched_s + CLOCK_STEP_S / 2, CLOCK_STEP_S) if "clock_s" in free else np.zeros(1)
-    turn = np.radians(MOST_TURN_DEG if "yaw_deg" in free else 2.0)
-    voted = search(model, found, clocks, turn)
-    check_search(voted, model, found, clocks, scene)
-    aligner = Aligner(model, hiding, found.some(FIRST_FRAMES), free, use_sizes)
-    starts = []
-    for guess in voted.guesses[:MOST_GUESSES]:
-        if guess.votes < LIKELY * voted.guesses[0].votes:
-            break
-        start = guess.values(len(model.hulls_m))
-        zero = {name: 0.0 for name in ("clock_s", "yaw_deg", "pitch_deg") if name not in free}
-        rough = aligner.first(start.changed(**zero))
-        starts.append((aligner.explained(rough.values), rough.values))
-    return max(starts, key=lambda scored: scored[0])[1]
+    """The values of the last fit from another start."""
+    aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
+    return estimate(aligner, _settled(aligner, aligned, lost), free, offsets_m, noise_m).aligned.values
 
 
 def _settled(aligner: Aligner, aligned: Alignment, lost: set[str]) -> Alignment:
@@ -182,87 +155,6 @@ def _settled(aligner: Aligner, aligned: Alignment, lost: set[str]) -> Alignment:
     back = aligned.values.changed(**dict.fromkeys(lost, 0.0))
     again = Alignment(back, aligned.sightings, aligned.residuals, aligned.spreads_px)
     return aligner.until_stable(again, aligner.all_unknowns(), tied=False)
-
-
-def _linear(model: BoxModel, aligned: Alignment) -> Linear:
-    """The fit as a regression in plausible distances, with a column for each of `PROBED`."""
-    names = (*SHARED_NAMES, *OF_A_VESSEL_NAMES)
-    slopes = derivatives(model, aligned.residuals, aligned.values, names) * plausible(names)
-    px = aligned.residuals.px(model, aligned.values)
-    known = np.isfinite(px)[:, None] & np.isfinite(slopes)
-    scaled = np.where(known, slopes, 0.0) / aligned.spreads_px[:, None]
-    return Linear.of_soft_loss(scaled, np.nan_to_num(px, nan=0.0) / aligned.spreads_px, SOFT)
-
-
-def _blocks(residuals: Residuals) -> Indices:
-    """Stretches of time of each vessel, as numbers of clusters, shape (m,)."""
-    times_s = residuals.sightings.time_s[residuals.row]
-    stretch = ((times_s - times_s.min()) // BLOCK_S).astype(np.int64) if len(times_s) else np.empty(0, np.int64)
-    return np.asarray(residuals.vessel * (stretch.max(initial=0) + 1) + stretch, dtype=np.int64)
-
-
-def _with_effects(
-    aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None
-) -> tuple[Alignment, VesselEffects, float]:
-    """The alignment with what is wrong with single vessels, and how many rows count as one."""
-    for _ in range(EFFECT_ROUNDS):
-        linear, residuals = _linear(aligner.model, aligned), aligned.residuals
-        together = _together(linear, free, residuals)
-        effects = vessel_effects(
-            linear.slopes[:, OWN] / plausible(OF_A_VESSEL_NAMES),
-            _without(linear, aligned),
-            _columns(linear, free),
-            residuals.vessel,
-            together,
-            offsets_m,
-        )
-        if not effects.spreads.any():
-            break
-        unknowns = Unknowns(free, effects.spreads / np.sqrt(together), effects.vessels)
-        aligned = aligner.until_stable(aligned, unknowns, tied=False, rounds=2)
-    return aligned, effects, together
-
-
-def _together(linear: Linear, free: tuple[str, ...], residuals: Residuals) -> float:
-    """How many rows count as one, because box errors last: the ratio of variances with and without clusters."""
-    part = Linear(_columns(linear, free), linear.residuals)
-    alone = np.sqrt(np.diagonal(np.linalg.pinv(part.information, hermitian=True)))
-    ratio = part.known_by(_blocks(residuals)).errors / np.maximum(alone, 1e-300)
-    return max(float(np.median(ratio**2)), 1.0)
-
-
-def _without(linear: Linear, aligned: Alignment) -> Array:
-    """Scaled residuals with all values of vessels zero, shape (m,)."""
-    values = aligned.values.vessels[aligned.residuals.vessel] / plausible(OF_A_VESSEL_NAMES)
-    return np.asarray(linear.residuals - (linear.slopes[:, OWN] * values).sum(axis=1))
-
-
-def _known(
-    linear: Linear,
-    free: tuple[str, ...],
-    aligned: Alignment,
-    effects: VesselEffects,
-    together: float,
-    noise_m: float,
-) -> Knowledge:
-    """How well the free shared values are known; vessels are clusters, and share what is wrong with them."""
-    part = Linear(_columns(linear, free), linear.residuals)
-    blocks, vessel = _blocks(aligned.residuals), aligned.residuals.vessel
-    if not effects.spreads.any() and not noise_m:
-        return wider(part.known_by(vessel), part.known_by(blocks))
-    spreads = effects.spreads / plausible(OF_A_VESSEL_NAMES) / np.sqrt(together)
-    own = linear.slopes[:, OWN]
-    shared = Linear(part.slopes, _without(linear, aligned)).whitened(own * spreads, vessel)
-    moved = own[:, :2] * noise_m / plausible(OF_A_VESSEL_NAMES[:2])
-    wander = sums_by_cluster(shared.whitened(own * spreads, vessel).slopes, moved, blocks)
-    by_model = shared.known_by_model(together, float(len(effects.vessels)), wander)
-    return wider(wider(shared.known_by(vessel), shared.known_by(blocks)), by_model)
-
-
-def _columns(linear: Linear, names: Sequence[str]) -> Array:
-    """The slopes of named parameters, shape (m, len(names))."""
-    columns: Array = linear.slopes[:, [PROBED.index(name) for name in names]]
-    return columns
 
 
 def _vessel_estimates(

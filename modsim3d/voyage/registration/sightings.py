@@ -15,6 +15,8 @@ from modsim3d.voyage.registration.parameters import Values
 
 EDGE_PX = 3.0
 """An edge this near the image's border may be cut by it."""
+FARTHEST = 0.75
+"""How far from the image's centre, in shares of its size, a point may be by the scene's own lens."""
 SIZE_RATIO = 2.5
 LESS_SURE = 0.5
 """A match is clear if it is nearer, by this factor, than the next vessel and the next detection."""
@@ -78,6 +80,9 @@ def predict(model: BoxModel, hiding: Hiding, values: Values, times_s: Array) -> 
     tips = model.pixels(values, times_s[frame], vessel, corners)
     # Of a ship that a side of the image cuts, the highest and lowest points may lie beyond that side.
     usable = np.all((tips > EDGE_PX) & (tips < size - EDGE_PX), axis=-1) & ~hidden
+    # A k1 below the scene's folds points from far outside into the image.
+    straight = model.pixels(values.changed(k1=0.0), times_s[frame], vessel, corners)
+    usable &= np.all(np.abs(straight / size - 0.5) < FARTHEST, axis=-1)
     return Predictions(frame[seen], vessel[seen], boxes[seen], corners[seen], usable[seen])
 
 

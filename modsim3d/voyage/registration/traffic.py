@@ -17,6 +17,8 @@ from modsim3d.voyage.sampling import Sampler
 BEYOND_S = 60.0
 """How long before the first step and after the last one vessels go on."""
 
+MEAN_S = 30.0
+
 
 @dataclass(frozen=True, eq=False)
 class Traffic:
@@ -83,6 +85,22 @@ class Traffic:
         if not self.places_m[..., 4:].any():
             return places[:, :3], nominal
         return places[:, :3], nominal @ np.swapaxes(vehicle_R_nominal(places[:, 4:]), -1, -2)
+
+    def velocities(self, times_s: Array, vessel: Indices) -> Array:
+        """Mean velocities along and across from `MEAN_S` before to `MEAN_S` after n times, in m/s, shape (n, 2)."""
+        known = [np.flatnonzero(column) for column in self.present.T]
+        first, last = (np.array([self.times_s[rows[end]] if len(rows) else 0.0 for rows in known]) for end in (0, -1))
+        start, stop = (
+            np.clip(times_s + side, first[vessel], np.maximum(last[vessel], first[vessel] + 1e-3))
+            for side in (-MEAN_S, MEAN_S)
+        )
+        moved = (self._placed(stop, vessel) - self._placed(start, vessel))[:, :2]
+        over_s = np.maximum(stop - start, 1e-3)
+        heading = self._placed(times_s, vessel)[:, 3]
+        cosine, sine = np.cos(heading), np.sin(heading)
+        along, across = moved[:, 0] * cosine + moved[:, 1] * sine, moved[:, 1] * cosine - moved[:, 0] * sine
+        found: Array = np.stack([along, across], axis=-1) / over_s[:, None]
+        return found
 
     def camera_at(self, times_s: Array, turn_rad: Array, raised_m: float) -> CameraPoses:
         """Poses of the camera at n times, with roll, pitch and yaw (3,) added to its mount's, and so much higher."""
