@@ -46,6 +46,8 @@ def test_a_known_vessel_that_an_unseen_one_hides_is_not_missed():
     assert hidden.sum() > 20
     assert ignored[hidden].all()
     assert not ignored[np.abs(x - 600) > 150].any()
+    matched = judged.observed.matched.annotation
+    assert judged.left_out[(matched >= 0) & ignored[matched]].all()
     left = observed(judged.labelled)
     assert not left.missed.any()
     assert len(left.found) > 250
