@@ -102,7 +102,7 @@ class Judged:
         """The rates of false positives in states of images (I,), with replicates of a resampling."""
         weights = resampling.weights[:, self.things.first_image]
         kinds = kinds_of(self.things, weights, self.links.gap_s, self.least_s)
-        likely, perhaps = (self.kinds.lasting[0] >= probability for probability in (_LIKELY, _PERHAPS))
+        likely, perhaps = self.kinds.lasting[0] >= _LIKELY, self.kinds.at_least(_PERHAPS)
         telling = self.likely | ~self.passing[self.links.rows]
         image, duration = self.links.image[telling], kinds.of_thing[self.links.link[telling]]
         weighing = Weighing(image, duration, kinds.lasting, likely, perhaps, self.empty)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from modsim3d.display import counted
 from modsim3d.learn.numbers.resampling import Column
 from modsim3d.voyage.unseen.judged import Judged
 from modsim3d.voyage.unseen.lifetimes import LEAST_RATIO
@@ -52,6 +53,11 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
             f"no unmatched detections last as vessels do ({least} on average at least): all of them count as false "
             "positives"
         )
+        if longer := int(np.count_nonzero(judged.kinds.longer[judged.kinds.of_thing])):
+            yield (
+                f"the rate of false positives may be an upper bound: {counted(longer, 'thing', 'things')} seen for "
+                f"longer than {judged.least_s / LEAST_RATIO:g} s may be vessels, and the frames do not tell"
+            )
     else:
         vessels = int(np.count_nonzero(judged.lasting >= 0.5))
         yield (
