@@ -74,6 +74,13 @@ class Judged:
         return crossings(self.tracks, self.links, self.observed.labelled, self.observed.matched)
 
     @cached_property
+    def telling(self) -> Observed:
+        """The set and its matches, but for known vessels of which nothing can be told where others pass them."""
+        matched = self.observed.matched
+        sought = matched.sought & ~self.crossings.annotations
+        return replace(self.observed, matched=replace(matched, sought=sought))
+
+    @cached_property
     def passing(self) -> Mask:
         """Which detections tell nothing, since vessels pass each other there or come into view, shape (D,)."""
         passing: Mask = self.crossings.results & ~self.empty[self.observed.labelled.results.image]

@@ -65,6 +65,9 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
             f"they last {judged.kinds.long_s[0]:.3g} s on average, and flicker that stays {judged.kinds.short_s[0]:.3g}"
             " s; their detections count neither as hits nor as false"
         )
+        if ignored := int(np.count_nonzero(judged.crossings.annotations)):
+            boxes = counted(ignored, "box", "boxes")
+            yield f"{boxes} of known vessels that these pass are ignored, since one may hide the other"
         yield (
             f"false positives are taken to last {judged.least_s / LEAST_RATIO:g} s on average at most; a buoy and a "
             "false positive that stays look alike, and what lasts as long as vessels do counts as a "
