@@ -26,6 +26,8 @@ _MOST_FRAMES = 500
 _LEAST_PAIRS = 10
 _MOST_LOST = 0.02
 """Where matching cuts off more boxes than this for each match, errors as measured are too small."""
+_TO_STD = 1.4826
+"""Median absolute number to standard deviation of normal numbers."""
 _SLOW = 5.0
 """Errors of truth last for ever, compared with those of the detector, if they last so many times as long."""
 
@@ -230,7 +232,8 @@ def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting
     if len(steps) < _LEAST_PAIRS:
         return np.full(4, np.nan)
     errors = pairs.errors(ours, relative)
-    change = ((errors[steps.later] - errors[steps.earlier]) ** 2).mean(axis=0) / 2
+    apart = np.abs(errors[steps.later] - errors[steps.earlier])
+    change = (_TO_STD * np.median(apart, axis=0)) ** 2 / 2  # a wrong match must not pull
     of_truth = noise * -np.expm1(-steps.apart_s / lasting_s).mean()
     left: Array = np.sqrt(np.maximum(change - of_truth, 0))
     return left

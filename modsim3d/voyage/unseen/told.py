@@ -62,8 +62,8 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
         vessels = int(np.count_nonzero(judged.lasting >= 0.5))
         yield (
             f"{vessels:,} of {len(things.detections):,} unmatched things are taken for vessels without a transponder: "
-            f"they last {judged.kinds.long_s[0]:.3g} s on average, and flicker that stays {judged.kinds.short_s[0]:.3g}"
-            " s; their detections count neither as hits nor as false"
+            f"they last {_seconds(judged.kinds.long_s[0])} on average, and flicker that stays "
+            f"{_seconds(judged.kinds.short_s[0])}; their detections count neither as hits nor as false"
         )
         if ignored := int(np.count_nonzero(judged.crossings.annotations)):
             boxes = counted(ignored, "box", "boxes")
@@ -84,6 +84,10 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
         if states and (judged.kinds.found or judged.stretches):
             where = f" in {', '.join(states)}" if len(states) < len(rates) else ""
             yield f"the rate of false positives{where} is that of {source.value}"
+
+
+def _seconds(time_s: float) -> str:
+    return f"{time_s:,.0f} s" if time_s >= 100 else f"{time_s:.3g} s"
 
 
 def _rate(column: Column | None, level: float, units: int) -> str:
