@@ -11,7 +11,7 @@ import modsim3d
 from modsim3d.errors import ModsimError
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
-from modsim3d.voyage.learned import learn_voyage
+from modsim3d.voyage.learned import Method, learn_voyage
 from modsim3d.voyage.on_scene import CameraLog
 from tests.commands.bad_input.builders import Call
 from tests.voyage.test_logs import LOGS, options
@@ -138,3 +138,20 @@ def test_options_of_a_voyage_need_a_scene(call: Call, tmp_path: Path, given) -> 
 def test_nothing_can_be_learned_where_no_vessel_is_seen(strait: Scene, voyage: Path) -> None:
     with pytest.raises(ModsimError, match="nothing can be learned"):
         learn_voyage(strait, voyage / "run", camera="bow", registration=Correction(yaw_deg=180), replicates=20)
+
+
+def test_boxes_match_by_centres_where_positions_are_not_surely_known(strait: Scene, voyage: Path) -> None:
+    def matched_by(position_m: float, match: Method | None = None) -> str:
+        found = learn_voyage(
+            strait,
+            voyage / "run",
+            camera="bow",
+            registration=NO_CORRECTION,
+            position_noise=position_m,
+            match=match,
+            replicates=2,
+            without=WITHOUT,
+        )
+        return found.report.matched_by.partition(" at")[0]
+
+    assert [matched_by(0.0), matched_by(3.0), matched_by(3.0, "confidence")] == ["IoU", "centres", "IoU"]
