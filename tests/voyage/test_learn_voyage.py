@@ -15,7 +15,7 @@ from modsim3d.commands.learn_voyage import asked_voyage
 from modsim3d.errors import ModsimError
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
-from modsim3d.voyage.learned import learn_voyage
+from modsim3d.voyage.learned import Method, learn_voyage
 from modsim3d.voyage.on_scene import CameraLog
 from modsim3d.voyage.registered import FIXED_NAMES
 from tests.commands.bad_input.builders import Call
@@ -169,3 +169,20 @@ def test_nothing_can_be_learned_where_no_vessel_is_seen(strait: Scene, voyage: P
 def test_what_is_fixed_or_known_is_of_an_estimated_registration(strait: Scene, voyage: Path) -> None:
     with pytest.raises(ModsimError, match="fixed and known are for a registration that is estimated"):
         learn_voyage(strait, voyage / "run", registration=NO_CORRECTION, known="delay=2")
+
+
+def test_boxes_match_by_centres_where_positions_are_not_surely_known(strait: Scene, voyage: Path) -> None:
+    def matched_by(position_m: float, match: Method | None = None) -> str:
+        found = learn_voyage(
+            strait,
+            voyage / "run",
+            camera="bow",
+            registration=NO_CORRECTION,
+            position_noise=position_m,
+            match=match,
+            replicates=2,
+            without=WITHOUT,
+        )
+        return found.report.matched_by.partition(" at")[0]
+
+    assert [matched_by(0.0), matched_by(3.0), matched_by(3.0, "confidence")] == ["IoU", "centres", "IoU"]

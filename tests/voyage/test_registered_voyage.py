@@ -171,6 +171,7 @@ def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call
         (("--empty", "soon"), "must be FROM-TO in seconds"),
         (("--empty", "900-1000"), "no frame lies in it"),
         (("--position-noise", "-1"), "must be metres from 0 on (got -1)"),
+        (("--position-noise", "2", "--iou", "0.4"), "not for centre, which AIS is matched by unless --match says"),
         (("--bias",), "--bias and --correct are not for --scene"),
         (("--correct",), "--bias and --correct are not for --scene"),
     ],

@@ -56,7 +56,7 @@ class Stretch:
 
 def missed_stretches(voyage: LabelledVoyage, judged: Judged) -> list[Stretch]:
     """Stretches in which a vessel was to be detected in each frame that it was in, and was in none, longest first."""
-    labelled, matched = voyage.labelled, judged.observed.matched
+    labelled, matched = voyage.labelled, judged.telling.matched
     identity, found = labelled.annotations.identity, []
     number, start_s = np.full(len(labelled.images), -1), SceneClock.of(voyage.scene).start_s
     for view in voyage.views:

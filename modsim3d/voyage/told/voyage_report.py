@@ -72,7 +72,7 @@ class VoyageReport:
     @cached_property
     def coverage(self) -> list[Coverage]:
         """What each camera matched and missed."""
-        return coverages(self.judged.observed, self.voyage.views)
+        return coverages(self.judged.telling, self.voyage.views)
 
     @cached_property
     def missed(self) -> list[Stretch]:

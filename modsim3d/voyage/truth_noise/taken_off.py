@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.display import counted
 from modsim3d.learn.box_errors.error_moments import covariance, moments
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.observed.pairs import ErrorSource, Pairs
@@ -25,6 +26,8 @@ _MOST_FRAMES = 500
 _LEAST_PAIRS = 10
 _MOST_LOST = 0.02
 """Where matching cuts off more boxes than this for each match, errors as measured are too small."""
+_TO_STD = 1.4826
+"""Median absolute number to standard deviation of normal numbers."""
 _SLOW = 5.0
 """Errors of truth last for ever, compared with those of the detector, if they last so many times as long."""
 
@@ -37,6 +40,7 @@ class TakenOff:
         learned: What is written.
         states: The errors of each state; None where too few boxes tell the errors of truth.
         noise: The errors of truth.
+        moved: Number of vessels whose places registration has found.
         slow: Whether errors of truth last far longer than those of the detector, so that they are taken off what
             persists as well.
     """
@@ -44,6 +48,7 @@ class TakenOff:
     learned: Learned
     states: tuple[LessNoise | None, ...]
     noise: TruthNoise
+    moved: int
     slow: bool
 
     def sentences(self) -> Iterator[str]:
@@ -55,9 +60,10 @@ class TakenOff:
         uncertain = "".join(
             f", {name} of {count} vessel{'s' if count > 1 else ''}" for name, count in noise.reasons.items()
         )
+        less = f"; less what registration found of {counted(self.moved, 'vessel')}" if self.moved else ""
         yield (
             f"errors of truth: positions to {noise.position_m:g} m in each direction, for {noise.position_s:g} s"
-            f"{uncertain}"
+            f"{uncertain}{less}"
         )
         for name, found in zip(self.learned.observed.states, self.states, strict=True):
             where = f"states.{name}.box_error.covariance"
@@ -114,7 +120,7 @@ def take_off_truth_noise(
     """
     box_errors, pairs = learned.numbers.box_errors, learned.observed.pairs
     if not noise.std.any():
-        return TakenOff(learned, (None,) * len(box_errors.states), noise, False)
+        return TakenOff(learned, (None,) * len(box_errors.states), noise, 0, False)
     rows = len(learned.resampling.weights)
     jacobians = _Jacobians.of(learned, scene, views)
     states: list[LessNoise | None] = []
@@ -149,7 +155,7 @@ def take_off_truth_noise(
         box_vessel_share=share,
     )
     written = replace(learned, numbers=replace(learned.numbers, box_errors=numbers))
-    return TakenOff(written, tuple(states), noise, slow)
+    return TakenOff(written, tuple(states), noise, len(np.unique(jacobians.moved[jacobians.moved >= 0])), slow)
 
 
 def report_less_truth_noise(
@@ -226,7 +232,8 @@ def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting
     if len(steps) < _LEAST_PAIRS:
         return np.full(4, np.nan)
     errors = pairs.errors(ours, relative)
-    change = ((errors[steps.later] - errors[steps.earlier]) ** 2).mean(axis=0) / 2
+    apart = np.abs(errors[steps.later] - errors[steps.earlier])
+    change = (_TO_STD * np.median(apart, axis=0)) ** 2 / 2  # a wrong match must not pull
     of_truth = noise * -np.expm1(-steps.apart_s / lasting_s).mean()
     left: Array = np.sqrt(np.maximum(change - of_truth, 0))
     return left

@@ -84,7 +84,7 @@ def crossings(tracks: Tracks, links: Links, labelled: LabelledSet, matched: Matc
     rows, places = _meetings(tracks, labelled)
     met, beside = np.zeros(len(known), dtype=bool), np.zeros(len(tracks.image), dtype=bool)
     met[rows] = beside[places] = True
-    found = met[matched.annotation] & (matched.annotation >= 0)
+    found = np.append(met, False)[matched.annotation]
     for there_image, there_px in ((known.image[met], known.boxes_px[met]), _some(tracks, beside)):
         for row, place in image_pairs(results.image, there_image, number):
             boxes = results.boxes_px[row]

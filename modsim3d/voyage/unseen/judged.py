@@ -74,6 +74,13 @@ class Judged:
         return crossings(self.tracks, self.links, self.observed.labelled, self.observed.matched)
 
     @cached_property
+    def telling(self) -> Observed:
+        """The set and its matches, but for known vessels of which nothing can be told where others pass them."""
+        matched = self.observed.matched
+        sought = matched.sought & ~self.crossings.annotations
+        return replace(self.observed, matched=replace(matched, sought=sought))
+
+    @cached_property
     def passing(self) -> Mask:
         """Which detections tell nothing, since vessels pass each other there or come into view, shape (D,)."""
         passing: Mask = self.crossings.results & ~self.empty[self.observed.labelled.results.image]
@@ -102,7 +109,7 @@ class Judged:
         """The rates of false positives in states of images (I,), with replicates of a resampling."""
         weights = resampling.weights[:, self.things.first_image]
         kinds = kinds_of(self.things, weights, self.links.gap_s, self.least_s)
-        likely, perhaps = (self.kinds.lasting[0] >= probability for probability in (_LIKELY, _PERHAPS))
+        likely, perhaps = self.kinds.lasting[0] >= _LIKELY, self.kinds.at_least(_PERHAPS)
         telling = self.likely | ~self.passing[self.links.rows]
         image, duration = self.links.image[telling], kinds.of_thing[self.links.link[telling]]
         weighing = Weighing(image, duration, kinds.lasting, likely, perhaps, self.empty)

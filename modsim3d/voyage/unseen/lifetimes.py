@@ -36,6 +36,8 @@ class Kinds:
         lasting: Probability that a thing of each duration is of the longer kind, shape (rows, durations).
         short_s, long_s: Mean lifetimes of flicker that stays and of the longer kind, shape (rows,).
         found: Whether the data show a longer kind; else `lasting` is 0.
+        longer: Whether things of each duration move like a vessel and were seen for longer than flicker lasts on
+            average at most, shape (durations,).
         inflation: Factor by which flicker that stays raises the variance of the number of its detections.
     """
 
@@ -44,7 +46,16 @@ class Kinds:
     short_s: Array
     long_s: Array
     found: bool
+    longer: Mask
     inflation: float
+
+    def at_least(self, probability: float) -> Mask:
+        """Which durations may be of the longer kind with such a probability, shape (durations,).
+
+        Those of things that were seen for long, where the data do not show whether there is a longer kind.
+        """
+        likely: Mask = self.lasting[0] >= probability
+        return likely if self.found else self.longer
 
 
 def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = LEAST_S) -> Kinds:
@@ -71,7 +82,8 @@ def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = LEAS
     fit = both if found else durations.fit(with_long=False)
     lasting = fit.shares[_LONG] if found else np.zeros_like(counts)
     long_s = fit.long * gap_s if found else np.full(len(weights), np.nan)
-    return Kinds(of_thing, lasting, fit.short * gap_s, long_s, found, durations.inflation(fit))
+    longer = durations.perhaps & ((durations.frames - 1) * gap_s > least_s / LEAST_RATIO)
+    return Kinds(of_thing, lasting, fit.short * gap_s, long_s, found, longer, durations.inflation(fit))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from modsim3d.display import counted
 from modsim3d.learn.numbers.resampling import Column
 from modsim3d.voyage.unseen.judged import Judged
 from modsim3d.voyage.unseen.lifetimes import LEAST_RATIO
@@ -52,13 +53,21 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
             f"no unmatched detections last as vessels do ({least} on average at least): all of them count as false "
             "positives"
         )
+        if longer := int(np.count_nonzero(judged.kinds.longer[judged.kinds.of_thing])):
+            yield (
+                f"the rate of false positives may be an upper bound: {counted(longer, 'thing', 'things')} seen for "
+                f"longer than {judged.least_s / LEAST_RATIO:g} s may be vessels, and the frames do not tell"
+            )
     else:
         vessels = int(np.count_nonzero(judged.lasting >= 0.5))
         yield (
             f"{vessels:,} of {len(things.detections):,} unmatched things are taken for vessels without a transponder: "
-            f"they last {judged.kinds.long_s[0]:.3g} s on average, and flicker that stays {judged.kinds.short_s[0]:.3g}"
-            " s; their detections count neither as hits nor as false"
+            f"they last {_seconds(judged.kinds.long_s[0])} on average, and flicker that stays "
+            f"{_seconds(judged.kinds.short_s[0])}; their detections count neither as hits nor as false"
         )
+        if ignored := int(np.count_nonzero(judged.crossings.annotations)):
+            boxes = counted(ignored, "box", "boxes")
+            yield f"{boxes} of known vessels that these pass are ignored, since one may hide the other"
         yield (
             f"false positives are taken to last {judged.least_s / LEAST_RATIO:g} s on average at most; a buoy and a "
             "false positive that stays look alike, and what lasts as long as vessels do counts as a "
@@ -75,6 +84,10 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
         if states and (judged.kinds.found or judged.stretches):
             where = f" in {', '.join(states)}" if len(states) < len(rates) else ""
             yield f"the rate of false positives{where} is that of {source.value}"
+
+
+def _seconds(time_s: float) -> str:
+    return f"{time_s:,.0f} s" if time_s >= 100 else f"{time_s:.3g} s"
 
 
 def _rate(column: Column | None, level: float, units: int) -> str:

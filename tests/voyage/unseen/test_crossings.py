@@ -6,6 +6,7 @@ import numpy as np
 
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.voyage.unseen.judged import judge
+from modsim3d.voyage.unseen.told import sentences
 from tests.formats.labelled_sets import found, images, truth
 from tests.voyage.unseen.voyages import HEIGHT_PX, SEA, WIDTH_PX, boxes_at, observed
 
@@ -46,6 +47,8 @@ def test_a_known_vessel_that_an_unseen_one_hides_is_not_missed():
     assert hidden.sum() > 20
     assert ignored[hidden].all()
     assert not ignored[np.abs(x - 600) > 150].any()
+    matched = judged.observed.matched.annotation
+    assert judged.left_out[(matched >= 0) & ignored[matched]].all()
     left = observed(judged.labelled)
     assert not left.missed.any()
     assert len(left.found) > 250
@@ -81,3 +84,11 @@ def test_a_known_vessel_in_view_before_its_truth_is_no_false_positive():
     assert float(rate.used.estimate) * FRAMES <= 80 + 1e-9
     inland = replace(labelled, annotations=replace(labelled.annotations, boxes_px=labelled.annotations.boxes_px + 300))
     assert not judge(observed(inland)).crossings.results[early_rows].any()
+
+
+def test_what_vessels_hide_of_each_other_is_said_and_not_told_as_missed():
+    labelled, _, hidden = passing()
+    judged = judge(observed(labelled))
+    said = f"{judged.crossings.annotations.sum()} boxes of known vessels that these pass are ignored"
+    assert any(each.startswith(said) for each in sentences(judged, judged.own_rates(10, 0)))
+    assert not (judged.telling.matched.sought & hidden).any()

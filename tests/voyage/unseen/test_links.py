@@ -78,18 +78,17 @@ def test_a_thing_that_another_one_hides_in_part_is_one_thing():
 
 
 def test_a_stray_detection_does_not_take_the_place_of_a_whole_one():
-    frame = np.arange(40)
-    known = np.tile([600.0, 380, 800, 420], (40, 1))
-    whole = boxes_at(300 + 6.0 * frame, np.full(40, 400.0), np.full(40, 60.0))
-    piece = np.tile([590.0, 395, 610, 400], (40, 1))[30:36]  # of the known vessel, where the other one is about to come
-    lone = np.tile([530.0, 440, 570, 460], (1, 1))
-    boxes = np.concatenate([whole, piece, lone])
-    image = np.r_[frame, frame[30:36], 29]
+    frame = np.arange(60)
+    known = np.tile([590.0, 380, 790, 420], (60, 1))
+    whole = boxes_at(300 + 6.0 * frame, np.full(60, 400.0), np.full(60, 60.0))
+    piece = np.tile([590.0, 395, 610, 400], (4, 1))  # of the known vessel, beside the other one
+    stray = np.array([[490.0, 397, 535, 427]])  # one frame earlier, near where the other one will be
+    boxes, image = np.concatenate([whole, piece, stray]), np.r_[frame, 41:45, 40]
     rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
     labelled = replace(set_of(frame[:1], [0.0], [0.0]), results=rows, annotations=truth(frame, 0 * frame, known))
     links = link(observed(labelled))
     of_whole = links.link[np.isclose(links.sizes_px[:, 0], 60.0)]
-    assert len(of_whole) == 40
+    assert len(of_whole) > 50
     assert len(set(of_whole.tolist())) == 1
 
 

@@ -98,6 +98,17 @@ def test_a_sea_without_other_vessels_leaves_all_as_it_is():
         np.testing.assert_array_equal(one.column.values, other.column.values)
 
 
+def test_frames_too_short_to_tell_give_an_upper_bound_and_say_so():
+    labelled = voyage(2, frames=60, kayaks=2, flicker=Flicker(0.3, 0.0), kayak_s=400.0)
+    judged = judge(observed(labelled))
+    (rate,) = judged.own_rates(20, 0)
+    assert rate.source is RateSource.ALL
+    assert float(rate.lower.estimate) <= 0.4 < 1.0 < float(rate.upper.estimate)
+    assert any(
+        "may be an upper bound: 2 things seen for longer than 10 s" in said for said in sentences(judged, (rate,))
+    )
+
+
 def test_what_lasts_above_the_horizon_counts_as_false():
     labelled = voyage(0, kayaks=3, above=1, frames=1000)
     judged = judge(observed(labelled))
