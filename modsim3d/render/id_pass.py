@@ -129,6 +129,10 @@ class IdRenderer:
         gl.glPixelStorei(gl.GL_PACK_ALIGNMENT, 4)
         return gl
 
+    def prepare(self) -> None:
+        """Do now what else the first drawing does: for whom it would come late."""
+        _ = self._gl
+
     def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
         """The ID at each pixel of a region, shape (region.height, region.width); zero where nothing is.
 

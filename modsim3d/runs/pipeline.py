@@ -264,6 +264,8 @@ def simulate_blocks(scene: Scene, most_steps: int | None = None) -> Iterator[Blo
         ModsimError: The scene asks for what cannot be, at the first block or while blocks are made.
     """
     with open_renderer(scene) as renderer:
+        if renderer is not None and (most_steps is not None or isinstance(scene.poses, LivePoses)):
+            renderer.prepare()  # who waits for single steps would wait for this at one of them
         blocks: Iterable[tuple[Truth, int, int]]
         blocks = ((truth_block(scene, *steps, renderer), *steps) for steps in step_ranges(scene, most_steps))
         if scene.detector.needs_census:
