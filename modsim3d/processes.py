@@ -115,7 +115,7 @@ def _opened(
         return
     fork = may_fork()
     started = [WorkerProcess(fork, set_up, arguments) for _ in range(count - here_too)]  # before the first thread
-    processes: _Processes[W] = _Processes(started, count * AHEAD, if_killed)
+    processes: _Processes[W] = _Processes(started, count, if_killed)
     try:
         with ExitStack() as opened:
             if here_too:
@@ -136,13 +136,13 @@ class _ThisProcess(Generic[W]):
 class _Processes(Generic[W]):
     """Worker processes, each with a thread here that hands it pieces and waits for the results."""
 
-    def __init__(self, processes: list[WorkerProcess], most_waiting: int, if_killed: str) -> None:
+    def __init__(self, processes: list[WorkerProcess], workers: int, if_killed: str) -> None:
         self._processes = processes
         self._if_killed = if_killed
-        self._most_waiting = most_waiting
+        self._most_waiting = workers * AHEAD
         self._do_here: Callable[[Task | None], None] | None = None
         self._tasks: SimpleQueue[Task | None] = SimpleQueue()
-        self._threads = [threading.Thread(target=process.do_all, args=(self._tasks,)) for process in processes]
+        self._threads = [threading.Thread(target=process.do_all, args=(self._tasks, workers)) for process in processes]
         for thread in self._threads:
             thread.start()
 

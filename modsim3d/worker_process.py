@@ -62,16 +62,17 @@ class WorkerProcess:
                 self._wait = new_interpreter(other_end, "-c", code).wait
                 self._first = set_up, arguments
 
-    def do_all(self, tasks: SimpleQueue[Task | None]) -> None:
+    def do_all(self, tasks: SimpleQueue[Task | None], enough: int) -> None:
         """Have tasks done until None comes, and wait for the end of the process.
 
-        The process has its next task before it has done one, so that it need not wait for this process.
+        Where there are `enough` tasks for all workers, the process has its next one before it has done one, so that it
+        need not wait for this process.
         """
         begun: deque[Future[Any]] = deque()
         more = True
         while True:
             with suppress(Empty):
-                while more and len(begun) < IN_HAND:
+                while more and (not begun or (len(begun) < IN_HAND and tasks.qsize() >= enough)):
                     task = tasks.get(block=not begun)
                     if task is None:
                         more = False

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -54,6 +55,27 @@ def test_a_worker_process_that_dies_is_told() -> None:
         open_workers(2, "try again", open_factor, 3) as workers,
     ):
         list(workers.map(kill_this_process, [1]))
+
+
+@contextmanager
+def open_folder(folder: Path) -> Iterator[Path]:
+    yield folder
+
+
+def meet_another(folder: Path, piece: int) -> int:
+    """Wait for another process that does a piece at the same time."""
+    (folder / str(os.getpid())).touch()
+    deadline = time.monotonic() + 30
+    while len(list(folder.iterdir())) < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return os.getpid()
+
+
+def test_one_of_several_workers_is_this_process(tmp_path: Path) -> None:
+    with open_workers(2, "try again", open_folder, tmp_path, here_too=True) as workers:
+        done_by = set(workers.map(meet_another, range(2)))
+    assert os.getpid() in done_by
+    assert len(done_by) == len(list(tmp_path.iterdir())) == 2
 
 
 def die_while_the_result_is_sent(factor: int, piece: int) -> bytes:

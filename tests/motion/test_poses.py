@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from modsim3d.errors import InputError
 from modsim3d.motion.poses import circular_motion, generated_timestamps
 from modsim3d.motion.poses.circular import swept_ring
+from modsim3d.motion.poses.long_times import LongTimes
 from modsim3d.motion.poses.replay import parse_poses
 from modsim3d.vessels.vessel import Vessel
 
@@ -24,6 +25,22 @@ def test_timestamps_are_exact_decimals():
     assert generated_timestamps(3, 1.0) == ("0.0", "1.0", "2.0")
     assert generated_timestamps(3, 1e-7)[1] == "0.0000001"
     assert generated_timestamps(2, 1e22)[1] == "10000000000000000000000.0"
+
+
+@given(
+    steps=st.integers(1, 5000),
+    first=st.integers(-5000, 5000),
+    stop=st.integers(-5000, 5000),
+    stride=st.integers(-3, 3).filter(bool),
+)
+@settings(max_examples=25, deadline=None)
+def test_times_of_a_long_scene_are_the_generated_ones(steps, first, stop, stride):
+    plain, long = generated_timestamps(steps, 0.1), LongTimes(steps, 0.1)
+    assert len(long) == steps
+    assert long[first:stop:stride] == plain[first:stop:stride]
+    assert (long[0], long[-1]) == (plain[0], plain[-1])
+    with pytest.raises(IndexError):
+        long[steps]
 
 
 def test_circular_motion_follows_the_source():

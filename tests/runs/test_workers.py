@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from modsim3d.runs import pipeline
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 
@@ -31,30 +32,55 @@ def children(pid: int) -> list[int]:
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_block(tmp_path):
-    # A short block and a long one, drawn slowly, so that a worker is still busy when the first block is kept.
-    command = [sys.executable, "-m", "modsim3d.cli", "run", "simulation_2", "--no-sheet", "--steps", "550"]
-    command += ["--render", "full"]
+BLOCK_STEPS = 10
+SHORT_BLOCKS = f"import modsim3d.runs.pipeline as pipeline; pipeline.MOST_BLOCK_STEPS = {BLOCK_STEPS}"
+STALLING_WORKER = f"""
+import os, time
+import modsim3d.runs.workers as workers
+from modsim3d import cli
+{SHORT_BLOCKS}
+main, make = os.getpid(), workers.truth_block
+
+def in_the_main_process(*arguments):
+    if os.getpid() != main:
+        time.sleep(600)
+    return make(*arguments)
+
+workers.truth_block = in_the_main_process  # also in the worker, which is a copy of the process
+cli.main()
+"""
+
+
+def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_block(tmp_path, monkeypatch):
+    command = [sys.executable, "-c", STALLING_WORKER, "run", "simulation_2", "--no-sheet", "--steps", "55"]
     out = ["--workers", "2", "--out", str(tmp_path / "run")]
-    running = subprocess.Popen([*command, *out], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    single = {"OPENBLAS_NUM_THREADS": "1", "JE_ARROW_MALLOC_CONF": "background_thread:false"}
+    pipe = subprocess.PIPE
+    running = subprocess.Popen([*command, *out], stdout=pipe, stderr=pipe, text=True, env={**os.environ, **single})
     parts = tmp_path / "run" / "unfinished"
-    deadline = time.monotonic() + 90
-    while not list(parts.glob("truth_*.npz")) and time.monotonic() < deadline and running.poll() is None:
-        time.sleep(0.02)
-    for child in children(running.pid):  # either may be the one that is still busy
-        os.kill(child, signal.SIGKILL)
+    wait_for(lambda: list(parts.glob("truth_*.npz")), running)
+    (worker,) = children(running.pid)
+    os.kill(worker, signal.SIGKILL)
     _, said = running.communicate(timeout=90)
     assert running.returncode == 2
     assert said.count("a worker process died") == 1
     assert "Traceback" not in said
     kept = {path.name: path.read_bytes() for path in parts.glob("truth_*.npz")}
     assert kept
-    scene = load_scene("simulation_2", steps=550, render="full")
+    monkeypatch.setattr(pipeline, "MOST_BLOCK_STEPS", BLOCK_STEPS)
+    scene = load_scene("simulation_2", steps=55)
     resumed = run_scene(scene, tmp_path / "run", resume=True)
     ranges = [name.removesuffix(".npz").split("_")[1:] for name in kept]
     assert resumed.resumed_steps == sum(int(stop) - int(first) for first, stop in ranges)
     run_scene(scene, tmp_path / "whole")
     assert contents(tmp_path / "run") == contents(tmp_path / "whole")
+
+
+def wait_for(state, running):
+    """Wait until there is something, or the process has ended."""
+    deadline = time.monotonic() + 90
+    while not state() and time.monotonic() < deadline and running.poll() is None:
+        time.sleep(0.02)
 
 
 def test_workers_without_a_renderer_say_what_one_process_says(prepared, tmp_path):
@@ -78,11 +104,10 @@ def test_workers_without_a_renderer_say_what_one_process_says(prepared, tmp_path
 def test_interrupted_command_says_how_to_go_on(prepared, tmp_path):
     # A scene of many blocks, so that it cannot be done before this process has seen the first of them.
     command = [prepared, "run", "simulation_2", "--no-sheet", "--render", "full", "--out", str(tmp_path / "run")]
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    parts = tmp_path / "run" / "unfinished"
-    deadline = time.monotonic() + 60
-    while not list(parts.glob("truth_*.npz")) and time.monotonic() < deadline and running.poll() is None:
-        time.sleep(0.02)
+    (tmp_path / "first.py").write_text(SHORT_BLOCKS)
+    environment = {**os.environ, "FIRST": str(tmp_path / "first.py")}
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+    wait_for(lambda: list((tmp_path / "run" / "unfinished").glob("truth_*.npz")), running)
     running.send_signal(signal.SIGINT)
     try:
         _, said = running.communicate(timeout=5)

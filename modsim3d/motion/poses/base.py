@@ -121,8 +121,11 @@ def times_s(timestamps: Sequence[str], first: int, stop: int) -> Array:
     return np.array([float(text) for text in timestamps[first:stop]]) - float(timestamps[0])
 
 
-def generated_timestamps(steps: int, time_step_s: float) -> tuple[str, ...]:
-    """Exact decimals of step × interval in its shortest form, with at least one decimal: 0.0, 0.2, 0.4, 0.6."""
+def generated_timestamps(steps: int, time_step_s: float, first: int = 0) -> tuple[str, ...]:
+    """Exact decimals of step × interval in its shortest form, with at least one decimal: 0.0, 0.2, 0.4, 0.6.
+
+    They are of steps `first` to steps − 1.
+    """
     interval = Decimal(repr(float(time_step_s)))
-    parts = (f"{interval * step:f}".partition(".") for step in range(steps))
+    parts = (f"{interval * step:f}".partition(".") for step in range(first, steps))
     return tuple(f"{whole}.{decimals.rstrip('0') or '0'}" for whole, _, decimals in parts)

@@ -13,7 +13,8 @@ from pydantic import Field, model_validator
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import Metres, Rate, Strict
-from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
+from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys
+from modsim3d.motion.poses.long_times import LongTimes
 from modsim3d.random_streams import Purpose, Streams
 from modsim3d.vessels.vessel import Vessel
 
@@ -101,7 +102,7 @@ def circular_motion(
     rate, phase = np.concatenate(starts).T
     low, high = rotation_rate_rad_s
     return CircularMotion(
-        timestamps=generated_timestamps(steps, time_step_s),
+        timestamps=LongTimes(steps, time_step_s),
         centre_m=centre_m,
         radii_m=_radii(vessels, radius_m, streams),
         rates_rad_s=low + (high - low) * rate,

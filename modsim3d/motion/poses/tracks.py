@@ -14,7 +14,8 @@ from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError
 from modsim3d.geometry.rotations import heading_of
 from modsim3d.inputs.validation import MOST_PROBLEMS, Metres, Number, join_path, nearest
-from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
+from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys
+from modsim3d.motion.poses.long_times import LongTimes
 
 Waypoint = tuple[Number, Metres, Metres]
 """Time in seconds, w1 and w2 in metres."""
@@ -98,4 +99,4 @@ def waypoint_tracks(
     if problems:
         raise InputError("poses.tracks", problems)
     arrays = tuple(np.array(tracks[name], dtype=np.float64) if name in tracks else None for name in vessels)
-    return Tracks(generated_timestamps(steps, time_step_s), arrays)
+    return Tracks(LongTimes(steps, time_step_s), arrays)
