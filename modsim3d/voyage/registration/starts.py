@@ -6,6 +6,8 @@ aligned one by one, with vessels off their reports where that is expected, and c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from modsim3d.arrays import Array
@@ -55,15 +57,27 @@ def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -
             rough = aligner.until_stable(rough, unknowns, tied=True, rounds=2)
         tried.append((_explained(aligner, rough), rough.values))
     tried.sort(key=lambda start: -start[0].sum())
-    (best, values), *others = tried
+    (explained, best), *others = tried
+    return best, rivals_of(explained, best, others, SURE)
+
+
+def rivals_of(explained: Array, best: Values, others: Sequence[tuple[Array, Values]], sure: float) -> list[Values]:
+    """Starts of another clock that are not clearly worse than the best one.
+
+    Args:
+        explained: How well the best start explains the detections, in each of k stretches of time, shape (k,).
+        best: Its values.
+        others: The same of other starts.
+        sure: How many standard errors of the mean over stretches make a start clearly worse.
+    """
     rivals = list[Values]()
-    for explained, other in others:
-        clock_s = [each["clock_s"] for each in (values, *rivals)]
-        better = best - explained
-        new = np.abs(np.array(clock_s) - other["clock_s"]).min() > APART_S
-        if new and better.mean() < SURE * better.std(ddof=1) / np.sqrt(len(better)):
+    for less, other in others:
+        worse = explained - less
+        clocks_s = np.array([each["clock_s"] for each in (best, *rivals)])
+        new = np.abs(clocks_s - other["clock_s"]).min() > APART_S
+        if new and worse.mean() < sure * worse.std(ddof=1) / np.sqrt(len(worse)):
             rivals.append(other)
-    return values, rivals
+    return rivals
 
 
 def _explained(aligner: Aligner, aligned: Alignment) -> Array:
