@@ -46,11 +46,15 @@ def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -
     voted = search(model, found, clocks, np.radians(MOST_TURN_DEG if "yaw_deg" in free else 2.0))
     check_search(voted, model, found, clocks, scene)
     zero = {name: 0.0 for name in ("clock_s", "yaw_deg", "pitch_deg") if name not in free}
-    tried: list[tuple[Array, Values]] = []
+    tried, clocks_s = list[tuple[Array, Values]](), list[float]()
     for guess in voted.guesses[:MOST_GUESSES]:
         if guess.votes < LIKELY * voted.guesses[0].votes:
             break
         rough = aligner.first(guess.values(len(model.hulls_m)).changed(**zero))
+        clock_s = rough.values["clock_s"]
+        if any(abs(clock_s - other) < APART_S for other in clocks_s):
+            continue
+        clocks_s.append(clock_s)
         if spread_m:
             vessels = np.unique(rough.sightings.vessel)
             unknowns = Unknowns(aligner.all_unknowns().shared, np.array([spread_m, spread_m, 0.0]), vessels)
