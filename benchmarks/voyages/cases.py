@@ -79,9 +79,7 @@ CASES = (
     Case("sample", "Registration in the scene of an AIS log", "The scene that `modsim3d ais` makes of "
          "`tests/data/ais/receiver.nmea`, with errors added. Dimensions that the log lacks are guesses, so the sizes "
          "of boxes do not take part.", "sample", "shore", AIS,
-         priors=(*PRIORS, ("use_sizes", False)),
-         why="The likely reason, which was not tried alone: registration takes errors of positions to last 10 s, and "
-         "these last five minutes, as delays do."),
+         priors=(*PRIORS, ("use_sizes", False))),
     Case("detector", "Detector, true tracks", "Camera and clock are registered, then the detector is learned.",
          "lanes", "shore", CLEAN, learns=True),
     Case("detector_all", "Detector, by AIS of all vessels", "Tracks as AIS gives them, of vessels that all have a "

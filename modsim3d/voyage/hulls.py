@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
+import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from modsim3d.arrays import Array
@@ -23,3 +25,9 @@ def hull_of(solid: Solid) -> Array:
     except QhullError:  # a flat mesh
         return solid.vertices
     return hull
+
+
+def stacked(hulls: Sequence[Array]) -> Array:
+    """Hulls of V vessels side by side, the last vertex of each repeated, shape (V, K, 3)."""
+    most = max(map(len, hulls))
+    return np.stack([np.concatenate([hull, np.repeat(hull[-1:], most - len(hull), axis=0)]) for hull in hulls])

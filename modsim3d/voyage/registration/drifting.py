@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.voyage.registration.covariance import Linear, clusters
+from modsim3d.voyage.registration.covariance import clusters
 from modsim3d.voyage.registration.fitting import SOFT
 from modsim3d.voyage.registration.residuals import Residuals
 
@@ -86,16 +86,19 @@ def fit_drift(
     """
     axes_px = (own_px[:, :, None] * axes).sum(axis=1)
     errors, change, normals = first_px, np.zeros(slopes_px.shape[1]), np.zeros(axes_px.shape)
+    groups, p = list(clusters(residuals.vessel)), slopes_px.shape[1]
     for _ in range(ROUNDS):
         spreads = residuals.spreads_px(errors)
         weights = (1 + (errors / spreads / SOFT) ** 2) ** -0.25 / spreads
         shared = axes_px * weights[:, None] / np.sqrt(together)
-        rows = Linear(slopes_px * weights[:, None], px * weights)
-        white = rows.whitened(shared, residuals.vessel)
-        change = -np.linalg.pinv(white.information, hermitian=True) @ (white.slopes.T @ white.residuals)
-        left = rows.residuals + rows.slopes @ change
-        for own in clusters(residuals.vessel):
-            product = np.eye(shared.shape[1]) + shared[own].T @ shared[own]
-            normals[own] = -np.linalg.solve(product, shared[own].T @ left[own]) / np.sqrt(together)
+        rows = np.column_stack([slopes_px, px]) * weights[:, None]
+        products, inner = rows.T @ rows, []
+        for own in groups:  # the covariance of a vessel's rows is 1 + Z Zᵀ; its inverse is Woodbury's
+            crossed = shared[own].T @ rows[own]
+            inner.append(np.linalg.solve(np.eye(shared.shape[1]) + shared[own].T @ shared[own], crossed))
+            products -= crossed.T @ inner[-1]
+        change = -np.linalg.pinv(products[:p, :p], hermitian=True) @ products[:p, p]
+        for own, solved in zip(groups, inner, strict=True):
+            normals[own] = -(solved[:, :p] @ change + solved[:, p]) / np.sqrt(together)
         errors = px + slopes_px @ change + (axes_px * normals).sum(axis=1)
     return Drift(change, (axes * normals[:, None]).sum(axis=2), errors, spreads)

@@ -13,7 +13,7 @@ from modsim3d.geometry.curved_sea import lowered
 from modsim3d.geometry.lens import Distortion
 from modsim3d.scene.scene import Scene
 from modsim3d.vessels.vessel import shoebox
-from modsim3d.voyage.hulls import hull_of
+from modsim3d.voyage.hulls import hull_of, stacked
 from modsim3d.voyage.registration.parameters import Values
 from modsim3d.voyage.registration.traffic import Traffic
 
@@ -39,8 +39,7 @@ class BoxModel:
         meshes = scene.annotation.source == "rendered"
         solids = [vessel.solid if meshes else shoebox() for vessel in scene.vessels]
         hulls = [hull_of(solid) * vessel.extents_m for solid, vessel in zip(solids, scene.vessels, strict=True)]
-        most = max(len(hull) for hull in hulls)
-        return cls(traffic, np.stack([np.concatenate([h, np.repeat(h[-1:], most - len(h), axis=0)]) for h in hulls]))
+        return cls(traffic, stacked(hulls))
 
     def intrinsics(self, values: Values) -> Intrinsics:
         """The camera's intrinsics with other focal length and k1."""

@@ -6,6 +6,8 @@ aligned one by one, with vessels off their reports where that is expected, and c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from modsim3d.arrays import Array
@@ -44,26 +46,42 @@ def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -
     voted = search(model, found, clocks, np.radians(MOST_TURN_DEG if "yaw_deg" in free else 2.0))
     check_search(voted, model, found, clocks, scene)
     zero = {name: 0.0 for name in ("clock_s", "yaw_deg", "pitch_deg") if name not in free}
-    tried: list[tuple[Array, Values]] = []
+    tried, clocks_s = list[tuple[Array, Values]](), list[float]()
     for guess in voted.guesses[:MOST_GUESSES]:
         if guess.votes < LIKELY * voted.guesses[0].votes:
             break
         rough = aligner.first(guess.values(len(model.hulls_m)).changed(**zero))
+        clock_s = rough.values["clock_s"]
+        if any(abs(clock_s - other) < APART_S for other in clocks_s):
+            continue
+        clocks_s.append(clock_s)
         if spread_m:
             vessels = np.unique(rough.sightings.vessel)
             unknowns = Unknowns(aligner.all_unknowns().shared, np.array([spread_m, spread_m, 0.0]), vessels)
             rough = aligner.until_stable(rough, unknowns, tied=True, rounds=2)
         tried.append((_explained(aligner, rough), rough.values))
     tried.sort(key=lambda start: -start[0].sum())
-    (best, values), *others = tried
+    (explained, best), *others = tried
+    return best, rivals_of(explained, best, others, SURE)
+
+
+def rivals_of(explained: Array, best: Values, others: Sequence[tuple[Array, Values]], sure: float) -> list[Values]:
+    """Starts of another clock that are not clearly worse than the best one.
+
+    Args:
+        explained: How well the best start explains the detections, in each of k stretches of time, shape (k,).
+        best: Its values.
+        others: The same of other starts.
+        sure: How many standard errors of the mean over stretches make a start clearly worse.
+    """
     rivals = list[Values]()
-    for explained, other in others:
-        clock_s = [each["clock_s"] for each in (values, *rivals)]
-        better = best - explained
-        new = np.abs(np.array(clock_s) - other["clock_s"]).min() > APART_S
-        if new and better.mean() < SURE * better.std(ddof=1) / np.sqrt(len(better)):
+    for less, other in others:
+        worse = explained - less
+        clocks_s = np.array([each["clock_s"] for each in (best, *rivals)])
+        new = np.abs(clocks_s - other["clock_s"]).min() > APART_S
+        if new and worse.mean() < sure * worse.std(ddof=1) / np.sqrt(len(worse)):
             rivals.append(other)
-    return values, rivals
+    return rivals
 
 
 def _explained(aligner: Aligner, aligned: Alignment) -> Array:

@@ -13,7 +13,7 @@ from modsim3d.geometry.curved_sea import lowered
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.scene.scene import Scene
-from modsim3d.voyage.hulls import hull_of
+from modsim3d.voyage.hulls import hull_of, stacked
 from modsim3d.voyage.truth_noise.noise import PARAMETERS
 
 _STEPS = (0.5, 0.5, 0.005, 0.1, 0.1, 0.1)
@@ -82,9 +82,7 @@ class _Placed:
         poses = view.poses
         cameras = scene.camera_poses(view.camera, poses, np.arange(len(view.images)))
         cameras = CameraPoses(cameras.camera_R_world[frame], cameras.positions_m[frame])
-        hulls = [hull_of(each.solid) for each in scene.vessels]
-        most = max(map(len, hulls))
-        padded = np.stack([np.concatenate([h, np.repeat(h[-1:], most - len(h), axis=0)]) for h in hulls])
+        padded = stacked([hull_of(each.solid) for each in scene.vessels])
         heading = poses.poses.headings_rad[frame, vessel]
         positions = np.where(
             poses.poses.present[frame, vessel][:, None], poses.poses.positions_m[frame, vessel], np.nan
