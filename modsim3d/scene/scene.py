@@ -267,7 +267,12 @@ class Scene:
         """
         if not len(steps):
             return np.empty((0, 3))
-        poses = self.camera_poses(camera, self.own_motion.at(steps), steps)
+        ashore = camera.mount.vessel is None  # then no vessel's poses are needed
+        poses = (
+            poses_ashore(camera.mount, len(steps))
+            if ashore
+            else self.camera_poses(camera, self.own_motion.at(steps), steps)
+        )
         return camera.intrinsics.sea_half_plane(poses.camera_R_world)
 
     def camera_poses(self, camera: Camera, vessel_poses: PosesInWaves, steps: Indices) -> CameraPoses:

@@ -56,14 +56,21 @@ def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
     Boxes are half-open, [x_min, x_max) × [y_min, y_max); the box of a silhouette without a pixel is
     (inf, inf, −inf, −inf).
     """
-    # The first of the spans of one silhouette that follow each other.
+    # The first of the spans of one silhouette that follow each other: summed up first if they are several as a rule.
     first = np.append(0, np.flatnonzero(spans.row[1:] != spans.row[:-1]) + 1)[: len(spans.row)]
-    row = spans.row[first]
-    pixels: Array = np.bincount(row, np.add.reduceat(spans.stop - spans.start, first), minlength=count).astype(float)
+    several = 4 * len(first) < len(spans.row)
+    row = spans.row[first] if several else spans.row
+
+    def of_rows(reduce: np.ufunc, values: Indices) -> Indices:
+        """One value for each of `row`, shape of `row`."""
+        reduced: Indices = reduce.reduceat(values, first) if several else values
+        return reduced
+
+    pixels: Array = np.bincount(row, of_rows(np.add, spans.stop - spans.start), minlength=count).astype(np.float64)
     low, high = np.full((2, count), _FAR), np.full((2, count), -1)
     for axis, (starts, stops) in enumerate(((spans.start, spans.stop), (spans.y, spans.y + 1))):
-        np.minimum.at(low[axis], row, np.minimum.reduceat(starts, first))
-        np.maximum.at(high[axis], row, np.maximum.reduceat(stops, first))
+        np.minimum.at(low[axis], row, of_rows(np.minimum, starts))
+        np.maximum.at(high[axis], row, of_rows(np.maximum, stops))
     boxes: Array = np.where(pixels > 0, np.concatenate([low, high]), _NO_BOX[:, None]).T.copy()
     return pixels, boxes
 

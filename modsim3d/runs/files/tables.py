@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -24,9 +22,6 @@ from modsim3d.scene.scene import Scene
 ROW_GROUP_ROWS = 65_536
 MOST_WAITING = 64
 """So many small tables wait to be written before they are joined: a table of one row takes thousands of bytes."""
-
-_ENCODING = Lock()
-"""One row group of all tables is encoded at a time, since that takes memory."""
 
 BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
 CENTRE_FORM = ("centre_x_px", "centre_y_px", "width_px", "height_px")
@@ -149,8 +144,7 @@ def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
 class TableWriter:
     """Writes a Parquet file whose row groups all have the same size, so that its bytes do not depend on the blocks.
 
-    Each row group is written from one contiguous chunk: the ends of pages may depend on chunks. While the rows
-    of the next one come, a thread writes it.
+    Each row group is written from one contiguous chunk: the ends of pages may depend on chunks.
     """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
@@ -159,22 +153,19 @@ class TableWriter:
         self._waiting: list[pa.Table] = []
         self._rows = 0
         self._failed = False
-        self._thread = ThreadPoolExecutor(1)
-        self._group: Future[None] | None = None
 
     def write(self, table: pa.Table) -> None:
         """Add rows.
 
         Raises:
-            OSError: They or rows before them cannot be written; the file is of no use then.
+            OSError: They cannot be written; the file is of no use then.
         """
         self._waiting.append(table)
         self._rows += len(table)
         if len(self._waiting) == MOST_WAITING:
             self._waiting = [pa.concat_tables(self._waiting).combine_chunks()]
         while self._rows > ROW_GROUP_ROWS:  # at least one row is left for close()
-            self._wait_for_group()
-            self._group = self._thread.submit(self._write_group, [self._first(ROW_GROUP_ROWS)])
+            self._write_group(ROW_GROUP_ROWS)
 
     def close(self) -> None:
         """Write the remaining rows and the footer, unless rows before them could not be written.
@@ -182,31 +173,25 @@ class TableWriter:
         Raises:
             OSError: They cannot be written; the file is of no use then.
         """
-        with self._thread:
-            self._wait_for_group()
         if self._failed:
             return
         if self._waiting:
-            self._write_group([self._first(self._rows)])
+            self._write_group(self._rows)
         with self._once():
             self._writer.close()
 
-    def _first(self, count: int) -> pa.Table:
-        """The first rows that wait, as a copy: the tables that they come from are given up."""
+    def _write_group(self, count: int) -> None:
+        """Write the first rows that wait; they are copied, and the tables they come from are given up first."""
+        pool = pa.default_memory_pool()
+        pool.release_unused()  # what blocks and row groups took is kept, until it is told not to be
         joined = pa.concat_tables(self._waiting)
+        group = joined.slice(0, count).combine_chunks()
         self._waiting, self._rows = [joined.slice(count)] if count < self._rows else [], self._rows - count
-        return joined.slice(0, count).combine_chunks()
-
-    def _wait_for_group(self) -> None:
-        group, self._group = self._group, None
-        if group is not None:
-            group.result()
-
-    def _write_group(self, rows: list[pa.Table]) -> None:
-        """Write the only table of a list, which is emptied."""
-        with _ENCODING, self._once():
-            self._writer.write_table(rows.pop())
-        pa.default_memory_pool().release_unused()  # Arrow keeps what a row group took, until it is told not to
+        del joined
+        with self._once():
+            self._writer.write_table(group)
+        del group
+        pool.release_unused()
 
     @contextmanager
     def _once(self) -> Iterator[None]:
