@@ -73,7 +73,7 @@ def test_empty_stretches_are_by_the_clock_of_the_log(learned: VoyageResult) -> N
     observed = learned.told.judged.observed
     last = 59.8 - REALLY["clock_s"]
     assert judge(observed, (Stretch(last - 0.9, last + 9),)).empty.sum() == 5
-    with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.5 s to 56"):
+    with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.7 s to 56"):
         judge(observed, (Stretch(last + 0.5, 59.8),))
 
 
