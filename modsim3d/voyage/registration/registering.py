@@ -19,12 +19,12 @@ from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.voyage.registration.checks import check_matches, check_times
 from modsim3d.voyage.registration.covariance import Knowledge, Linear, covering
 from modsim3d.voyage.registration.determined import COMMON_DELAY, Group, exchange, undetermined
-from modsim3d.voyage.registration.estimating import PROBED, blocks_of, columns, estimate, linearized
+from modsim3d.voyage.registration.estimating import PROBED, Estimated, blocks_of, columns, estimate, linearized
 from modsim3d.voyage.registration.hiding import Hiding
 from modsim3d.voyage.registration.model import BoxModel
 from modsim3d.voyage.registration.parameters import MEAN_ERRORS, SHARED, SHARED_NAMES, Values, held, plausible
 from modsim3d.voyage.registration.registration import Estimate, Registration
-from modsim3d.voyage.registration.starts import starts
+from modsim3d.voyage.registration.starts import explained, rivals_of, starts
 from modsim3d.voyage.registration.traffic import Traffic
 from modsim3d.voyage.registration.vessel_effects import VesselEffects, known_of
 
@@ -99,10 +99,10 @@ def register(
     free = tuple(name for name in free if name not in lost)
     last = Aligner(model, hiding, some, free, use_sizes)
     aligned = _settled(last, aligned, lost)
-    estimated = estimate(last, aligned, free, offsets_m, noise_m)
+    fits = [estimate(last, aligned, free, offsets_m, noise_m)]
+    fits += [_fitted_from(rival, last, lost, free, offsets_m, noise_m) for rival in rivals]
+    estimated, known = _best(last, fits, free)
     aligned, linear, effects = estimated.aligned, estimated.linear, estimated.effects
-    others = [_fitted_from(rival, last, lost, free, offsets_m, noise_m).scaled(free) for rival in rivals]
-    known = covering(estimated.known, [other - aligned.values.scaled(free) for other in others])
     rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
     rules |= {name: "mean errors are taken to be zero" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
     rules |= {group.held: f"not determined: {group.words()}" for group in groups}
@@ -144,10 +144,21 @@ def _corrected(found: BoxesAtTimes, mean: Array) -> BoxesAtTimes:
 
 def _fitted_from(
     start: Values, aligner: Aligner, lost: set[str], free: tuple[str, ...], offsets_m: float | None, noise_m: float
-) -> Values:
-    """The values of the last fit from another start."""
+) -> Estimated:
+    """The last fit from another start."""
     aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
-    return estimate(aligner, _settled(aligner, aligned, lost), free, offsets_m, noise_m).aligned.values
+    return estimate(aligner, _settled(aligner, aligned, lost), free, offsets_m, noise_m)
+
+
+def _best(aligner: Aligner, fits: Sequence[Estimated], free: tuple[str, ...]) -> tuple[Estimated, Knowledge]:
+    """The fit that explains the detections best, with intervals that hold those nearly as good, too."""
+    if len(fits) == 1:
+        return fits[0], fits[0].known
+    scored = [(explained(aligner, fit.aligned), fit) for fit in fits]
+    (most, best), *others = sorted(scored, key=lambda pair: -float(pair[0].sum()))
+    values = best.aligned.values
+    rivals = rivals_of(most, values, [(less, fit.aligned.values) for less, fit in others])
+    return best, covering(best.known, [rival.scaled(free) - values.scaled(free) for rival in rivals])
 
 
 def _settled(aligner: Aligner, aligned: Alignment, lost: set[str]) -> Alignment:

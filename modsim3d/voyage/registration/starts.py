@@ -25,7 +25,7 @@ MOST_GUESSES, LIKELY = 5, 0.6
 APART_S = 0.5
 """Starts whose clocks have come closer than this are the same."""
 SURE = 3.0
-"""How many standard errors a start must be better than another, over stretches of time."""
+"""A start is clearly worse than another by so many standard errors of the mean over stretches of time."""
 STRETCHES = 12
 
 
@@ -59,32 +59,31 @@ def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -
             vessels = np.unique(rough.sightings.vessel)
             unknowns = Unknowns(aligner.all_unknowns().shared, np.array([spread_m, spread_m, 0.0]), vessels)
             rough = aligner.until_stable(rough, unknowns, tied=True, rounds=2)
-        tried.append((_explained(aligner, rough), rough.values))
+        tried.append((explained(aligner, rough), rough.values))
     tried.sort(key=lambda start: -start[0].sum())
-    (explained, best), *others = tried
-    return best, rivals_of(explained, best, others, SURE)
+    (most, best), *others = tried
+    return best, rivals_of(most, best, others)
 
 
-def rivals_of(explained: Array, best: Values, others: Sequence[tuple[Array, Values]], sure: float) -> list[Values]:
+def rivals_of(most: Array, best: Values, others: Sequence[tuple[Array, Values]]) -> list[Values]:
     """Starts of another clock that are not clearly worse than the best one.
 
     Args:
-        explained: How well the best start explains the detections, in each of k stretches of time, shape (k,).
+        most: How well the best start explains the detections, in each of k stretches of time, shape (k,).
         best: Its values.
         others: The same of other starts.
-        sure: How many standard errors of the mean over stretches make a start clearly worse.
     """
     rivals = list[Values]()
     for less, other in others:
-        worse = explained - less
+        worse = most - less
         clocks_s = np.array([each["clock_s"] for each in (best, *rivals)])
         new = np.abs(clocks_s - other["clock_s"]).min() > APART_S
-        if new and worse.mean() < sure * worse.std(ddof=1) / np.sqrt(len(worse)):
+        if new and worse.mean() < SURE * worse.std(ddof=1) / np.sqrt(len(worse)):
             rivals.append(other)
     return rivals
 
 
-def _explained(aligner: Aligner, aligned: Alignment) -> Array:
+def explained(aligner: Aligner, aligned: Alignment) -> Array:
     """How well the detections are explained, in each of some stretches of time, shape (STRETCHES,).
 
     A bearing or a waterline counts 1 where it is met, and less the further it is off.

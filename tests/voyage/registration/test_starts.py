@@ -14,9 +14,9 @@ from modsim3d.voyage.registration import starts as module
 from modsim3d.voyage.registration.aligning import Aligner
 from modsim3d.voyage.registration.hiding import Hiding
 from modsim3d.voyage.registration.model import BoxModel
-from modsim3d.voyage.registration.parameters import SHARED_NAMES
+from modsim3d.voyage.registration.parameters import SHARED_NAMES, Values
 from modsim3d.voyage.registration.search import Guess, Search
-from modsim3d.voyage.registration.starts import starts
+from modsim3d.voyage.registration.starts import rivals_of, starts
 from modsim3d.voyage.registration.traffic import Traffic
 
 A_WAVE_EARLIER = Guess(0.3, 2.0, 0.4, 400)
@@ -47,6 +47,10 @@ def test_the_clock_that_explains_the_detections_is_chosen_whatever_the_votes_and
     best, (rival,) = starts(aligner, 10.0, 5.0, scene)
     assert best["clock_s"] == pytest.approx(3.7, abs=0.1)
     assert rival["clock_s"] == pytest.approx(0.2, abs=0.5)
-    assert module.rivals_of(np.array([5.0, 6.0, 4.0]), best, [(np.zeros(3), rival)], 3.0) == []
-    assert module.rivals_of(np.array([5.0, -4.0, 1.0]), best, [(np.zeros(3), rival)], 3.0) == [rival]
-    assert module.rivals_of(np.array([5.0, -4.0, 1.0]), best, [(np.zeros(3), best)], 3.0) == []
+
+
+def test_rivals_have_another_clock_and_are_not_clearly_worse() -> None:
+    best, other = (Values.none(1).changed(clock_s=clock) for clock in (3.7, 0.2))
+    assert rivals_of(np.array([5.0, 6.0, 4.0]), best, [(np.zeros(3), other)]) == []
+    assert rivals_of(np.array([5.0, -4.0, 1.0]), best, [(np.zeros(3), other)]) == [other]
+    assert rivals_of(np.array([5.0, -4.0, 1.0]), best, [(np.zeros(3), best)]) == []
