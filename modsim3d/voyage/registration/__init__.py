@@ -1,7 +1,8 @@
 """Registration: how a camera and its detector's clock differ from what a scene says, from the detections themselves.
 
-`register` is the way through. `search` makes a first guess, `aligning` matches detections with vessels and fits in
-turn, `determined` finds what the data cannot tell apart, and `covariance` how well the rest is known.
+`register` is the way through. `search` makes first guesses, `starts` chooses among them, `aligning` matches detections
+with vessels and fits in turn, and `determined` finds what the data cannot tell apart. `estimating` fits the rest
+together with what is wrong with single vessels, whose positions are `drifting`. `covariance` says how well it is known.
 """
 
 from modsim3d.voyage.registration.boxes_at_times import BoxesAtTimes
