@@ -9,6 +9,7 @@ weighted least squares with the weights of the soft loss, so that a wrong match 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,12 +33,14 @@ class Drift:
     Attributes:
         change: Change of the values, shape (p,).
         off: How far each row's vessel is off its reports, along and across in metres, and how late, shape (m, 3).
+        steady: The same of a vessel that did not drift, so that it stays put among what is seen of it, shape (m, 3).
         errors_px: What is left of the residuals, shape (m,).
         spreads_px: Spread of what is left of each row, shape (m,).
     """
 
     change: Array
     off: Array
+    steady: Array
     errors_px: Array
     spreads_px: Array
 
@@ -101,4 +104,17 @@ def fit_drift(
         for own, solved in zip(groups, inner, strict=True):
             normals[own] = -(solved[:, :p] @ change + solved[:, p]) / np.sqrt(together)
         errors = px + slopes_px @ change + (axes_px * normals).sum(axis=1)
-    return Drift(change, (axes * normals[:, None]).sum(axis=2), errors, spreads)
+    off = (axes * normals[:, None]).sum(axis=2)
+    far = np.sqrt((axes**2).sum(axis=2).max(axis=0))[:2]
+    rest = (px + slopes_px @ change + own_px[:, 2] * off[:, 2]) * weights
+    steady = np.column_stack([_steady(rest, own_px[:, :2] * weights[:, None], groups, far), off[:, 2]])
+    return Drift(change, off, steady, errors, spreads)
+
+
+def _steady(rest: Array, slopes: Array, groups: Sequence[Indices], far_m: Array) -> Array:
+    """One place along and across for all rows of a vessel, expected within so many metres (2,), shape (m, 2)."""
+    steady = np.zeros(slopes.shape)
+    for own in groups:
+        pull = slopes[own].T @ rest[own]
+        steady[own] = -np.linalg.solve(slopes[own].T @ slopes[own] + np.diag(1 / np.maximum(far_m, TINY) ** 2), pull)
+    return steady

@@ -238,7 +238,7 @@ def _round(
     linear = Linear.of_soft_loss(scaled, drift.errors_px / drift.spreads_px, SOFT)
     cuts = np.cumsum([len(PROBED), added[0].shape[1], added[1].shape[1]])
     each, all_axes, drifts, off = np.split(linear.slopes, cuts, axis=1)
-    values = _changed(aligned.values, free, drift.change, vessel, drift.off)
+    values = _changed(aligned.values, free, drift.change, vessel, drift.steady)
     return _Round(
         Alignment(values, aligned.sightings, residuals, aligned.spreads_px),
         drift.change,
@@ -250,7 +250,7 @@ def _round(
 
 
 def _changed(values: Values, free: tuple[str, ...], change: Array, vessel: Indices, off: Array) -> Values:
-    """Values with a change of shared ones, in plausible distances, and vessels as far off as they are on average."""
+    """Values with a change of shared ones, in plausible distances, and each vessel off as its rows say on average."""
     shared, vessels = values.shared.copy(), np.zeros_like(values.vessels)
     shared[[PLACE[name] for name in free]] += change * plausible(free)
     counts = np.maximum(np.bincount(vessel, minlength=len(vessels)), 1)
