@@ -49,8 +49,8 @@ def _introduction() -> str:
     return (
         "`script/campaign voyages` simulates voyages whose camera, clock and detector are known, and learns them again "
         "as [`modsim3d learn --scene`](../voyage.md) does. The scene that the user has is wrong by these amounts: "
-        f"{wrong}. Each seed draws the detections anew; seeds count from {FIRST_SEED}, since those below were looked at "
-        "while learning was built.\n\n"
+        f"{wrong}. Each seed draws the detections anew; seeds count from {FIRST_SEED}, since those below were looked "
+        "at while learning was built.\n\n"
         f"By AIS means: each coordinate of a position is off by {AIS.position_m:g} m (standard deviation), an error "
         f"that lasts {AIS.position_s:g} s and changes with each report, every {AIS.reports_s:g} s "
         "from a moment of the vessel's own on; a vessel's reports "
