@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from modsim3d.tracking.track_run import track_run
     from modsim3d.tracking.trackers.interface import TrackedFrame, Tracker
     from modsim3d.verify.verification import verify_run
+    from modsim3d.voyage.learned import learn_voyage
 
     __version__: str
 
@@ -43,6 +44,7 @@ __all__ = [
     "detect_run",
     "detect_truth",
     "learn_detector",
+    "learn_voyage",
     "load_detector",
     "load_scene",
     "locate",
@@ -65,6 +67,7 @@ _HOMES = {
     "detect_run": "modsim3d.runs.detect_run",
     "detect_truth": "modsim3d.other_truth.detect_truth",
     "learn_detector": "modsim3d.learn.learning",
+    "learn_voyage": "modsim3d.voyage.learned",
     "load_detector": "modsim3d.detector.file.reading",
     "load_scene": "modsim3d.scene.reading",
     "locate": "modsim3d.positions.locating",

@@ -112,7 +112,7 @@ def learn_voyage(
 ) -> VoyageResult:
     """Learn a detector from what it wrote during a voyage whose vessels' tracks are known.
 
-        learned = learn_voyage("scene/scene.yaml", "detections.csv")
+        learned = modsim3d.learn_voyage("scene", "detections.csv")
         learned.registered[0].registration["pitch_deg"], learned.write("learned.yaml")
 
     Args:
@@ -142,6 +142,7 @@ def learn_voyage(
     Raises:
         ModsimError: The scene or the log cannot be read, they do not fit each other, the camera cannot be registered,
             or nothing can be learned.
+        TypeError: The scene, the log or the attitude is no path.
     """
     path = as_path(log, "log")
     if registration is not None and (fixed or known):

@@ -22,6 +22,7 @@ NAMES = {
     "detect_run",
     "detect_truth",
     "learn_detector",
+    "learn_voyage",
     "load_detector",
     "load_scene",
     "locate",

@@ -87,6 +87,7 @@ def wrong_calls() -> dict[str, tuple[Callable[[object], object], str]]:
             lambda wrong: modsim3d.learn_detector(truth=wrong, detections="dt.json"),
             "truth: a path or a list of paths",
         ),
+        "learn_voyage": (lambda wrong: modsim3d.learn_voyage("strait", wrong), "log: a path"),
         "learn_detector, a list": (
             lambda wrong: modsim3d.learn_detector(truth="gt.json", detections=[wrong]),
             "detections: a path or a list of paths",
