@@ -9,6 +9,7 @@ import shapely
 from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.geometry.unions import union_of
 from modsim3d.truth.occlusion import HiddenPixels
 
 NOTHING_PX2 = 1e-6
@@ -100,7 +101,7 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties:
     piece_of = piece_of.reshape(-1)
     areas: Array = np.where(pieces[piece_of] == 1, shapely.area(parts), 0.0)
     for group in np.flatnonzero(pieces > 1).tolist():
-        areas[first[group]] = shapely.area(shapely.union_all(parts[piece_of == group]))
+        areas[first[group]] = shapely.area(union_of(parts[piece_of == group]))
     return areas
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.unions import union_of
 from modsim3d.truth.cutting import cut_near
 from modsim3d.vessels.vessel import Solid
 
@@ -36,7 +37,7 @@ def silhouette_polygons(
         polygons[~crosses] = shapely.convex_hull(shapely.linestrings(pixels[~crosses]))
     else:
         for row in np.flatnonzero(~crosses).tolist():
-            polygons[row] = union_of(pixels[row][solid.faces], both_sides=not solid.closed)
+            polygons[row] = faces_union(pixels[row][solid.faces], both_sides=not solid.closed)
     if not crosses.any():
         return polygons
     triangles, member = cut_near(vertices[crosses][:, solid.faces], intrinsics, solid)
@@ -45,7 +46,7 @@ def silhouette_polygons(
         if solid.convex:
             polygons[row] = shapely.convex_hull(shapely.multipoints(own.reshape(-1, 2)))
         else:
-            polygons[row] = union_of(own)
+            polygons[row] = faces_union(own)
     return polygons
 
 
@@ -103,10 +104,10 @@ def doubled_face_areas(vertices_px: Array, faces: Indices) -> Array:
     return areas
 
 
-def union_of(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometry:
+def faces_union(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometry:
     """The region that projected triangles, shape (T, 3, 2), cover together.
 
     Without `both_sides`, triangles turned away from the camera are left out; those of a closed solid add nothing.
     """
     doubled = doubled_areas(triangles_px)
-    return shapely.union_all(shapely.polygons(triangles_px[(np.abs(doubled) if both_sides else doubled) > NO_AREA_PX2]))
+    return union_of(shapely.polygons(triangles_px[(np.abs(doubled) if both_sides else doubled) > NO_AREA_PX2]))

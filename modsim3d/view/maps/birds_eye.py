@@ -12,6 +12,7 @@ import shapely
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.geometry.camera import Camera
+from modsim3d.geometry.unions import union_of
 from modsim3d.motion.poses.circular import CircularMotion
 from modsim3d.scene.scene import Scene
 from modsim3d.vessels.obstacles import Obstacle
@@ -128,8 +129,8 @@ def footprint(obstacle: Obstacle) -> Any:
             parts.append(shapely.convex_hull(shapely.multipoints(flat)))
         else:
             faces = shapely.polygons(flat[solid.faces])
-            parts.append(shapely.union_all(faces[shapely.area(faces) > 0]))
-    pieces = [part for part in shapely.get_parts(shapely.union_all(parts)).tolist() if part.geom_type == "Polygon"]
+            parts.append(union_of(faces[shapely.area(faces) > 0]))
+    pieces = [part for part in shapely.get_parts(union_of(parts)).tolist() if part.geom_type == "Polygon"]
     return shapely.multipolygons(pieces)
 
 

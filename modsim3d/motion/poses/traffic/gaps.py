@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.geometry.unions import union_of
 from modsim3d.motion.poses.traffic.tracks import Sweep
 from modsim3d.vessels.obstacles import Obstacle
 
@@ -116,7 +117,7 @@ class Land:
                     found.setdefault(base, []).append(_footprint(vertices, None if solid.convex else solid.faces))
         levels, so_far = [], shapely.Polygon()
         for base in sorted(found):
-            so_far = shapely.union_all([so_far, *found[base]])
+            so_far = union_of([so_far, *found[base]])
             shapely.prepare(so_far)
             levels.append((base, so_far))
         return cls(tuple(levels))
@@ -159,4 +160,4 @@ def _footprint(vertices: Array, faces: Indices | None) -> shapely.Geometry:
     if faces is None:
         return shapely.MultiPoint(vertices[:, :2]).convex_hull
     triangles = shapely.polygons(vertices[:, :2][faces])
-    return shapely.union_all(triangles[shapely.area(triangles) > 0])
+    return union_of(triangles[shapely.area(triangles) > 0])
