@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.processes import ROOT
 from benchmarks.voyages.cases import BY_NAME, DETECTOR, TOLD_M, Case
 from benchmarks.voyages.reported import as_reported
 from benchmarks.voyages.wrong_camera import WRONG, Voyage
@@ -47,7 +48,7 @@ def trial(name: str, seed: int) -> dict[str, Any]:
             done = [register(known, case.camera, voyage.detections(seed), **dict(case.priors))]
         result["registration"] = {key: value for each in done for key, value in registration_numbers(each).items()}
     except ModsimError as error:
-        result["refused"] = str(error)
+        result["refused"] = str(error).replace(f"{ROOT}/", "")
     return result | {"cpu_s": time.process_time() - start}
 
 
