@@ -169,7 +169,7 @@ def _check_sizes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> Non
 def _check_boxes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> None:
     """Refuse boxes that are in pixels of larger images; a few may have left the image, as a tracker's do."""
     sizes = np.array([scene.cameras[number].intrinsics.image_size_px for number in numbers])[log.camera[log.frame]]
-    outside = (log.boxes_px[:, :2] >= sizes).any(axis=1) | (log.boxes_px[:, 2:] <= 0).any(axis=1)
+    outside = np.asarray(((log.boxes_px[:, :2] >= sizes) | (log.boxes_px[:, 2:] <= 0)).any(axis=1))
     if not outside.any() or outside.mean() <= _MOST_OUTSIDE:
         return
     first = int(np.argmax(outside))

@@ -160,8 +160,8 @@ def judge(observed: Observed, stretches: tuple[Stretch, ...] = (), least_s: floa
     empty = in_stretches(stretches, images.time_s) & (observed.image_state >= 0)
     for stretch in stretches:
         if not (in_stretches((stretch,), images.time_s) & empty).any():
-            low, high = np.nanmin(images.time_s), np.nanmax(images.time_s)
-            raise InputError("--empty", [f"{stretch}: no frame lies in it; they are from {low:g} s to {high:g} s"])
+            low, high = (stretch.when(float(end)) for end in (np.nanmin(images.time_s), np.nanmax(images.time_s)))
+            raise InputError("--empty", [f"{stretch}: no frame lies in it; they are from {low} to {high}"])
     links = link(observed)
     things = things_of(links, images)
     kinds = kinds_of(things, np.ones((1, len(things.detections))), links.gap_s, least_s)

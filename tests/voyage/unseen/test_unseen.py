@@ -156,8 +156,12 @@ def test_stretches_are_read_in_seconds_and_in_utc():
     assert parse_stretches("120-300, 900-1000.5", None) == (Stretch(120, 300), Stretch(900, 1000.5))
     utc = "2024-01-04T10:02:00Z/2024-01-04T10:05:00Z"
     assert parse_stretches(utc, start) == (Stretch(120, 300),)
+    assert [str(each) for each in parse_stretches(utc, start)] == [utc]
+    assert parse_stretches("1704362520-1704362700", start) == (Stretch(120, 300),)
     with pytest.raises(InputError, match="does not say when it starts"):
         parse_stretches(utc, None)
+    with pytest.raises(InputError, match="does not say when it starts"):
+        parse_stretches("1704362520-1704362700", None)
     for text in ("", "5", "300-120", "a-b", "1-2-3", "-5-9", "2024-01-04T10:02:00Z/never"):
         with pytest.raises(InputError, match="--empty"):
             parse_stretches(text, start)
@@ -166,6 +170,9 @@ def test_stretches_are_read_in_seconds_and_in_utc():
 def test_a_stretch_without_frames_is_refused():
     with pytest.raises(InputError, match="5000-6000: no frame lies in it; they are from 0 s to"):
         judge(observed(voyage(0, frames=60)), (Stretch(5000, 6000),))
+    utc = "2024-01-04T10:02:00Z/2024-01-04T10:05:00Z"
+    with pytest.raises(InputError, match=f"{utc}: no frame lies in it; they are from 2024-01-03T10:00:00Z to"):
+        judge(observed(voyage(0, frames=60)), parse_stretches(utc, 1704276000.0))
 
 
 @pytest.mark.parametrize("timed", [True, False])
