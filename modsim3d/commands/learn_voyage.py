@@ -157,8 +157,11 @@ class AskedVoyage:
         registering = Registering(self.fixed, self.position_m, least, attitude, self.known)
         names = conditions or [CONDITION] * len(logs)
         cameras = self.cameras * (len(logs) // len(self.cameras))
-        parts = []
+        parts, read = [], set()
         for path, name, camera in zip(logs, names, cameras, strict=True):
+            if (path.resolve(), camera) in read:
+                raise ModsimError(f"--detections {path} is given twice: its frames would count twice")
+            read.add((path.resolve(), camera))
             log = on_scene(read_log(path, said), self.scene, camera)
             parts.append(labelled_voyage(log, VoyageOptions(registering, self.stale_s, attitude, name)))
         return joined_voyages(parts)

@@ -102,7 +102,8 @@ class Registering:
             if text.startswith("fixed: "):  # all of them, one by one
                 raise InputError("--fixed", [text.removeprefix("fixed: ")]) from None
             way_out = "--fixed all learns with the camera and the clock as they are"
-            raise InputError(f"camera '{camera.name}'", [f"{text}; {way_out}"]) from None
+            measured = "check the angles of --attitude too, and their signs; " if attitude else ""
+            raise InputError(f"camera '{camera.name}'", [f"{text}; {measured}{way_out}"]) from None
 
 
 def correction_of(registration: Registration | None) -> Correction:
