@@ -185,6 +185,9 @@ def _scaled_share(column: Column, rate: StateRates, free: float) -> Column:
     share = scaled / (1 + scaled)
     true = float(column.counts * (1 - value[0]))
     false = float(rate.used.estimate * rate.used.counts)
-    # The variance of the logarithm of the odds is 1 / false + 1 / true, as if of so many observations.
-    worth = 1 / (1 / max(false, 0.5) + 1 / max(true, 0.5)) / max(float(share[0] * (1 - share[0])), 1e-9)
+    if share[0] > 0:
+        # The variance of the logarithm of the odds is 1 / false + 1 / true, as if of so many observations.
+        worth = 1 / (1 / max(false, 0.5) + 1 / max(true, 0.5)) / max(float(share[0] * (1 - share[0])), 1e-9)
+    else:  # none was false of the true ones in the images that tell the rate
+        worth = true * float(rate.used.counts) / max(rate.images, 1)
     return replace(column, values=share, counts=np.array(worth), inflation=max(column.inflation, rate.used.inflation))

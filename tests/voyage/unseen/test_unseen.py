@@ -140,6 +140,27 @@ def test_marked_stretches_give_the_rate_themselves():
     assert rows_of((rate,), 0.95)[0][-1] == "the stretches marked as empty"
 
 
+def test_an_empty_stretch_without_a_false_positive_leaves_the_rate_uncertain():
+    """Of n images without any, 95 % intervals of the rate reach to about 3 / n, and those of the share as far."""
+    labelled = voyage(1)
+    seen = observed(labelled)
+    time_s = labelled.images.time_s[labelled.results.image]
+    kept = np.ones(len(time_s), dtype=bool)
+    kept[seen.false[(time_s[seen.false] >= 20) & (time_s[seen.false] <= 24)]] = False
+    columns = {name: None if each is None else each[kept] for name, each in vars(labelled.results).items()}
+    labelled = replace(labelled, results=Results(**columns))
+    report, _ = learn_beside_unseen(
+        labelled, Settings(replicates=40, without=PLAIN), LearnOptions(), (Stretch(20, 24),)
+    )
+    (low, high), (_, most) = (
+        interval(report.learned, f"false_{name}") for name in ("discovery_rate", "positives_per_image")
+    )
+    matched = len(seen.matched.pairs[0]) / len(labelled.images)
+    assert low == 0
+    assert high / (1 - high) == pytest.approx(most / matched, rel=0.5)
+    assert most > 2 / (labelled.images.time_s <= 4).sum()
+
+
 def test_faint_detections_of_an_unseen_vessel_are_left_out_too():
     labelled = voyage(0)
     before = judge(observed(labelled))
