@@ -124,6 +124,7 @@ class AskedVoyage:
         Raises:
             ModsimError: There is no log, not a name for each, a log is wrong, or a camera cannot be registered.
         """
+        from modsim3d.display import counted
         from modsim3d.learn.learn_detector import LEAST_CONFIDENCE
         from modsim3d.voyage.attitude import read_attitude
         from modsim3d.voyage.labelled_voyage import CONDITION, VoyageOptions, joined_voyages, labelled_voyage
@@ -137,7 +138,7 @@ class AskedVoyage:
         if conditions and len(conditions) != len(logs):
             raise ModsimError(f"--condition is given {len(conditions)} times, with {len(logs)} logs: name each")
         if len(self.cameras) not in (1, len(logs)):
-            given = f"--camera is given {len(self.cameras)} times, with {len(logs)} logs"
+            given = f"--camera is given {len(self.cameras)} times, with {counted(len(logs), 'log')}"
             raise ModsimError(f"{given}: give it once for all, or for each in their order")
         for name, value in (("--image-size", options.image_size_px), ("--horizon", options.horizon)):
             if value is not None:
@@ -156,8 +157,11 @@ class AskedVoyage:
         registering = Registering(self.fixed, self.position_m, least, attitude, self.known)
         names = conditions or [CONDITION] * len(logs)
         cameras = self.cameras * (len(logs) // len(self.cameras))
-        parts = []
+        parts, read = [], set()
         for path, name, camera in zip(logs, names, cameras, strict=True):
+            if (path.resolve(), camera) in read:
+                raise ModsimError(f"--detections {path} is given twice: its frames would count twice")
+            read.add((path.resolve(), camera))
             log = on_scene(read_log(path, said), self.scene, camera)
             parts.append(labelled_voyage(log, VoyageOptions(registering, self.stale_s, attitude, name)))
         return joined_voyages(parts)

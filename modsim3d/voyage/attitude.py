@@ -19,6 +19,8 @@ COLUMNS = ("roll_rad", "pitch_rad", "heading_rad")
 MOST_APART_S = 2.0
 """Angles are linear between rows that are no further apart; in a longer gap they are not known."""
 _NEAR_S = 1e-6
+_UNDER_WAY, _MOST_OFF = 1.0, np.pi / 4
+"""Metres a second above which the scene knows a heading, and how far headings may be off it."""
 _MOST_HEADING = 8 * np.pi
 """Headings may go on counting where a vessel turns round, but not as far as degrees do."""
 
@@ -111,4 +113,24 @@ def read_attitude(path: Path, scene: Scene) -> Attitude:
         spans = f"from {times[0]:.12g} s to {times[-1]:.12g} s", f"from 0 s to {clock.length_s:.12g} s"
         problem = f"its rows are {spans[0]} after the scene's first step, and {scene.title} is {spans[1]}"
         raise InputError(source, [problem])
+    _check_headings(times, heading, scene, carriers[0], source)
     return Attitude(carriers[0], times, np.column_stack([angles[:, :2], heading]))
+
+
+def _check_headings(times_s: Array, headings_rad: Array, scene: Scene, vessel: str, source: str) -> None:
+    """Refuse headings (n,) that are not those of the scene where the vessel is under way, such as a compass has."""
+    column, poses = scene.vessel_names.index(vessel), scene.poses.poses(0, scene.steps)
+    steps = np.flatnonzero(poses.present[:, column])
+    if len(steps) < 2:
+        return
+    every_s, places_m = scene.times_s(0, scene.steps)[steps], poses.positions_m[steps, column]
+    speeds = np.linalg.norm(np.gradient(places_m, every_s, axis=0), axis=1)
+    under_way = (times_s >= every_s[0]) & (times_s <= every_s[-1]) & (np.interp(times_s, every_s, speeds) > _UNDER_WAY)
+    known = np.interp(times_s, every_s, np.unwrap(poses.headings_rad[steps, column]))
+    off = np.abs(np.angle(np.exp(1j * (headings_rad - known))))[under_way]
+    if len(off) and np.median(off) > _MOST_OFF:
+        problem = (
+            f"its headings are {np.degrees(np.median(off)):.0f}° off those of '{vessel}' in {scene.title}: heading_rad "
+            "counts counter-clockwise from w1, which is east in scenes from AIS, so it is π/2 less the compass heading"
+        )
+        raise InputError(source, [problem])

@@ -74,8 +74,8 @@ def parse_known(given: str | Mapping[str, float] | KnownMeans | None) -> KnownMe
             problems.append(f"no mean {shown(name)} ({nearest(name, SHORT)})")
         elif getattr(known, full) is not None:
             problems.append(f"{name}: is given twice")
-        elif math.isnan(value) or (full.endswith("_share") and value <= -1):
-            needed = "a share above -1, such as 0.02" if full.endswith("_share") else "a number"
+        elif math.isnan(value) or (full.endswith("_share") and abs(value) >= 1):
+            needed = "a share above -1 and below 1, such as 0.02" if full.endswith("_share") else "a number"
             problems.append(f"{name}: must be {needed} (got {shown(text)})")
         else:
             known = replace(known, **{full: value})

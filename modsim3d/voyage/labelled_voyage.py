@@ -161,6 +161,9 @@ class _CameraSet:
         carried = inside & _carrier_there(log.scene, carrier, times_s)
         self.notes = list(_said_of_frames(self.camera.name, inside, carried, carrier))
         if attitude is not None and attitude.vessel != carrier:
+            self.notes.append(
+                f"camera '{self.camera.name}' is not on board '{attitude.vessel}', so the attitude is not used for it"
+            )
             attitude = None
         if attitude is not None:
             measured = attitude.known(times_s)

@@ -16,6 +16,8 @@ from modsim3d.voyage.logs.bags import ros_name
 from modsim3d.voyage.logs.log import DetectionLog
 from modsim3d.voyage.noted_clocks import REGISTRATION, noted_clock_s
 
+_MOST_OUTSIDE = 0.01
+"""Share of the boxes that may lie outside the image."""
 ONE_LABEL = "vessel"
 """What all vessels are called where a log names no classes and the scene has several."""
 
@@ -92,6 +94,7 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
         raise InputError(scene.title, ["its poses arrive while it runs: a scene with all poses is needed"])
     log, numbers = _with_cameras(log, scene, camera)
     _check_sizes(log, scene, numbers)
+    _check_boxes(log, scene, numbers)
     labels, of_vessel, of_log, said = _labels(log, scene)
     clock = SceneClock.of(scene)
     clocks_s = [noted_clock_s(scene.path, scene.cameras[number].name) for number in numbers]
@@ -161,6 +164,25 @@ def _check_sizes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> Non
         camera = scene.cameras[numbers[int(log.camera[first])]]
         found, needed = (" × ".join(f"{side:g}" for side in size[first].tolist()) for size in (log.size_px, sizes))
         raise InputError(log.source, [f"has images of {found} px, and camera '{camera.name}' of the scene {needed} px"])
+
+
+def _check_boxes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> None:
+    """Refuse boxes that are in pixels of larger images; a few may have left the image, as a tracker's do."""
+    sizes = np.array([scene.cameras[number].intrinsics.image_size_px for number in numbers])[log.camera[log.frame]]
+    outside = np.asarray(((log.boxes_px[:, :2] >= sizes) | (log.boxes_px[:, 2:] <= 0)).any(axis=1))
+    if not outside.any() or outside.mean() <= _MOST_OUTSIDE:
+        return
+    first = int(np.argmax(outside))
+    frame = int(log.frame[first])
+    camera = scene.cameras[numbers[int(log.camera[frame])]]
+    width, height = camera.intrinsics.image_size_px
+    left, top, right, bottom = (f"{edge:g}" for edge in log.boxes_px[first].tolist())
+    problem = (
+        f"{outside.sum():,} of {len(outside):,} boxes lie outside the images of camera '{camera.name}', of {width:g} × "
+        f"{height:g} px (first at {log.when(float(log.time_s[frame]))}: {left}, {top} to {right}, {bottom}): give "
+        "boxes in pixels of these images"
+    )
+    raise InputError(log.source, [problem])
 
 
 def _labels(log: DetectionLog, scene: Scene) -> tuple[tuple[str, ...], Indices, Indices | None, list[str]]:

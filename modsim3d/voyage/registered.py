@@ -29,6 +29,8 @@ FIXED_NAMES = tuple(SHORT_OF.get(name, name) for name in SHARED_NAMES if name no
 """What `fixed` takes: the parameters that are registered, by their names without units."""
 OFFSETS_M = 5.0
 """How far positions of AIS are expected to be off for as long as a vessel is seen: antennas, late reports."""
+MOST_NOISE_M = 100.0
+"""Positions that are worse do not tell which vessel a camera sees."""
 _SIZES = frozenset({"length", "beam", "air draft"})
 
 
@@ -41,12 +43,12 @@ def position_noise_m(scene: Scene, given: float | None) -> float:
     """Standard deviation of each coordinate of positions: the given one, else 10 m with AIS and 0 without.
 
     Raises:
-        InputError: The given one is negative or not finite.
+        InputError: The given one is negative, or so large that positions say nothing.
     """
     if given is None:
         return POSITION_M if is_from_ais(scene) else 0.0
-    if not (np.isfinite(given) and given >= 0):
-        raise InputError("--position-noise", [f"must be metres from 0 on (got {given:g})"])
+    if not 0 <= given <= MOST_NOISE_M:
+        raise InputError("--position-noise", [f"must be metres from 0 to {MOST_NOISE_M:g} (got {given:g})"])
     return given
 
 
@@ -100,7 +102,8 @@ class Registering:
             if text.startswith("fixed: "):  # all of them, one by one
                 raise InputError("--fixed", [text.removeprefix("fixed: ")]) from None
             way_out = "--fixed all learns with the camera and the clock as they are"
-            raise InputError(f"camera '{camera.name}'", [f"{text}; {way_out}"]) from None
+            measured = "check the angles of --attitude too, and their signs; " if attitude else ""
+            raise InputError(f"camera '{camera.name}'", [f"{text}; {measured}{way_out}"]) from None
 
 
 def correction_of(registration: Registration | None) -> Correction:

@@ -91,7 +91,7 @@ def test_names_and_values_are_read() -> None:
         ("yaw=1", "no mean 'yaw' (known: mean_x, mean_y, mean_width, mean_height, delay)"),
         ("delay=1,delay=2", "delay: is given twice"),
         ("delay=soon", "delay: must be a number (got 'soon')"),
-        ("mean_width=-1", "mean_width: must be a share above -1, such as 0.02 (got '-1')"),
+        ("mean_width=-1", "mean_width: must be a share above -1 and below 1, such as 0.02 (got '-1')"),
         ("mean_x=inf", "mean_x: must be a number (got 'inf')"),
     ],
 )

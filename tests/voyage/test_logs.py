@@ -226,8 +226,9 @@ def test_a_time_without_a_zone_is_utc_wherever_the_log_is_read(monkeypatch: pyte
         elsewhere.setenv("TZ", "Asia/Tokyo")
         time.tzset()
         found = [utc_s(text) for text in ("1970-01-02T00:00:00", "1970/01/02 09:00:00+09:00", "1970-01-02", "noon")]
+        exif = utc_s("1970:01:02 00:00:00")
     time.tzset()
-    assert found[:3] == [86400] * 3
+    assert [*found[:3], exif] == [86400] * 4
     assert np.isnan(found[3])
 
 
@@ -241,7 +242,12 @@ WRONG = {
     "no columns": (
         "log.csv",
         "utc;left;top\n1;2;3\n",
-        "the time is missing (got 'utc;left;top')",
+        "the time is missing (got 'utc;left;top': columns must be separated by commas)",
+    ),
+    "seconds as UTC": (
+        "log.csv",
+        "utc,left,top,width,height\n55,1,2,30,40\n",
+        "line 2: utc must be a time such as 2024-01-04T10:00:00.250Z, or Unix time (got '55'): seconds since the",
     ),
     "no content": ("log.csv", "\n", "the file is empty"),
     "shares": ("log.csv", f"{HEAD}0,0.1,0.2,0.3,0.4,boat,0.5\n", "give pixels, not shares of the image"),
@@ -252,7 +258,12 @@ WRONG = {
     "half a box": ("log.csv", f"{HEAD}0,1,,3,4,boat,0.5\n", "line 2: left, top, width, height must be numbers"),
     "no area": ("log.csv", f"{HEAD}{ROW}\n1,1,2,0,4,boat,0.5\n", "line 3: bbox has no area"),
     "some labels": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,,0.5\n", "some detections have a class and others none"),
-    "some scores": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,boat,\n", "line 3: score must be from 0 to 1"),
+    "some scores": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,boat,\n", "line 3: has no score (-1), but line 2 has 0.5"),
+    "a score in words": (
+        "log.csv",
+        f"{HEAD}{ROW}\n1,1,2,3,4,boat,high\n",
+        "line 3: score must be from 0 to 1 (got 'high')",
+    ),
     "nothing": ("log.csv", HEAD, "holds no frame"),
     "MOT without a rate": ("log.txt", "1,-1,1,2,3,4,0.5\n", "the frame rate is not known: give --frame-rate"),
     "a MOT frame": ("log.txt", "900000,-1,1,2,3,4,0.5\n", "frame must be a whole number from 1 to 101000"),
@@ -265,7 +276,19 @@ WRONG = {
     "COCO twice at a time": (
         "log.json",
         '{"images": [{"id": 1, "time_s": 1}, {"id": 2, "time_s": 1}], "annotations": [], "categories": []}',
-        "images[1]: another image has the time 1",
+        "images[1]: another image has the time 1 s",
+    ),
+    "COCO all at one time": (
+        "log.json",
+        '{"images": [{"id": 1, "date_captured": "2024-01-04"}, {"id": 2, "date_captured": "2024-01-04"}], '
+        '"annotations": [], "categories": []}',
+        "images[1]: another image has the time 2024-01-04T00:00:00Z; where cameras take images at one time, each image "
+        "must name its camera; where times are too coarse, --frame-rate takes their places in the file",
+    ),
+    "COCO at no time": (
+        "log.json",
+        '{"images": [{"id": 1, "date_captured": "noon"}], "annotations": [], "categories": []}',
+        "images[0]: date_captured must be seconds, or a time such as 2024-01-04T10:00:00.250Z (got 'noon')",
     ),
     "half of COCO": ("log.json", '{"images": []}', "annotations: missing"),
     "a line": ("log.jsonl", '{"time_s": 1, "boxes": []}\n', "line 1: must be a frame such as"),
@@ -300,6 +323,30 @@ def test_images_of_another_size_are_refused(voyage: Path, strait: Scene, tmp_pat
     info.write_text(info.read_text().replace("imWidth=1920", "imWidth=1280"))
     with pytest.raises(InputError, match="has images of 1280 × 1080 px, and camera 'bow' of the scene 1920 × 1080 px"):
         on_scene(read_log(tmp_path / "bow" / "det" / "det.txt"), strait, "bow")
+
+
+def test_boxes_that_no_image_of_the_camera_has_are_refused(tmp_path: Path, strait: Scene) -> None:
+    """As those of a film that is larger than the images for which the scene's camera stands."""
+    path = table(tmp_path, ROW, "0,2000,900,30,40,boat,0.5")
+    problem = r"1 of 2 boxes lie outside the images of camera 'bow', of 1920 × 1080 px \(first at 0 s: 2000, 900 to"
+    with pytest.raises(InputError, match=problem):
+        on_scene(read_log(path), strait, "bow")
+    few = [f"{k},100,900,30,40,boat,0.5" for k in range(200)]
+    assert (
+        len(on_scene(read_log(table(tmp_path, "0,-50,9,30,40,boat,0.5", *few)), strait, "bow").cameras[0].boxes_px)
+        == 201
+    )
+
+
+def test_a_row_that_is_there_twice_counts_once(tmp_path: Path) -> None:
+    """As where two files of a log overlap."""
+    rows = ROW, "1,5,6,30,40,boat,0.5", "1,5,6,30,40,boat,0.25", "1,5,6,30,40,ship,0.5"
+    log = read_log(table(tmp_path, *rows, *rows[1:], rows[0]))
+    assert log.frame.tolist() == [0, 1, 1, 1]
+    assert log.confidence.tolist() == [0.5, 0.5, 0.25, 0.5]
+    said = "4 detections are there a second time (first at 0 s), with the same time, box, class and confidence"
+    assert any(said in note for note in log.notes)
+    assert not read_log(table(tmp_path, *rows)).notes
 
 
 def test_labels_that_the_scene_has_not_are_refused(tmp_path: Path, strait: Scene) -> None:

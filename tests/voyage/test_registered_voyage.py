@@ -83,6 +83,8 @@ def test_json_has_the_registration_with_intervals_and_the_coverage(learned: Voya
     parameters = {each["name"]: each for each in registration["parameters"]}
     assert parameters["yaw_deg"]["low"] < parameters["yaw_deg"]["value"] < parameters["yaw_deg"]["high"]
     assert parameters["mean_x_px"]["held"] == "mean errors are taken to be zero"
+    (rates,) = said["false_positives_per_image"]
+    assert rates["by_lifetimes"] is None and rates["like_vessels"] is None  # nothing lasts as vessels do
     (coverage,) = said["coverage"]
     matched, whole = np.array(coverage["matched"]), np.array(coverage["to_be_detected"])
     assert matched.shape == (len(coverage["bearings_deg"]) - 1, len(coverage["ranges_m"]) - 1)
@@ -167,10 +169,14 @@ def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call
         (("--fixed", "all,pitch"), "all stands alone (got 'all,pitch')"),
         (("--fixed", ""), "no parameter '' (known: clock, roll, pitch, yaw, height, focal, k1, mean_width"),
         (("--known", "mean_x=1"), "--fixed all leaves out"),
+        (("--known", "mean_width=2"), "mean_width: must be a share above -1 and below 1, such as 0.02 (got '2')"),
         (("--stale", "90"), "was not made by modsim3d ais"),
         (("--empty", "soon"), "must be FROM-TO in seconds"),
         (("--empty", "900-1000"), "no frame lies in it"),
-        (("--position-noise", "-1"), "must be metres from 0 on (got -1)"),
+        (("--empty", "2024-01-04T10:02Z/2024-01-04T10:03Z"), "does not say when it starts"),
+        (("--position-noise", "-1"), "must be metres from 0 to 100 (got -1)"),
+        (("--position-noise", "1e4"), "must be metres from 0 to 100 (got 10000)"),
+        (("--camera", "bow", "--camera", "quay"), "--camera is given 2 times, with 1 log:"),
         (("--position-noise", "2", "--iou", "0.4"), "not for centre, which AIS is matched by unless --match says"),
         (("--bias",), "--bias and --correct are not for --scene"),
         (("--correct",), "--bias and --correct are not for --scene"),

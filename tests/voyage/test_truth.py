@@ -156,9 +156,9 @@ def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scen
 
 def test_the_yaw_of_an_attitude_is_added_to_its_heading(strait: Scene, tmp_path: Path) -> None:
     path = tmp_path / "attitude.csv"
-    path.write_text("time_s,roll_rad,pitch_rad,heading_rad,yaw_rad\n0,0,0,3,0.1\n1,0,0,3,0.3\n")
+    path.write_text("time_s,roll_rad,pitch_rad,heading_rad,yaw_rad\n0,0,0,0,0.1\n1,0,0,0,0.3\n")
     measured = read_attitude(path, strait)
-    assert measured.at(np.array([0.5]), np.array([-3.0])).round(9).tolist() == [[0, 0, round(6.2 - 2 * math.pi, 9)]]
+    assert measured.at(np.array([0.5]), np.array([-3.0])).round(9).tolist() == [[0, 0, round(3.2 - 2 * math.pi, 9)]]
 
 
 def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> None:
@@ -169,6 +169,7 @@ def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> 
     bow = found.images.sequence == 0
     np.testing.assert_allclose(found.images.time_s[bow], [1, 1.2, 1.4, 1.6, 1.8, 2, 4.2, 4.4, 4.6])
     assert "camera 'bow': 15 frames without attitude are left out" in found.notes
+    assert "camera 'quay' is not on board 'own', so the attitude is not used for it" in found.notes
 
 
 HEAD = "time_s,roll_rad,pitch_rad,heading_rad\n"
@@ -184,6 +185,10 @@ WRONG = {
     "another day": (
         f"{HEAD}90000,0,0,0\n90001,0,0,0\n",
         "its rows are from 90000 s to",
+    ),
+    "compass": (
+        f"{HEAD}0,0,0,1.57\n1,0,0,1.57\n",
+        r"its headings are 90° off those of 'own' in .*: heading_rad counts counter-clockwise from w1",
     ),
     "the vessel": ("vessel,time_s,roll_rad,pitch_rad,heading_rad\nowl,0,1,2,3\n", "no row of own"),
 }

@@ -13,11 +13,11 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from modsim3d.errors import InputError
-from modsim3d.formats.reading.builder import Problems, is_number
+from modsim3d.formats.reading.builder import MOST_PROBLEMS, Problems, is_number
 from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.inputs.validation import shown
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
-from modsim3d.voyage.logs.times import all_utc, time_of
+from modsim3d.voyage.logs.times import TIME_FORM, all_utc, time_of, time_text
 
 _CAPTURED = "date_captured"
 _TIMES = ("time_s", "utc", _CAPTURED)
@@ -97,10 +97,8 @@ def _frames(
     times, notes = _times(truth["images"], cameras, source, options.frame_rate_hz)
     lacking = [k for k, (time_s, _) in enumerate(times) if math.isnan(time_s)]
     if lacking:
-        needed = f"a time is needed: {', '.join(_TIMES)}, or frame_id with --frame-rate"
-        got = shown(truth["images"][lacking[0]])
         more = f", and {len(lacking) - 1:,} more" if len(lacking) > 1 else ""
-        raise InputError(source, [f"images[{lacking[0]}]: {needed} (got {got}){more}"])
+        raise InputError(source, [f"images[{lacking[0]}]: {_wrong_time(truth['images'][lacking[0]])}{more}"])
     utc = all_utc([of_utc for _, of_utc in times])
     if utc is None:
         raise InputError(source, ["images: some times are UTC and others are not"])
@@ -111,12 +109,15 @@ def _frames(
         if identity is None or identity in frame_of:
             problems.append(f"{where}: must have an id of its own (got {shown(entry.get('id'))})")
         elif rows.has(camera, time_s):
+            when = time_text(time_s) if utc else f"{time_s:.12g} s"
             problems.append(
-                f"{where}: another image has the time {time_s:.12g}; where cameras take images at one time, each image "
-                "must name its camera, and times to the second are too coarse for more than one image a second"
+                f"{where}: another image has the time {when}; where cameras take images at one time, each image must "
+                "name its camera; where times are too coarse, --frame-rate takes their places in the file"
             )
         else:
             frame_of[identity] = rows.frame(camera, time_s, _size(entry))
+    if len(problems) > MOST_PROBLEMS:
+        problems[MOST_PROBLEMS:] = [f"... and {len(problems) - MOST_PROBLEMS} more"]
     if problems:
         raise InputError(source, problems)
     return frame_of, Clock.UTC if utc else Clock.STEP, notes
@@ -155,10 +156,21 @@ def _times(
 
 def _time(entry: Mapping[str, Any]) -> tuple[float, bool]:
     """Time of an image, NaN if it has none, and whether it is UTC."""
-    for key in _TIMES:
-        if entry.get(key) is not None and not (key == _CAPTURED and entry[key] in ("", 0, "0")):
-            return time_of(entry[key])
-    return math.nan, False
+    key = _time_key(entry)
+    return time_of(entry[key]) if key else (math.nan, False)
+
+
+def _time_key(entry: Mapping[str, Any]) -> str:
+    """The key that has the time of an image, empty if none has."""
+    given = (key for key in _TIMES if entry.get(key) is not None)
+    return next((key for key in given if not (key == _CAPTURED and entry[key] in ("", 0, "0"))), "")
+
+
+def _wrong_time(entry: Mapping[str, Any]) -> str:
+    """Why an image has no time."""
+    if key := _time_key(entry):
+        return f"{key} must be seconds, or a time such as {TIME_FORM} (got {shown(entry[key])})"
+    return f"a time is needed: {', '.join(_TIMES)}, or frame_id with --frame-rate (got {shown(entry)})"
 
 
 def _cameras(images: Sequence[Any]) -> list[str | None]:

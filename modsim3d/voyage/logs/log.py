@@ -11,9 +11,10 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import from_top_left
+from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems, check_whole, valid_box
-from modsim3d.formats.reading.confidences import Confidences
+from modsim3d.formats.reading.confidences import NOT_GIVEN, Confidences
 from modsim3d.voyage.logs.times import time_text
 
 NO_LABEL = -1
@@ -184,7 +185,7 @@ class LogRows:
         """
         score: float | None = np.nan
         if self.confidences is not None:
-            score = self.confidences.read(confidence, where, self.problems)
+            score = self.confidences.read(NOT_GIVEN if confidence is None else confidence, where, self.problems)
         if score is None or not valid_box(list(box), where, self.problems):
             return
         number = NO_LABEL if label is None else self._labels.setdefault(label, len(self._labels))
@@ -231,7 +232,7 @@ class LogRows:
             problem = f"all boxes lie within {_SHARES:g} px of the image's corner: give pixels, not shares of the image"
             raise InputError(self.source, [problem])
         rows = np.argsort(frame, kind="stable")
-        return DetectionLog(
+        log = DetectionLog(
             source=self.source,
             clock=clock,
             cameras=cameras,
@@ -246,3 +247,18 @@ class LogRows:
             frames_from=frames_from,
             notes=tuple(notes),
         )
+        return _once(log)
+
+
+def _once(log: DetectionLog) -> DetectionLog:
+    """The log with each detection once, and a remark if some are there again."""
+    sure = np.nan_to_num(log.confidence, nan=NOT_GIVEN)
+    _, first = np.unique(np.column_stack([log.frame, log.label, sure, log.boxes_px]), axis=0, return_index=True)
+    again = np.setdiff1d(np.arange(len(log.frame)), first)
+    if not len(again):
+        return log
+    kept, when = np.sort(first), log.when(float(log.time_s[log.frame[again[0]]]))
+    which = f"{counted(len(again), 'detection is', 'detections are')} there a second time (first at {when})"
+    note = f"{log.source}: {which}, with the same time, box, class and confidence: each counts once"
+    columns = {name: getattr(log, name)[kept] for name in ("frame", "label", "boxes_px", "confidence")}
+    return replace(log, **columns, notes=(*log.notes, note))

@@ -23,7 +23,7 @@ from modsim3d.tracks.files.row_problems import RowProblems
 from modsim3d.tracks.files.text_table import TextTable
 from modsim3d.voyage.logs.filling import filled
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
-from modsim3d.voyage.logs.times import LEAST_UNIX_S, seconds, utc_s
+from modsim3d.voyage.logs.times import LEAST_UNIX_S, TIME_FORM, seconds, utc_s
 
 _TIMES, _SCORES, _LABELS = ("utc", "time_s", "time", "timestamp"), ("score", "confidence"), ("label", "class")
 _EDGES = BoxForm("edges", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
@@ -57,7 +57,7 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
     cameras = _texts(table, "camera")
     labels, scores = (_texts(table, _first(table, names)) for names in (_LABELS, _SCORES))
     problems = Problems(source, options.skip_bad)
-    values = [None if text is None else seconds(text) for text in scores]
+    values = [None if text is None else _score(text) for text in scores]
     where = [f"{table.problems.word} {line}" for line in table.problems.line.tolist()]
     confidences = None
     if any(value is not None for value in values):
@@ -70,6 +70,12 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
             sides = [left, top, right - left, bottom - top]
             rows.add(frame, where[row], sides, labels[row], values[row])
     return rows.log(clock, _add_frames(path, rows, cameras, time_s, clock, bool(empty.any()), options))
+
+
+def _score(text: str) -> float | str:
+    """A finite number, or the text if it is none."""
+    number = seconds(text)
+    return text if np.isnan(number) else number
 
 
 def read_table(path: Path, source: str) -> TextTable:
@@ -139,12 +145,20 @@ def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
     table.problems.refuse(
         np.isnan(times),
         lambda row: (
-            f"{name} must be seconds, or a time such as 2024-01-04T10:00:00.250Z (got {shown(texts[row])}"
+            f"{name} must be seconds, or a time such as {TIME_FORM} (got {shown(texts[row])}"
             f"{', which may be milliseconds' if texts[row].strip().isdigit() else ''})"
         ),
     )
     table.problems.settle()
-    of_utc |= (times >= LEAST_UNIX_S) | (name == "utc")
+    of_utc |= times >= LEAST_UNIX_S
+    table.problems.refuse(
+        ~of_utc & (name == "utc"),
+        lambda row: (
+            f"utc must be a time such as {TIME_FORM}, or Unix time (got {shown(texts[row])}): seconds since the "
+            "scene's first step are time_s"
+        ),
+    )
+    table.problems.settle()
     table.problems.refuse(of_utc != of_utc[:1].any(), lambda row: f"{name}: some times are UTC and others are not")
     table.problems.settle()
     seconds_from = Clock.STAMP if name == "timestamp" else Clock.STEP
@@ -159,7 +173,9 @@ def _form(table: TextTable, source: str) -> BoxForm:
 
 
 def _got(table: TextTable) -> str:
-    return ", ".join(map(shown, list(table.columns)[:8])) + (", …" if len(table.columns) > 8 else "")
+    names = list(table.columns)
+    one = ": columns must be separated by commas" if len(names) == 1 else ""
+    return ", ".join(map(shown, names[:8])) + (", …" if len(names) > 8 else "") + one
 
 
 def _add_frames(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
@@ -11,12 +12,16 @@ from modsim3d.ais.options import time_text as ais_time_text
 LEAST_UNIX_S = 1e8
 """A number of seconds from here on, March 1973, is Unix time: no scene lasts three years."""
 MOST_S = 1e11
+TIME_FORM = "2024-01-04T10:00:00.250Z"
+"""A time as messages show it."""
+_EXIF_DAY = re.compile(r"(\d{4}):(\d\d):(\d\d)(?= )")
+"""As cameras write a date into their images: 2024:01:04 10:00:00."""
 
 
 def utc_s(text: str) -> float:
-    """Unix time from a date and time of ISO 8601, NaN if it is none; without a zone it is UTC."""
+    """Unix time from a date and time of ISO 8601 or EXIF, NaN if it is none; without a zone it is UTC."""
     try:
-        when = datetime.fromisoformat(text.strip().replace("/", "-"))
+        when = datetime.fromisoformat(_EXIF_DAY.sub(r"\1-\2-\3", text.strip().replace("/", "-"), count=1))
         return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
     except (ValueError, OverflowError):
         return math.nan

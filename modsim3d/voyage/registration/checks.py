@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modsim3d.arrays import Array
+from modsim3d.display import counted
 from modsim3d.errors import ModsimError
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.registration.aligning import Alignment
@@ -17,6 +18,11 @@ LEAST_BEARINGS_DEG = 3.0
 OVER_CHANCE = 1.5
 LEAST_SHARE = 0.15
 """Least share of the detections that a registration has to explain."""
+_NEEDED = f"at least {LEAST_MATCHES} matches of {LEAST_VESSELS} vessels are needed"
+_OTHERWISE = (
+    "The log may be of another place, camera or time; its boxes may be in pixels of another size, or too far off; or "
+    "what the scene says of the camera is: its place, its focal length, or its pitch, by more than 4°"
+)
 
 
 def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None:
@@ -27,10 +33,13 @@ def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None
     """
     if not len(found.frame):
         raise ModsimError("registration: there are no detections")
+    if len(found.frame) < LEAST_MATCHES:
+        raise ModsimError(f"registration: too little to go by: {counted(len(found.frame), 'detection')}, and {_NEEDED}")
     others = int(model.traffic.present.any(axis=0).sum()) - (model.traffic.carrier is not None)
     if others < LEAST_VESSELS:
         raise ModsimError(
-            f"registration: the scene has {others} vessels for the camera to see; at least {LEAST_VESSELS} are needed"
+            f"registration: the scene has {counted(others, 'vessel')} for the camera to see; at least {LEAST_VESSELS} "
+            "are needed"
         )
     low, high = model.traffic.span_s
     first, last = found.times_s[[0, -1]]
@@ -57,16 +66,17 @@ def check_search(voted: Search, model: BoxModel, found: BoxesAtTimes, clocks_s: 
     most = around.guesses[0].votes if around.guesses else 0
     if most > OVER_CHANCE * around.chance and most >= LEAST_SHARE * around.searched and most > 2 * best:
         turn = around.guesses[0].yaw_deg
+        yaw_rad = np.arctan2(*(f(model.traffic.camera.mount.yaw_rad + np.radians(turn)) for f in (np.sin, np.cos)))
         raise ModsimError(
             f"registration: the camera looks another way than {scene.title} says: {most} of {around.searched}"
             f" detections are explained by a camera that is turned by {turn:+.0f}° of yaw, and {best} by one that looks"
-            " as the scene says. Correct the yaw in the scene"
+            f" as the scene says. Correct the yaw in the scene: yaw_rad is about {yaw_rad:.2f}"
         )
+    mirrored = "Mirrored ones fit better: the images may be mirrored" if voted.chance > 2 * best else ""
     raise ModsimError(
         f"registration: the detections do not fit the vessels of {scene.title}: the best clock, within"
         f" {max(abs(clocks_s)):g} s, and the best yaw explain {best} of {voted.searched} detections, and"
-        f" {voted.chance} of mirrored detections, which cannot be right. The log may be of another place, camera or"
-        " time"
+        f" {voted.chance} of mirrored detections, which cannot be right. {mirrored or _OTHERWISE}"
     )
 
 
@@ -81,8 +91,8 @@ def check_matches(model: BoxModel, aligned: Alignment, names: tuple[str, ...]) -
     if len(vessels) < LEAST_VESSELS or len(seen) < LEAST_MATCHES:
         who = ", ".join(names[vessel] for vessel in vessels) or "none"
         raise ModsimError(
-            f"registration: too little to go by: {len(seen)} matches of {len(vessels)} vessels ({who}); at least"
-            f" {LEAST_MATCHES} matches of {LEAST_VESSELS} vessels are needed"
+            f"registration: too little to go by: {counted(len(seen), 'match', 'matches')} of "
+            f"{counted(len(vessels), 'vessel')} ({who}); {_NEEDED}"
         )
     _check_bearings(model, seen.boxes_px, "matched vessels")
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.errors import ModsimError
 from modsim3d.voyage.registration.aligning import Aligner, Alignment
 from modsim3d.voyage.registration.covariance import Knowledge, Linear, wider
 from modsim3d.voyage.registration.determined import COMMON_DELAY
@@ -182,12 +183,19 @@ class _Round:
 def _with_drift(
     aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None, noise_m: float
 ) -> Estimated:
-    """The same where positions drift besides: linear fits, since all but the wrong matches is nearly linear."""
+    """The same where positions drift besides: linear fits, since all but the wrong matches is nearly linear.
+
+    Raises:
+        ModsimError: Positions drift so far that no match is left.
+    """
     late = np.array([0.0, 0.0, 0.0 if offsets_m is None else DELAY_S])
     first_m = FIRST_M if offsets_m is None else offsets_m
     constant, together = np.array([first_m, first_m, 0.0]) + late, 1.0
     for _ in range(DRIFT_ROUNDS):
-        fitted = _round(aligner, aligner.matched(aligned), free, constant, late, noise_m, together)
+        matched = aligner.matched(aligned)
+        if not len(matched.sightings):
+            raise ModsimError(f"registration: no match is left where positions are off by {noise_m:g} m")
+        fitted = _round(aligner, matched, free, constant, late, noise_m, together)
         aligned, rows, vessel = fitted.aligned, fitted.rows, fitted.aligned.residuals.vessel
         together = _together(rows.whitened(fitted.axes / np.sqrt(together), vessel), free, aligned.residuals)
         steady = rows.whitened(fitted.drifts / np.sqrt(together), vessel)

@@ -103,6 +103,7 @@ def register(
     fits += [_fitted_from(rival, last, lost, free, offsets_m, noise_m) for rival in rivals]
     estimated, known = _best(last, fits, free)
     aligned, linear, effects = estimated.aligned, estimated.linear, estimated.effects
+    check_matches(model, aligned, scene.vessel_names)
     rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
     rules |= {name: "mean errors are taken to be zero" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
     rules |= {group.held: f"not determined: {group.words()}" for group in groups}

@@ -18,7 +18,7 @@ _COVERAGE = (
 )
 _KEY = (
     "Blue: vessels that were matched. Red, dashed: vessels that were missed. Orange: detections of nothing known. The "
-    "grey line is the horizon."
+    "grey line is the horizon. The circle is about what the title names."
 )
 
 

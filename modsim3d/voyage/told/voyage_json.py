@@ -8,16 +8,16 @@ from modsim3d.learn.numbers.resampling import Column
 from modsim3d.voyage.labelled_voyage import Registered
 from modsim3d.voyage.told.registration_table import delay_of, exchanges
 from modsim3d.voyage.told.voyage_report import VoyageReport
+from modsim3d.voyage.truth_noise.taken_off import ComponentNoise
 from modsim3d.voyage.unseen.rates import StateRates
 
 
 def voyage_json(told: VoyageReport) -> dict[str, Any]:
     """Registrations, rates of false positives as bounds, box errors less errors of truth, and coverage."""
-    noise = told.truth_noise
     return {
         "registration": [_registration(each) for each in told.voyage.registered],
         "false_positives_per_image": [_rates(each, told.level) for each in told.rates],
-        "box_errors": [dict(zip(noise.header, row, strict=True)) for row in noise.rows],
+        "box_errors": [_box_error(each) for each in told.taken_off.components()],
         "coverage": [
             {
                 "camera": each.camera,
@@ -51,6 +51,12 @@ def _registration(registered: Registered) -> dict[str, Any]:
     }
 
 
+def _box_error(error: ComponentNoise) -> dict[str, Any]:
+    names = ("learned", "from_errors_of_truth", "at_least", "written")
+    about = {"state": error.state, "component": error.component, "unit": error.unit}
+    return about | dict(zip(names, error.std, strict=True)) | {"upper_bound": error.upper_bound}
+
+
 def _rates(rates: StateRates, level: float) -> dict[str, Any]:
     def found(column: Column | None) -> dict[str, float] | None:
         if column is None:
@@ -61,7 +67,7 @@ def _rates(rates: StateRates, level: float) -> dict[str, Any]:
     return {
         "state": rates.state,
         "unmatched": rates.unmatched,
-        "like_vessels": found(rates.vessel_share),
+        "like_vessels": found(rates.vessel_share if rates.mixture else None),
         "least": found(rates.lower),
         "by_lifetimes": found(rates.mixture),
         "most": found(rates.upper),

@@ -32,6 +32,25 @@ _SLOW = 5.0
 """Errors of truth last for ever, compared with those of the detector, if they last so many times as long."""
 
 
+@dataclass(frozen=True)
+class ComponentNoise:
+    """Errors of one component of boxes in one state.
+
+    Attributes:
+        state: The state.
+        component: `x`, `y`, `width` or `height`.
+        unit: `px`, or `of the side`.
+        std: Standard deviations: as learned, from errors of truth, at least, and as written; NaN where unknown.
+        upper_bound: Whether errors of truth were not taken off.
+    """
+
+    state: str
+    component: str
+    unit: str
+    std: tuple[float, ...]
+    upper_bound: bool
+
+
 @dataclass(frozen=True, eq=False)
 class TakenOff:
     """A detector of which the errors of truth are taken off.
@@ -87,18 +106,27 @@ class TakenOff:
         else:
             yield f"persistence.{key}: an upper bound; errors of truth persist for about as long"
 
-    def rows(self) -> list[tuple[str, ...]]:
-        """A row of `HEADER` for each state and component."""
-        rows = []
+    def components(self) -> Iterator[ComponentNoise]:
+        """The errors of each state and component of boxes."""
         for name, found in zip(self.learned.observed.states, self.states, strict=True):
             if found is None:
                 continue
+            unit = "px" if found.errors.unit != "relative" else "of the side"
+            columns = np.stack([found.before, found.noise_std, found.at_least, found.after])
             for k, component in enumerate(("x", "y", "width", "height")):
-                unit = "px" if found.errors.unit != "relative" else "of the side"
-                columns = found.before, found.noise_std, found.at_least, found.after
-                numbers = ("–" if np.isnan(each[k]) else f"{float(each[k]):.3g}" for each in columns)
-                rows.append((name, component, unit, *numbers, "" if found.taken_off[k] else "upper bound"))
-        return rows
+                std = tuple(columns[:, k].tolist())
+                yield ComponentNoise(name, component, unit, std, not found.taken_off[k])
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """A row of `HEADER` for each state and component."""
+        return [
+            (
+                *(each.state, each.component, each.unit),
+                *("–" if np.isnan(std) else f"{std:.3g}" for std in each.std),
+                "upper bound" if each.upper_bound else "",
+            )
+            for each in self.components()
+        ]
 
 
 TITLE = "Standard deviations of box errors, with and without errors of truth"

@@ -160,8 +160,8 @@ def judge(observed: Observed, stretches: tuple[Stretch, ...] = (), least_s: floa
     empty = in_stretches(stretches, images.time_s) & (observed.image_state >= 0)
     for stretch in stretches:
         if not (in_stretches((stretch,), images.time_s) & empty).any():
-            low, high = np.nanmin(images.time_s), np.nanmax(images.time_s)
-            raise InputError("--empty", [f"{stretch}: no frame lies in it; they are from {low:g} s to {high:g} s"])
+            low, high = (stretch.when(float(end)) for end in (np.nanmin(images.time_s), np.nanmax(images.time_s)))
+            raise InputError("--empty", [f"{stretch}: no frame lies in it; they are from {low} to {high}"])
     links = link(observed)
     things = things_of(links, images)
     kinds = kinds_of(things, np.ones((1, len(things.detections))), links.gap_s, least_s)
@@ -185,6 +185,9 @@ def _scaled_share(column: Column, rate: StateRates, free: float) -> Column:
     share = scaled / (1 + scaled)
     true = float(column.counts * (1 - value[0]))
     false = float(rate.used.estimate * rate.used.counts)
-    # The variance of the logarithm of the odds is 1 / false + 1 / true, as if of so many observations.
-    worth = 1 / (1 / max(false, 0.5) + 1 / max(true, 0.5)) / max(float(share[0] * (1 - share[0])), 1e-9)
+    if share[0] > 0:
+        # The variance of the logarithm of the odds is 1 / false + 1 / true, as if of so many observations.
+        worth = 1 / (1 / max(false, 0.5) + 1 / max(true, 0.5)) / max(float(share[0] * (1 - share[0])), 1e-9)
+    else:  # none was false of the true ones in the images that tell the rate
+        worth = true * float(rate.used.counts) / max(rate.images, 1)
     return replace(column, values=share, counts=np.array(worth), inflation=max(column.inflation, rate.used.inflation))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import shown
+from modsim3d.voyage.logs.times import LEAST_UNIX_S, time_text, utc_s
 
 _SECONDS = re.compile(r"([0-9]+(?:\.[0-9]*)?)-([0-9]+(?:\.[0-9]*)?)")
 _FORM = (
@@ -22,14 +22,25 @@ _FORM = (
 
 @dataclass(frozen=True)
 class Stretch:
-    """From one time to another, both in seconds since the scene's first step."""
+    """From one time to another, both in seconds since the scene's first step.
+
+    Attributes:
+        start_s: Unix time of that step if the stretch was given in UTC, to show it so.
+    """
 
     first_s: float
     last_s: float
+    start_s: float | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         """As it is given."""
-        return f"{self.first_s:g}-{self.last_s:g}"
+        if self.start_s is None:
+            return f"{self.first_s:g}-{self.last_s:g}"
+        return f"{self.when(self.first_s)}/{self.when(self.last_s)}"
+
+    def when(self, time_s: float) -> str:
+        """A time since the scene's first step, in words."""
+        return f"{time_s:g} s" if self.start_s is None else time_text(self.start_s + time_s)
 
 
 def parse_stretches(text: str, start_s: float | None) -> tuple[Stretch, ...]:
@@ -64,25 +75,13 @@ def in_stretches(stretches: tuple[Stretch, ...], time_s: Array) -> Mask:
 
 def _stretch(part: str, start_s: float | None) -> Stretch | str:
     """A stretch, or what is wrong with it."""
-    if "/" in part:
-        ends = [_utc_s(each) for each in part.split("/")]
-        if len(ends) != 2 or any(math.isnan(each) for each in ends):
-            return f"{_FORM} (got {shown(part)})"
-        if start_s is None:
-            return f"{part}: is in UTC, and the scene does not say when it starts: give seconds since its first step"
-        first_s, last_s = (each - start_s for each in ends)
-    else:
-        found = _SECONDS.fullmatch(part)
-        if found is None:
-            return f"{_FORM} (got {shown(part)})"
-        first_s, last_s = (float(each) for each in found.groups())
-    return Stretch(first_s, last_s) if first_s < last_s else f"{part}: must end after it begins"
-
-
-def _utc_s(text: str) -> float:
-    """Unix time of a date and time, NaN if the text is none; without a zone it is UTC."""
-    try:
-        when = datetime.fromisoformat(text.strip())
-    except ValueError:
-        return math.nan
-    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+    seconds = _SECONDS.fullmatch(part)
+    ends = [float(each) for each in seconds.groups()] if seconds else [utc_s(each) for each in part.split("/")]
+    if len(ends) != 2 or any(math.isnan(each) for each in ends):
+        return f"{_FORM} (got {shown(part)})"
+    utc = not seconds or min(ends) >= LEAST_UNIX_S
+    if utc and start_s is None:
+        return f"{part}: is in UTC, and the scene does not say when it starts: give seconds since its first step"
+    zero = start_s if utc and start_s is not None else 0.0
+    first_s, last_s = (each - zero for each in ends)
+    return Stretch(first_s, last_s, zero if utc else None) if first_s < last_s else f"{part}: must end after it begins"

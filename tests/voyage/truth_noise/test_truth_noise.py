@@ -144,6 +144,9 @@ def test_an_upper_bound_is_the_learned_covariance_and_is_said(watched):
     assert after["covariance"][2][2] < before["covariance"][2][2]
     assert any("an upper bound in e_x" in said for said in found.sentences())
     assert [row[-1] for row in found.rows()] == ["upper bound", "", "", ""]
+    assert [each.upper_bound for each in found.components()] == [True, False, False, False]
+    learned_std, _, _, written_std = zip(*(each.std for each in found.components()), strict=True)
+    assert [a == b for a, b in zip(learned_std, written_std, strict=True)] == [True, False, False, False]
 
 
 def test_a_camera_without_known_pairs_takes_nothing_off(watched):

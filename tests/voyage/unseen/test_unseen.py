@@ -140,6 +140,27 @@ def test_marked_stretches_give_the_rate_themselves():
     assert rows_of((rate,), 0.95)[0][-1] == "the stretches marked as empty"
 
 
+def test_an_empty_stretch_without_a_false_positive_leaves_the_rate_uncertain():
+    """Of n images without any, 95 % intervals of the rate reach to about 3 / n, and those of the share as far."""
+    labelled = voyage(1)
+    seen = observed(labelled)
+    time_s = labelled.images.time_s[labelled.results.image]
+    kept = np.ones(len(time_s), dtype=bool)
+    kept[seen.false[(time_s[seen.false] >= 20) & (time_s[seen.false] <= 24)]] = False
+    columns = {name: None if each is None else each[kept] for name, each in vars(labelled.results).items()}
+    labelled = replace(labelled, results=Results(**columns))
+    report, _ = learn_beside_unseen(
+        labelled, Settings(replicates=40, without=PLAIN), LearnOptions(), (Stretch(20, 24),)
+    )
+    (low, high), (_, most) = (
+        interval(report.learned, f"false_{name}") for name in ("discovery_rate", "positives_per_image")
+    )
+    matched = len(seen.matched.pairs[0]) / len(labelled.images)
+    assert low == 0
+    assert high / (1 - high) == pytest.approx(most / matched, rel=0.5)
+    assert most > 2 / (labelled.images.time_s <= 4).sum()
+
+
 def test_faint_detections_of_an_unseen_vessel_are_left_out_too():
     labelled = voyage(0)
     before = judge(observed(labelled))
@@ -156,8 +177,12 @@ def test_stretches_are_read_in_seconds_and_in_utc():
     assert parse_stretches("120-300, 900-1000.5", None) == (Stretch(120, 300), Stretch(900, 1000.5))
     utc = "2024-01-04T10:02:00Z/2024-01-04T10:05:00Z"
     assert parse_stretches(utc, start) == (Stretch(120, 300),)
+    assert [str(each) for each in parse_stretches(utc, start)] == [utc]
+    assert parse_stretches("1704362520-1704362700", start) == (Stretch(120, 300),)
     with pytest.raises(InputError, match="does not say when it starts"):
         parse_stretches(utc, None)
+    with pytest.raises(InputError, match="does not say when it starts"):
+        parse_stretches("1704362520-1704362700", None)
     for text in ("", "5", "300-120", "a-b", "1-2-3", "-5-9", "2024-01-04T10:02:00Z/never"):
         with pytest.raises(InputError, match="--empty"):
             parse_stretches(text, start)
@@ -166,6 +191,9 @@ def test_stretches_are_read_in_seconds_and_in_utc():
 def test_a_stretch_without_frames_is_refused():
     with pytest.raises(InputError, match="5000-6000: no frame lies in it; they are from 0 s to"):
         judge(observed(voyage(0, frames=60)), (Stretch(5000, 6000),))
+    utc = "2024-01-04T10:02:00Z/2024-01-04T10:05:00Z"
+    with pytest.raises(InputError, match=f"{utc}: no frame lies in it; they are from 2024-01-03T10:00:00Z to"):
+        judge(observed(voyage(0, frames=60)), parse_stretches(utc, 1704276000.0))
 
 
 @pytest.mark.parametrize("timed", [True, False])
