@@ -20,9 +20,6 @@ from modsim3d.vessels.obstacles import Obstacle, extruded, placed
 from modsim3d.vessels.shapes import find_shape
 from modsim3d.vessels.vessel import Solid
 
-MOST_FACES_OF_CONVEX = 64
-"""A convex mesh with more faces is treated as not convex, because sorting by its planes would take too long."""
-
 
 class SceneMeshes:
     """The meshes that a scene names. Equal entries of one folder share a solid, so that they are handled together."""
@@ -43,9 +40,7 @@ class SceneMeshes:
         """
         key = orjson.dumps([str(folder), entry], default=str)
         if key not in self._solids:
-            solid = self._load(entry, folder, source, *path)
-            few = len(solid.faces) <= MOST_FACES_OF_CONVEX
-            self._solids[key] = replace(solid, convex=solid.convex and few)
+            self._solids[key] = self._load(entry, folder, source, *path)
         return self._solids[key]
 
     def _load(self, entry: object, folder: Path, source: str, *path: object) -> Solid:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import os
@@ -21,8 +22,10 @@ import yaml
 from modsim3d.errors import InputError
 from modsim3d.vessels.meshes import MAX_FACES, MAX_VERTICES, load_mesh, shipped_meshes
 from modsim3d.vessels.meshes.glb import read_glb
+from modsim3d.vessels.meshes.glb_parts import glb_parts
 from modsim3d.vessels.meshes.headers import read_obj
 from modsim3d.vessels.meshes.limits import Refused, leads_outside
+from modsim3d.vessels.meshes.parts import joined
 from modsim3d.vessels.meshes.reading import Axis
 from modsim3d.vessels.meshes.shape import axis, is_closed, signed_volume, vehicle_R_file
 from modsim3d.vessels.vessel import Solid, shoebox
@@ -208,17 +211,66 @@ def test_nodes_are_placed_by_their_transforms_and_a_mirrored_one_is_not_inside_o
     assert signed_volume(solid.vertices, solid.faces) == pytest.approx(2 * 0.25 / 6)
 
 
-def test_each_primitive_is_handed_on_as_a_mesh_of_its_own(tmp_path: Path) -> None:
+def by_trimesh(content: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of all parts of a GLB file, as trimesh reads them; parts that mirror are not reversed."""
+    scene = trimesh.load_scene(io.BytesIO(content), file_type="glb", skip_materials=True, process=False)
+    vertices, faces = [], []
+    for name in scene.graph.nodes_geometry:
+        transform, geometry = scene.graph[name]
+        if isinstance(part := scene.geometry[geometry], trimesh.Trimesh):  # lines and points are other objects
+            faces.append(part.faces + sum(map(len, vertices)))
+            vertices.append(trimesh.transform_points(part.vertices, transform))
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def assert_read_as_by_trimesh(content: bytes) -> None:
+    for got, want in zip(
+        joined(glb_parts(read_glb(io.BytesIO(content), len(content)))), by_trimesh(content), strict=True
+    ):
+        np.testing.assert_array_equal(got, want)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_mesh_is_read_as_by_trimesh(name: str) -> None:
+    assert_read_as_by_trimesh(shipped_meshes()[name].read_bytes())
+
+
+def test_parts_have_the_order_and_the_place_that_trimesh_gives_them() -> None:
+    description, data = wedge_description()
+    one = description["meshes"][0]["primitives"][0]
+    shapes = ({**one, "mode": mode} for mode in (4, 5, 1))
+    description["meshes"] = [
+        *({"primitives": [shape]} for shape in shapes),
+        {"primitives": [{"attributes": {"POSITION": 2}}]},
+    ]
+    description["accessors"].append(
+        {"bufferView": 2, "byteOffset": 4, "componentType": 5122, "count": 3, "type": "VEC3"}
+    )
+    description["bufferViews"].append({"buffer": 1, "byteLength": 40, "byteStride": 10})
+    numbers = base64.b64encode(np.arange(20, dtype="<i2").tobytes()).decode()
+    description["buffers"].append({"byteLength": 40, "uri": f"data:application/octet-stream;base64,{numbers}"})
+    description["scenes"] = [{"nodes": [7, 0]}]
+    description["nodes"] = [
+        {"children": [1, 2, 3], "translation": [0.1, 0.2, 5.3], "rotation": [0.1, -0.4, 0.2, 0.7]},
+        {"mesh": 0, "scale": [1.1, 1.3, 0.7], "rotation": [0.0, 0.6, 0.0, 0.8], "children": [4, 5]},
+        {"mesh": 1, "rotation": [0.0, 0.0, 0.0, 0.0]},
+        {"mesh": 2},
+        {"mesh": 0, "matrix": [1, 0, 0, 0, 0, 0.8, 0.6, 0, 0, -0.6, 0.8, 0, -3, 0.3, 0.1, 1]},
+        {"children": [6], "scale": [3, 1, 2]},
+        {"mesh": 3, "translation": [1, 2, 3]},
+        {"mesh": 3, "scale": [2, 2, 2]},
+    ]
+    assert_read_as_by_trimesh(glb(description, data))
+
+
+def test_every_primitive_of_a_mesh_is_read(tmp_path: Path) -> None:
     """Trimesh loses primitives of one mesh whose random names coincide, of 12 000 a dozen."""
     description, data = wedge_description()
     description["meshes"][0]["primitives"] *= 100
     description["nodes"][0]["scale"] = [2, 1, 1]
-    content = glb(description, data)
-    handed_on = read_glb(io.BytesIO(content), len(content))
-    text = json.loads(handed_on[20 : 20 + struct.unpack("<I", handed_on[12:16])[0]])
-    assert [len(mesh["primitives"]) for mesh in text["meshes"]] == [1] * 100
-    (tmp_path / "parts.glb").write_bytes(content)
-    assert len(load_mesh("parts.glb", tmp_path).faces) == 400
+    (tmp_path / "parts.glb").write_bytes(glb(description, data))
+    got = load_mesh("parts.glb", tmp_path)
+    assert len(got.faces) == 400 and len(got.vertices) == 4
 
 
 def test_an_inside_out_mesh_is_turned(tmp_path: Path) -> None:
@@ -442,6 +494,10 @@ REFUSED = {
     "noscene.glb": (changed(scenes=[]), "has no scene 0"),
     "nomesh.glb": (changed(nodes=[{"mesh": 7}]), "has no mesh 7"),
     "nonode.glb": (changed(scenes=[{"nodes": [5]}]), "has no node 5"),
+    "corners.glb": (wedge_with("accessors", 1, count=11), "has triangles with 11 corners"),
+    "nobase64.glb": (wedge_with("buffers", 0, uri="data:,abc"), "has data in buffer 0 that is not base64"),
+    "padding.glb": (wedge_with("buffers", 0, uri="data:;base64,A"), "has data in buffer 0 that is not base64"),
+    "shortdata.glb": (wedge_with("buffers", 0, uri="data:;base64,AAAA"), "has only 3 bytes of data in buffer 0"),
     "fan.glb": (wedge_with("meshes", 0, primitives=[{"attributes": {"POSITION": 0}, "mode": 6}]), "triangle fans"),
     "type.glb": (wedge_with("accessors", 0, count="many"), "accessors[0].count: Input should be a valid integer"),
     "json.glb": (glb({}).replace(b"{}", b"{x"), "is not JSON"),
@@ -543,6 +599,9 @@ def test_any_damaged_file_is_refused_or_a_solid(tmp_path: Path) -> None:
                 assert np.isfinite(solid.vertices).all() and solid.faces.max() < len(solid.vertices)
 
 
-def test_importing_modsim3d_and_its_meshes_loads_no_trimesh() -> None:
-    code = "import modsim3d, modsim3d.vessels.meshes, sys; sys.exit('trimesh' in sys.modules)"
+def test_neither_importing_modsim3d_nor_reading_the_shipped_meshes_loads_trimesh_or_qhull() -> None:
+    code = (
+        "import modsim3d, modsim3d.vessels.meshes, sys; modsim3d.load_scene('strait'); "
+        "sys.exit('trimesh' in sys.modules or 'scipy.spatial' in sys.modules)"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

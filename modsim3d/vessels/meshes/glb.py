@@ -1,7 +1,7 @@
-"""Binary glTF 2.0: checked against its own description, and reduced to the geometry.
+"""Binary glTF 2.0: its description, checked against itself and its data.
 
 Section numbers are those of the glTF 2.0 specification (The Khronos Group, 2021). Materials, textures, cameras, skins
-and animations are left out of what is handed on, so that nothing can be read through them.
+and animations are not in the description that is read here, so that nothing can be read through them.
 """
 
 from __future__ import annotations
@@ -9,8 +9,10 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, BinaryIO, Literal, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 
@@ -26,7 +28,8 @@ from modsim3d.vessels.meshes.limits import (
 
 MAX_DESCRIPTION_BYTES = 2**23
 MAX_NODES = 2000
-COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""NumPy's name of each type of number (section 3.6.2.2)."""
 POINTS_LINES = (0, 1, 2, 3)
 TRIANGLES, STRIP, FAN = 4, 5, 6
 DRAWN_ONLY = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_")
@@ -42,7 +45,9 @@ class _Part(BaseModel):
     )
 
 
-class _Accessor(_Part):
+class Accessor(_Part):
+    """How to read numbers out of a view (section 3.6.2)."""
+
     buffer_view: Count | None = None
     byte_offset: Count = 0
     component_type: Literal[5120, 5121, 5122, 5123, 5125, 5126]
@@ -51,7 +56,9 @@ class _Accessor(_Part):
     sparse: object = None
 
 
-class _BufferView(_Part):
+class BufferView(_Part):
+    """Bytes of a buffer (section 3.6.1)."""
+
     buffer: Count
     byte_offset: Count = 0
     byte_length: Count
@@ -67,17 +74,21 @@ class _Attributes(_Part):
     position: Count | None = Field(default=None, alias="POSITION")
 
 
-class _Primitive(_Part):
+class Primitive(_Part):
+    """Triangles, lines or points (section 3.7.2)."""
+
     attributes: _Attributes
     indices: Count | None = None
     mode: Annotated[int, Field(strict=True, ge=0, le=6)] = TRIANGLES
 
 
 class _Mesh(_Part):
-    primitives: list[_Primitive]
+    primitives: list[Primitive]
 
 
-class _Node(_Part):
+class Node(_Part):
+    """A place in the scene, in that of the node above it (section 3.5)."""
+
     children: list[Count] | None = None
     mesh: Count | None = None
     matrix: Annotated[list[Number], Field(min_length=16, max_length=16)] | None = None
@@ -94,21 +105,31 @@ class _Image(_Part):
     uri: str | None = None
 
 
-class _Gltf(_Part):
+class Gltf(_Part):
+    """What a file describes."""
+
     asset: dict[str, object] = {}
     scene: Count = 0
     scenes: list[_Scene] = []
-    nodes: Annotated[list[_Node], Field(max_length=MAX_NODES)] = []
+    nodes: Annotated[list[Node], Field(max_length=MAX_NODES)] = []
     meshes: list[_Mesh] = []
-    accessors: list[_Accessor] = []
-    buffer_views: list[_BufferView] = []
+    accessors: list[Accessor] = []
+    buffer_views: list[BufferView] = []
     buffers: list[_Buffer] = []
     images: list[_Image] = []
     extensions_required: list[str] = []
 
 
-def read_glb(file: BinaryIO, size: int) -> bytes:
-    """The content of a GLB file, reduced to the meshes of its scene.
+@dataclass(frozen=True, eq=False)
+class Glb:
+    """The description of a GLB file, and its binary chunk."""
+
+    description: Gltf
+    binary: bytes
+
+
+def read_glb(file: BinaryIO, size: int) -> Glb:
+    """The content of a GLB file.
 
     Raises `Refused` if it is not GLB, contradicts itself, is too large, or refers to other files.
     """
@@ -129,23 +150,21 @@ def read_glb(file: BinaryIO, size: int) -> bytes:
     _check_counts(gltf)
     check_size(size, MAX_GLB_BYTES)
     rest = file.read(size)
-    _check_ranges(gltf, struct.unpack("<I", rest[:4])[0] if len(rest) >= 8 and rest[4:8] == b"BIN\0" else 0)
-    text = json.dumps(_geometry_only(gltf)).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + rest
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    binary = rest[8 : 8 + struct.unpack("<I", rest[:4])[0]] if rest[4:8] == b"BIN\0" else b""
+    _check_ranges(gltf, len(binary))
+    return Glb(gltf, binary)
 
 
-def _parse(description: bytes) -> _Gltf:
+def _parse(description: bytes) -> Gltf:
     try:
-        return _Gltf.model_validate(json.loads(description))
+        return Gltf.model_validate(json.loads(description))
     except ValidationError as error:
-        raise Refused(f"has a faulty description: {describe(error, _Gltf)[0]}") from None
+        raise Refused(f"has a faulty description: {describe(error, Gltf)[0]}") from None
     except (ValueError, RecursionError) as error:
         raise Refused(f"has a description that is not JSON ({type(error).__name__}): is it damaged?") from None
 
 
-def _check_references(gltf: _Gltf) -> None:
+def _check_references(gltf: Gltf) -> None:
     """Refuse geometry in other files, and references that are remote or lead out of the folder."""
     for image in gltf.images:
         if image.uri is not None and not image.uri.startswith("data:"):
@@ -166,19 +185,19 @@ def _one_of(items: Sequence[Item], index: int, what: str) -> Item:
     return items[index]
 
 
-def _check_counts(gltf: _Gltf) -> None:
+def _check_counts(gltf: Gltf) -> None:
     """Check faces and vertices of the accessors, each mesh as often as the scene shows it (section 3.7.2)."""
     shown = _times_shown(gltf)
     faces = vertices = 0
     for mesh, times in zip(gltf.meshes, shown, strict=True):
         for primitive in mesh.primitives:
             faces += times * _faces(gltf, primitive)
-            vertices += max(times, 1) * _position_count(gltf, primitive)
+            vertices += max(times, 1) * positions_of(gltf, primitive).count
     check_faces(faces)
     check_vertices(vertices)
 
 
-def _times_shown(gltf: _Gltf) -> list[int]:
+def _times_shown(gltf: Gltf) -> list[int]:
     """Number of times that the scene shows each mesh; its nodes must form trees (section 3.5.2)."""
     if gltf.scene >= len(gltf.scenes):
         raise Refused(f"has no scene {gltf.scene}, only {len(gltf.scenes)}: export it with a scene")
@@ -198,7 +217,7 @@ def _times_shown(gltf: _Gltf) -> list[int]:
     return shown
 
 
-def _accessor(gltf: _Gltf, index: int, kind: str) -> _Accessor:
+def _accessor(gltf: Gltf, index: int, kind: str) -> Accessor:
     """An accessor, which must exist and hold geometry."""
     accessor = _one_of(gltf.accessors, index, "accessor")
     if accessor.type != kind or (kind == "SCALAR" and accessor.component_type not in (5121, 5123, 5125)):
@@ -208,17 +227,28 @@ def _accessor(gltf: _Gltf, index: int, kind: str) -> _Accessor:
     return accessor
 
 
-def _position_count(gltf: _Gltf, primitive: _Primitive) -> int:
+def positions_of(gltf: Gltf, primitive: Primitive) -> Accessor:
+    """The accessor of the positions of a primitive. Raises `Refused` if it has none."""
     if primitive.attributes.position is None:
         raise Refused("has a mesh without positions: is it damaged?")
-    return _accessor(gltf, primitive.attributes.position, "VEC3").count
+    return _accessor(gltf, primitive.attributes.position, "VEC3")
 
 
-def _faces(gltf: _Gltf, primitive: _Primitive) -> int:
+def indices_of(gltf: Gltf, primitive: Primitive) -> Accessor | None:
+    """The accessor of the indices of a primitive, None if its positions are in order. Raises `Refused` for others."""
+    return None if primitive.indices is None else _accessor(gltf, primitive.indices, "SCALAR")
+
+
+def view_of(gltf: Gltf, accessor: Accessor) -> BufferView:
+    """The bytes that an accessor is in. Raises `Refused` if there are none."""
+    if accessor.buffer_view is None or accessor.buffer_view >= len(gltf.buffer_views):
+        raise Refused("has an accessor without data: is it compressed or damaged?")
+    return gltf.buffer_views[accessor.buffer_view]
+
+
+def _faces(gltf: Gltf, primitive: Primitive) -> int:
     """Triangles of a primitive; points and lines are none (section 3.7.2.1)."""
-    corners = _position_count(gltf, primitive)
-    if primitive.indices is not None:
-        corners = _accessor(gltf, primitive.indices, "SCALAR").count
+    corners = (indices_of(gltf, primitive) or positions_of(gltf, primitive)).count
     if primitive.mode == FAN:
         raise Refused("has triangle fans, which are not read: export it with triangles")
     if primitive.mode in POINTS_LINES:
@@ -226,14 +256,14 @@ def _faces(gltf: _Gltf, primitive: _Primitive) -> int:
     return max(corners - 2, 0) if primitive.mode == STRIP else corners // 3
 
 
-def _used(gltf: _Gltf) -> set[int]:
+def _used(gltf: Gltf) -> set[int]:
     """Accessors that hold geometry."""
     primitives = [primitive for mesh in gltf.meshes for primitive in mesh.primitives]
     indices = [index for p in primitives for index in (p.attributes.position, p.indices)]
     return {index for index in indices if index is not None}
 
 
-def _check_ranges(gltf: _Gltf, binary_bytes: int) -> None:
+def _check_ranges(gltf: Gltf, binary_bytes: int) -> None:
     """Refuse accessors that reach beyond their view, and views beyond their buffer (section 3.6.2.4)."""
     for number, view in enumerate(gltf.buffer_views):
         buffer = gltf.buffers[view.buffer] if view.buffer < len(gltf.buffers) else None
@@ -242,36 +272,9 @@ def _check_ranges(gltf: _Gltf, binary_bytes: int) -> None:
             raise Refused(f"has buffer view {number} reaching beyond its data of {limit} bytes: is it damaged?")
     for number in sorted(_used(gltf)):
         accessor = gltf.accessors[number]
-        if accessor.buffer_view is None or accessor.buffer_view >= len(gltf.buffer_views):
-            raise Refused(f"has accessor {number} without data: is it compressed or damaged?")
-        view = gltf.buffer_views[accessor.buffer_view]
-        item = COMPONENT_BYTES[accessor.component_type] * (3 if accessor.type == "VEC3" else 1)
+        view = view_of(gltf, accessor)
+        item = np.dtype(COMPONENTS[accessor.component_type]).itemsize * (3 if accessor.type == "VEC3" else 1)
         end = accessor.byte_offset + (accessor.count - 1) * (view.byte_stride or item) + item
         if end > view.byte_length:
             held = f"{accessor.count} items in {view.byte_length} bytes"
             raise Refused(f"has accessor {number} with {held}: is it cut off?")
-
-
-def _geometry_only(gltf: _Gltf) -> dict[str, object]:
-    """The description of the meshes; other accessors are emptied, which keeps the numbering.
-
-    Each primitive becomes a mesh and a node of its own, since trimesh gives the primitives of a mesh random names and
-    loses those whose names coincide.
-    """
-    kept = gltf.model_dump(by_alias=True, exclude_none=True, exclude={"images", "extensions_required"})
-    used = _used(gltf)
-    empty = {"componentType": 5126, "count": 1, "type": "SCALAR"}
-    kept["accessors"] = [accessor if i in used else empty for i, accessor in enumerate(kept["accessors"])]
-    parts: list[list[int]] = []
-    meshes: list[dict[str, object]] = []
-    for mesh in kept["meshes"]:
-        parts.append([len(meshes) + k for k in range(len(mesh["primitives"]))])
-        meshes += [{"primitives": [primitive]} for primitive in mesh["primitives"]]
-    nodes = kept["nodes"]
-    for node in nodes[:]:
-        if "mesh" in node:
-            own = parts[node.pop("mesh")]
-            node["children"] = [*node.get("children", []), *range(len(nodes), len(nodes) + len(own))]
-            nodes += [{"mesh": part} for part in own]
-    kept["meshes"] = meshes
-    return kept

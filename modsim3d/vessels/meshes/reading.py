@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import BinaryIO, Literal
 
 import numpy as np
 from pydantic import ValidationError
@@ -23,14 +23,17 @@ from modsim3d.errors import InputError
 from modsim3d.inputs.shipped import data_folder
 from modsim3d.inputs.validation import Strict, describe, join_path, nearest, shown
 from modsim3d.vessels.meshes.glb import read_glb
+from modsim3d.vessels.meshes.glb_parts import glb_parts
 from modsim3d.vessels.meshes.headers import read_obj, read_ply, read_stl
-from modsim3d.vessels.meshes.limits import Refused, check_faces, leads_outside
+from modsim3d.vessels.meshes.limits import Refused, leads_outside
+from modsim3d.vessels.meshes.parts import Part, joined
 from modsim3d.vessels.meshes.shape import to_solid
 from modsim3d.vessels.vessel import Solid
 
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Reader = Callable[[BinaryIO, int], bytes]
-READERS: dict[str, Reader] = {".glb": read_glb, ".obj": read_obj, ".stl": read_stl, ".ply": read_ply}
+GLB = ".glb"
+READERS: dict[str, Reader] = {".obj": read_obj, ".stl": read_stl, ".ply": read_ply}
 GLTF_AXES: tuple[Axis, Axis] = ("+z", "+y")
 """Forward and up in every glTF file (glTF 2.0, section 3.4)."""
 PLAIN_AXES: tuple[Axis, Axis] = ("+x", "+z")
@@ -75,7 +78,7 @@ def load_mesh(entry: object, folder: Path, source: str = "mesh", *prefix: object
         raise InputError(source, describe(error, MeshEntry, *where)) from None
     try:
         path = _find(parsed.file, folder)
-        axes = GLTF_AXES if path.suffix.lower() == ".glb" else PLAIN_AXES
+        axes = GLTF_AXES if path.suffix.lower() == GLB else PLAIN_AXES
         forward, up = parsed.forward or axes[0], parsed.up or axes[1]
         if forward[1] == up[1]:
             raise Refused(f"has forward {forward} and up {up}; two different axes are needed")
@@ -91,9 +94,9 @@ def _find(file: str, folder: Path) -> Path:
     if leads_outside(file):
         raise Refused("is remote or outside the scene's folder: put the mesh into that folder, and name it from there")
     suffix = Path(file).suffix.lower()
-    if suffix not in READERS:
+    if suffix not in (GLB, *READERS):
         hint = nearest(file, shipped_meshes())
-        raise Refused(f"is no shipped mesh ({hint}), and no file that ends in one of {', '.join(READERS)}")
+        raise Refused(f"is no shipped mesh ({hint}), and no file that ends in one of {', '.join((GLB, *READERS))}")
     path = folder / file
     try:
         if not path.resolve().is_relative_to(folder.resolve()):
@@ -116,35 +119,27 @@ def _triangles(path: Path) -> tuple[Array, Indices]:
             size = path.stat().st_size
             if size == 0:
                 raise Refused("is empty")
-            content = READERS[suffix](file, size)
+            return joined(glb_parts(read_glb(file, size)) if suffix == GLB else _parts(file, size, suffix))
     except OSError as error:
         raise Refused(f"cannot be read: {error.strerror}") from None
-    return _parse(content, suffix[1:])
 
 
-def _parse(content: bytes, kind: str) -> tuple[Array, Indices]:
-    """All triangles of a file with the transforms of its parts applied, shapes (K, 3) and (F, 3)."""
-    import trimesh  # takes 0.4 s, and most scenes have no mesh
+def _parts(file: BinaryIO, size: int, suffix: str) -> Iterator[Part]:
+    """The parts of a mesh file that trimesh reads."""
+    import trimesh  # takes 0.4 s, and most meshes are in GLB
+
+    content, kind = READERS[suffix](file, size), suffix[1:]
 
     try:
         with _strictly():
             scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, skip_materials=True, process=False)
     except Exception as error:  # a parser may raise anything on a damaged file
         raise Refused(f"cannot be read as {kind.upper()}: {_brief(error)}") from None
-    vertices: list[Array] = []
-    faces: list[Indices] = []
-    count = 0
     for name in scene.graph.nodes_geometry:
         transform, geometry = scene.graph[name]
         part = scene.geometry[geometry]
-        if not isinstance(part, trimesh.Trimesh) or not len(part.faces):
-            continue
-        _check_part(part.vertices, part.faces)
-        faces.append(_mirrored(part.faces, transform) + count)
-        vertices.append(trimesh.transform_points(part.vertices, transform))
-        count += len(part.vertices)
-    check_faces(sum(map(len, faces)))
-    return np.concatenate(vertices), np.concatenate(faces)
+        if isinstance(part, trimesh.Trimesh):
+            yield Part(part.vertices.view(np.ndarray), np.asarray(part.faces, dtype=np.int64), transform)
 
 
 @contextmanager
@@ -159,20 +154,6 @@ def _strictly() -> Iterator[None]:
             yield
     finally:
         log.setLevel(level)
-
-
-def _check_part(vertices: Any, faces: Any) -> None:
-    """Refuse vertices without three coordinates, and faces with vertices that do not exist."""
-    if vertices.shape[1] != 3 or faces.shape[1] != 3:
-        raise Refused(f"has vertices of {vertices.shape[1]} coordinates; three are needed, x, y and z")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise Refused(f"has faces that use vertex {int(faces.max())} of {len(vertices)}: is it damaged?")
-
-
-def _mirrored(faces: Any, transform: Array) -> Indices:
-    """Faces of a part, shape (F, 3), reversed if the transform mirrors: that turns a part inside out."""
-    plain = np.asarray(faces, dtype=np.int64)
-    return plain[:, ::-1] if np.linalg.det(transform[:3, :3]) < 0 else plain
 
 
 def _brief(error: Exception) -> str:

@@ -10,6 +10,8 @@ from modsim3d.vessels.vessel import Solid
 
 SAME_VERTEX = 1e-7
 """Vertices that are closer than this, in units of the box, are merged: STL repeats each, in single precision."""
+MOST_FACES_OF_CONVEX = 64
+"""A convex mesh with more faces is treated as not convex, because sorting by its planes would take too long."""
 EXTENTS = ("length", "beam", "height")
 
 
@@ -54,7 +56,8 @@ def to_solid(vertices: Array, faces: Indices, forward: str, up: str) -> Solid:
     closed = closed and volume != 0.0
     vertices.setflags(write=False)
     faces.setflags(write=False)
-    return Solid(vertices, faces, convex=closed and _is_convex(vertices, abs(volume)), closed=closed)
+    convex = closed and len(faces) <= MOST_FACES_OF_CONVEX and _is_convex(vertices, abs(volume))
+    return Solid(vertices, faces, convex=convex, closed=closed)
 
 
 def _unit_box(vertices: Array) -> Array:
@@ -93,7 +96,7 @@ def signed_volume(vertices: Array, faces: Indices) -> float:
 
 def _is_convex(vertices: Array, volume: float) -> bool:
     """Whether a closed mesh fills its convex hull."""
-    from scipy.spatial import ConvexHull, QhullError
+    from scipy.spatial import ConvexHull, QhullError  # takes 0.1 s
 
     try:
         return bool(np.isclose(ConvexHull(vertices).volume, volume, rtol=1e-9, atol=0.0))
