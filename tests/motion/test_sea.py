@@ -12,7 +12,7 @@ from modsim3d.errors import InputError
 from modsim3d.geometry.rotations import vehicle_R_nominal, world_R_vehicle
 from modsim3d.motion.waves import GRAVITY_M_S2, FloatingVessels, Hull, Passage, Sea, jonswap_sea
 from modsim3d.motion.waves.hull import ROLL_DAMPING, response
-from modsim3d.motion.waves.jonswap import jonswap_shape
+from modsim3d.motion.waves.jonswap import NODES, WEIGHTS, jonswap_shape
 from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
@@ -44,6 +44,12 @@ def test_shape_has_the_scale_factor_of_the_recommended_practice(peakedness):
         lambda w: float(jonswap_shape(np.array(w), 0.7, peakedness)), 0.05, 30, points=(0.6, 0.7, 0.8), limit=200
     )
     assert energy[0] * (1 - 0.287 * np.log(peakedness)) == pytest.approx(0.7 / 5, rel=0.01)
+
+
+def test_bands_are_integrated_by_eight_point_gauss_legendre_quadrature():
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    np.testing.assert_allclose(NODES, nodes[4:], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(WEIGHTS, weights[4:], rtol=0, atol=3e-15)
 
 
 def test_peak_is_raised_by_the_peakedness():
