@@ -519,8 +519,16 @@ def test_a_bad_file_is_refused_in_one_clear_line(file: str, tmp_path: Path) -> N
 
 def test_an_indexless_glb_with_nan_is_refused(tmp_path: Path) -> None:
     description, data = wedge_description()
-    (tmp_path / "nan.glb").write_bytes(glb(description, struct.pack("<f", np.nan) + data[4:]))
-    assert "has 1 of 4 vertices that are NaN" in problem("nan.glb", tmp_path)
+    for nan in (struct.pack("<f", np.nan), struct.pack("<I", 0x7F800001)):  # quiet, and signalling
+        (tmp_path / "nan.glb").write_bytes(glb(description, nan + data[4:]))
+        assert "has 1 of 4 vertices that are NaN" in problem("nan.glb", tmp_path)
+
+
+def test_a_glb_that_is_placed_beyond_all_numbers_is_refused(tmp_path: Path) -> None:
+    description, data = wedge_description()
+    description["nodes"] = [{"children": [number + 1], "scale": [1e9] * 3} for number in range(40)] + [{"mesh": 0}]
+    (tmp_path / "far.glb").write_bytes(glb(description, data))
+    assert "vertices that are NaN, infinite or beyond" in problem("far.glb", tmp_path)
 
 
 def test_harmless_references_are_not_followed(tmp_path: Path) -> None:

@@ -119,7 +119,10 @@ def _triangles(path: Path) -> tuple[Array, Indices]:
             size = path.stat().st_size
             if size == 0:
                 raise Refused("is empty")
-            return joined(glb_parts(read_glb(file, size)) if suffix == GLB else _parts(file, size, suffix))
+            if suffix != GLB:
+                return joined(_parts(file, size, suffix))
+            with np.errstate(all="ignore"):  # vertices that are not finite are refused later
+                return joined(glb_parts(read_glb(file, size)))
     except OSError as error:
         raise Refused(f"cannot be read: {error.strerror}") from None
 
