@@ -263,6 +263,20 @@ def test_parts_have_the_order_and_the_place_that_trimesh_gives_them() -> None:
     assert_read_as_by_trimesh(glb(description, data))
 
 
+def test_any_transforms_give_the_bits_that_trimesh_gives() -> None:
+    description, data = wedge_description()
+    rng = np.random.default_rng(0)
+    sizes = {"rotation": 4, "translation": 3, "scale": 3}
+    some = [{name: rng.uniform(0.1, 2, size).tolist() for name, size in sizes.items()} for _ in range(300)]
+    # Each chain has three nodes, and the last two show the mesh.
+    description["nodes"] = [
+        {**node, **({"mesh": 0} if number % 3 else {}), **({"children": [number + 1]} if number % 3 < 2 else {})}
+        for number, node in enumerate(some)
+    ]
+    description["scenes"] = [{"nodes": list(range(0, 300, 3))}]
+    assert_read_as_by_trimesh(glb(description, data))
+
+
 def test_every_primitive_of_a_mesh_is_read(tmp_path: Path) -> None:
     """Trimesh loses primitives of one mesh whose random names coincide, of 12 000 a dozen."""
     description, data = wedge_description()
@@ -498,6 +512,10 @@ REFUSED = {
     "nobase64.glb": (wedge_with("buffers", 0, uri="data:,abc"), "has data in buffer 0 that is not base64"),
     "padding.glb": (wedge_with("buffers", 0, uri="data:;base64,A"), "has data in buffer 0 that is not base64"),
     "shortdata.glb": (wedge_with("buffers", 0, uri="data:;base64,AAAA"), "has only 3 bytes of data in buffer 0"),
+    "chunk.glb": (
+        changed().replace(struct.pack("<I4s", 72, b"BIN\0"), struct.pack("<I4s", 73, b"BIN\0")),
+        "has 72 bytes",
+    ),
     "fan.glb": (wedge_with("meshes", 0, primitives=[{"attributes": {"POSITION": 0}, "mode": 6}]), "triangle fans"),
     "type.glb": (wedge_with("accessors", 0, count="many"), "accessors[0].count: Input should be a valid integer"),
     "json.glb": (glb({}).replace(b"{}", b"{x"), "is not JSON"),

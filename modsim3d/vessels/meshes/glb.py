@@ -150,7 +150,10 @@ def read_glb(file: BinaryIO, size: int) -> Glb:
     _check_counts(gltf)
     check_size(size, MAX_GLB_BYTES)
     rest = file.read(size)
-    binary = rest[8 : 8 + struct.unpack("<I", rest[:4])[0]] if rest[4:8] == b"BIN\0" else b""
+    announced = struct.unpack("<I", rest[:4])[0] if rest[4:8] == b"BIN\0" else 0
+    binary = rest[8 : 8 + announced]
+    if len(binary) < announced:
+        raise Refused(f"has {len(binary)} bytes of data where it announces {announced}: is it cut off?")
     _check_ranges(gltf, len(binary))
     return Glb(gltf, binary)
 

@@ -107,12 +107,13 @@ def _transform(node: Node) -> Array:
 
 def _rotation(quaternion: Array) -> Array:
     """The rotation by a quaternion x, y, z, w of any length, shape (4,) to (4, 4); none by one of length zero."""
-    squared = float(np.dot(quaternion**2, np.ones(4)))
+    wxyz = quaternion[[3, 0, 1, 2]]
+    (squared,) = np.dot(wxyz[None] ** 2, np.ones(4))  # as trimesh sums, which decides the last bit
     turned = np.eye(4)
     if squared < 4 * np.finfo(float).eps:
         return turned
-    scaled = quaternion * np.sqrt(2.0 / squared)
-    (xx, xy, xz, xw), (_, yy, yz, yw), (_, _, zz, zw), _ = scaled[:, None] * scaled
+    scaled = wxyz * np.sqrt(2.0 / squared)
+    (_, xw, yw, zw), (_, xx, xy, xz), (_, _, yy, yz), (_, _, _, zz) = scaled[:, None] * scaled
     turned[:3, :3] = [
         [1.0 - yy - zz, xy - zw, xz + yw],
         [xy + zw, 1.0 - xx - zz, yz - xw],
