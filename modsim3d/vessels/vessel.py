@@ -38,6 +38,12 @@ class Solid:
     convex: bool = True
     closed: bool = True
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make copies in other processes of this; there too, the shoebox is one object, which `has_mesh` asks for."""
+        if self is shoebox():
+            return shoebox, ()
+        return Solid, (self.vertices, self.faces, self.convex, self.closed)
+
 
 @cache
 def shoebox() -> Solid:

@@ -1,7 +1,10 @@
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import trimesh
 
-from modsim3d.vessels.vessel import shoebox
+from modsim3d.vessels.vessel import Vessel, shoebox
 
 
 def test_shoebox_is_the_closed_box_of_trimesh():
@@ -15,3 +18,13 @@ def test_shoebox_is_the_closed_box_of_trimesh():
     shifted = np.add(reference.vertices, (0, 0, 0.5))
     assert {tuple(v) for v in mesh.vertices} == {tuple(v) for v in shifted}
     assert len(mesh.faces) == len(reference.faces)
+
+
+def test_a_worker_process_knows_which_vessels_have_a_mesh():
+    """A hull without a mesh does not hide what its own camera sees."""
+    box = Vessel("boat", "Vessel", 8.0, 3.0, 2.0)
+    hull = replace(box, solid=replace(shoebox(), convex=False))
+    of_worker = pickle.loads(pickle.dumps((box, hull)))
+    assert [vessel.has_mesh for vessel in of_worker] == [False, True]
+    np.testing.assert_array_equal(of_worker[1].solid.faces, hull.solid.faces)
+    assert not of_worker[1].solid.convex
