@@ -174,7 +174,7 @@ def _serve(pipe: Connection, set_up: Callable[..., AbstractContextManager[Any]],
         worker, problem = None, None
         try:
             worker = opened.enter_context(set_up(*arguments))
-        except ModsimError as error:
+        except Exception as error:
             problem = error
         while message := messages.get():
             _answer(pipe, problem, worker, message)
@@ -199,7 +199,7 @@ def _empty(messages: SimpleQueue[bytes]) -> None:
             messages.get_nowait()
 
 
-def _answer(pipe: Connection, problem: ModsimError | None, worker: Any, message: bytes) -> None:
+def _answer(pipe: Connection, problem: Exception | None, worker: Any, message: bytes) -> None:
     """Send a result and no error, or an error with its traceback as a note."""
     try:
         if problem is not None:
