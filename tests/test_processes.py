@@ -86,6 +86,31 @@ def test_closing_does_not_wait_for_a_task_that_a_worker_takes_meanwhile() -> Non
     assert not closing.is_alive()
 
 
+class ToldByOthers:
+    """An argument that keeps who asked for its state, as is done for a copy of it."""
+
+    def __init__(self) -> None:
+        self.asked_by: list[str] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        self.asked_by.append(threading.current_thread().name)
+        return {"asked_by": []}
+
+
+@contextmanager
+def open_argument(argument: ToldByOthers) -> Iterator[int]:
+    yield 3
+
+
+def test_arguments_are_copied_before_a_worker_of_this_process_may_change_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("modsim3d.processes.may_fork", lambda: False)
+    argument = ToldByOthers()
+    with open_workers(2, "try again", open_argument, argument, here_too=True) as workers:
+        asked_by = list(argument.asked_by)
+        assert list(workers.map(times, range(5))) == [0, 3, 6, 9, 12]
+    assert asked_by == argument.asked_by == [threading.current_thread().name]
+
+
 def test_a_worker_process_that_dies_is_told() -> None:
     with (
         pytest.raises(ModsimError, match=r"a worker process died \(killed, or out of memory\); try again"),
