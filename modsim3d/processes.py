@@ -162,8 +162,9 @@ class _Processes(Generic[W]):
 
     def close(self) -> None:
         """Let the workers end what they do now, and end them."""
-        while not self._tasks.empty():
-            self._tasks.get()
+        with suppress(Empty):
+            while True:
+                self._tasks.get_nowait()
         for process in self._processes:
             process.stop()
             self._tasks.put(None)

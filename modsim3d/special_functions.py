@@ -6,6 +6,7 @@ Importing all of it takes an eighth of a short run's time and 20 MB, for array l
 from __future__ import annotations
 
 import sys
+import threading
 from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
@@ -15,8 +16,12 @@ _PACKAGE, _UFUNCS = "scipy.special", "scipy.special._ufuncs"
 
 
 def _ufuncs() -> ModuleType:
-    """The module of the ufuncs; the whole package where it is loaded anyway, or where SciPy is laid out otherwise."""
-    if _PACKAGE in sys.modules or (found := find_spec(_PACKAGE)) is None:
+    """The module of the ufuncs.
+
+    It is the whole package where that is loaded anyway, where SciPy is laid out otherwise, and where another thread
+    might import it in the moment in which something else is in its place.
+    """
+    if _PACKAGE in sys.modules or threading.active_count() > 1 or (found := find_spec(_PACKAGE)) is None:
         return import_module(_PACKAGE)
     # A module is looked for in its package: for a moment this is one with the same files that does nothing itself.
     package = ModuleType(_PACKAGE)

@@ -47,9 +47,10 @@ class WorkerProcess:
 
     def __init__(self, fork: bool, set_up: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
         """Start the process, a fork of this one or a new interpreter; `set_up` of `arguments` opens its worker."""
+        # Made now: the caller may work with the same arguments as soon as it goes on, which changes what they keep.
+        self._first = None if fork else ForkingPickler.dumps((set_up, arguments))
         self._pipe, other_end = multiprocessing.Pipe()
         self._sending = threading.Lock()
-        self._first: Any = None  # what is sent before the first task
         with other_end:  # closed before the next process is forked, which would hold it too
             if fork:
                 context = multiprocessing.get_context("fork")
@@ -60,7 +61,6 @@ class WorkerProcess:
                 # A script without `if __name__ == "__main__":` would start again in a process of multiprocessing.
                 code = f"from modsim3d.worker_process import serve; serve({other_end.fileno()}, {os.getpid()})"
                 self._wait = new_interpreter(other_end, "-c", code).wait
-                self._first = set_up, arguments
 
     def do_all(self, tasks: SimpleQueue[Task | None], enough: int) -> None:
         """Have tasks done until None comes, and wait for the end of the process.
@@ -93,7 +93,7 @@ class WorkerProcess:
         try:
             with self._sending:
                 if self._first is not None:
-                    self._pipe.send(self._first)
+                    self._pipe.send_bytes(self._first)  # not at once: an interpreter that starts does not read yet
                     self._first = None
                 self._pipe.send((work, piece))
         except OSError:
@@ -174,7 +174,7 @@ def _serve(pipe: Connection, set_up: Callable[..., AbstractContextManager[Any]],
         worker, problem = None, None
         try:
             worker = opened.enter_context(set_up(*arguments))
-        except ModsimError as error:
+        except Exception as error:
             problem = error
         while message := messages.get():
             _answer(pipe, problem, worker, message)
@@ -199,7 +199,7 @@ def _empty(messages: SimpleQueue[bytes]) -> None:
             messages.get_nowait()
 
 
-def _answer(pipe: Connection, problem: ModsimError | None, worker: Any, message: bytes) -> None:
+def _answer(pipe: Connection, problem: Exception | None, worker: Any, message: bytes) -> None:
     """Send a result and no error, or an error with its traceback as a note."""
     try:
         if problem is not None:

@@ -6,16 +6,20 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
 
 import pytest
 
 from modsim3d.errors import ModsimError
-from modsim3d.processes import open_workers
+from modsim3d.processes import _Processes, open_workers
 
 
 @contextmanager
@@ -47,6 +51,64 @@ def test_an_error_in_setting_up_a_worker_is_told(count: int) -> None:
         open_workers(count, "try again", open_factor, -1) as workers,
     ):
         list(workers.map(times, [1]))
+
+
+@contextmanager
+def open_file(path: Path) -> Iterator[bytes]:
+    yield path.read_bytes()
+
+
+def test_a_worker_that_cannot_be_set_up_for_another_reason_says_which(tmp_path: Path) -> None:
+    with (
+        pytest.raises(FileNotFoundError, match="missing"),
+        open_workers(2, "try again", open_file, tmp_path / "missing") as workers,
+    ):
+        list(workers.map(times, [1]))
+
+
+class TakenByAnother(SimpleQueue[Any]):
+    """A queue whose last entry another thread takes right after this one has seen that it is not empty."""
+
+    def empty(self) -> bool:
+        was_empty = super().empty()
+        if not was_empty:
+            self.get()
+        return was_empty
+
+
+def test_closing_does_not_wait_for_a_task_that_a_worker_takes_meanwhile() -> None:
+    processes: _Processes[int] = _Processes([], 2, "try again")
+    processes._tasks = TakenByAnother()
+    processes._tasks.put((Future(), times, 1))
+    closing = threading.Thread(target=processes.close, daemon=True)
+    closing.start()
+    closing.join(5)
+    assert not closing.is_alive()
+
+
+class ToldByOthers:
+    """An argument that keeps who asked for its state, as is done for a copy of it."""
+
+    def __init__(self) -> None:
+        self.asked_by: list[str] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        self.asked_by.append(threading.current_thread().name)
+        return {"asked_by": []}
+
+
+@contextmanager
+def open_argument(argument: ToldByOthers) -> Iterator[int]:
+    yield 3
+
+
+def test_arguments_are_copied_before_a_worker_of_this_process_may_change_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("modsim3d.processes.may_fork", lambda: False)
+    argument = ToldByOthers()
+    with open_workers(2, "try again", open_argument, argument, here_too=True) as workers:
+        asked_by = list(argument.asked_by)
+        assert list(workers.map(times, range(5))) == [0, 3, 6, 9, 12]
+    assert asked_by == argument.asked_by == [threading.current_thread().name]
 
 
 def test_a_worker_process_that_dies_is_told() -> None:

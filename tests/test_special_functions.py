@@ -21,6 +21,14 @@ from modsim3d.special_functions import special
 
 print(special is scipy.special)
 """
+OTHER_THREADS = """
+import threading
+
+threading.Thread(target=threading.Event().wait, daemon=True).start()
+from modsim3d.special_functions import special
+
+print(special.__name__)
+"""
 
 
 def said(code: str) -> list[str]:
@@ -33,3 +41,8 @@ def test_run_does_not_import_the_whole_package() -> None:
 
 def test_package_that_is_there_is_used() -> None:
     assert said(PACKAGE_FIRST) == ["True"]
+
+
+def test_package_is_whole_for_other_threads() -> None:
+    """One that imports it at the same time would find the stand-in, which has no functions."""
+    assert said(OTHER_THREADS) == ["scipy.special"]

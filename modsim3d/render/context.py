@@ -115,12 +115,24 @@ def open_context() -> Iterator[GLContext]:
 def _make_context(backend: str, stack: ExitStack) -> GLContext:
     """Make a context current until the stack is closed."""
     get_address = stack.enter_context(_osmesa_context() if backend == "osmesa" else egl_context())
+    _check_functions(backend)
     get_address.restype = ctypes.c_void_p
     get_address.argtypes = [ctypes.c_char_p]
     _use_reversed_depth(get_address)
     get_string = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_uint)(get_address(b"glGetString"))
     name, version = (get_string(key).decode() for key in (GL_RENDERER, GL_VERSION))
     return GLContext(f"{backend}: {name}, OpenGL {version}")
+
+
+def _check_functions(backend: str) -> None:
+    """Refuse EGL without the library of OpenGL's functions now: they are loaded at the first drawing only."""
+    from OpenGL.platform import PLATFORM
+
+    if not hasattr(PLATFORM.GL, "glClearDepth"):  # it may be that of OpenGL ES
+        raise RendererError(
+            f"the {backend} renderer cannot be used: the library libOpenGL is missing "
+            "(Debian, Ubuntu: apt install libopengl0)"
+        )
 
 
 def prepare_environment(backend: str) -> None:

@@ -8,7 +8,6 @@ apart in depth, which is seen without looking for a plane.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.truth.occlusion_order import order_of_pairs, pairs_by_parts
 from modsim3d.truth.outlines import Outlines, Part
-from modsim3d.vessels.vessel import Solid, shoebox
+from modsim3d.vessels.vessel import Solid, once_a_solid, shoebox
 
 DEPTH_ERROR = 1e-4
 """Solids that are apart by less than this share of their distance are left to the depth buffer. Its 24 bits hold depths
@@ -100,7 +99,7 @@ def _boxes_around(part: Part) -> Array:
     return boxes
 
 
-@cache
+@once_a_solid
 def _corners_from_vertices(solid: Solid) -> Array:
     """What turns the vertices of a vessel's solid into the corners of its box, wherever it is, shape (8, K)."""
     unit, corners = (np.column_stack([each.vertices, np.ones(len(each.vertices))]) for each in (solid, shoebox()))

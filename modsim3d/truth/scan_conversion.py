@@ -20,7 +20,6 @@ the result with drawn buffers.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -28,12 +27,12 @@ from modsim3d.arrays import Array, Indices, Mask, ranges
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.truth.pixel_spans import Spans
 from modsim3d.truth.silhouettes import doubled_areas
-from modsim3d.vessels.vessel import Solid
+from modsim3d.vessels.vessel import Solid, once_a_solid
 
 HALF = SUBPIXELS // 2
 
 
-@cache
+@once_a_solid
 def _edges_of(solid: Solid) -> Indices:
     """Start, end, left and right of each edge of a closed solid, shape (4, E).
 

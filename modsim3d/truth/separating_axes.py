@@ -7,12 +7,10 @@ hierarchical structure for rapid interference detection", for boxes). Two shoebo
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.vessels.vessel import Solid
+from modsim3d.vessels.vessel import Solid, once_a_solid
 
 PARALLEL = 1 - 1e-9
 """Unit vectors with a greater dot product count as parallel."""
@@ -55,7 +53,7 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-@cache
+@once_a_solid
 def _distinct_directions(solid: Solid) -> tuple[Indices, Indices]:
     """Faces (N, 3) and edges (E, 2) of which no two are parallel, without edges between triangles of one flat side.
 

@@ -9,7 +9,6 @@ cross scan lines where `scan_conversion` says.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import cache
 
 import numpy as np
 
@@ -17,14 +16,14 @@ from modsim3d.arrays import Array, Indices, Mask, ranges
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.truth.pixel_spans import Spans, joined_spans
 from modsim3d.truth.silhouettes import doubled_face_areas
-from modsim3d.vessels.vessel import Solid
+from modsim3d.vessels.vessel import Solid, once_a_solid
 
 HALF = SUBPIXELS // 2
 MOST_CROSSINGS = 200_000
 """Edges times scan lines that are computed at once; it bounds the memory."""
 
 
-@cache
+@once_a_solid
 def edges_of(solid: Solid) -> Indices:
     """Start, end, left and right face of each edge of a closed solid, shape (4, E).
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, field_validator
@@ -17,6 +19,9 @@ from modsim3d.inputs.validation import MOST_PROBLEMS, Strict, describe, join_pat
 
 if TYPE_CHECKING:
     import trimesh
+
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +42,27 @@ class Solid:
     faces: Indices
     convex: bool = True
     closed: bool = True
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make copies in other processes of this; there too, the shoebox is one object, which `has_mesh` asks for."""
+        if self is shoebox():
+            return shoebox, ()
+        return Solid, (self.vertices, self.faces, self.convex, self.closed)
+
+
+def once_a_solid(work_out: Callable[[Solid], T]) -> Callable[[Solid], T]:
+    """A function whose result for a solid is kept for as long as the solid is there.
+
+    `functools.cache` would keep the solids of all scenes that a process has had: of a campaign, those of each run.
+    """
+    kept: WeakKeyDictionary[Solid, T] = WeakKeyDictionary()
+
+    def result_for(solid: Solid) -> T:
+        if solid not in kept:
+            kept[solid] = work_out(solid)
+        return kept[solid]
+
+    return result_for
 
 
 @cache

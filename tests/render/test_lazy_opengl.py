@@ -20,3 +20,23 @@ print("OpenGL.GL" in sys.modules)
 def test_functions_of_opengl_are_loaded_at_the_first_drawing_but_at_once_for_single_steps() -> None:
     said = subprocess.check_output([sys.executable, "-c", DRAWS_NOTHING], text=True, timeout=60)
     assert said.split() == ["True", "False", "True"]
+
+
+WITHOUT_LIBRARY = """
+import os
+os.environ["MODSIM3D_GL"] = os.environ["PYOPENGL_PLATFORM"] = "egl"
+from OpenGL.platform import PLATFORM
+PLATFORM.GL = None  # as PyOpenGL has it where no library is found
+from modsim3d.errors import RendererError
+from modsim3d.render.context import open_context
+try:
+    with open_context():
+        pass
+except RendererError as error:
+    print(error)
+"""
+
+
+def test_library_of_opengl_that_is_missing_beside_egl_is_told_at_once() -> None:
+    said = subprocess.check_output([sys.executable, "-c", WITHOUT_LIBRARY], text=True, timeout=60)
+    assert "libopengl0" in said

@@ -6,11 +6,13 @@ Damaged blocks, two writers and kills are tried in test_damaged_blocks.py, test_
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import resource
 import shutil
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -114,6 +116,16 @@ def test_a_run_goes_on_after_files_could_not_grow(size, scene, whole, tmp_path):
         run_scene(scene, tmp_path / "run")
     run_scene(scene, tmp_path / "run", resume=True)
     assert content(tmp_path / "run") == whole
+
+
+def test_files_that_could_not_grow_are_all_closed_without_another_error(scene, tmp_path, monkeypatch):
+    unraisable = []
+    monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
+    with no_file_above(5_000):
+        with suppress(ModsimError):
+            run_scene(scene, tmp_path / "run")
+        gc.collect()
+    assert unraisable == []
 
 
 class PowerCutError(Exception):

@@ -142,8 +142,10 @@ class RunDirectory:
             RunDirectoryError: The disk is full, or the files cannot be written for another reason.
         """
         try:
-            self._close_lines()
-            self._close_tables()
+            with ExitStack() as closing:  # where one cannot be closed, the others are closed all the same
+                closing.callback(self._close_lines)
+                for writer in self._writers.values():
+                    closing.callback(writer.close)
         except OSError as failure:
             raise self._unwritable(failure) from failure
         if isinstance(error, OSError):
@@ -154,10 +156,6 @@ class RunDirectory:
             stream.close()
         if self._poses is not None:
             self._poses.close()
-
-    def _close_tables(self) -> None:
-        for writer in self._writers.values():
-            writer.close()
 
     def _unwritable(self, error: OSError) -> RunDirectoryError:
         problem = f"{self.folder} cannot be written to: {error.strerror or error}"
