@@ -93,7 +93,7 @@ def learn_command(
     ] = None,
     run: Annotated[
         list[Path] | None,
-        typer.Option(metavar="RUN", help="Run directory, in place of --truth and --detections; repeatable."),
+        typer.Option("--run", metavar="RUN", help="Run directory, in place of --truth and --detections; repeatable."),
     ] = None,
     scene: SceneOption = None,
     camera: CameraOption = None,

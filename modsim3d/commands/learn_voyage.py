@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 SceneOption = Annotated[
     str | None,
     typer.Option(
+        "--scene",
         metavar="SCENE",
         help="Scene of a voyage, whose vessels are the truth of --detections in place of --truth.",
         autocompletion=complete_scene,

@@ -63,6 +63,7 @@ def run_command(
     mode: Annotated[
         int | None,
         typer.Option(
+            "--mode",
             min=0,
             max=2,
             metavar="MODE",
@@ -71,7 +72,9 @@ def run_command(
     ] = None,
     source: Annotated[
         Source | None,
-        typer.Option(metavar="SOURCE", help="Where the truth comes from: rendered, analytic or rectangles."),
+        typer.Option(
+            "--source", metavar="SOURCE", help="Where the truth comes from: rendered, analytic or rectangles."
+        ),
     ] = None,
     steps: StepsOption = None,
     render: Annotated[

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 TracksOption = Annotated[
     Path | None,
     typer.Option(
+        "--tracks",
         metavar="TRACKS",
         help="Show the tracks of a tracker: a folder of modsim3d track, a .csv file, or MOT (docs/track_files.md).",
     ),

@@ -73,6 +73,7 @@ LayerNames = Annotated[
 Look = Annotated[
     Style | None,
     typer.Option(
+        "--look",
         metavar="LOOK",
         help="How vessels and sea are drawn: shaded or plain.",
         show_default="shaded for scene, plain for detections",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 import typer
@@ -46,6 +46,18 @@ def test_the_help_of_an_option_can_be_read_alone(command: str, parameter: Any) -
 def test_learn_names_every_model_that_can_be_left_out() -> None:
     (said,) = (p.help for name, p in OPTIONS if (name, p.name) == ("learn", "without"))
     assert said.partition(": ")[2].rstrip(".").split(", ") == list(RICHER)
+
+
+def test_options_that_are_called_as_what_they_take_say_their_name() -> None:
+    """Typer 0.27 takes the metavar for the name of an option without one: `--SOURCE` for `--source`."""
+    unnamed = []
+    for _, name, command, _ in COMMANDS:
+        for parameter, hint in get_type_hints(command, include_extras=True).items():
+            for option in getattr(hint, "__metadata__", ()):
+                # In an annotation typer keeps the first name of an option in the place of its default.
+                if isinstance(option, typer.models.OptionInfo) and not isinstance(option.default, str):
+                    unnamed += [f"{name} --{parameter}"] if option.metavar == parameter.upper() else []
+    assert unnamed == []
 
 
 def test_out_has_one_meaning() -> None:
