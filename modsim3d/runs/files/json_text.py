@@ -9,8 +9,11 @@ import orjson
 
 from modsim3d.arrays import Array, Indices
 
-Text = bytes | Sequence[bytes]
-"""A text that is the same in all rows, or one text for each row."""
+Column = bytes | Sequence[bytes] | Array
+"""A text that is the same in all n rows; one for each row; or numbers of shape (n,), or (n, k) with commas between."""
+ROWS_AT_ONCE = 1024
+"""Rows whose texts are made together: those of many more rows take fresh memory, which costs more time than to fill it.
+"""
 
 
 def string_texts(strings: Sequence[str]) -> list[bytes]:
@@ -33,14 +36,14 @@ def list_texts(numbers: Array) -> list[bytes]:
     return orjson.dumps(np.ascontiguousarray(numbers), option=orjson.OPT_SERIALIZE_NUMPY)[2:-2].split(b"],[")
 
 
-def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: Text) -> bytes:
+def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: Column) -> bytes:
     """A line for each frame: its head, the texts of its rows with commas between them, and the tail.
 
     Args:
         heads: What the line of each of F frames begins with.
         tail: What every line ends with.
         frame: The frame of each of n rows, from 0, ascending, shape (n,).
-        columns: The texts that stand side by side in each row.
+        columns: What stands side by side in each row.
     """
     bounds = np.searchsorted(frame, np.arange(len(heads) + 1)).tolist()
     before, between = [b","] * len(frame), b""
@@ -49,8 +52,22 @@ def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: T
             between += head + tail
         else:
             before[start], between = between + head, tail
-    texts: tuple[Text, ...] = (before, *columns)
-    pieces = [between] * (len(frame) * len(texts) + 1)
-    for place, column in enumerate(texts):
-        pieces[place : -1 : len(texts)] = [column] * len(frame) if isinstance(column, bytes) else column
+    starts = range(0, len(frame), ROWS_AT_ONCE)
+    parts = [_joined(slice(start, start + ROWS_AT_ONCE), before, *columns) for start in starts]
+    return b"".join([*parts, between])
+
+
+def _joined(rows: slice, before: Sequence[bytes], *columns: Column) -> bytes:
+    """The texts of some rows, each after what stands before it."""
+    texts = [column if isinstance(column, bytes) else _texts(column[rows]) for column in (before, *columns)]
+    count = len(before[rows])
+    pieces = [b""] * (count * len(texts))
+    for place, text in enumerate(texts):
+        pieces[place :: len(texts)] = [text] * count if isinstance(text, bytes) else text
     return b"".join(pieces)
+
+
+def _texts(column: Sequence[bytes] | Array) -> Sequence[bytes]:
+    if not isinstance(column, np.ndarray):
+        return column
+    return number_texts(column) if column.ndim == 1 else list_texts(column)

@@ -18,7 +18,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.json_text import Text, frame_lines, number_texts, string_texts
+from modsim3d.runs.files.json_text import Column, frame_lines, string_texts
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 
@@ -38,9 +38,9 @@ def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
         part,
         np.searchsorted(part.steps, truth.step[rows]),
         [heads[vessel] for vessel in truth.vessel[rows].tolist()],
-        *_box_texts(boxes),
+        *_box_columns(boxes),
         b',"depth":',
-        number_texts(truth.depth_m[rows]),
+        truth.depth_m[rows],
         b"}}",
     )
 
@@ -61,9 +61,9 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
         frame,
         _keys(scene, vessel, before),
         [labels[label] for label in detections.label[order].tolist()],
-        number_texts(detections.confidence[order]),
+        detections.confidence[order],
         b',"bbox":{',
-        *_box_texts(centre_form(detections.boxes_px[order])),
+        *_box_columns(centre_form(detections.boxes_px[order])),
         b"}}",
     )
 
@@ -116,13 +116,13 @@ def _label_texts(labels: Sequence[str], after: bytes) -> list[bytes]:
     return [b':{"label":' + label + b',"' + after + b'":' for label in string_texts(labels)]
 
 
-def _box_texts(boxes: Array) -> tuple[Text, ...]:
-    """The texts of boxes in centre form, shape (n, 4), up to the width."""
-    x, y, width, height = (number_texts(column) for column in boxes.T)
+def _box_columns(boxes: Array) -> tuple[Column, ...]:
+    """Boxes in centre form, shape (n, 4), up to the width."""
+    x, y, width, height = boxes.T
     return b'"centre":{"x":', x, b',"y":', y, b'},"height":', height, b',"width":', width
 
 
-def _lines(block: Block, part: CameraBlock, frame: Indices, *columns: Text) -> bytes:
+def _lines(block: Block, part: CameraBlock, frame: Indices, *columns: Column) -> bytes:
     timestamps = string_texts(block.timestamps)
     heads = [b"{" + timestamps[step - block.first] + b":{" for step in part.steps.tolist()]
     return frame_lines(heads, b"}}\n", frame, *columns)

@@ -9,7 +9,7 @@ import orjson
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.records import Detections
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.json_text import frame_lines, list_texts, number_texts
+from modsim3d.runs.files.json_text import frame_lines, number_texts
 from modsim3d.runs.told import Told
 from modsim3d.scene.scene import Scene
 
@@ -35,8 +35,8 @@ def detection_lines(detections: Detections, labels: Sequence[str], steps: Indice
         b"]}\n",
         found.frame,
         b'{"box_px":[',
-        list_texts(found.boxes_px),
+        found.boxes_px,
         [names[label] for label in found.label.tolist()],
-        number_texts(found.confidence),
+        found.confidence,
         b"}",
     )
