@@ -40,7 +40,7 @@ class LongTimes(Sequence[str]):
         first = low // TOGETHER
         pieces = (_texts(self.time_step_s, number) for number in range(first, high // TOGETHER + 1))
         texts, before = tuple(chain.from_iterable(pieces)), first * TOGETHER
-        return tuple(texts[step - before] for step in chosen)
+        return texts[low - before : high - before + 1][:: chosen.step]
 
 
 @lru_cache(maxsize=8)
