@@ -199,6 +199,8 @@ class BoxErrorSource:
 
         States have shape (n,), sizes (n, 2), errors and the result (n, ..., 4).
         """
+        if not (self.relative.any() or self.growths.any()):
+            return errors_px
         shape = (len(state), *([1] * (errors_px.ndim - 2)), 4)
         factor, spread = (array.reshape(shape) for array in self._size_factors(state, sizes_px))
         means, scaled = self.means[state].reshape(shape), errors_px / factor

@@ -164,9 +164,10 @@ def _draw(
         correlated = [roots[:, j, k, None] * standard[k] for k in range(j) if roots[:, j, k].any()]
         given, spread = means[:, component, None] + scales * sum(correlated), scales * roots[:, j, j, None]
         growth = errors[2 + component % 2] if component < 2 else means[:, component, None]
-        near = np.flatnonzero(~_far_from_bounds(component, boxes, images, growth, given, spread))
-        drawn = np.empty(chance.shape) if len(near) == len(means) else normals(j).copy()
-        if len(near):
+        far = _far_from_bounds(component, boxes, images, growth, given, spread)
+        drawn = normals(j).copy() if far.any() else np.empty(chance.shape)
+        if not far.all():
+            near = np.flatnonzero(~far) if far.any() else slice(None)  # a slice copies nothing
             bounds = _bounds(component, boxes[near], images[near], growth[near], given[near])
             drawn[near], inside = _within(*bounds, spread[near], uniforms[j, near])
             chance[near] *= inside
@@ -194,12 +195,12 @@ def _bounds(component: int, boxes: Array, images: Array, growth: Array, given: A
 def _far_from_bounds(component: int, boxes: Array, images: Array, growth: Array, given: Array, spread: Array) -> Mask:
     """Which boxes are so far from the bounds of a component that these do not count at any point, shape (n,).
 
-    Of growth, of what is given and of spread, (n, 1) or (n, points), only the extremes are looked at.
+    Of growth, of what is given and of spread, (n, 1) or (n, points), only the extremes that come closest are looked at.
     """
-    growths, givens = (np.stack([each.min(axis=1), each.max(axis=1)], axis=1) for each in (growth, given))
-    low, high = _bounds(component, boxes, images, growths[:, [0, 0, 1, 1]], givens[:, [0, 1, 0, 1]])
+    extremes = np.stack([given.min(axis=1), given.max(axis=1)], axis=1)
+    low, high = _bounds(component, boxes, images, growth.min(axis=1, keepdims=True), extremes)
     most, least = spread.max(axis=1), spread.min(axis=1)
-    far: Mask = (low.max(axis=1) < _LOWER_TAIL * most) & (high.min(axis=1) > _UPPER_TAIL * most) & (least > 0)
+    far: Mask = (low[:, 0] < _LOWER_TAIL * most) & (high[:, -1] > _UPPER_TAIL * most) & (least > 0)
     return far
 
 
@@ -209,11 +210,13 @@ def _within(low: Array, high: Array, spread: Array, uniforms: Array) -> tuple[Ar
     # A determined error has a whole pixel's rounding to either side of what the detector allows.
     scale, slack = np.where(fixed, _NO_SPREAD, spread), np.where(fixed, _ROUNDING_PX, 0.0)
     a, b = (low - slack) / scale, (high + slack) / scale
-    sign = 1.0 - 2.0 * (a > 0)  # mirrored: the lower tail is the accurate one
-    a, b = sign * a, sign * b
-    below, above = _probabilities(np.minimum(a, b), np.maximum(a, b))
+    mirrored = a > 0  # the lower tail is the accurate one
+    if mirrored.any():
+        a, b = np.where(mirrored, -b, a), np.where(mirrored, -a, b)
+    below, above = _probabilities(a, b)
     inside = np.maximum(above - below, 0)
-    z = sign * special.ndtri(below + uniforms * inside)
+    z = special.ndtri(below + uniforms * inside)
+    np.negative(z, out=z, where=mirrored)
     np.copyto(z, 0, where=fixed | (inside == 0))
     return z, inside
 
@@ -231,6 +234,8 @@ def _probabilities(low: Array, high: Array) -> tuple[Array, Array]:
 
 def _probability(z: Array, rows: Mask) -> Array:
     """Probability below each number of some rows, shape (n,), and in the other rows below the greatest."""
+    if rows.all():
+        return np.asarray(special.ndtr(z))
     probability: Array = special.ndtr(z.max(axis=1))[:, None]
     if rows.any():
         probability = np.repeat(probability, z.shape[1], axis=1)
@@ -280,5 +285,6 @@ def truncated_errors(
         if in_file_units:
             errors = source.in_file_units(states[rows], sizes(truth[rows]), errors)
         accepted[rows], means[rows] = part.acceptance, part.mean(errors)
-        seconds[rows] = np.swapaxes(errors, 1, 2) @ (part.weights[..., None] * errors)
+        by_component = np.swapaxes(errors, 1, 2)  # the order in memory
+        seconds[rows] = by_component @ np.swapaxes(part.weights[:, None] * by_component, 1, 2)
     return TruncatedErrors(accepted, means, seconds)
