@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
+
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
@@ -11,7 +13,7 @@ from modsim3d.detector.records import CameraFrames
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Purpose, Streams
 
-_BLOCK = 4096  # transitions drawn at a time
+_BLOCK = 1024  # transitions drawn at a time: few enough for a short run, or for the first step of a live one
 _MOST_TRANSITIONS = 100_000_000
 _EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the transition at 0.6 s is due
 
@@ -80,19 +82,7 @@ class StateSequence:
             # Transition k, from step k − 1 to step k, uses row k.
             uniforms = self._streams.uniforms(Purpose.STATE, *self._owner, first=known, count=_BLOCK)[:, 0]
             following = np.stack([choose(column, uniforms) for column in self._columns], axis=1)
-            pieces.append(composed(following)[:, pieces[-1][-1]].astype(np.int16))
+            states = accumulate(following.tolist(), lambda state, after: after[state], initial=int(pieces[-1][-1]))
+            pieces.append(np.array([*states][1:], dtype=np.int16))
             known += _BLOCK
         self._states = np.concatenate(pieces)
-
-
-def composed(following: Indices) -> Indices:
-    """The state after each of n transitions, from each state before the first, shapes (n, states).
-
-    `following` has the state after each transition from each state before it. Transitions are joined to ever longer
-    ones (Hillis & Steele (1986), "Data parallel algorithms").
-    """
-    after, joined = following, 1
-    while joined < len(after):
-        after = np.concatenate([after[:joined], np.take_along_axis(after[joined:], after[:-joined], axis=1)])
-        joined *= 2
-    return after
