@@ -108,6 +108,15 @@ def test_lines_are_those_of_a_dictionary_for_each_row(made: Made, fast: Callable
         assert fast(block, part, scene) == b"".join(plain(block, part, scene))
 
 
+def test_lines_do_not_depend_on_how_many_rows_are_made_at_once(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, block = made
+    functions = (annotation_lines, detection_lines, tracker_lines)
+    whole = [function(block, part, scene) for function in functions for part in block.cameras]
+    for count in (1, 7):
+        monkeypatch.setattr("modsim3d.runs.files.json_text.ROWS_AT_ONCE", count)
+        assert [function(block, part, scene) for function in functions for part in block.cameras] == whole
+
+
 def test_the_scenes_have_second_boxes_false_positives_and_empty_frames(made: Made) -> None:
     scene, block = made
     text = b"".join(detection_lines(block, part, scene) for part in block.cameras)

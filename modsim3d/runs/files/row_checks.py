@@ -178,7 +178,7 @@ def check_truth(rows: Rows, scene: Scene) -> None:
     label = rows.names("label", labels := list(dict.fromkeys(vessel.label for vessel in scene.vessels)))
     of_vessel = np.array([labels.index(vessel.label) for vessel in scene.vessels])
     rows.refuse("label", label != of_vessel[vessel], "the vessel's")
-    size_px = _image_sizes_px(rows, scene)
+    size_px = _image_sizes_px(frame, scene)
     _check_boxes(rows, "full_", truth_boxes_px(rows.table, "full"), size_px, nullable=False)
     visible = truth_boxes_px(rows.table, "visible")
     _check_boxes(rows, "visible_", visible, size_px, nullable=True)
@@ -189,10 +189,10 @@ def check_truth(rows: Rows, scene: Scene) -> None:
     rows.refuse("detected", detected & ~annotated, "false, as the vessel is not annotated")
 
 
-def _image_sizes_px(rows: Rows, scene: Scene) -> Array:
-    """Width and height of the image of each row, shape (n, 2)."""
+def _image_sizes_px(frame: Indices, scene: Scene) -> Array:
+    """Width and height of the image of each row, by the number of its frame (n,), shape (n, 2)."""
     sizes_px = np.array([camera.intrinsics.image_size_px for camera in scene.cameras], dtype=np.float64)
-    return sizes_px[indices(rows.table, "camera", [camera.name for camera in scene.cameras])]
+    return sizes_px[frame % len(scene.cameras)]
 
 
 def _check_boxes(rows: Rows, prefix: str, boxes_px: Array, size_px: Array, *, nullable: bool) -> None:
@@ -239,7 +239,7 @@ def check_detections(rows: Rows, scene: Scene) -> None:
     of_nobody = np.isin(kind, OF_NO_VESSEL)
     rows.refuse("vessel", of_nobody != (vessel == NOBODY), "null for a false positive and for nothing else")
     rows.numbers("confidence", 0.0, 1.0)
-    size_px, boxes_px = _image_sizes_px(rows, scene), detection_boxes_px(rows.table)
+    size_px, boxes_px = _image_sizes_px(frame, scene), detection_boxes_px(rows.table)
     _check_boxes(rows, "", boxes_px, size_px, nullable=False)
     for i, (name, number) in enumerate(zip(CENTRE_FORM, centre_form(boxes_px).T, strict=True)):
         apart = np.abs(rows.numbers(name, 0.0, size_px[:, i % 2] * (1 + ROUNDING)) - number)
