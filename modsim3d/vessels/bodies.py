@@ -40,8 +40,8 @@ class Bodies:
 
     def vertices_world(self) -> Array:
         """Vertices in WCF in metres (Jessen & Mohr (2023), eq. 7.1), shape (S, B, K, 3)."""
-        turned = self.vertices_m @ np.swapaxes(self.world_R_body, -1, -2)
-        vertices: Array = turned + self.positions_m[:, :, None, :]
+        vertices: Array = self.vertices_m @ np.swapaxes(self.world_R_body, -1, -2)
+        vertices += self.positions_m[:, :, None, :]
         return vertices
 
     def centres_world(self) -> Array:
