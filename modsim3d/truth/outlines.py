@@ -26,6 +26,9 @@ from modsim3d.vessels.vessel import Solid
 BESIDE = 1e-6
 """Metres times pixels by which a solid must be outside the image, so that rounding errors bring no corner into it."""
 
+MOST_VERTICES = 12_000
+"""Most vertices of bodies that are projected together: few calls, but arrays that fit a cache."""
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -107,6 +110,7 @@ class Outlines:
         return Outlines(**columns, parts=tuple(part for part in parts if len(part.rows)))
 
 
+_OF_VERTICES = ("vertices_camera", "vertices_px")
 _COLUMNS = ("frame", "occluder", "boxed", "boxes_px", "areas_px", "in_frame_fraction", "depth_m", "crosses_near")
 
 
@@ -154,6 +158,23 @@ def _outline(
     intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
 ) -> tuple[dict[str, Any], Part]:
     """The columns of `Outlines` for bodies with the same faces, and the part that they form."""
+    steps = max(1, MOST_VERTICES // bodies.vertices_m[..., 0].size)
+    portions = [slice(first, first + steps) for first in range(0, len(bodies.present), steps)]
+    found = [_portion(intrinsics, camera_poses.at(some), bodies.at(some), measured) for some in portions]
+    if len(found) == 1:
+        return found[0]
+    for some, (columns, _) in zip(portions, found, strict=True):
+        columns["frame"] += some.start
+    parts = [part for _, part in found]
+    vertices, pixels = (np.concatenate([getattr(part, name) for part in parts]) for name in _OF_VERTICES)
+    joined = {name: np.concatenate([columns[name] for columns, _ in found]) for name in _COLUMNS}
+    return joined, Part(bodies.solid, np.arange(len(vertices)), vertices, pixels)
+
+
+def _portion(
+    intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
+) -> tuple[dict[str, Any], Part]:
+    """What `_outline` gives, of few enough steps."""
     solid, pinhole = bodies.solid, intrinsics.pinhole
     camera = camera_poses.to_camera(bodies.vertices_world())
     in_front = camera[..., 2] >= intrinsics.near_clip_m
