@@ -58,12 +58,14 @@ def test_cut_spans_are_those_of_painting_pixel_by_pixel_from_far_to_near(seed):
     pairs = ClusteredPairs(first, second, np.zeros(len(first), dtype=np.int64))
     ordered = Ordered(pairs, ranks, Spans(*np.array(spans, dtype=np.int64).reshape(-1, 4).T))
     seen = visibility_in_order(ordered, boxed, (WIDTH, HEIGHT))
-    assert seen.rows.tolist() == np.flatnonzero(boxed).tolist()
+    covered = (masks & (front != np.arange(count)[:, None, None])).any(axis=(1, 2)) & boxed
+    assert 0 < covered.sum() < boxed.sum()
+    assert seen.rows.tolist() == np.flatnonzero(covered).tolist()
     painted = np.full((HEIGHT, WIDTH), -1)
     for row, y, start, stop in zip(*(getattr(seen.visible, n) for n in ("row", "y", "start", "stop")), strict=True):
         assert (painted[y, start:stop] == -1).all()
         painted[y, start:stop] = row
-    np.testing.assert_array_equal(painted, np.where(boxed[front] & (front >= 0), front, -1))
+    np.testing.assert_array_equal(painted, np.where(covered[front] & (front >= 0), front, -1))
     hidden = {
         (row, hider): int((masks[row] & (front == hider)).sum())
         for row in np.flatnonzero(boxed).tolist()
