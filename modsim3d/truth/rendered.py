@@ -60,7 +60,8 @@ def _portions(outlines: Outlines, supersample: int) -> list[tuple[int, int]]:
     before = np.cumsum(heights) - heights
     begins = run_starts(outlines.frame)
     portion = before[begins] // MOST_LINES
-    return list(pairwise([0, *begins[run_starts(portion)][1:].tolist(), len(outlines)]))
+    later = begins[1:][np.diff(portion) != 0]
+    return list(pairwise([0, *later.tolist(), len(outlines)]))
 
 
 def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> Occlusion:
