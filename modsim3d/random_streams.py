@@ -8,6 +8,7 @@ from enum import Enum, unique
 from functools import lru_cache
 
 import numpy as np
+from numpy.random import Generator, Philox, SeedSequence
 from numpy.typing import NDArray
 
 from modsim3d import philox
@@ -124,11 +125,11 @@ class Streams:
             ValueError: The seed is negative.
         """
         self.seed = seed
-        self._root = np.random.SeedSequence(seed)
+        self._root = SeedSequence(seed)
         self._keys: dict[tuple[int, Purpose, tuple[str, ...]], NDArray[np.uint64]] = {}
         self._keys_of_owners: dict[tuple[int, Purpose, tuple[str, ...], tuple[str, ...]], NDArray[np.uint64]] = {}
-        self._scratch = np.random.Philox(self._root)
-        self._scratch_generator = np.random.Generator(self._scratch)
+        self._scratch = Philox(self._root)
+        self._scratch_generator = Generator(self._scratch)
         self._counter = np.zeros(NUMBERS_PER_BLOCK, dtype=np.uint64)
         self._buffer = np.zeros(NUMBERS_PER_BLOCK, dtype=np.uint64)
 
@@ -184,16 +185,16 @@ class Streams:
         result: Array = np.concatenate([np.empty((0, width)), *parts])[(starts - first)[place] + steps]
         return result
 
-    def generator(self, purpose: Purpose, *names: str, step: int) -> np.random.Generator:
+    def generator(self, purpose: Purpose, *names: str, step: int) -> Generator:
         """A separate generator for one step, for an unknown number of draws; `names` are the rest of the key.
 
         Raises:
             ValueError: The purpose has a fixed number of uniform numbers a step.
         """
         _check_has_generators(purpose)
-        bits = np.random.Philox(self._root)
+        bits = Philox(self._root)
         self._start(bits, self._key(_GENERATOR, purpose, names), high=step)
-        return np.random.Generator(bits)
+        return Generator(bits)
 
     def generated(
         self,
@@ -224,7 +225,7 @@ class Streams:
         low, high = np.zeros(len(steps), dtype=np.uint64), steps.astype(np.uint64)
         return philox.uniforms(keys, low, high, first, count)
 
-    def _start(self, bits: np.random.Philox, key: NDArray[np.uint64], low: int = 0, high: int = 0) -> None:
+    def _start(self, bits: Philox, key: NDArray[np.uint64], low: int = 0, high: int = 0) -> None:
         """Set words 0 and 3 of Philox's counter. `Philox(key=..., counter=...)` does that too but gathers entropy."""
         self._counter[0], self._counter[3] = low, high
         bits.state = {
@@ -249,7 +250,7 @@ class Streams:
     def _key(self, kind: int, purpose: Purpose, names: tuple[str, ...]) -> NDArray[np.uint64]:
         stream = (kind, purpose, names)
         if stream not in self._keys:
-            sequence = np.random.SeedSequence(self.seed, spawn_key=_spawn_key(kind, purpose, names))
+            sequence = SeedSequence(self.seed, spawn_key=_spawn_key(kind, purpose, names))
             self._keys[stream] = sequence.generate_state(2, np.uint64).astype(np.uint64)
         return self._keys[stream]
 

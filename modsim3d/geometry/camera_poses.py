@@ -47,6 +47,10 @@ class CameraPoses:
     camera_R_world: Array
     positions_m: Array
 
+    def at(self, steps: slice) -> CameraPoses:
+        """The poses at some of the steps."""
+        return CameraPoses(self.camera_R_world[steps], self.positions_m[steps])
+
     def to_camera(self, points_world: Array) -> Array:
         """World points in camera coordinates, both in metres and of shape (S, ..., 3): R · (p − s) (eq. 7.16)."""
         steps = len(self.positions_m)

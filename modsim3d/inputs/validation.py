@@ -4,13 +4,35 @@ from __future__ import annotations
 
 import difflib
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Annotated, Any, ClassVar, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic_core import CoreSchema, core_schema
 
 LEAST, MOST = 1e-9, 1e9
 """Of the size of a number that is no place and no time; with them, products and quotients do not overflow."""
+
+
+class Limits:
+    """Limits of a number in the annotation of a field; text and truth values are no numbers.
+
+    `Field` has the same limits, but a model with many numbers takes twice as long to build with it.
+    """
+
+    def __init__(self, check: Callable[[float], float] | None = None, **limits: float | bool) -> None:
+        """Take limits as `Field` has them: `ge`, `gt`, `le` and `lt`, and `allow_inf_nan` for a float.
+
+        `check` is given a number within the limits and returns it, as that of an `AfterValidator`.
+        """
+        self._check = check
+        self._limits: dict[str, Any] = limits
+
+    def __get_pydantic_core_schema__(self, source: type[float], handler: GetCoreSchemaHandler) -> CoreSchema:
+        """What pydantic asks for when it builds a model."""
+        schema_of = core_schema.int_schema if source is int else core_schema.float_schema
+        schema = schema_of(strict=True, **self._limits)
+        return core_schema.no_info_after_validator_function(self._check, schema) if self._check else schema
 
 
 def _not_tiny(value: float) -> float:
@@ -19,15 +41,15 @@ def _not_tiny(value: float) -> float:
     return value
 
 
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MOST, le=MOST)]
-Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=MOST), AfterValidator(_not_tiny)]
-NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=MOST), AfterValidator(_not_tiny)]
-Probability = Annotated[float, Field(strict=True, ge=0, le=1)]
-Count = Annotated[int, Field(strict=True, ge=0)]
+Number = Annotated[float, Limits(allow_inf_nan=False, ge=-MOST, le=MOST)]
+Positive = Annotated[float, Limits(_not_tiny, allow_inf_nan=False, gt=0, le=MOST)]
+NotNegative = Annotated[float, Limits(_not_tiny, allow_inf_nan=False, ge=0, le=MOST)]
+Probability = Annotated[float, Limits(ge=0, le=1)]
+Count = Annotated[int, Limits(ge=0)]
 # Far beyond any scene; squares and products do not overflow.
 MAX_COORDINATE_M = 1e9
-Metres = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
-Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
+Metres = Annotated[float, Limits(allow_inf_nan=False, ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
+Rate = Annotated[float, Limits(allow_inf_nan=False, ge=-1e6, le=1e6)]
 
 
 class Strict(BaseModel):

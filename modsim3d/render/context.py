@@ -160,8 +160,7 @@ def _use_reversed_depth(get_address: GetAddress) -> None:
 
 @contextmanager
 def _osmesa_context() -> Iterator[GetAddress]:
-    import numpy as np
-    from OpenGL import arrays, osmesa
+    from OpenGL import osmesa
     from OpenGL.platform import PLATFORM
 
     wanted = [
@@ -170,10 +169,10 @@ def _osmesa_context() -> Iterator[GetAddress]:
         *(osmesa.OSMESA_CONTEXT_MAJOR_VERSION, 4),
         *(osmesa.OSMESA_CONTEXT_MINOR_VERSION, 5, 0),
     ]
-    context = osmesa.OSMesaCreateContextAttribs(arrays.GLintArray.asArray(wanted), None)
+    context = osmesa.OSMesaCreateContextAttribs((ctypes.c_int * len(wanted))(*wanted), None)
     if not context:
         raise RendererError("OSMesa gave no OpenGL 4.5 context: Mesa 18 or newer is needed")
-    window = np.zeros((8, 8, 4), dtype=np.uint8)  # OSMesa wants one; drawing goes to framebuffer objects
+    window = (ctypes.c_ubyte * (8 * 8 * 4))()  # OSMesa wants one; drawing goes to framebuffer objects
     try:
         if not osmesa.OSMesaMakeCurrent(context, window, GL_UNSIGNED_BYTE, 8, 8):
             raise RendererError("OSMesa did not accept its context")

@@ -6,11 +6,13 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 import shapely
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from modsim3d.inputs.validation import (
     MAX_COORDINATE_M,
+    MOST,
     MOST_PROBLEMS,
+    Limits,
     Metres,
     NotNegative,
     Number,
@@ -25,14 +27,14 @@ MAX_PX = 1e9  # far beyond any scene; squares and products do not overflow
 MAX_STEPS = 10_000_000
 MAX_SEED = 2**63 - 1
 
-Pixels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_PX, le=MAX_PX)]
-Lens = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e3)]
-NearClip = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-6, le=MAX_COORDINATE_M)]
-Interval = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e9)]
-Steps = Annotated[int, Field(strict=True, gt=0, le=MAX_STEPS)]
-Seed = Annotated[int, Field(strict=True, ge=0, le=MAX_SEED)]
+Pixels = Annotated[float, Limits(allow_inf_nan=False, ge=-MAX_PX, le=MAX_PX)]
+Lens = Annotated[float, Limits(allow_inf_nan=False, ge=1e-9, le=1e3)]
+NearClip = Annotated[float, Limits(allow_inf_nan=False, ge=1e-6, le=MAX_COORDINATE_M)]
+Interval = Annotated[float, Limits(allow_inf_nan=False, ge=1e-9, le=1e9)]
+Steps = Annotated[int, Limits(gt=0, le=MAX_STEPS)]
+Seed = Annotated[int, Limits(ge=0, le=MAX_SEED)]
 Vector = tuple[Metres, Metres, Metres]
-Size = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=MAX_COORDINATE_M)]
+Size = Annotated[float, Limits(allow_inf_nan=False, gt=0, le=MAX_COORDINATE_M)]
 TURN_RAD = 6.3
 
 
@@ -43,9 +45,9 @@ def _radians(angle: float) -> float:
     return angle
 
 
-Angle = Annotated[Number, AfterValidator(_radians)]
+Angle = Annotated[float, Limits(_radians, allow_inf_nan=False, ge=-MOST, le=MOST)]
 MAX_IMAGE_SIDE_PX = 12_000
-ImageSide = Annotated[int, Field(strict=True, gt=0, le=MAX_IMAGE_SIDE_PX)]
+ImageSide = Annotated[int, Limits(gt=0, le=MAX_IMAGE_SIDE_PX)]
 
 
 class PoseKeys(Strict):
@@ -86,7 +88,7 @@ class CameraKeys(Strict):
     near_clip_m: NearClip = 0.1
     distortion: DistortionKeys | None = None
     frame_rate_hz: Interval | None = None
-    start_offset_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e9)] = 0.0
+    start_offset_s: Annotated[float, Limits(allow_inf_nan=False, ge=0, le=1e9)] = 0.0
     pose: PoseKeys | None = None
     mount: MountKeys | None = Field(default=None, validate_default=True)
 
@@ -102,9 +104,9 @@ class CameraKeys(Strict):
 class AnnotationKeys(Strict):
     """Annotation mode, source and filters (Jessen & Mohr (2023), §7.5.1)."""
 
-    mode: Annotated[int, Field(strict=True, ge=0, le=2)] = 0
+    mode: Annotated[int, Limits(ge=0, le=2)] = 0
     source: Literal["rendered", "analytic", "rectangles"] = "rendered"
-    supersample: Annotated[int, Field(strict=True, ge=1, le=8)] = 1
+    supersample: Annotated[int, Limits(ge=1, le=8)] = 1
     render: Literal["regions", "full"] = "regions"
     min_visible_px: NotNegative = 0.0
     min_visible_fraction: Probability = 0.0
@@ -115,8 +117,8 @@ class AnnotationKeys(Strict):
 class AxisKeys(Strict):
     """One angle's second-order process (Jessen & Mohr (2023), eq. 7.23, 7.24)."""
 
-    a: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.99
-    b: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.99
+    a: Annotated[float, Limits(ge=0, lt=1)] = 0.99
+    b: Annotated[float, Limits(ge=0, lt=1)] = 0.99
     sigma_rad: NotNegative = 0.0
     start_rad: tuple[Number, Number] = (0.0, 0.0)
 
@@ -136,10 +138,10 @@ class WavesKeys(Strict):
     yaw: AxisKeys | None = None
     interval_s: Interval | None = None
     spectrum: Literal["jonswap"] | None = None
-    significant_height_m: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] | None = None
-    peak_period_s: Annotated[float, Field(strict=True, ge=0.5, le=30)] | None = None
+    significant_height_m: Annotated[float, Limits(allow_inf_nan=False, ge=0)] | None = None
+    peak_period_s: Annotated[float, Limits(ge=0.5, le=30)] | None = None
     direction_rad: Angle | None = None
-    peakedness: Annotated[float, Field(strict=True, ge=1, le=10)] | None = None
+    peakedness: Annotated[float, Limits(ge=1, le=10)] | None = None
     apply_to: Literal["ownship", "all"] = "ownship"
     composition: Literal["rigid", "additive"] = "rigid"
 
@@ -192,8 +194,8 @@ class ImuKeys(Strict):
 class OriginKeys(Strict):
     """The place on the Earth where w1 = w2 = 0; w1 points east, w2 north."""
 
-    latitude_deg: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-90, le=90)]
-    longitude_deg: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-180, le=180)]
+    latitude_deg: Annotated[float, Limits(allow_inf_nan=False, ge=-90, le=90)]
+    longitude_deg: Annotated[float, Limits(allow_inf_nan=False, ge=-180, le=180)]
 
 
 class AisKeys(Strict):
@@ -201,7 +203,7 @@ class AisKeys(Strict):
 
     vessels: dict[str, Literal["A", "B", "none"]] = Field(default_factory=dict)
     drop_out: Probability = 0.05
-    position_noise_m: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1000)] = 3.0
+    position_noise_m: Annotated[float, Limits(allow_inf_nan=False, ge=0, le=1000)] = 3.0
 
 
 class ObstacleKeys(Strict):

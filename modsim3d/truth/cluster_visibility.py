@@ -15,10 +15,10 @@ from modsim3d.truth.pixel_spans import Spans, joined_spans, runs_of_ids
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """What one or more drawn buffers say about the vessels in them.
+    """What one or more clusters, drawn or in order, say about the vessels in them.
 
     Attributes:
-        rows: Rows of these vessels, shape (k,).
+        rows: Rows of vessels that may be hidden in part; of all others the whole silhouette is visible, shape (k,).
         visible: The spans of their visible pixels.
         hidden_row: Row of each hidden piece of a span, shape (m,).
         hider: Row of what is in front of it, shape (m,).
@@ -152,16 +152,17 @@ def visibility_in_order(ordered: Ordered, boxed: Mask, image_size_px: tuple[int,
     piece, span = ranges(begin, end - begin), np.repeat(np.arange(len(begin)), end - begin)
     front = np.full(len(cuts), -1)
     front[piece] = span
-    vessel = boxed[spans.row]
-    seen = np.flatnonzero((front >= 0) & vessel[front])
-    shown = front[seen]
-    visible = Spans(spans.row[shown], spans.y[shown], cuts[seen] - line[shown], cuts[seen + 1] - line[shown])
-    behind = np.flatnonzero((front[piece] != span) & vessel[span])
+    behind = np.flatnonzero((front[piece] != span) & boxed[spans.row][span])
     piece, span = piece[behind], span[behind]
     # Many pieces of a row are hidden by the same other row.
     pair, px = _sums(spans.row[span] * len(boxed) + spans.row[front[piece]], cuts[piece + 1] - cuts[piece])
     hidden_row, hider = np.divmod(pair, len(boxed))
-    return Visibility(rows[boxed[rows]], visible, hidden_row, hider, px)
+    hidden = np.zeros(len(boxed), dtype=bool)
+    hidden[hidden_row] = True
+    seen = np.flatnonzero((front >= 0) & hidden[spans.row][front])
+    shown = front[seen]
+    visible = Spans(spans.row[shown], spans.y[shown], cuts[seen] - line[shown], cuts[seen + 1] - line[shown])
+    return Visibility(np.flatnonzero(hidden), visible, hidden_row, hider, px)
 
 
 def _sums(keys: Indices, values: Indices) -> tuple[Indices, Indices]:

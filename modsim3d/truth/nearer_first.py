@@ -110,8 +110,8 @@ def _depths(outlines: Outlines) -> tuple[Array, Array]:
     """Least and greatest c3 of each solid, both of shape (n,)."""
     nearest, farthest = np.empty((2, len(outlines)))
     for part in outlines.parts:
-        depths_m = part.vertices_camera[..., 2]
-        nearest[part.rows], farthest[part.rows] = depths_m.min(axis=1), depths_m.max(axis=1)
+        depths_m = part.vertices_camera[..., 2].T.copy()  # many rows at a time are compared faster than few vertices
+        nearest[part.rows], farthest[part.rows] = depths_m.min(axis=0), depths_m.max(axis=0)
     return nearest, farthest
 
 

@@ -26,6 +26,9 @@ from modsim3d.vessels.vessel import Solid
 BESIDE = 1e-6
 """Metres times pixels by which a solid must be outside the image, so that rounding errors bring no corner into it."""
 
+MOST_VERTICES = 12_000
+"""Most vertices of bodies that are projected together: few calls, but arrays that fit a cache."""
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -96,7 +99,18 @@ class Outlines:
         columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
         return Outlines(**columns, parts=tuple(part for part in parts if len(part.rows)))
 
+    def between(self, first: int, stop: int) -> Outlines:
+        """Rows first to stop − 1, which `take` would copy."""
+        parts = []
+        for part in self.parts:
+            chosen = slice(*np.searchsorted(part.rows, (first, stop)).tolist())
+            rows = part.rows[chosen] - first
+            parts.append(Part(part.solid, rows, part.vertices_camera[chosen], part.vertices_px[chosen]))
+        columns = {name: getattr(self, name)[first:stop] for name in _COLUMNS}
+        return Outlines(**columns, parts=tuple(part for part in parts if len(part.rows)))
 
+
+_OF_VERTICES = ("vertices_camera", "vertices_px")
 _COLUMNS = ("frame", "occluder", "boxed", "boxes_px", "areas_px", "in_frame_fraction", "depth_m", "crosses_near")
 
 
@@ -144,6 +158,23 @@ def _outline(
     intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
 ) -> tuple[dict[str, Any], Part]:
     """The columns of `Outlines` for bodies with the same faces, and the part that they form."""
+    steps = max(1, MOST_VERTICES // bodies.vertices_m[..., 0].size)
+    portions = [slice(first, first + steps) for first in range(0, len(bodies.present), steps)]
+    found = [_portion(intrinsics, camera_poses.at(some), bodies.at(some), measured) for some in portions]
+    if len(found) == 1:
+        return found[0]
+    for some, (columns, _) in zip(portions, found, strict=True):
+        columns["frame"] += some.start
+    parts = [part for _, part in found]
+    vertices, pixels = (np.concatenate([getattr(part, name) for part in parts]) for name in _OF_VERTICES)
+    joined = {name: np.concatenate([columns[name] for columns, _ in found]) for name in _COLUMNS}
+    return joined, Part(bodies.solid, np.arange(len(vertices)), vertices, pixels)
+
+
+def _portion(
+    intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
+) -> tuple[dict[str, Any], Part]:
+    """What `_outline` gives, of few enough steps."""
     solid, pinhole = bodies.solid, intrinsics.pinhole
     camera = camera_poses.to_camera(bodies.vertices_world())
     in_front = camera[..., 2] >= intrinsics.near_clip_m
@@ -154,29 +185,35 @@ def _outline(
     touching: Mask = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1)
     if crosses.any():
         touching[crosses] = ~_beside_image(vertices[crosses], pinhole)
-    frame, body, crosses = frame[touching], body[touching], crosses[touching]
-    vertices, pixels, boxes = vertices[touching], pixels[touching], boxes[touching]
+    frame, body, crosses, vertices, pixels, boxes = _chosen(touching, frame, body, crosses, vertices, pixels, boxes)
     if measured:
         boxes, areas, fractions = _measured(intrinsics, bodies, vertices, pixels, crosses, boxes)
     else:
         boxes[crosses] = [0, 0, *size]
         areas, fractions = np.full((2, len(boxes)), np.nan)
-    rows = np.flatnonzero(~(areas <= 0))
+    frame, body, crosses, vertices, pixels, boxes, areas, fractions = _chosen(
+        ~(areas <= 0), frame, body, crosses, vertices, pixels, boxes, areas, fractions
+    )
     if solid.convex:
-        depth = vertices[rows, :, 2].mean(axis=-1)
+        depth = vertices[..., 2].mean(axis=-1)
     else:
-        depth = camera_poses.to_camera(bodies.centres_world())[frame, body, 2][rows]
+        depth = camera_poses.to_camera(bodies.centres_world())[frame, body, 2]
     columns = {
-        "frame": frame[rows],
-        "occluder": bodies.occluder[body[rows]],
-        "boxed": np.full(len(rows), bodies.boxed),
-        "boxes_px": boxes[rows],
-        "areas_px": areas[rows],
-        "in_frame_fraction": np.minimum(fractions[rows], 1.0),
+        "frame": frame,
+        "occluder": bodies.occluder[body],
+        "boxed": np.full(len(frame), bodies.boxed),
+        "boxes_px": boxes,
+        "areas_px": areas,
+        "in_frame_fraction": np.minimum(fractions, 1.0),
         "depth_m": depth,
-        "crosses_near": crosses[rows],
+        "crosses_near": crosses,
     }
-    return columns, Part(solid, np.arange(len(rows)), vertices[rows], pixels[rows])
+    return columns, Part(solid, np.arange(len(frame)), vertices, pixels)
+
+
+def _chosen(rows: Mask, *columns: Any) -> tuple[Any, ...]:
+    """The rows of columns that a mask, shape (n,), chooses; the same arrays where all are chosen, as they often are."""
+    return columns if rows.all() else tuple(column[rows] for column in columns)
 
 
 def _measured(
@@ -239,9 +276,8 @@ def _boxes_in_image(vertices_camera: Array, crosses: Mask, intrinsics: Intrinsic
 
 def _boxes_of(pixels: Array) -> Array:
     """Boxes around the projected vertices (n, K, 2) of n solids; those that are NaN are left out, shape (n, 4)."""
-    x, y = pixels[..., 0], pixels[..., 1]
-    sides = [bound.reduce(values, axis=1) for bound in (np.fmin, np.fmax) for values in (x, y)]
-    return np.stack(sides, axis=-1)
+    by_vertex = pixels.T.copy()  # many rows at a time are compared faster than few vertices
+    return np.concatenate([np.fmin.reduce(by_vertex, axis=1), np.fmax.reduce(by_vertex, axis=1)]).T.copy()
 
 
 def _projected_areas(pixels: Array, solid: Solid) -> Array:

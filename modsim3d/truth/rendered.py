@@ -13,6 +13,7 @@ therefore exactly that of `full_frame`, which draws everything and is the refere
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -48,18 +49,19 @@ def rendered_occlusion(
     portions = _portions(outlines, supersample)
     if len(portions) == 1:
         return _occlusion(outlines, intrinsics, renderer, supersample)
-    return Occlusion.joined([_occlusion(outlines.take(rows), intrinsics, renderer, supersample) for rows in portions])
+    return Occlusion.joined(
+        [_occlusion(outlines.between(*rows), intrinsics, renderer, supersample) for rows in portions]
+    )
 
 
-def _portions(outlines: Outlines, supersample: int) -> list[Indices]:
-    """The rows of runs of whole frames that have about `MOST_LINES` scan lines together; one run at least."""
+def _portions(outlines: Outlines, supersample: int) -> list[tuple[int, int]]:
+    """Runs of whole frames that have about `MOST_LINES` scan lines together, one at least: first row and stop."""
     heights = (outlines.boxes_px[:, 3] - outlines.boxes_px[:, 1]) * supersample
-    if heights.sum() < MOST_LINES:
-        return [np.arange(len(outlines))]
     before = np.cumsum(heights) - heights
     begins = run_starts(outlines.frame)
     portion = before[begins] // MOST_LINES
-    return np.split(np.arange(len(outlines)), begins[np.flatnonzero(np.diff(portion)) + 1])
+    later = begins[1:][np.diff(portion) != 0]
+    return list(pairwise([0, *later.tolist(), len(outlines)]))
 
 
 def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> Occlusion:

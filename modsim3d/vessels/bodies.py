@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,10 +38,19 @@ class Bodies:
     positions_m: Array
     world_R_body: Array
 
+    def at(self, steps: slice) -> Bodies:
+        """The same bodies at some of the steps."""
+        return replace(
+            self,
+            present=self.present[steps],
+            positions_m=self.positions_m[steps],
+            world_R_body=self.world_R_body[steps],
+        )
+
     def vertices_world(self) -> Array:
         """Vertices in WCF in metres (Jessen & Mohr (2023), eq. 7.1), shape (S, B, K, 3)."""
-        turned = self.vertices_m @ np.swapaxes(self.world_R_body, -1, -2)
-        vertices: Array = turned + self.positions_m[:, :, None, :]
+        vertices: Array = self.vertices_m @ np.swapaxes(self.world_R_body, -1, -2)
+        vertices += self.positions_m[:, :, None, :]
         return vertices
 
     def centres_world(self) -> Array:

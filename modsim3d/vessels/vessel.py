@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError, field_validator
+from pydantic import BeforeValidator, ValidationError, field_validator
 
 from modsim3d.arrays import Array, Indices, read_only
 from modsim3d.errors import InputError
 from modsim3d.inputs.strict_json import load_json
-from modsim3d.inputs.validation import MOST_PROBLEMS, Strict, describe, join_path, kind_of, shown
+from modsim3d.inputs.validation import MOST_PROBLEMS, Limits, Strict, describe, join_path, kind_of, shown
 
 if TYPE_CHECKING:
     import trimesh
@@ -119,7 +119,7 @@ class Vessel:
 
 MAPPING_NEEDED = "a mapping of vessel ID to vessel is needed"
 MIN_EXTENT_M, MAX_EXTENT_M = 1e-3, 1e5
-Extent = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=MIN_EXTENT_M, le=MAX_EXTENT_M)]
+Extent = Annotated[float, Limits(allow_inf_nan=False, ge=MIN_EXTENT_M, le=MAX_EXTENT_M)]
 
 
 def _mesh_entry(entry: object) -> object:

@@ -1,6 +1,6 @@
 """Clusters cut without drawing: against drawn ones, against painting pixel by pixel, and where nobody can tell."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ import pytest
 from modsim3d.geometry.camera import Mount
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth import nearer_first, rendered
+from modsim3d.truth import outlines as projection
 from modsim3d.truth.cluster_visibility import Ordered, visibility_in_order
 from modsim3d.truth.clusters import ClusteredPairs
 from modsim3d.truth.full_frame import full_frame_occlusion
@@ -57,12 +58,14 @@ def test_cut_spans_are_those_of_painting_pixel_by_pixel_from_far_to_near(seed):
     pairs = ClusteredPairs(first, second, np.zeros(len(first), dtype=np.int64))
     ordered = Ordered(pairs, ranks, Spans(*np.array(spans, dtype=np.int64).reshape(-1, 4).T))
     seen = visibility_in_order(ordered, boxed, (WIDTH, HEIGHT))
-    assert seen.rows.tolist() == np.flatnonzero(boxed).tolist()
+    covered = (masks & (front != np.arange(count)[:, None, None])).any(axis=(1, 2)) & boxed
+    assert 0 < covered.sum() < boxed.sum()
+    assert seen.rows.tolist() == np.flatnonzero(covered).tolist()
     painted = np.full((HEIGHT, WIDTH), -1)
     for row, y, start, stop in zip(*(getattr(seen.visible, n) for n in ("row", "y", "start", "stop")), strict=True):
         assert (painted[y, start:stop] == -1).all()
         painted[y, start:stop] = row
-    np.testing.assert_array_equal(painted, np.where(boxed[front] & (front >= 0), front, -1))
+    np.testing.assert_array_equal(painted, np.where(covered[front] & (front >= 0), front, -1))
     hidden = {
         (row, hider): int((masks[row] & (front == hider)).sum())
         for row in np.flatnonzero(boxed).tolist()
@@ -169,3 +172,31 @@ def test_frames_in_portions_have_the_truth_of_all_at_once(renderer, monkeypatch)
     monkeypatch.setattr(rendered, "MOST_LINES", 400)
     assert len(rendered._portions(outlines, 1)) > 4
     assert_same(rendered_occlusion(outlines, camera.intrinsics, renderer), whole)
+
+
+def test_steps_that_are_projected_in_portions_have_the_outlines_of_all_at_once(monkeypatch):
+    scene = load_scene("strait", mode=2)
+    sight = scene.sight(scene.cameras[0], np.arange(100, 112))
+    whole = sight.outlines()
+    monkeypatch.setattr(projection, "MOST_VERTICES", 400)
+    assert_same_outlines(sight.outlines(), whole)
+
+
+@pytest.mark.parametrize(("first", "stop"), [(0, 40), (7, 31), (7, 7)])
+def test_rows_between_two_are_those_that_are_taken(first, stop):
+    scene = load_scene("strait", mode=2)
+    outlines = scene.sight(scene.cameras[0], np.arange(100, 112)).outlines()
+    assert len(outlines) > 40
+    assert len(outlines.parts) > 3
+    assert_same_outlines(outlines.between(first, stop), outlines.take(np.arange(first, stop)))
+
+
+def assert_same_outlines(one: Outlines, other: Outlines) -> None:
+    for column in fields(Outlines):
+        if column.name != "parts":
+            np.testing.assert_array_equal(getattr(one, column.name), getattr(other, column.name))
+    assert len(one.parts) == len(other.parts)
+    for part, same in zip(one.parts, other.parts, strict=True):
+        assert part.solid is same.solid
+        for name in ("rows", "vertices_camera", "vertices_px"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(same, name))
