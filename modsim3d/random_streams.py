@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d import philox
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, distinct
 from modsim3d.philox import NUMBERS_PER_BLOCK
 from modsim3d.special_functions import special
 
@@ -168,7 +168,7 @@ class Streams:
         width = purpose.uniforms
         if not len(steps):
             return np.empty((0, width))
-        used, place = _distinct(owner, len(owners))
+        used, place = distinct(owner, len(owners))
         if len(used) > _STREAMS_IN_TURN + len(steps) // _ROWS_AS_A_STREAM:
             blocks = -(-width // NUMBERS_PER_BLOCK)
             keys = self._keys_of(_UNIFORMS, purpose, names, owners)[owner]
@@ -257,16 +257,6 @@ class Streams:
             sequence = np.random.SeedSequence(self.seed, spawn_key=_spawn_key(kind, purpose, names))
             self._keys[stream] = sequence.generate_state(2, np.uint64).astype(np.uint64)
         return self._keys[stream]
-
-
-def _distinct(indices: Indices, count: int) -> tuple[Indices, Indices]:
-    """Which of `count` indices occur, ascending, and the place of each of n indices among them, shapes (k,) and (n,).
-
-    What `np.unique` gives, but faster for few indices.
-    """
-    occurs = np.zeros(count, dtype=bool)
-    occurs[indices] = True
-    return occurs.nonzero()[0], (occurs.cumsum() - 1)[indices]
 
 
 def _check_has_generators(purpose: Purpose) -> None:

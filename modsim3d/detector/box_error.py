@@ -165,10 +165,10 @@ class BoxErrorSource:
         standard = self._standardised(state, latent)
         shape = (len(state), *([1] * (standard.ndim - 2)), 4)
         factor, spread = (array.reshape(shape) for array in self._size_factors(state, sizes_px))
-        means = self.means[state].reshape(shape)
-        errors = np.broadcast_to(means, standard.shape)
+        means, roots = self.means[state].reshape(shape), self.roots[state]
+        errors = means
         for j in range(4):
-            errors = errors + self.roots[state, :, j].reshape(shape) * standard[..., j, None]
+            errors = errors + roots[:, :, j].reshape(shape) * standard[..., j, None]
         if self.growths.any():
             errors = np.where(spread > 1, means + spread * (errors - means), errors)
         return factor * errors

@@ -81,7 +81,7 @@ class ClusteredPairs:
         """The rows of all clusters in order of cluster and row, and the cluster of each, both of shape (k,)."""
         count = int(self.second.max(initial=-1)) + 1
         member = np.sort(np.concatenate([self.cluster * count + self.first, self.cluster * count + self.second]))
-        cluster, rows = np.divmod(member[run_starts(member)], max(count, 1))  # `np.unique` loads masked arrays first
+        cluster, rows = np.divmod(member[run_starts(member)], max(count, 1))
         return rows, cluster
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, distinct
 from modsim3d.truth.outlines import Outlines, Part
 from modsim3d.truth.overlaps import overlapping_pairs
 from modsim3d.truth.separating_axes import axis_count, candidate_axes, extents_along
@@ -79,8 +79,9 @@ def _pairs_that_matter(outlines: Outlines) -> tuple[Indices, Indices]:
 
     Two pieces of one obstacle are no pair: it does not matter which of them hides a vessel.
     """
-    with_vessel = np.concatenate(overlapping_pairs(outlines.frame, outlines.boxes_px, outlines.boxed))
-    kept = np.union1d(np.flatnonzero(outlines.boxed), with_vessel)
+    matters = outlines.boxed.copy()
+    matters[np.concatenate(overlapping_pairs(outlines.frame, outlines.boxes_px, outlines.boxed))] = True
+    kept = np.flatnonzero(matters)
     first, second = overlapping_pairs(outlines.frame[kept], outlines.boxes_px[kept])
     others = outlines.occluder[kept[first]] != outlines.occluder[kept[second]]
     return kept[first[others]], kept[second[others]]
@@ -98,8 +99,8 @@ def pairs_by_parts(outlines: Outlines, first: Indices, second: Indices) -> Itera
     for index, part in enumerate(outlines.parts):
         part_of[part.rows] = index
     kinds = part_of[first] * len(outlines.parts) + part_of[second]
-    for kind in np.unique(kinds):
-        a, b = (outlines.parts[part] for part in divmod(int(kind), len(outlines.parts)))
+    for kind in distinct(kinds, len(outlines.parts) ** 2)[0].tolist():
+        a, b = (outlines.parts[part] for part in divmod(kind, len(outlines.parts)))
         yield np.flatnonzero(kinds == kind), a, b
 
 
