@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d import philox
-from modsim3d.arrays import Array, Indices, distinct
+from modsim3d.arrays import Array, Indices, occurring
 from modsim3d.philox import NUMBERS_PER_BLOCK
 from modsim3d.special_functions import special
 
@@ -168,7 +168,7 @@ class Streams:
         width = purpose.uniforms
         if not len(steps):
             return np.empty((0, width))
-        used, place = distinct(owner, len(owners))
+        used, place = occurring(owner, len(owners))
         if len(used) > _STREAMS_IN_TURN + len(steps) // _ROWS_AS_A_STREAM:
             blocks = -(-width // NUMBERS_PER_BLOCK)
             keys = self._keys_of(_UNIFORMS, purpose, names, owners)[owner]

@@ -80,8 +80,8 @@ class ClusteredPairs:
     def members(self) -> tuple[Indices, Indices]:
         """The rows of all clusters in order of cluster and row, and the cluster of each, both of shape (k,)."""
         count = int(self.second.max(initial=-1)) + 1
-        member = np.sort(np.concatenate([self.cluster * count + self.first, self.cluster * count + self.second]))
-        cluster, rows = np.divmod(member[run_starts(member)], max(count, 1))
+        member = np.unique(np.concatenate([self.cluster * count + self.first, self.cluster * count + self.second]))
+        cluster, rows = np.divmod(member, max(count, 1))
         return rows, cluster
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, distinct
+from modsim3d.arrays import Array, Indices, Mask, occurring
 from modsim3d.truth.outlines import Outlines, Part
 from modsim3d.truth.overlaps import overlapping_pairs
 from modsim3d.truth.separating_axes import axis_count, candidate_axes, extents_along
@@ -99,7 +99,7 @@ def pairs_by_parts(outlines: Outlines, first: Indices, second: Indices) -> Itera
     for index, part in enumerate(outlines.parts):
         part_of[part.rows] = index
     kinds = part_of[first] * len(outlines.parts) + part_of[second]
-    for kind in distinct(kinds, len(outlines.parts) ** 2)[0].tolist():
+    for kind in occurring(kinds, len(outlines.parts) ** 2)[0].tolist():
         a, b = (outlines.parts[part] for part in divmod(kind, len(outlines.parts)))
         yield np.flatnonzero(kinds == kind), a, b
 
