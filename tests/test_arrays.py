@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modsim3d.arrays import run_starts
+from modsim3d.arrays import distinct, run_starts
 
 
 @pytest.mark.parametrize("count", [0, 1, 40])
@@ -13,3 +13,9 @@ def test_runs_start_where_a_row_differs_from_the_one_before(count: int) -> None:
     one, other = np.random.default_rng(count).integers(0, 2, (2, count))
     rows = list(zip(one.tolist(), other.tolist(), strict=True))
     assert run_starts(one, other).tolist() == [i for i in range(count) if i == 0 or rows[i] != rows[i - 1]]
+
+
+@pytest.mark.parametrize("count", [0, 1, 40])
+def test_distinct_values_are_those_of_a_set_in_order(count: int) -> None:
+    values = np.random.default_rng(count).integers(0, 9, count)
+    assert distinct(values).tolist() == sorted(set(values.tolist()))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, run_starts
+from modsim3d.arrays import Array, Indices, Mask, distinct, run_starts
 from modsim3d.render.id_pass import Region, Sheet
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.overlaps import overlapping_pairs
@@ -80,7 +80,7 @@ class ClusteredPairs:
     def members(self) -> tuple[Indices, Indices]:
         """The rows of all clusters in order of cluster and row, and the cluster of each, both of shape (k,)."""
         count = int(self.second.max(initial=-1)) + 1
-        member = np.unique(np.concatenate([self.cluster * count + self.first, self.cluster * count + self.second]))
+        member = distinct(np.concatenate([self.cluster * count + self.first, self.cluster * count + self.second]))
         cluster, rows = np.divmod(member, max(count, 1))
         return rows, cluster
 
