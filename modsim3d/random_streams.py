@@ -89,6 +89,8 @@ class Purpose(Enum):
     CLUTTER_CONFIDENCE = "detector.clutter_confidence", 2, "the same of a transient false positive (camera, ordinal)"
     PERSISTENT_CONFIDENCE = "detector.persistent_confidence", 2, "the same of a persistent one (camera, ordinal)"
 
+    __hash__ = object.__hash__  # an `Enum` hashes its name in Python, and every number is looked up by its purpose
+
     def __new__(cls, text: str, width: int | None, meaning: str) -> Purpose:
         """Make the text the member's value, so that no two members may share it."""
         member = object.__new__(cls)

@@ -107,7 +107,7 @@ def choose(distribution: Array, uniforms: Array) -> Indices:
 
     What has probability zero is never chosen.
     """
-    chosen: Indices = np.sum(uniforms[:, None] >= distribution, axis=-1, dtype=np.int64)
+    chosen: Indices = (uniforms[:, None] >= distribution).sum(axis=-1, dtype=np.int64)
     return chosen
 
 

@@ -40,11 +40,11 @@ def calls(scene: Scene) -> dict[int, float]:
 
 
 def test_a_step_of_four_vessels_takes_few_calls(calls: dict[int, float]) -> None:
-    assert calls[BUSY] < 2500
+    assert calls[BUSY] < 2000
 
 
 def test_a_step_without_vessels_takes_fewer(calls: dict[int, float]) -> None:
-    assert calls[EMPTY] < 1400
+    assert calls[EMPTY] < 800
 
 
 def test_where_nothing_is_in_view_nothing_need_be_drawn(scene: Scene) -> None:
