@@ -46,3 +46,13 @@ def extents(column: Indices, wanted: Indices) -> tuple[Indices, Indices]:
     """First row of each of k numbers in an ascending column, and how often it is there, shapes (k,)."""
     first, stop = (np.searchsorted(column, wanted, side=side) for side in ("left", "right"))
     return first, stop - first
+
+
+def occurring(indices: Indices, count: int) -> tuple[Indices, Indices]:
+    """Which of `count` indices occur, ascending, and the place of each of n indices among them, shapes (k,) and (n,).
+
+    What `np.unique` gives, but faster for few indices; and that loads `numpy.ma` at its first call, which takes 15 ms.
+    """
+    occurs = np.zeros(count, dtype=bool)
+    occurs[indices] = True
+    return occurs.nonzero()[0], (occurs.cumsum() - 1)[indices]

@@ -61,8 +61,10 @@ def at_least_a_pixel(boxes_px: Array, image_size_px: tuple[int, int] | Array) ->
     The image is that of all, or each box has its own of a size (..., 2).
     """
     low, high = boxes_px[..., :2], boxes_px[..., 2:]
-    pixel = np.clip(np.floor((low + high) / 2), 0, np.array(image_size_px) - 1)
     thin = high - low < 1
+    if not thin.any():
+        return boxes_px
+    pixel = np.clip(np.floor((low + high) / 2), 0, np.array(image_size_px) - 1)
     return np.concatenate([np.where(thin, pixel, low), np.where(thin, pixel + 1, high)], -1)
 
 

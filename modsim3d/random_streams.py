@@ -12,7 +12,7 @@ from numpy.random import Generator, Philox, SeedSequence
 from numpy.typing import NDArray
 
 from modsim3d import philox
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, occurring
 from modsim3d.philox import NUMBERS_PER_BLOCK
 from modsim3d.special_functions import special
 
@@ -20,7 +20,6 @@ _UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps dif
 # Below so many streams, and with so many rows for each, NumPy's own generator of one stream after the other is faster.
 _STREAMS_IN_TURN, _ROWS_AS_A_STREAM = 20, 25
 _WORDS_KEPT = 65_536
-_NO_STEP = np.iinfo(np.int64).max
 _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
 GRID = 2.0**-20
 """Step of the numbers that the detector draws: coarse against the rounding of a function, fine against any noise."""
@@ -90,6 +89,8 @@ class Purpose(Enum):
     FRAGMENT_CONFIDENCE = "detector.fragment_confidence", 2, "the same of the smaller part of a split box"
     CLUTTER_CONFIDENCE = "detector.clutter_confidence", 2, "the same of a transient false positive (camera, ordinal)"
     PERSISTENT_CONFIDENCE = "detector.persistent_confidence", 2, "the same of a persistent one (camera, ordinal)"
+
+    __hash__ = object.__hash__  # an `Enum` hashes its name in Python, and every number is looked up by its purpose
 
     def __new__(cls, text: str, width: int | None, meaning: str) -> Purpose:
         """Make the text the member's value, so that no two members may share it."""
@@ -168,21 +169,19 @@ class Streams:
             ValueError: The purpose has a generator for each step.
         """
         width = purpose.uniforms
-        used, place = _distinct(owner, len(owners))
+        if not len(steps):
+            return np.empty((0, width))
+        used, place = occurring(owner, len(owners))
         if len(used) > _STREAMS_IN_TURN + len(steps) // _ROWS_AS_A_STREAM:
             blocks = -(-width // NUMBERS_PER_BLOCK)
             keys = self._keys_of(_UNIFORMS, purpose, names, owners)[owner]
             low = steps.astype(np.uint64) * np.uint64(blocks)
             return philox.uniforms(keys, low, np.zeros_like(low), 0, width)
-        of_used = [(*names, owners[index]) for index in used.tolist()]
-        first, last = np.full(len(used), _NO_STEP), np.zeros(len(used), dtype=np.int64)
-        np.minimum.at(first, place, steps)
-        np.maximum.at(last, place, steps)
-        counts = last - first + 1
-        ranges = zip(of_used, first.tolist(), counts.tolist(), strict=True)
-        parts = [self.uniforms(purpose, *key, first=start, count=count) for key, start, count in ranges]
-        starts = np.cumsum(counts) - counts
-        result: Array = np.concatenate([np.empty((0, width)), *parts])[(starts - first)[place] + steps]
+        first, stop = int(steps.min()), int(steps.max()) + 1
+        parts = [
+            self.uniforms(purpose, *names, owners[index], first=first, count=stop - first) for index in used.tolist()
+        ]
+        result: Array = np.concatenate(parts)[place * (stop - first) + (steps - first)]
         return result
 
     def generator(self, purpose: Purpose, *names: str, step: int) -> Generator:
@@ -221,6 +220,14 @@ class Streams:
             ValueError: The purpose has a fixed number of uniform numbers a step.
         """
         _check_has_generators(purpose)
+        if len(steps) <= _STREAMS_IN_TURN:
+            skipped, start = divmod(first, NUMBERS_PER_BLOCK)
+            numbers = np.empty((len(steps), start + count))
+            for row, (index, step) in enumerate(zip(owner.tolist(), steps.tolist(), strict=True)):
+                key = self._key(_GENERATOR, purpose, (*names, owners[index]))
+                self._start(self._scratch, key, low=skipped, high=step)
+                self._scratch_generator.random(out=numbers[row])
+            return numbers[:, start:]
         keys = self._keys_of(_GENERATOR, purpose, names, owners)[owner]
         low, high = np.zeros(len(steps), dtype=np.uint64), steps.astype(np.uint64)
         return philox.uniforms(keys, low, high, first, count)
@@ -253,16 +260,6 @@ class Streams:
             sequence = SeedSequence(self.seed, spawn_key=_spawn_key(kind, purpose, names))
             self._keys[stream] = sequence.generate_state(2, np.uint64).astype(np.uint64)
         return self._keys[stream]
-
-
-def _distinct(indices: Indices, count: int) -> tuple[Indices, Indices]:
-    """Which of `count` indices occur, ascending, and the place of each of n indices among them, shapes (k,) and (n,).
-
-    What `np.unique` gives, but faster for few indices.
-    """
-    occurs = np.zeros(count, dtype=bool)
-    occurs[indices] = True
-    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[indices]
 
 
 def _check_has_generators(purpose: Purpose) -> None:

@@ -136,9 +136,13 @@ def test_no_rows_of_streams_give_no_numbers() -> None:
     assert Streams(3).uniforms_of(Purpose.CLASS, owners=["a"], owner=nothing, steps=nothing).shape == (0, 1)
 
 
+@pytest.mark.parametrize("times", [1, 9], ids=["mostly in turn", "mostly at once"])
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2**40)), max_size=6), st.integers(0, 9), st.integers(0, 9))
-def test_numbers_of_many_generators_are_those_of_each(rows: list[tuple[int, int]], first: int, count: int) -> None:
+def test_numbers_of_many_generators_are_those_of_each(
+    times: int, some: list[tuple[int, int]], first: int, count: int
+) -> None:
     streams, owners, purpose = Streams(3), ("a", "b", "c"), Purpose.BOX_ERROR_REDRAW
+    rows = some * times
     owner, steps = np.array(rows, dtype=np.int64).reshape(-1, 2).T
     ours = streams.generated(purpose, "C0", owners=owners, owner=owner, steps=steps, first=first, count=count)
     each = [streams.generator(purpose, "C0", owners[index], step=step).random(first + count) for index, step in rows]

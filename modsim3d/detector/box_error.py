@@ -140,6 +140,11 @@ class BoxErrorSource:
         """Normal numbers that an error needs beyond four, at most."""
         return max(distribution.extra_normals for distribution in self.distributions)
 
+    @functools.cached_property
+    def _one_distribution(self) -> bool:
+        """Whether all states have the same distribution."""
+        return len(set(self.distributions)) == 1
+
     def misplace(
         self, streams: Streams, true: TrueBoxes, latent: Array, purposes: LatentPurposes = BOX_ERROR_REDRAW_STREAMS
     ) -> MisplacedBoxes:
@@ -165,10 +170,10 @@ class BoxErrorSource:
         standard = self._standardised(state, latent)
         shape = (len(state), *([1] * (standard.ndim - 2)), 4)
         factor, spread = (array.reshape(shape) for array in self._size_factors(state, sizes_px))
-        means = self.means[state].reshape(shape)
-        errors = np.broadcast_to(means, standard.shape)
+        means, roots = self.means[state].reshape(shape), self.roots[state]
+        errors = means
         for j in range(4):
-            errors = errors + self.roots[state, :, j].reshape(shape) * standard[..., j, None]
+            errors = errors + roots[:, :, j].reshape(shape) * standard[..., j, None]
         if self.growths.any():
             errors = np.where(spread > 1, means + spread * (errors - means), errors)
         return factor * errors
@@ -178,7 +183,7 @@ class BoxErrorSource:
 
     def _standardised(self, state: Indices, latent: Array) -> Array:
         """Standardised errors of each state's distribution, shape (n, ..., 4)."""
-        if len(set(self.distributions)) == 1:
+        if self._one_distribution:
             return standardised(self.distributions[0], latent)
         standard = np.empty((*latent.shape[:-1], 4))
         for index, distribution in enumerate(self.distributions):

@@ -57,6 +57,15 @@ class _Unscored:
     visible_fraction: Array
     uniforms: Array
 
+    @classmethod
+    def joined(cls, parts: Sequence[_Unscored]) -> _Unscored:
+        """Several sets of them, one set after another."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
+
+
+_COLUMNS = tuple(field.name for field in fields(_Unscored))
+_KEPT_COLUMNS = tuple(name for name in _COLUMNS if name in Detections.__dataclass_fields__)
+
 
 @dataclass(frozen=True, eq=False)
 class _DetectedVessels:
@@ -153,7 +162,9 @@ class Detector:
             return _DetectedVessels(kept, rows, partner, label)
         larger, smaller = pairs.T
         boxes[larger], partner[larger] = unions(boxes[larger], boxes[smaller]), rows[smaller]
-        rest = np.setdiff1d(np.arange(len(rows)), smaller)
+        alone = np.ones(len(rows), dtype=bool)
+        alone[smaller] = False
+        rest = alone.nonzero()[0]
         return _DetectedVessels(select(replace(kept, boxes_px=boxes), rest), rows[rest], partner[rest], label[rest])
 
     def _true_detections(
@@ -231,9 +242,8 @@ class Detector:
 
     def _scored(self, states: Indices, parts: Sequence[_Unscored], passed: Mask) -> Detections:
         """All detections with their confidence; their order within a frame is random."""
-        names = [field.name for field in fields(_Unscored)]
         parts = [part for part in parts if len(part.frame)] or parts[:1]  # in a live step, most are empty
-        every = _Unscored(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+        every = parts[0] if len(parts) == 1 else _Unscored.joined(parts)
         width, height = sizes(every.boxes_px).T
         false, (uniforms, ties) = are_false(every.kind), every.uniforms.T
         confidence = self._confidence.score(
@@ -245,7 +255,7 @@ class Detector:
         gated = ~passed
         gated[every.target[~output & ~false]] = True
         gated[every.partner[~output & (every.partner >= 0)]] = True
-        columns = {name: getattr(every, name)[order] for name in names if name in Detections.__dataclass_fields__}
+        columns = {name: getattr(every, name)[order] for name in _KEPT_COLUMNS}
         return Detections(states=states, confidence=confidence[order], gated=gated, **columns)
 
 

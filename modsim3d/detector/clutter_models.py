@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, ranges
 from modsim3d.detector.draws import keyed_uniforms, poisson_quantile, step_uniforms
 from modsim3d.detector.records import CameraFrames
 from modsim3d.random_streams import Purpose, Streams
@@ -147,8 +147,7 @@ CLUTTER_MODELS: Mapping[str, ClutterModel] = {"calibrated": Calibrated(), "thesi
 
 def numbered_rows(counts: Indices) -> tuple[Indices, Indices]:
     """Frame of each of `counts[frame]` rows and its place 0, 1, ... within the frame, shapes (m,)."""
-    frame = np.repeat(np.arange(len(counts)), counts)
-    return frame, np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.arange(len(counts)).repeat(counts), ranges(np.zeros_like(counts), counts)
 
 
 def ordinal_uniforms(

@@ -154,7 +154,7 @@ class Confidence:
         """
         score = np.empty(len(state))
         for index, confidence in enumerate(self.states):
-            rows = np.flatnonzero(state == index)
+            rows = (state == index).nonzero()[0]
             if not len(rows):
                 continue
             score[rows] = confidence.score(uniforms[rows], false[rows], visible_fraction[rows], size_px[rows])

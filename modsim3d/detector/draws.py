@@ -107,17 +107,17 @@ def choose(distribution: Array, uniforms: Array) -> Indices:
 
     What has probability zero is never chosen.
     """
-    chosen: Indices = np.sum(uniforms[:, None] >= distribution, axis=-1, dtype=np.int64)
+    chosen: Indices = (uniforms[:, None] >= distribution).sum(axis=-1, dtype=np.int64)
     return chosen
 
 
 def poisson_quantile(uniforms: Array, mean: Array) -> Indices:
     """Least k with Pr(Poisson(mean) <= k) >= u; 0 where the mean is 0. Shapes (n,)."""
     counts = np.zeros(len(uniforms), dtype=np.int64)
-    some = np.flatnonzero(mean > 0)
+    some = (mean > 0).nonzero()[0]
     for _ in range(_MOST_COUNTED):  # to count up is faster than the inverse, and enough for most
         if not len(some):
-            break
+            return counts
         some = some[special.pdtr(counts[some], mean[some]) < uniforms[some]]
         counts[some] += 1
     u, m = uniforms[some], mean[some]

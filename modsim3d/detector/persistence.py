@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, occurring
 from modsim3d.detector.box_error_law import ERROR_NORMALS
 from modsim3d.detector.draws import BOX_ERROR_STREAMS, latent_normals, target_uniforms
 from modsim3d.detector.records import CameraFrames, Targets
@@ -231,7 +231,7 @@ class VesselNoise:
 
     def _kept_by_vessels(self, purpose: Purpose, frames: CameraFrames, targets: Targets) -> Array:
         """Standard normal numbers that belong to the camera and the vessel of each target, shape (n, width)."""
-        present, place = np.unique(targets.vessel, return_inverse=True)
+        present, place = occurring(targets.vessel, len(targets.vessel_ids))
         names = [targets.vessel_ids[vessel] for vessel in present]
         kept = [self._streams.uniforms(purpose, frames.camera, name, first=0, count=1) for name in names]
         return grid_normals(np.concatenate([np.empty((0, purpose.uniforms)), *kept]))[place]

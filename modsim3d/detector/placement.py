@@ -11,6 +11,9 @@ from modsim3d.detector.draws import choose, cumulative
 from modsim3d.random_streams import on_grid
 from modsim3d.special_functions import special
 
+_NEXT = np.array([1, 2, 3, 0])
+"""The corner after each of four: `np.roll` takes ten times as long for one image."""
+
 
 def sea_polygons(half_planes: Array, image_size_px: tuple[int, int]) -> Array:
     """The sea in each image: the image cut by half-planes a·x + b·y + c >= 0 (Sutherland & Hodgman (1974)).
@@ -22,14 +25,14 @@ def sea_polygons(half_planes: Array, image_size_px: tuple[int, int]) -> Array:
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
     a, b, c = half_planes[:, :1], half_planes[:, 1:2], half_planes[:, 2:]
     start_side = a * corners[:, 0] + b * corners[:, 1] + c  # (m, 4), at the start of each edge
-    end_side = np.roll(start_side, -1, axis=1)
-    crosses = (start_side >= 0) != (end_side >= 0)
+    end_side = start_side[:, _NEXT]
+    at_sea = start_side >= 0
+    crosses = at_sea != at_sea[:, _NEXT]
     along = np.where(crosses, start_side, 0) / np.where(crosses, start_side - end_side, 1)
-    crossing = corners + along[..., None] * (np.roll(corners, -1, axis=0) - corners)
-    polygons = np.stack([np.broadcast_to(corners, crossing.shape), crossing], axis=2).reshape(-1, 8, 2)
-    is_corner = np.stack([start_side >= 0, crosses], axis=2).reshape(-1, 8)
-    nowhere = ~is_corner.any(axis=1)
-    is_corner[nowhere] = np.tile([True, False], 4)
+    polygons, is_corner = np.empty((len(half_planes), 8, 2)), np.empty((len(half_planes), 8), dtype=bool)
+    polygons[:, ::2], polygons[:, 1::2] = corners, corners + along[..., None] * (corners[_NEXT] - corners)
+    is_corner[:, ::2], is_corner[:, 1::2] = at_sea, crosses
+    is_corner[~is_corner.any(axis=1), ::2] = True
     return _repeat_missing(polygons, is_corner)
 
 
@@ -38,7 +41,8 @@ def _repeat_missing(polygons: Array, present: Mask) -> Array:
     places = np.where(present, np.arange(8), -1)
     last = places.max(axis=1, keepdims=True)
     source = np.maximum.accumulate(places, axis=1)
-    return np.take_along_axis(polygons, np.where(source < 0, last, source)[..., None], axis=1)
+    rows = np.arange(len(polygons))[:, None]
+    return polygons[rows, np.where(source < 0, last, source)]
 
 
 def uniform_places(half_planes: Array, image_size_px: tuple[int, int], uniforms: Array) -> Array:

@@ -125,7 +125,7 @@ class VesselMotion:
             velocity = velocities(times, around.positions_m, around.present)[rows]
         positions, angles = calm.positions_m.copy(), np.zeros(calm.positions_m.shape)
         for column in self.moved:
-            here = np.flatnonzero(calm.present[:, column])
+            here = calm.present[:, column].nonzero()[0]
             place, heading = calm.positions_m[here, column], calm.headings_rad[here, column]
             passage = Passage(times[rows[here]], steps[here], place, heading, velocity[here, column])
             moved = motion.motion(self.names[column], passage)

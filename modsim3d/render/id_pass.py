@@ -130,8 +130,9 @@ class IdRenderer:
         return gl
 
     def prepare(self) -> None:
-        """Do now what else the first drawing does: for whom it would come late."""
-        _ = self._gl
+        """Draw something now, for whom the first drawing would come late: it loads functions and compiles shaders."""
+        corner, whole = Region(0, 0, 1, 1), np.array([[[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]]])
+        self.draw(whole, np.ones((1, 3)), np.ones(1, dtype=np.int64), corner)
 
     def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
         """The ID at each pixel of a region, shape (region.height, region.width); zero where nothing is.

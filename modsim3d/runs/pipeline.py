@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modsim3d.arrays import Indices
+from modsim3d.arrays import Indices, occurring
 from modsim3d.detector.census import TargetCensus, take_census
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.records import CameraFrames, Detections, Targets
@@ -64,7 +64,9 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
         ModsimError: The vessel that carries a camera is missing.
     """
     taken = [(index, camera, scene.frame_steps(camera, first, stop)) for index, camera in enumerate(scene.cameras)]
-    every = taken[0][2] if len(taken) == 1 else np.unique(np.concatenate([steps for _, _, steps in taken]))
+    every = taken[0][2]
+    if len(taken) > 1:
+        every = first + occurring(np.concatenate([steps for _, _, steps in taken]) - first, stop - first)[0]
     if not len(every):
         return no_truth()
     vessel_poses = scene.motion.at(every)  # waves take time: once for all cameras

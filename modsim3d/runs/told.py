@@ -52,11 +52,13 @@ def told(frame: Indices, label: Indices, boxes_px: Array, confidence: Array) -> 
     Equally confident detections of a frame follow each other by their boxes. For the arguments see `Told`; they are in
     any order, and not rounded.
     """
-    boxes_px, confidence = np.round(boxes_px, BOX_DECIMALS), np.round(confidence, _CONFIDENCE_DECIMALS)
+    boxes_px, confidence = boxes_px.round(BOX_DECIMALS), confidence.round(_CONFIDENCE_DECIMALS)
     order = np.lexsort((-confidence, frame))
     # Few detections are equally confident: only those are put in order of their boxes.
-    same = (np.diff(frame[order]) == 0) & (np.diff(confidence[order]) == 0)
-    tied = np.flatnonzero(np.append(same, False) | np.append(False, same))
-    rows = order[tied]
-    order[tied] = rows[np.lexsort((label[rows], *boxes_px[rows].T[::-1], -confidence[rows], frame[rows]))]
+    before, after = order[:-1], order[1:]
+    same = (frame[before] == frame[after]) & (confidence[before] == confidence[after])
+    if same.any():
+        tied = (np.append(same, False) | np.append(False, same)).nonzero()[0]
+        rows = order[tied]
+        order[tied] = rows[np.lexsort((label[rows], *boxes_px[rows].T[::-1], -confidence[rows], frame[rows]))]
     return Told(frame, label, boxes_px, confidence).take(order)

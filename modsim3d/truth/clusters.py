@@ -108,9 +108,10 @@ def _components(first: Indices, second: Indices, count: int) -> Indices:
     """
     label = np.arange(count)
     while True:
-        least = np.minimum(label[first], label[second])
-        if np.array_equal(least, label[first]) and np.array_equal(least, label[second]):
+        one, other = label[first], label[second]
+        if (one == other).all():
             return label
+        least = np.minimum(one, other)
         np.minimum.at(label, first, least)
         np.minimum.at(label, second, least)
 

@@ -79,8 +79,9 @@ def _pairs_that_matter(outlines: Outlines) -> tuple[Indices, Indices]:
 
     Two pieces of one obstacle are no pair: it does not matter which of them hides a vessel.
     """
-    with_vessel = np.concatenate(overlapping_pairs(outlines.frame, outlines.boxes_px, outlines.boxed))
-    kept = distinct(np.concatenate([np.flatnonzero(outlines.boxed), with_vessel]))
+    matters = outlines.boxed.copy()
+    matters[np.concatenate(overlapping_pairs(outlines.frame, outlines.boxes_px, outlines.boxed))] = True
+    kept = np.flatnonzero(matters)
     first, second = overlapping_pairs(outlines.frame[kept], outlines.boxes_px[kept])
     others = outlines.occluder[kept[first]] != outlines.occluder[kept[second]]
     return kept[first[others]], kept[second[others]]

@@ -224,6 +224,8 @@ def _measured(
     The area is 0 where the box of an obstacle shows that it is not in the image. `boxes` (n, 4) are around the pixels;
     for `vertices`, `pixels` and `crosses` see `silhouette_polygons`.
     """
+    if not len(boxes):  # as in most steps of a live scene
+        return boxes, np.empty(0), np.empty(0)
     solid, pinhole, boxes = bodies.solid, intrinsics.pinhole, boxes.copy()
     whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= pinhole.image_size_px), axis=1) & ~crosses
     cut: Mask = ~(whole & (intrinsics.distortion is None))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, run_starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
     (inf, inf, −inf, −inf).
     """
     # The first of the spans of one silhouette that follow each other: summed up first if they are several as a rule.
-    first = np.append(0, np.flatnonzero(spans.row[1:] != spans.row[:-1]) + 1)[: len(spans.row)]
+    first = run_starts(spans.row)
     several = 4 * len(first) < len(spans.row)
     row = spans.row[first] if several else spans.row
 

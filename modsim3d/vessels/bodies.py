@@ -79,7 +79,7 @@ def vessel_bodies(
         boxed: As in `Bodies`.
     """
     members_of: dict[Solid, list[int]] = {}
-    for index in np.flatnonzero(present.any(axis=0)).tolist():
+    for index in np.nonzero(present.any(axis=0))[0].tolist():
         members_of.setdefault(shoebox() if as_shoeboxes else vessels[index].solid, []).append(index)
     bodies = []
     for solid, members in members_of.items():

@@ -103,7 +103,9 @@ class SecondOrderWaves:
             times_s: Times since the scene's first step, shape (n,).
             steps: Index of each step, shape (n,).
         """
-        position = np.asarray(steps, dtype=np.float64) if self._interval_s is None else times_s / self._interval_s
+        if self._interval_s is None:
+            return self._until(vessel, int(steps.max(initial=0)))[steps]
+        position = times_s / self._interval_s
         # 0.3 / 0.1 is just below 3; rounding must not miss a step.
         nearest = np.rint(position)
         position = np.where(np.abs(position - nearest) < 1e-6, nearest, position)
