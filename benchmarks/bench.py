@@ -30,6 +30,8 @@ make the growth look smaller. `--workers`, memory and cold start are those of th
 Python keeps its byte code, as that of an installed package; the start that writes it is not counted.
 - Harbour and strait are the shipped scenes with all their steps; the strait has two cameras, and the frames of both \
 count. The thousand boats are those of `scenes.thousand` in `benchmarks/scenes.py`.
+- Python's start, reading the scene and the renderer's start come before the first block of a run, and checksums and \
+waits for the disk after the last: with two workers they take as long as with one. So the longer run gains more.
 - A live step is that of `modsim3d stream` with Simulation 2's poses on standard input, as in \
 [LATENCY.md](LATENCY.md): from writing the line of poses to having read the step's last line in another process.
 - The ID pass is from poses to full and visible boxes, in a process that is warm, in blocks as a run makes them, \
