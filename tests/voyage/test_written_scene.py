@@ -34,7 +34,7 @@ BENCHMARKS = Path("benchmarks/voyages")
 def registered(scene: Scene, log: Path) -> tuple[Registered, tuple[str, ...]]:
     """The registration of the log's camera, and the remarks on the log."""
     read = on_scene(read_log(log), scene)
-    found = Registering(("k1",)).of(scene, read.cameras[0])
+    found = Registering(("k1",)).of(scene, read.cameras[0], read.source)
     assert found is not None
     return Registered(read.source, found, read.cameras[0].clock_s), read.notes
 
