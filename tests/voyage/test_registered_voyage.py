@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -122,6 +123,11 @@ def test_the_command_tells_the_registration_writes_the_page_and_the_scene(
     assert "fixed by the user" in text
     assert "What camera 'bow' matched and missed, by range" in text
     page = out.with_suffix(".html").read_text()
+    sketches = [part.split("</svg>")[0] for part in page.split('aria-label="Frame of camera')[1:]]
+    for sketch in sketches:  # a title may be as wide as the sketch
+        assert len(re.findall(r'<text x="[\d.]+" y="11.0"', sketch)) == 1
+        assert "px wide</text>" in sketch
+    assert sketches
     for title in ("Registration", "What AIS does not see", "Coverage of the sea", "The longest without a match"):
         assert f">{title}</h2>" in page
     modsim3d.load_detector(out)
