@@ -18,9 +18,11 @@ from modsim3d.voyage.correction import Correction
 from modsim3d.voyage.learned import VoyageResult, learn_voyage
 from modsim3d.voyage.registered import correction_of
 from modsim3d.voyage.told.registration_table import registration_lead
+from modsim3d.voyage.told.stretches import unmatched_stretches
 from modsim3d.voyage.told.voyage_json import voyage_json
 from modsim3d.voyage.unseen.judged import judge
 from modsim3d.voyage.unseen.stretches import Stretch
+from modsim3d.voyage.unseen.things import Behaviour
 from tests.commands.bad_input.builders import Call
 from tests.voyage.strait_logs import REALLY, strait_log, strait_scene, written
 from tests.voyage.test_learn_voyage import WITHOUT
@@ -229,3 +231,11 @@ def test_a_file_that_exists_is_refused_before_the_log_is_read(call: Call, folder
         assert f"{there} exists: use --overwrite" in said
         assert there.read_text() == "mine"
         there.unlink()
+
+
+def test_things_that_are_false_have_the_reason_beside_them(learned: VoyageResult) -> None:
+    judged = learned.told.judged
+    jumps = np.full_like(judged.things.behaviour, Behaviour.JUMPS)
+    for behaviour, said in ((judged.things.behaviour * 0, "false"), (jumps, "false: moves unsteadily")):
+        other = replace(judged, things=replace(judged.things, behaviour=behaviour))
+        assert {each.what for each in unmatched_stretches(learned.told.voyage, other)} == {said}
