@@ -204,9 +204,10 @@ def learn_command(
     from modsim3d.learn.learning import learned_files
     from modsim3d.learn.told.sources import Sources
     from modsim3d.learn.uncertainty import uncertainty_file
-    from modsim3d.outputs.claims import claimed
+    from modsim3d.outputs.claims import check_free, claimed
     from modsim3d.outputs.placing import write_files
     from modsim3d.runs.files.replacing import read_of_run
+    from modsim3d.scene.parts import SCENE_FILE
     from modsim3d.voyage.told.sections import voyage_sections
     from modsim3d.voyage.told.voyage_json import voyage_json
 
@@ -226,6 +227,9 @@ def learn_command(
         *(scene, truth, run, camera, start, images, attitude, fixed, known, empty, stale, position_noise),
         *(write_scene, shift),
     )
+    scene_file = [voyage.write_scene / SCENE_FILE] if voyage and voyage.write_scene else []
+    for path in (out, page, uncertainty_file(out), *scene_file):
+        check_free(path, overwrite)  # again below, but reading may take minutes
     with timed("reading"), inputs_noted() as read:  # also of files that no option names, such as data.yaml
         runs: tuple[StoredRun, ...] = ()
         if voyage:

@@ -182,7 +182,7 @@ class _CameraSet:
             return given
         if not isinstance(given, Registering):
             return given(self.scene, of_camera)
-        self.registration = given.of(self.scene, of_camera)
+        self.registration = given.of(self.scene, of_camera, self.log.source)
         return correction_of(self.registration)
 
     def _offsets(self) -> Array:

@@ -56,7 +56,7 @@ def position_noise_m(scene: Scene, given: float | None) -> float:
 class Registering:
     """How cameras are registered.
 
-        Registering(("pitch",), position_m=10).of(scene, camera_log)
+        Registering(("pitch",), position_m=10).of(scene, camera_log, "detections night.csv")
 
     Attributes:
         fixed: Names of parameters that stay as the scene has them.
@@ -72,8 +72,13 @@ class Registering:
     attitude: Attitude | None = None
     known: KnownMeans = NOTHING_KNOWN
 
-    def of(self, scene: Scene, log: CameraLog) -> Registration | None:
+    def of(self, scene: Scene, log: CameraLog, source: str) -> Registration | None:
         """The registration of a camera; None if all of it is fixed.
+
+        Args:
+            scene: The scene.
+            log: The frames of the camera.
+            source: What messages call the log.
 
         Raises:
             ModsimError: It cannot be known, with the reason.
@@ -103,7 +108,7 @@ class Registering:
                 raise InputError("--fixed", [text.removeprefix("fixed: ")]) from None
             way_out = "--fixed all learns with the camera and the clock as they are"
             measured = "check the angles of --attitude too, and their signs; " if attitude else ""
-            raise InputError(f"camera '{camera.name}'", [f"{text}; {measured}{way_out}"]) from None
+            raise InputError(f"{source}, camera '{camera.name}'", [f"{text}; {measured}{way_out}"]) from None
 
 
 def correction_of(registration: Registration | None) -> Correction:

@@ -43,7 +43,7 @@ def scene_files(scene: Scene, registered: Sequence[Registered], folder: Path) ->
     """
     names = [each.registration.camera for each in registered]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise ModsimError(f"--write-scene: camera '{twice[0]}' was registered in several logs: give one of them")
+        raise ModsimError(f"--write-scene: camera '{twice[0]}' was registered in several logs: join them, or give one")
     cameras = {name: dict(keys) for name, keys in scene.copy.document["cameras"].items()}
     for each in registered:
         cameras[each.registration.camera] = _camera_keys(cameras[each.registration.camera], each.registration)

@@ -23,6 +23,11 @@ def test_both_ends_of_intervals_are_below_each_other() -> None:
     assert cells == ["0.5 [−1.0, \u20072.0]", "0.5 \u2007[1.0, 12.0]"]
 
 
+def test_units_stay_with_their_numbers() -> None:
+    assert aligned(["0.5° to 1.25°", "2° to 3.5°"]) == ["0.5° to 1.25°", "2°\u2008\u2007 to 3.5°\u2007"]
+    assert aligned(["0.5 s", "2 s", "3 so"]) == ["0.5 s", "2 s\u2008\u2007", "3 so"]
+
+
 def test_versions_dates_and_ordinals_are_no_numbers() -> None:
     assert aligned(["2.4.6", "26.0"]) == ["2.4.6", "26.0"]
     assert 'class="number"' not in page.table([("1. hota at least 0.5",), ("2. hota at least 0.6",)], ("requirement",))

@@ -102,7 +102,7 @@ def test_images_that_date_captured_does_not_tell_apart_have_the_frame_rate(tmp_p
     if captured is not None:
         assert "date_captured is empty or the same in several images, so their" in said
     assert ("places in the file are taken, at 10 Hz" in said) == (numbers[0] is None)
-    with pytest.raises(InputError, match=r"a time is needed: .*frame_id with --frame-rate|another image has the time"):
+    with pytest.raises(InputError, match=r"a time is needed: .*, or --frame-rate|another image has the time"):
         read_log(tmp_path / "log.json")
 
 
@@ -257,21 +257,21 @@ WRONG = {
     "two clocks": ("log.csv", f"{HEAD}{ROW}\n2024-01-04,1,2,3,4,boat,1\n", "some times are UTC and others are not"),
     "half a box": ("log.csv", f"{HEAD}0,1,,3,4,boat,0.5\n", "line 2: left, top, width, height must be numbers"),
     "no area": ("log.csv", f"{HEAD}{ROW}\n1,1,2,0,4,boat,0.5\n", "line 3: bbox has no area"),
-    "some labels": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,,0.5\n", "some detections have a class and others none"),
+    "some labels": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,,0.5\n", "line 2 has a class, and line 3 has none: give one"),
     "some scores": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,boat,\n", "line 3: has no score (-1), but line 2 has 0.5"),
     "a score in words": (
         "log.csv",
         f"{HEAD}{ROW}\n1,1,2,3,4,boat,high\n",
         "line 3: score must be from 0 to 1 (got 'high')",
     ),
-    "nothing": ("log.csv", HEAD, "holds no frame"),
+    "nothing": ("log.csv", HEAD, "holds no frame: it needs the times"),
     "MOT without a rate": ("log.txt", "1,-1,1,2,3,4,0.5\n", "the frame rate is not known: give --frame-rate"),
     "a MOT frame": ("log.txt", "900000,-1,1,2,3,4,0.5\n", "frame must be a whole number from 1 to 101000"),
     "COCO without images": ("log.json", "[]", "give the COCO file of these with --images"),
     "COCO without times": (
         "log.json",
         '{"images": [{"id": 1}], "annotations": [], "categories": [{"id": 1, "name": "boat"}]}',
-        "images[0]: a time is needed: time_s, utc, date_captured, or frame_id with --frame-rate",
+        "images[0]: a time is needed: time_s, utc, date_captured, or --frame-rate, for their frame_id",
     ),
     "COCO twice at a time": (
         "log.json",
@@ -280,10 +280,11 @@ WRONG = {
     ),
     "COCO all at one time": (
         "log.json",
-        '{"images": [{"id": 1, "date_captured": "2024-01-04"}, {"id": 2, "date_captured": "2024-01-04"}], '
-        '"annotations": [], "categories": []}',
-        "images[1]: another image has the time 2024-01-04T00:00:00Z; where cameras take images at one time, each image "
-        "must name its camera; where times are too coarse, --frame-rate takes their places in the file",
+        '{"images": [{"id": 1, "date_captured": "2024-01-04"}, {"id": 2, "date_captured": "2024-01-04"}, '
+        '{"id": 3, "date_captured": "2024-01-04"}], "annotations": [], "categories": []}',
+        "images[1]: another image has the time 2024-01-04T00:00:00Z, and 1 more; where cameras take images at one "
+        "time, each image must name its camera; where times are too coarse, --frame-rate takes their places in the "
+        "file",
     ),
     "COCO at no time": (
         "log.json",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +17,12 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.voyage.correction import Correction
 from modsim3d.voyage.learned import VoyageResult, learn_voyage
 from modsim3d.voyage.registered import correction_of
+from modsim3d.voyage.told.registration_table import registration_lead
+from modsim3d.voyage.told.stretches import unmatched_stretches
 from modsim3d.voyage.told.voyage_json import voyage_json
 from modsim3d.voyage.unseen.judged import judge
 from modsim3d.voyage.unseen.stretches import Stretch
+from modsim3d.voyage.unseen.things import Behaviour
 from tests.commands.bad_input.builders import Call
 from tests.voyage.strait_logs import REALLY, strait_log, strait_scene, written
 from tests.voyage.test_learn_voyage import WITHOUT
@@ -120,6 +125,11 @@ def test_the_command_tells_the_registration_writes_the_page_and_the_scene(
     assert "fixed by the user" in text
     assert "What camera 'bow' matched and missed, by range" in text
     page = out.with_suffix(".html").read_text()
+    sketches = [part.split("</svg>")[0] for part in page.split('aria-label="Frame of camera')[1:]]
+    for sketch in sketches:  # a title may be as wide as the sketch
+        assert len(re.findall(r'<text x="[\d.]+" y="11.0"', sketch)) == 1
+        assert "px wide</text>" in sketch
+    assert sketches
     for title in ("Registration", "What AIS does not see", "Coverage of the sea", "The longest without a match"):
         assert f">{title}</h2>" in page
     modsim3d.load_detector(out)
@@ -190,3 +200,42 @@ def test_wrong_options_of_a_voyage_are_refused(call: Call, voyage: Path, tmp_pat
     assert status == 2
     assert problem in " ".join(said.split())
     assert not any(tmp_path.iterdir())
+
+
+def test_what_cannot_be_registered_is_refused_with_its_log(folder: Path) -> None:
+    """Of several logs of one camera the message says which."""
+    written(folder / "short.csv", np.zeros(1), np.array([[10.0, 500.0, 40.0, 520.0]]))
+    with pytest.raises(InputError, match=r"^detections .*short\.csv, camera 'bow':\n +registration: too little"):
+        learn_voyage(folder / "strait.json", folder / "short.csv", camera="bow")
+
+
+def test_residuals_are_said_with_what_they_rest_on(learned: VoyageResult) -> None:
+    (registered,) = learned.registered
+    found = registered.registration
+    assert "registered ones, with vessels off their reports as fits them best (root" in registration_lead(registered)
+    still = replace(found, values=replace(found.values, vessels=np.zeros_like(found.values.vessels)))
+    assert "registered ones (root" in registration_lead(replace(registered, registration=still))
+    unseen = replace(registered, registration=replace(found, rms_before_px=np.nan))
+    assert "off by more than the lens shows with the scene's" in registration_lead(unseen)
+
+
+def test_a_file_that_exists_is_refused_before_the_log_is_read(call: Call, folder: Path, tmp_path: Path) -> None:
+    """A registration may take minutes."""
+    for taken in ("d.yaml", "d.html", "d.uncertainty.json", "scene/scene.yaml"):
+        there = tmp_path / taken
+        there.parent.mkdir(exist_ok=True)
+        there.write_text("mine")
+        line = ("learn", "--scene", folder / "strait.json", "--detections", folder / "none.csv")
+        status, said = call(*line, "--out", tmp_path / "d.yaml", "--write-scene", tmp_path / "scene")
+        assert status == 2
+        assert f"{there} exists: use --overwrite" in said
+        assert there.read_text() == "mine"
+        there.unlink()
+
+
+def test_things_that_are_false_have_the_reason_beside_them(learned: VoyageResult) -> None:
+    judged = learned.told.judged
+    jumps = np.full_like(judged.things.behaviour, Behaviour.JUMPS)
+    for behaviour, said in ((judged.things.behaviour * 0, "false"), (jumps, "false: moves unsteadily")):
+        other = replace(judged, things=replace(judged.things, behaviour=behaviour))
+        assert {each.what for each in unmatched_stretches(learned.told.voyage, other)} == {said}

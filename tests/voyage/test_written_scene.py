@@ -13,7 +13,7 @@ from benchmarks.voyages.wrong_camera import WRONG, Voyage
 from modsim3d.ais.options import Options
 from modsim3d.ais.scene_folder import write_scene
 from modsim3d.ais.traffic import read_traffic
-from modsim3d.errors import InputError
+from modsim3d.errors import InputError, ModsimError
 from modsim3d.outputs.placing import write_files
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
@@ -34,7 +34,7 @@ BENCHMARKS = Path("benchmarks/voyages")
 def registered(scene: Scene, log: Path) -> tuple[Registered, tuple[str, ...]]:
     """The registration of the log's camera, and the remarks on the log."""
     read = on_scene(read_log(log), scene)
-    found = Registering(("k1",)).of(scene, read.cameras[0])
+    found = Registering(("k1",)).of(scene, read.cameras[0], read.source)
     assert found is not None
     return Registered(read.source, found, read.cameras[0].clock_s), read.notes
 
@@ -70,6 +70,11 @@ def test_a_second_registration_finds_nothing(log: Path, first: Registered, writt
         if not estimate.held:
             assert abs(estimate.value) < 0.02 * (estimate.high - estimate.low), estimate
     assert second.registration.rms_before_px == pytest.approx(first.registration.rms_after_px, rel=0.05)
+
+
+def test_two_registrations_of_a_camera_are_refused(log: Path, first: Registered) -> None:
+    with pytest.raises(ModsimError, match="camera 'shore' was registered in several logs: join them, or give one"):
+        scene_files(load_scene(log.parent / "ais"), [first, first], log.parent / "twice")
 
 
 def test_the_folder_is_a_scene_with_all_that_ais_knows(log: Path, written: Path) -> None:

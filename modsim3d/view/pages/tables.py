@@ -40,6 +40,8 @@ _CHECKSUM = re.compile(r"[0-9a-f]{32,}")
 _INTERVAL = re.compile(r"\[[^\[\]]+, [^\[\]]+\]")
 _WHOLE = re.compile(rf'(?:(?<= )<i class="pad">[^<]*</i>)?{_INTERVAL.pattern}')
 """An interval of HTML with the spaces before it, which align it and not the number."""
+_UNIT = re.compile(r" ?(?:°|%|px|m|s)(?!\S)")
+"""A unit behind a number, which stays with it."""
 _PADS = re.compile(f"[{_DIGIT}{_POINT}]+")
 _LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")
 """Words such as keys and checksums, which may be broken."""
@@ -151,9 +153,10 @@ def _padded(cell: str, numbers: Sequence[re.Match[str]], widths: Sequence[tuple[
         left = _DIGIT * (before - _length(number, "sign", "whole")) if place else ""  # the first one ends on the right
         rest, words = number["rest"] or "", cell[end : number.start()]
         right = (_POINT + _DIGIT * (behind - 1)) if behind and not rest else _DIGIT * (behind - len(rest))
+        unit = _UNIT.match(cell, number.end())
         bracket = words[-1:] if words.endswith(("[", "(")) else ""  # stays at its number
-        text += words.removesuffix(bracket) + left + bracket + number[0] + right
-        end = number.end()
+        text += words.removesuffix(bracket) + left + bracket + number[0] + (unit[0] if unit else "") + right
+        end = unit.end() if unit else number.end()
     return text + cell[end:]
 
 

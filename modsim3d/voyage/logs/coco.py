@@ -103,19 +103,21 @@ def _frames(
     if utc is None:
         raise InputError(source, ["images: some times are UTC and others are not"])
     frame_of: dict[Any, int] = {}
-    problems = []
+    problems, again = [], []
     for index, (entry, camera, (time_s, _)) in enumerate(zip(truth["images"], cameras, times, strict=True)):
         where, identity = f"images[{index}]", _key(entry.get("id"))
         if identity is None or identity in frame_of:
             problems.append(f"{where}: must have an id of its own (got {shown(entry.get('id'))})")
         elif rows.has(camera, time_s):
-            when = time_text(time_s) if utc else f"{time_s:.12g} s"
-            problems.append(
-                f"{where}: another image has the time {when}; where cameras take images at one time, each image must "
-                "name its camera; where times are too coarse, --frame-rate takes their places in the file"
-            )
+            again.append(f"{where}: another image has the time {time_text(time_s) if utc else f'{time_s:.12g} s'}")
         else:
             frame_of[identity] = rows.frame(camera, time_s, _size(entry))
+    if again:
+        more = f", and {len(again) - 1:,} more" if len(again) > 1 else ""
+        problems.append(
+            f"{again[0]}{more}; where cameras take images at one time, each image must name its camera; where times "
+            "are too coarse, --frame-rate takes their places in the file"
+        )
     if len(problems) > MOST_PROBLEMS:
         problems[MOST_PROBLEMS:] = [f"... and {len(problems) - MOST_PROBLEMS} more"]
     if problems:
@@ -170,7 +172,7 @@ def _wrong_time(entry: Mapping[str, Any]) -> str:
     """Why an image has no time."""
     if key := _time_key(entry):
         return f"{key} must be seconds, or a time such as {TIME_FORM} (got {shown(entry[key])})"
-    return f"a time is needed: {', '.join(_TIMES)}, or frame_id with --frame-rate (got {shown(entry)})"
+    return f"a time is needed: {', '.join(_TIMES)}, or --frame-rate, for their frame_id or places (got {shown(entry)})"
 
 
 def _cameras(images: Sequence[Any]) -> list[str | None]:

@@ -161,6 +161,7 @@ class LogRows:
     _labels: dict[str, int] = field(default_factory=dict)
     _rows: list[tuple[int, int, float]] = field(default_factory=list)
     _boxes: list[list[float]] = field(default_factory=list)
+    _with_class: dict[bool, str] = field(default_factory=dict)
 
     def frame(self, camera: str | None, time_s: float, size_px: tuple[float, float] = (np.nan, np.nan)) -> int:
         """Number of the frame of a camera at a time, which may be a new one."""
@@ -189,6 +190,7 @@ class LogRows:
         if score is None or not valid_box(list(box), where, self.problems):
             return
         number = NO_LABEL if label is None else self._labels.setdefault(label, len(self._labels))
+        self._with_class.setdefault(label is not None, where)
         self._rows.append((frame, number, score))
         self._boxes.append(list(box))
 
@@ -208,10 +210,11 @@ class LogRows:
         """
         notes = [*notes, *self.problems.settle(), *(self.confidences.notes if self.confidences else [])]
         if not self._frames:
-            raise InputError(self.source, ["holds no frame"])
+            raise InputError(self.source, ["holds no frame: it needs the times of some, with or without detections"])
         number = np.array([row[1] for row in self._rows], dtype=np.int64)
-        if len(number) and 0 < (number == NO_LABEL).sum() < len(number):
-            raise InputError(self.source, ["some detections have a class and others none: give one to all, or to none"])
+        if len(self._with_class) == 2:
+            which = f"{self._with_class[True]} has a class, and {self._with_class[False]} has none"
+            raise InputError(self.source, [f"{which}: give one to all detections, or to none"])
         names = list(self._labels)
         check_whole(names, self.source)
         if labels is not None:

@@ -72,7 +72,7 @@ def check_search(voted: Search, model: BoxModel, found: BoxesAtTimes, clocks_s: 
             f" detections are explained by a camera that is turned by {turn:+.0f}° of yaw, and {best} by one that looks"
             f" as the scene says. Correct the yaw in the scene: yaw_rad is about {yaw_rad:.2f}"
         )
-    mirrored = "Mirrored ones fit better: the images may be mirrored" if voted.chance > 2 * best else ""
+    mirrored = "Mirrored ones fit better: the images may be mirrored, or upside down" if voted.chance > 2 * best else ""
     raise ModsimError(
         f"registration: the detections do not fit the vessels of {scene.title}: the best clock, within"
         f" {max(abs(clocks_s)):g} s, and the best yaw explain {best} of {voted.searched} detections, and"

@@ -77,7 +77,7 @@ def frame_sketch(voyage: LabelledVoyage, judged: Judged, stretch: Stretch) -> st
         f'<clipPath id="{clip}"><rect {inner}/></clipPath><rect {inner} fill="none" stroke="var(--line)"/>',
         f'<g clip-path="url(#{clip})">{"".join(content)}</g>',
         _label(0, 11, title, "start", "var(--ink)"),
-        _label(_SKETCH_WIDTH, 11, f"{part.width_px:.0f} px wide", "end"),
+        _label(_SKETCH_WIDTH - 5, part.height + _TITLE - 6, f"{part.width_px:.0f} px wide", "end"),
     ]
     name = f"Frame of camera {stretch.camera} at {when}"
     return svg(_SKETCH_WIDTH, part.height + _TITLE + 2, name, "\n".join(parts))

@@ -48,11 +48,13 @@ def registration_table(registered: Registered, scene: Scene) -> Table:
 def registration_lead(registered: Registered) -> str:
     """How much it rests on, and the residuals before and after."""
     found = registered.registration
+    before = f"{found.rms_before_px:.3g} px" if math.isfinite(found.rms_before_px) else "more than the lens shows"
+    moved = ", with vessels off their reports as fits them best" if found.values.vessels.any() else ""
     return (
         f"Camera '{found.camera}' was registered by {len(found.sightings):,} of "
         f"{counted(found.detections, 'detection')}, of {counted(found.matched_vessels, 'vessel')}: bearings and "
-        f"waterlines are off by {found.rms_before_px:.3g} px with the scene's values and by "
-        f"{found.rms_after_px:.3g} px with the registered ones (root mean square, by the same matches)."
+        f"waterlines are off by {before} with the scene's values and by {found.rms_after_px:.3g} px with the "
+        f"registered ones{moved} (root mean square, by the same matches)."
     )
 
 

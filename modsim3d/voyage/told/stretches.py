@@ -14,6 +14,7 @@ from modsim3d.voyage.labelled_voyage import LabelledVoyage
 from modsim3d.voyage.logs.times import time_text
 from modsim3d.voyage.told.coverage import bearings
 from modsim3d.voyage.unseen.judged import Judged
+from modsim3d.voyage.unseen.things import Behaviour
 
 LISTED = 8
 _HALF = 0.5
@@ -92,7 +93,9 @@ def unmatched_stretches(voyage: LabelledVoyage, judged: Judged) -> list[Stretch]
         boxes = voyage.labelled.results.boxes_px[links.rows[rows]]
         bearing = float(bearings(view.camera, boxes, 1.0)[0].mean())
         likely = judged.lasting[thing]
-        what = f"a vessel without a transponder ({likely:.0%})" if likely >= _HALF else "false"
+        against = Behaviour(judged.things.behaviour[thing])
+        why = "" if against is Behaviour.LIKE_A_VESSEL else f": {against.in_words}"
+        what = f"a vessel without a transponder ({likely:.0%})" if likely >= _HALF else f"false{why}"
         if judged.empty[links.image[rows]].all():
             what = "false, in a stretch that is marked as empty"
         times = links.time_s[rows], links.image[rows]

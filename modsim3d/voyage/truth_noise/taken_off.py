@@ -183,7 +183,7 @@ def take_off_truth_noise(
         box_vessel_share=share,
     )
     written = replace(learned, numbers=replace(learned.numbers, box_errors=numbers))
-    return TakenOff(written, tuple(states), noise, len(np.unique(jacobians.moved[jacobians.moved >= 0])), slow)
+    return TakenOff(written, tuple(states), noise, len(np.unique(jacobians.vessel[jacobians.moved >= 0])), slow)
 
 
 def report_less_truth_noise(

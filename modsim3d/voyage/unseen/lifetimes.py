@@ -38,6 +38,7 @@ class Kinds:
         found: Whether the data show a longer kind; else `lasting` is 0.
         longer: Whether things of each duration move like a vessel and were seen for longer than flicker lasts on
             average at most, shape (durations,).
+        unsteady: Whether they last as vessels do and jump: they count as false, and may be vessels; (durations,).
         inflation: Factor by which flicker that stays raises the variance of the number of its detections.
     """
 
@@ -47,15 +48,17 @@ class Kinds:
     long_s: Array
     found: bool
     longer: Mask
+    unsteady: Mask
     inflation: float
 
     def at_least(self, probability: float) -> Mask:
-        """Which durations may be of the longer kind with such a probability, shape (durations,).
+        """Which durations may be of vessels with such a probability, shape (durations,).
 
-        Those of things that were seen for long, where the data do not show whether there is a longer kind.
+        Those of things that were seen for long, where the data do not show whether there is a longer kind; and always
+        those of things that last and jump.
         """
         likely: Mask = self.lasting[0] >= probability
-        return likely if self.found else self.longer
+        return (likely if self.found else self.longer) | self.unsteady
 
 
 def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = LEAST_S) -> Kinds:
@@ -70,8 +73,8 @@ def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = LEAS
         least_s: Least mean lifetime of the longer kind.
     """
     perhaps = things.perhaps_vessel
-    keys = np.column_stack([things.frames, things.cut, perhaps]).astype(np.int64)
-    values, of_thing = np.unique(keys.reshape(-1, 3), axis=0, return_inverse=True)
+    keys = np.column_stack([things.frames, things.cut, perhaps, things.unsteady]).astype(np.int64)
+    values, of_thing = np.unique(keys.reshape(-1, 4), axis=0, return_inverse=True)
     of_thing = of_thing.ravel()
     counts: Array = np.zeros((len(weights), len(values)))
     for row in range(len(weights)):
@@ -82,8 +85,10 @@ def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = LEAS
     fit = both if found else durations.fit(with_long=False)
     lasting = fit.shares[_LONG] if found else np.zeros_like(counts)
     long_s = fit.long * gap_s if found else np.full(len(weights), np.nan)
-    longer = durations.perhaps & ((durations.frames - 1) * gap_s > least_s / LEAST_RATIO)
-    return Kinds(of_thing, lasting, fit.short * gap_s, long_s, found, longer, durations.inflation(fit))
+    lasted_s = (durations.frames - 1) * gap_s
+    longer = durations.perhaps & (lasted_s > least_s / LEAST_RATIO)
+    unsteady = values[:, 3].astype(bool) & (lasted_s >= least_s)
+    return Kinds(of_thing, lasting, fit.short * gap_s, long_s, found, longer, unsteady, durations.inflation(fit))
 
 
 @dataclass(frozen=True, eq=False)

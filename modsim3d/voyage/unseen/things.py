@@ -70,6 +70,12 @@ class Things:
         perhaps: Mask = self.behaviour == Behaviour.LIKE_A_VESSEL
         return perhaps
 
+    @property
+    def unsteady(self) -> Mask:
+        """Whether places or sizes jump, as those of a small vessel with large box errors do too, shape (N,)."""
+        unsteady: Mask = np.isin(self.behaviour, (Behaviour.JUMPS, Behaviour.CHANGES_SIZE))
+        return unsteady
+
 
 def things_of(links: Links, images: Images) -> Things:
     """How long things last and how they move."""

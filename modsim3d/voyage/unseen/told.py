@@ -78,7 +78,8 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
         count = int(np.count_nonzero(lasting & (things.behaviour == behaviour)))
         if count and behaviour is not Behaviour.LIKE_A_VESSEL:
             number = "1 thing that lasts counts" if count == 1 else f"{count:,} things that last count"
-            yield f"{number} as false: {behaviour.in_words}"
+            but = ", but not in the least rate" if behaviour in (Behaviour.JUMPS, Behaviour.CHANGES_SIZE) else ""
+            yield f"{number} as false{but}: {behaviour.in_words}"
     for source in RateSource:
         states = [each.state for each in rates if each.source is source]
         if states and (judged.kinds.found or judged.stretches):

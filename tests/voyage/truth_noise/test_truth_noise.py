@@ -149,6 +149,19 @@ def test_an_upper_bound_is_the_learned_covariance_and_is_said(watched):
     assert [a == b for a, b in zip(learned_std, written_std, strict=True)] == [True, False, False, False]
 
 
+def test_a_vessel_that_two_logs_have_moved_is_one(watched):
+    scene, view, times = watched
+    learned = learned_from(noisy_set(scene, view, times, 0, 10.0, LASTING_S, np.diag(STD_PX**2)), 20, RICHER)
+    moves = np.arange(len(scene.vessels)) < 3
+    steps, middle = np.arange(0, scene.steps, EVERY), len(times) // 2
+    halves = [
+        replace(view_of(scene, steps[part]), images=view.images[part], moved=moves)
+        for part in (slice(middle), slice(middle, None))
+    ]
+    found = take_off_truth_noise(learned, scene, halves, noise_of(scene, 10.0))
+    assert "; less what registration found of 3 vessels" in next(found.sentences())
+
+
 def test_a_camera_without_known_pairs_takes_nothing_off(watched):
     scene, view, times = watched
     labelled = noisy_set(scene, view, times, 0, 10.0, LASTING_S, np.diag(STD_PX**2))

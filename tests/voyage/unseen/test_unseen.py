@@ -119,6 +119,23 @@ def test_what_lasts_above_the_horizon_counts_as_false():
     assert any("above the horizon" in said for said in sentences(judged, judged.own_rates(20, 0)))
 
 
+def test_what_lasts_and_changes_its_size_is_false_but_not_in_the_least_rate():
+    """As a small vessel does whose boxes are about as large as their errors."""
+    labelled = voyage(0, kayaks=2, frames=1000)
+    rng, boxes = np.random.default_rng(0), labelled.results.boxes_px
+    steady = judge(observed(labelled))
+    of_vessel = steady.links.rows[steady.links.link == np.argmax(steady.things.detections)]
+    middle, half = (boxes[of_vessel, 2:] + boxes[of_vessel, :2]) / 2, (boxes[of_vessel, 2:] - boxes[of_vessel, :2]) / 2
+    half *= np.exp(rng.normal(0, 0.45, (len(of_vessel), 1)))
+    boxes[of_vessel] = np.concatenate([middle - half, middle + half], axis=1)
+    judged = judge(observed(labelled))
+    (rate,) = judged.own_rates(20, 0)
+    resized = np.isin(judged.links.rows, of_vessel)
+    assert not judged.left_out[judged.links.rows[resized]].all()
+    assert float(rate.lower.estimate) < 0.35 < float(rate.mixture.estimate)  # 0.3 were drawn
+    assert any("as false, but not in the least rate: changes its size" in said for said in sentences(judged, (rate,)))
+
+
 def test_marked_stretches_give_the_rate_themselves():
     labelled, stretches = voyage(1), (Stretch(20, 60), Stretch(180, 200.5))
     settings = Settings(replicates=40, without=PLAIN)
