@@ -121,6 +121,45 @@ def test_results_may_name_images_by_their_files(tmp_path: Path) -> None:
         read_log(tmp_path / "dt.json", LogOptions(images=tmp_path / "gt.json"))
 
 
+def frames_of_results(folder: Path, files: list[str], given: list[object], **keys: object) -> DetectionLog:
+    """The log of a result for each `image_id`; the images have the IDs 0, 1, ... and are a second apart."""
+    images = [{"id": k, "file_name": name, "time_s": k} for k, name in enumerate(files)]
+    (folder / "gt.json").write_text(json.dumps({"images": images, "categories": [{"id": 1, "name": "boat"}]}))
+    entry = {"category_id": 1, "bbox": [1, 2, 30, 40], "score": 0.5} | keys
+    (folder / "dt.json").write_text(json.dumps([entry | {"image_id": each} for each in given]))
+    return read_log(folder / "dt.json", LogOptions(images=folder / "gt.json"))
+
+
+def test_a_name_that_several_images_have_stands_for_none(tmp_path: Path) -> None:
+    """Not for the last: both cameras' boxes would be on its images."""
+    files = ["left/0001.jpg", "right/0001.jpg", "left/0002.jpg"]
+    assert frames_of_results(tmp_path, files, ["right/0001.jpg", "0002"]).frame.tolist() == [1, 2]
+    with pytest.raises(InputError, match=r"\[0\]: unknown image_id '0001'"):
+        frames_of_results(tmp_path, files, ["0001", "0002"])
+
+
+@pytest.mark.parametrize(
+    ("given", "frames", "said"),
+    [
+        ([1, 2, 3], [0, 1, 2], "its image_id are taken for the names of the images' files"),
+        ([1.0, 2.0, 3.0], [0, 1, 2], "its image_id are taken for the names of the images' files"),
+        ([0, 1, 2], [0, 1, 2], ""),
+        ([1, 2], [1, 2], "and the name of another's file too: taken for the id"),
+    ],
+)
+def test_numbers_that_name_files_are_told_from_ids(tmp_path: Path, given, frames, said: str) -> None:
+    """Image 0 is `000001.jpg`, so the other reading moves all detections by one frame."""
+    log = frames_of_results(tmp_path, ["000001.jpg", "000002.jpg", "000003.jpg"], given)
+    assert log.frame.tolist() == frames
+    assert said in " ".join(log.notes) and bool(said) == bool(log.notes)
+
+
+def test_a_file_name_beside_an_image_id_decides(tmp_path: Path) -> None:
+    log = frames_of_results(tmp_path, ["000001.jpg", "000002.jpg", "000003.jpg"], [1], file_name="000001.jpg")
+    assert log.frame.tolist() == [0]
+    assert log.notes == ()
+
+
 @pytest.mark.parametrize(
     "names", ["left,top,right,bottom", "x1,y1,x2,y2", "xmin,ymin,xmax,ymax", "x_min,y_min,x_max,y_max"]
 )

@@ -12,11 +12,10 @@ ultralytics, write the name of the image's file without its ending as `image_id`
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, TypeGuard
 
 import orjson
@@ -40,14 +39,12 @@ from modsim3d.formats.reading.builder import (
     valid_box,
 )
 from modsim3d.formats.reading.confidences import Confidences
+from modsim3d.formats.reading.image_names import ID, image_names
 from modsim3d.inputs.budgets import COCO_BYTES_PER_VALUE
 from modsim3d.inputs.strict_json import check_values, parse_json
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import nearest, shown
 
-ID = int | str
-_MOST_DIGITS = 18
-"""Of a file's name that is a number."""
 _MOST_NAMES = 1000
 """The search for a similar name among more of them takes seconds."""
 
@@ -102,43 +99,18 @@ def _read_results(
 def _known_to_results(
     entries: Sequence[Any], known: _Known, names: Sequence[str], category_offset: int, problems: Problems
 ) -> tuple[_Known, list[str]]:
-    """What results may name, and a remark if every `image_id` can be read as an ID and as a file, and some differ.
-
-    An `image_id` may be the name of a file, and category IDs may start at another number.
-    """
-    rows = [entry for entry in entries if isinstance(entry, dict)]
-    given = {image for entry in rows if _is_id(image := entry.get("image_id"))}
-    files, stems = _by_file(names)
-    images, doubt = known.images, []
-    if len(given & stems.keys()) > len(given & images.keys()):
-        images = stems
-    elif any("file_name" in entry for entry in rows):
-        pass  # file names decide
-    elif given <= stems.keys() & images.keys() and any(stems[image] != images[image] for image in given):
-        doubt = ["each image_id of the results is an image's id, and the name of another's file too: taken for the id"]
+    """What results may name, and a remark if that is in doubt; category IDs may start at another number."""
+    images = image_names(entries, known.images, names)
     categories = {number - category_offset: category for number, category in known.categories.items()}
+    rows = (entry for entry in entries if isinstance(entry, dict))
     classes = {number for entry in rows if isinstance(number := entry.get("category_id"), int)}
     if classes - categories.keys():
         for step in (1, -1):
             if {number + step for number in classes} <= categories.keys():
                 whole = category_offset + step
                 problems.hint = f"category IDs are off by one: --category-offset {whole} would set them right"
-    return _Known(images, files, categories), doubt
-
-
-def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
-    """Rows of images by file name, and by name without folder and ending; names of several images are left out."""
-    files, stems = defaultdict[ID, list[int]](list), defaultdict[ID, list[int]](list)
-    for row, name in enumerate(names):
-        path = PurePosixPath(name.replace("\\", "/"))
-        names_of: set[ID] = {name, path.name}
-        number: set[ID] = {int(path.stem)} if path.stem.isdecimal() and len(path.stem) <= _MOST_DIGITS else set()
-        for key in names_of:
-            files[key].append(row)
-        for key in names_of | {path.stem} | number:
-            stems[key].append(row)
-    by_file, by_stem = ({key: rows[0] for key, rows in each.items() if len(rows) == 1} for each in (files, stems))
-    return by_file, by_stem
+    doubt = [images.doubt] if images.doubt else []
+    return _Known(images.by_image_id, images.by_file_name, categories), doubt
 
 
 def _parse(path: Path, what: str) -> Any:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import MOST_PROBLEMS, Problems, is_number
 from modsim3d.formats.reading.confidences import Confidences
+from modsim3d.formats.reading.image_names import ImageNames, image_names
 from modsim3d.inputs.validation import shown
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
 from modsim3d.voyage.logs.times import TIME_FORM, all_utc, time_of, time_text
@@ -49,23 +50,22 @@ def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) ->
     confidences = Confidences.of(scores, options.confidence_scale, problems, "score") if scored else None
     rows = LogRows(source, problems, confidences)
     frame_of, clock, notes = _frames(truth, where, options, rows)
-    given = {_key(each.get("image_id")) for each in results if isinstance(each, dict)}
-    if given and not given & frame_of.keys():
-        by_name = _by_name(truth["images"], frame_of)
-        if given & by_name.keys():
-            frame_of = by_name
-            notes.append(f"{source}: its image_id are taken for the names of the images' files")
+    # Each image has a frame, in their order.
+    names = image_names(results, frame_of, [str(each.get("file_name", each["id"])) for each in truth["images"]])
+    if names.image_ids_are_files:
+        notes.append(f"{source}: its image_id are taken for the names of the images' files")
+    if names.doubt and images is not None:  # annotations beside their images have IDs
+        notes.append(f"{source}: {names.doubt}")
     for index, entry in enumerate(results):
         place = f"[{index}]"
         if not isinstance(entry, dict):
             problems.add(f"{place}: must be a mapping (got {shown(entry)})")
-        elif _key(entry.get("image_id")) not in frame_of:
+        elif (frame := _frame_of(entry, names)) is None:
             problems.add(f"{place}: unknown image_id {shown(entry.get('image_id'))}")
         elif _key(entry.get("category_id")) not in categories:
             problems.add(f"{place}: unknown category_id {shown(entry.get('category_id'))}")
         else:
             label, box = categories[_key(entry["category_id"])], entry.get("bbox")
-            frame = frame_of[_key(entry["image_id"])]
             rows.add(frame, place, box if isinstance(box, list) else [], label, entry.get("score"))
     labels = {name: k for k, name in enumerate(categories.values())}
     return rows.log(clock, f"the images of {(options.images or path).name}", labels, notes)
@@ -73,6 +73,12 @@ def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) ->
 
 def _key(value: Any) -> Any:
     return value if isinstance(value, str | int | float) else None
+
+
+def _frame_of(entry: Mapping[str, Any], names: ImageNames) -> int | None:
+    """Number of the frame of a result; None if it names no image."""
+    named = names.by_image_id.get(_key(entry.get("image_id")))
+    return names.by_file_name.get(_key(entry.get("file_name")), named)
 
 
 def _categories(truth: Any, source: str, offset: int) -> dict[Any, str]:
@@ -123,16 +129,6 @@ def _frames(
     if problems:
         raise InputError(source, problems)
     return frame_of, Clock.UTC if utc else Clock.STEP, notes
-
-
-def _by_name(images: Sequence[Mapping[str, Any]], frame_of: Mapping[Any, int]) -> dict[Any, int]:
-    """Number of the frame of each image by the name of its file, with and without folders and ending."""
-    found: dict[Any, int] = {}
-    for entry in images:
-        name = PurePosixPath(str(entry.get("file_name", "")).replace("\\", "/"))
-        for each in (name.stem, name.name, str(name)):
-            found[each] = frame_of[_key(entry.get("id"))]
-    return found
 
 
 def _times(
