@@ -21,8 +21,10 @@ MOST_APART_S = 2.0
 _NEAR_S = 1e-6
 _UNDER_WAY, _MOST_OFF = 1.0, np.pi / 4
 """Metres a second above which the scene knows a heading, and how far headings may be off it."""
-_MOST_HEADING = 8 * np.pi
-"""Headings may go on counting where a vessel turns round, but not as far as degrees do."""
+_FOUR_TURNS = 8 * np.pi
+"""Headings may go on counting where a vessel turns round. Larger ones do so, or are degrees."""
+_MOST_TURN = 1.0
+"""A larger heading that changes by more radians between two rows, and in a second, is in degrees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +64,12 @@ def _check(time_s: Array, angles_rad: Array, source: str, where: Sequence[str]) 
         raise InputError(source, [f"at least two rows are needed (got {len(time_s)})"])
     if len(late := np.flatnonzero(np.diff(time_s) <= 0)):
         raise InputError(source, [f"{where[late[0] + 1]}: its time must be later than that of the row before"])
-    too_large = (np.abs(angles_rad[:, :2]) > np.pi / 2).any(axis=1) | (np.abs(angles_rad[:, 2]) > _MOST_HEADING)
-    if too_large.any():
-        first = int(np.argmax(too_large))
+    headings = angles_rad[:, 2]
+    turns, gaps_s = (np.abs(np.diff(column, prepend=column[:1])) for column in (headings, time_s))
+    turns_as_degrees = (np.abs(headings) > _FOUR_TURNS) & (turns > _MOST_TURN * np.maximum(gaps_s, 1.0))
+    wrong = (np.abs(angles_rad[:, :2]) > np.pi / 2).any(axis=1) | turns_as_degrees
+    if wrong.any():
+        first = int(np.argmax(wrong))
         got = ", ".join(f"{angle:g}" for angle in angles_rad[first, :3])
         problem = f"{where[first]}: roll, pitch and heading must be in radians (got {got}): are these degrees?"
         raise InputError(source, [problem])
@@ -129,8 +134,10 @@ def _check_headings(times_s: Array, headings_rad: Array, scene: Scene, vessel: s
     known = np.interp(times_s, every_s, np.unwrap(poses.headings_rad[steps, column]))
     off = np.abs(np.angle(np.exp(1j * (headings_rad - known))))[under_way]
     if len(off) and np.median(off) > _MOST_OFF:
+        degrees = ", in radians: are these degrees?" if np.abs(headings_rad).max() > 2 * np.pi else ""
         problem = (
             f"its headings are {np.degrees(np.median(off)):.0f}° off those of '{vessel}' in {scene.title}: heading_rad "
             "counts counter-clockwise from w1, which is east in scenes from AIS, so it is π/2 less the compass heading"
+            f"{degrees}"
         )
         raise InputError(source, [problem])

@@ -161,6 +161,14 @@ def test_the_yaw_of_an_attitude_is_added_to_its_heading(strait: Scene, tmp_path:
     assert measured.at(np.array([0.5]), np.array([-3.0])).round(9).tolist() == [[0, 0, round(3.2 - 2 * math.pi, 9)]]
 
 
+def test_headings_may_go_on_counting(strait: Scene, tmp_path: Path) -> None:
+    """As those of a vessel that goes in circles do, in a run and in recorders."""
+    path, turns = tmp_path / "attitude.csv", 20 * math.pi
+    path.write_text(f"time_s,roll_rad,pitch_rad,heading_rad\n0,0,0,{turns + 0.1}\n1,0,0,{turns + 0.3}\n")
+    measured = read_attitude(path, strait)
+    assert measured.at(np.array([0.5]), np.array([0.0])).round(9).tolist() == [[0, 0, 0.2]]
+
+
 def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> None:
     rows = [f"{time},0,0.01,0.02" for time in (1, 1.5, 2, 4.2, 4.6)]
     path = tmp_path / "attitude.csv"
@@ -181,6 +189,14 @@ WRONG = {
     "degrees": (
         f"{HEAD}0,1,0,3\n1,2.5,0,190\n",
         r"line 3: .* \(got 2.5, 0, 190\): are these",
+    ),
+    "degrees of headings": (
+        f"{HEAD}0,1,0,350\n1,1,0,353.5\n",
+        r"line 3: .* must be in radians \(got 1, 0, 353.5\): are these degrees",
+    ),
+    "degrees of a steady heading": (
+        f"{HEAD}0,1,0,190\n1,1,0,190.2\n",
+        r"its headings are 92° off those of 'own' in .*: heading_rad counts .*, in radians: are these degrees",
     ),
     "another day": (
         f"{HEAD}90000,0,0,0\n90001,0,0,0\n",
