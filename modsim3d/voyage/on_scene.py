@@ -97,7 +97,8 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
     _check_boxes(log, scene, numbers)
     labels, of_vessel, of_log, said = _labels(log, scene)
     clock = SceneClock.of(scene)
-    clocks_s = [noted_clock_s(scene.path, scene.cameras[number].name) for number in numbers]
+    # What is noted is of the detector's clock, and a run has the scene's.
+    clocks_s = [0.0 if log.of_run else noted_clock_s(scene.path, scene.cameras[number].name) for number in numbers]
     times_s = scene_times(log, scene, clock) + np.array(clocks_s)[log.camera]
     check_overlap(log, times_s, scene, clock)
     label = np.zeros(len(log.label), dtype=np.int64) if of_log is None else of_log[log.label]

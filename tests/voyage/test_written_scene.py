@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from modsim3d.ais.scene_folder import write_scene
 from modsim3d.ais.traffic import read_traffic
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.outputs.placing import write_files
+from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.labelled_voyage import Registered
@@ -62,6 +64,13 @@ def written(log: Path, first: Registered) -> Path:
     return log.parent / "written"
 
 
+@pytest.fixture(scope="module")
+def run(written: Path) -> Path:
+    """A run of the registered scene."""
+    run_scene(load_scene(written, steps=5), written.parent / "run")
+    return written.parent / "run"
+
+
 def test_a_second_registration_finds_nothing(log: Path, first: Registered, written: Path) -> None:
     second, notes = registered(load_scene(written), log)
     assert any("s are added to its times of camera 'shore'" in note for note in notes)
@@ -102,6 +111,20 @@ def test_a_clock_is_kept_where_a_camera_is_not_registered_again(written: Path) -
     scene = load_scene(written)
     noted = json.loads(scene_files(scene, (), written)[written / "registration.json"])
     assert noted["cameras"]["shore"]["clock_s"] == noted_clock_s(scene.path, "shore") != 0
+
+
+@pytest.mark.parametrize("name", ["", "tracker_input_shore.jsonl", "detections_shore.json", "detections.parquet"])
+def test_the_clock_is_not_added_to_a_run(run: Path, written: Path, name: str) -> None:
+    """Whose times are the scene's own."""
+    (found,) = on_scene(read_log(run / name), load_scene(written)).cameras
+    assert found.clock_s == 0
+    assert found.time_s[0] == 0
+
+
+def test_the_clock_is_added_to_a_file_that_is_none_of_the_runs(run: Path, log: Path, written: Path) -> None:
+    shutil.copy(log, run / "log.csv")
+    (found,) = on_scene(read_log(run / "log.csv"), load_scene(written)).cameras
+    assert found.clock_s == noted_clock_s(written / "scene.yaml", "shore")
 
 
 @pytest.mark.parametrize(

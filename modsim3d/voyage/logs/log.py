@@ -82,6 +82,7 @@ class DetectionLog:
         confidence: In [0, 1], NaN where not given, shape (D,).
         frames_from: How the frames are known, those without detections included.
         notes: What the reader left out or took for granted.
+        of_run: Whether a run wrote it, so that its clock is the scene's own.
     """
 
     source: str
@@ -97,6 +98,7 @@ class DetectionLog:
     confidence: Array
     frames_from: str
     notes: tuple[str, ...] = ()
+    of_run: bool = False
 
     @property
     def span(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from modsim3d.inputs.budgets import COCO_BYTES_PER_VALUE
 from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
-from modsim3d.runs.files.replacing import RUN_FILE
+from modsim3d.runs.files.replacing import RUN_FILE, files_of_run
 from modsim3d.voyage.logs.bags import read_bag_log
 from modsim3d.voyage.logs.coco import SECTIONS, read_coco_log
 from modsim3d.voyage.logs.json_logs import read_lines_log, read_thesis_log
@@ -31,7 +32,12 @@ def read_log(path: Path, options: LogOptions = NO_OPTIONS) -> DetectionLog:
     log = _reader(path, options)
     if options.images is not None and ".json" not in path.suffixes:
         raise InputError("--images", [f"is for COCO results, and {path} says itself when its images were taken"])
-    return log.shifted(options.start)
+    return replace(log.shifted(options.start), of_run=_is_of_run(path))
+
+
+def _is_of_run(path: Path) -> bool:
+    """Whether a log is a run, or a file that a run has written into its folder."""
+    return (path / RUN_FILE).is_file() or path.name in files_of_run(path.parent)
 
 
 def _reader(path: Path, options: LogOptions) -> DetectionLog:
