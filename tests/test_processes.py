@@ -79,6 +79,19 @@ def test_a_worker_whose_argument_a_new_interpreter_cannot_import_says_so(monkeyp
         list(workers.map(times, range(5)))
 
 
+def use_no_worker() -> None:
+    with open_workers(2, "try again", open_factor, 3):
+        pass
+
+
+def test_new_interpreters_end_that_never_had_a_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("modsim3d.processes.may_fork", lambda: False)
+    using = threading.Thread(target=use_no_worker, daemon=True)
+    using.start()
+    using.join(30)
+    assert not using.is_alive()
+
+
 class TakenByAnother(SimpleQueue[Any]):
     """A queue whose last entry another thread takes right after this one has seen that it is not empty."""
 
