@@ -19,6 +19,8 @@ from modsim3d.special_functions import special
 _UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps differently and would overlap
 # Below so many streams, and with so many rows for each, NumPy's own generator of one stream after the other is faster.
 _STREAMS_IN_TURN, _ROWS_AS_A_STREAM = 20, 25
+# In turn, every stream is drawn over all the steps: so many rows may be drawn at most, and so many for each one of use.
+_ROWS_DRAWN, _ROWS_DRAWN_FOR_ONE = 5_000, 8
 _WORDS_KEPT = 65_536
 _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
 GRID = 2.0**-20
@@ -172,12 +174,13 @@ class Streams:
         if not len(steps):
             return np.empty((0, width))
         used, place = occurring(owner, len(owners))
-        if len(used) > _STREAMS_IN_TURN + len(steps) // _ROWS_AS_A_STREAM:
+        first, stop = int(steps.min()), int(steps.max()) + 1
+        many = len(used) > _STREAMS_IN_TURN + len(steps) // _ROWS_AS_A_STREAM
+        if many or len(used) * (stop - first) > _ROWS_DRAWN + _ROWS_DRAWN_FOR_ONE * len(steps):
             blocks = -(-width // NUMBERS_PER_BLOCK)
             keys = self._keys_of(_UNIFORMS, purpose, names, owners)[owner]
             low = steps.astype(np.uint64) * np.uint64(blocks)
             return philox.uniforms(keys, low, np.zeros_like(low), 0, width)
-        first, stop = int(steps.min()), int(steps.max()) + 1
         parts = [
             self.uniforms(purpose, *names, owners[index], first=first, count=stop - first) for index in used.tolist()
         ]

@@ -29,7 +29,7 @@ def _ufuncs() -> ModuleType:
     sys.modules[_PACKAGE] = package
     try:
         return import_module(_UFUNCS)
-    except ImportError:
+    except Exception:  # not only ImportError: a SciPy whose ufuncs take something of the package does not find it here
         sys.modules.pop(_PACKAGE)
         return import_module(_PACKAGE)
     finally:

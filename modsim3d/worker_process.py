@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import Any, NoReturn
 
 from modsim3d.errors import ModsimError
 
@@ -157,10 +157,28 @@ def serve(pipe_number: int, parent: int) -> None:
     end_with_parent(parent)
     pipe: Connection = Connection(pipe_number)
     try:
-        set_up, arguments = pipe.recv()
-        _serve(pipe, set_up, arguments)
+        message = pipe.recv_bytes()
+        if message != _END:  # there may be no piece for this worker
+            _serve(pipe, *_set_up_of(message))
     except (EOFError, OSError):  # the parent has gone
         os._exit(1)
+
+
+def _set_up_of(message: bytes) -> tuple[Callable[..., AbstractContextManager[Any]], tuple[Any, ...]]:
+    """What sets up a worker, and its arguments.
+
+    Where a new interpreter cannot read them, as those of a class that it cannot import, setting up raises the error: so
+    it is told as any other error of setting up.
+    """
+    try:
+        set_up, arguments = ForkingPickler.loads(message)
+    except Exception as error:
+        return _raise, (error,)
+    return set_up, arguments
+
+
+def _raise(error: Exception) -> NoReturn:
+    raise error
 
 
 def _serve(pipe: Connection, set_up: Callable[..., AbstractContextManager[Any]], arguments: tuple[Any, ...]) -> None:

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -64,6 +65,31 @@ def test_a_worker_that_cannot_be_set_up_for_another_reason_says_which(tmp_path: 
         open_workers(2, "try again", open_file, tmp_path / "missing") as workers,
     ):
         list(workers.map(times, [1]))
+
+
+def test_a_worker_whose_argument_a_new_interpreter_cannot_import_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("modsim3d.processes.may_fork", lambda: False)
+    plugin = ModuleType("plugin_of_this_process")
+    exec("class Choice: pass", plugin.__dict__)
+    monkeypatch.setitem(sys.modules, plugin.__name__, plugin)
+    with (
+        pytest.raises(ModuleNotFoundError, match="plugin_of_this_process"),
+        open_workers(2, "try again", open_argument, plugin.Choice()) as workers,
+    ):
+        list(workers.map(times, range(5)))
+
+
+def use_no_worker() -> None:
+    with open_workers(2, "try again", open_factor, 3):
+        pass
+
+
+def test_new_interpreters_end_that_never_had_a_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("modsim3d.processes.may_fork", lambda: False)
+    using = threading.Thread(target=use_no_worker, daemon=True)
+    using.start()
+    using.join(30)
+    assert not using.is_alive()
 
 
 class TakenByAnother(SimpleQueue[Any]):

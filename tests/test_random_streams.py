@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import ast
 import itertools
+import tracemalloc
 from collections import defaultdict
 from enum import Enum, unique
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import modsim3d
+from modsim3d import philox
 from modsim3d.random_streams import Purpose, Streams, normals
 
 UNIFORM = [purpose for purpose in Purpose if purpose.width is not None]
@@ -120,15 +123,45 @@ def test_generators_are_repeatable_and_independent_of_each_other() -> None:
     assert np.array_equal(one.random(3), Streams(3).generator(Purpose.AGENTS, "a", step=1).random(3))
 
 
-@pytest.mark.parametrize("owners", [1, 3, 200], ids=["one", "in turn", "at once"])
+@pytest.mark.parametrize(
+    ("owners", "span", "at_once"),
+    [(1, 7, False), (3, 9, False), (3, 50_000, True), (200, 2, True)],
+    ids=["one", "few", "few far apart", "many"],
+)
 @pytest.mark.parametrize("purpose", [Purpose.CLASS, Purpose.CLUTTER], ids=["a block a step", "two blocks a step"])
-def test_numbers_of_many_streams_are_those_of_each(owners: int, purpose: Purpose) -> None:
+def test_numbers_of_many_streams_are_those_of_each(
+    owners: int, span: int, at_once: bool, purpose: Purpose, monkeypatch: pytest.MonkeyPatch
+) -> None:
     random, names = np.random.default_rng(owners), [f"vessel{index}" for index in range(owners)]
-    owner, steps = random.integers(0, owners, 2 * owners + 5), 2**40 + random.integers(0, 50, 2 * owners + 5)
+    owner, steps = random.integers(0, owners, 2 * owners + 5), 2**40 + random.integers(0, span, 2 * owners + 5)
+    vectorised = Mock(wraps=philox.uniforms)
+    monkeypatch.setattr(philox, "uniforms", vectorised)
     ours = Streams(3).uniforms_of(purpose, "C0", owners=names, owner=owner, steps=steps)
+    assert vectorised.called == at_once
     rows = zip(owner.tolist(), steps.tolist(), strict=True)
     each = [Streams(3).uniforms(purpose, "C0", names[index], first=step, count=1)[0] for index, step in rows]
     assert np.array_equal(ours, each)
+
+
+def test_few_numbers_are_drawn_beside_those_of_short_tracks_in_a_long_sequence() -> None:
+    tracks, frames, long = 150, 2_000, 130
+    random, names = np.random.default_rng(3), [f"vessel{index}" for index in range(tracks)]
+    owner = np.repeat(np.arange(tracks), long)
+    steps = (random.integers(0, frames - long, tracks)[:, None] + np.arange(long)).ravel()
+    tracemalloc.start()
+    numbers = Streams(3).uniforms_of(Purpose.BOX_ERROR, "C0", owners=names, owner=owner, steps=steps)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 10 * numbers.nbytes
+
+
+def test_streams_of_one_step_are_drawn_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As those of the few vessels of a live step: for so few numbers many at once take ten times as long."""
+    monkeypatch.setattr(philox, "uniforms", Mock(side_effect=AssertionError))
+    names = [f"vessel{index}" for index in range(9)]
+    for owner in (np.arange(9), np.array([4])):
+        steps = np.full(len(owner), 2**40)
+        assert len(Streams(3).uniforms_of(Purpose.CLASS, owners=names, owner=owner, steps=steps)) == len(owner)
 
 
 def test_no_rows_of_streams_give_no_numbers() -> None:

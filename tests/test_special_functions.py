@@ -1,7 +1,9 @@
 """A run takes the functions of SciPy that it needs, and SciPy is whole for whoever wants more of it."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 CODE = """
 import sys
@@ -31,8 +33,23 @@ print(special.__name__)
 """
 
 
-def said(code: str) -> list[str]:
-    return subprocess.check_output([sys.executable, "-c", code], text=True, timeout=60).split()
+OTHER_LAYOUT = {
+    "scipy/__init__.py": "",
+    "scipy/special/__init__.py": "loaded = True\nfrom scipy.special._ufuncs import ndtri",
+    "scipy/special/_ufuncs.py": "from scipy import special\nspecial.loaded\nndtri = abs",
+}
+OTHER_SCIPY = """
+import scipy
+from modsim3d.special_functions import special
+
+print(special.__name__, special.ndtri(-3), special is scipy.special)
+"""
+
+
+def said(code: str, first_path: Path | str = "") -> list[str]:
+    paths = os.pathsep.join(filter(None, (str(first_path), os.environ.get("PYTHONPATH"))))
+    environment = {**os.environ, "PYTHONPATH": paths}
+    return subprocess.check_output([sys.executable, "-c", code], text=True, timeout=60, env=environment).split()
 
 
 def test_run_does_not_import_the_whole_package() -> None:
@@ -46,3 +63,10 @@ def test_package_that_is_there_is_used() -> None:
 def test_package_is_whole_for_other_threads() -> None:
     """One that imports it at the same time would find the stand-in, which has no functions."""
     assert said(OTHER_THREADS) == ["scipy.special"]
+
+
+def test_package_is_used_where_the_ufuncs_need_something_of_it(tmp_path: Path) -> None:
+    for name, text in OTHER_LAYOUT.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    assert said(OTHER_SCIPY, tmp_path) == ["scipy.special", "3", "True"]

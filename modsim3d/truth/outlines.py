@@ -8,7 +8,7 @@ boxes. That is exact and needs no renderer. Every source of truth starts from it
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,7 @@ class Part:
 
     Attributes:
         solid: The faces that the vertices span.
-        rows: Row of each solid, ascending, shape (m,).
+        rows: Row of each solid, ascending, so that those between two rows are found by bisection, shape (m,).
         vertices_camera: Vertices in CCF, in metres, shape (m, K, 3).
         vertices_px: Vertices in the image of the camera's pinhole; NaN nearer than the near plane, shape (m, K, 2).
     """
@@ -46,8 +46,8 @@ class Part:
     vertices_camera: Array
     vertices_px: Array
 
-    def take(self, chosen: Indices | Mask) -> Part:
-        """The solids that are chosen by ascending indices, shape (k,), or by a mask, shape (m,)."""
+    def take(self, chosen: Indices | Mask | slice) -> Part:
+        """The solids that are chosen by ascending indices (k,), by a mask (m,), or by a slice, which copies nothing."""
         return Part(self.solid, self.rows[chosen], self.vertices_camera[chosen], self.vertices_px[chosen])
 
 
@@ -92,21 +92,17 @@ class Outlines:
     def take(self, rows: Indices) -> Outlines:
         """The chosen rows, shape (k,), which ascend."""
         place = new_numbers(rows, len(self))
-        parts = []
-        for part in self.parts:
-            kept = place[part.rows] >= 0
-            parts.append(Part(part.solid, place[part.rows][kept], part.vertices_camera[kept], part.vertices_px[kept]))
-        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
-        return Outlines(**columns, parts=tuple(part for part in parts if len(part.rows)))
+        parts = [part.take(place[part.rows] >= 0) for part in self.parts]
+        return self._chosen(rows, [replace(part, rows=place[part.rows]) for part in parts])
 
     def between(self, first: int, stop: int) -> Outlines:
         """Rows first to stop − 1, which `take` would copy."""
-        parts = []
-        for part in self.parts:
-            chosen = slice(*np.searchsorted(part.rows, (first, stop)).tolist())
-            rows = part.rows[chosen] - first
-            parts.append(Part(part.solid, rows, part.vertices_camera[chosen], part.vertices_px[chosen]))
-        columns = {name: getattr(self, name)[first:stop] for name in _COLUMNS}
+        parts = [part.take(slice(*np.searchsorted(part.rows, (first, stop)).tolist())) for part in self.parts]
+        return self._chosen(slice(first, stop), [replace(part, rows=part.rows - first) for part in parts])
+
+    def _chosen(self, rows: Indices | slice, parts: Sequence[Part]) -> Outlines:
+        """The chosen rows, whose solids are the parts, with the rows' new numbers."""
+        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
         return Outlines(**columns, parts=tuple(part for part in parts if len(part.rows)))
 
 
