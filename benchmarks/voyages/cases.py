@@ -80,7 +80,9 @@ CASES = (
          priors=PRIORS),
     Case("sample", "Registration in the scene of an AIS log", "The scene that `modsim3d ais` makes of "
          "`tests/data/ais/receiver.nmea`, with errors added. Dimensions that the log lacks are guesses, so the sizes "
-         "of boxes do not take part.", "sample", "shore", AIS,
+         "of boxes do not take part. No detector is learned: what guesses of dimensions add to box errors is taken off "
+         "them, and the simulated vessels are just as large as guessed, so that nothing is there to be taken off.",
+         "sample", "shore", AIS,
          priors=(*PRIORS, ("use_sizes", False))),
     Case("detector", "Detector, true tracks", "Camera and clock are registered, then the detector is learned.",
          "lanes", "shore", CLEAN, learns=True),

@@ -62,7 +62,13 @@ def estimate(
 
 
 def linearized(aligner: Aligner, aligned: Alignment) -> Linear:
-    """The fit as a regression in plausible distances, with a column for each of `PROBED`."""
+    """The fit as a regression in plausible distances, with a column for each of `PROBED`.
+
+    Raises:
+        ModsimError: There is nothing to fit.
+    """
+    if not len(aligned.residuals.row):
+        raise ModsimError("registration: no match is left")
     px, slopes = _px_and_slopes(aligner, aligned)
     spreads = aligned.spreads_px
     return Linear.of_soft_loss(slopes / spreads[:, None], px / spreads, SOFT)

@@ -100,7 +100,8 @@ def register(
     last = Aligner(model, hiding, some, free, use_sizes)
     aligned = _settled(last, aligned, lost)
     fits = [estimate(last, aligned, free, offsets_m, noise_m)]
-    fits += [_fitted_from(rival, last, lost, free, offsets_m, noise_m) for rival in rivals]
+    others = (_fitted_from(rival, last, lost, free, offsets_m, noise_m, scene.vessel_names) for rival in rivals)
+    fits += [fitted for fitted in others if fitted is not None]
     estimated, known = _best(last, fits, free)
     aligned, linear, effects = estimated.aligned, estimated.linear, estimated.effects
     check_matches(model, aligned, scene.vessel_names)
@@ -144,11 +145,24 @@ def _corrected(found: BoxesAtTimes, mean: Array) -> BoxesAtTimes:
 
 
 def _fitted_from(
-    start: Values, aligner: Aligner, lost: set[str], free: tuple[str, ...], offsets_m: float | None, noise_m: float
-) -> Estimated:
-    """The last fit from another start."""
+    start: Values,
+    aligner: Aligner,
+    lost: set[str],
+    free: tuple[str, ...],
+    offsets_m: float | None,
+    noise_m: float,
+    names: tuple[str, ...],
+) -> Estimated | None:
+    """The last fit from another start; None where its matches come to nothing, so that it is no registration."""
     aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
-    return estimate(aligner, _settled(aligner, aligned, lost), free, offsets_m, noise_m)
+    try:
+        settled = _settled(aligner, aligned, lost)
+        check_matches(aligner.model, settled, names)
+        fitted = estimate(aligner, settled, free, offsets_m, noise_m)
+        check_matches(aligner.model, fitted.aligned, names)
+    except ModsimError:
+        return None
+    return fitted
 
 
 def _best(aligner: Aligner, fits: Sequence[Estimated], free: tuple[str, ...]) -> tuple[Estimated, Knowledge]:

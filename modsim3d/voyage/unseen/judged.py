@@ -87,6 +87,12 @@ class Judged:
         return passing
 
     @cached_property
+    def tells(self) -> Mask:
+        """Which linked detections tell something: they are taken for a vessel's, or nothing passes there, (n,)."""
+        tells: Mask = self.likely | ~self.passing[self.links.rows]
+        return tells
+
+    @cached_property
     def left_out(self) -> Mask:
         """Which detections are neither hits nor false, since a vessel without a transponder is there, shape (D,)."""
         left_out: Mask = self.passing.copy()
@@ -110,9 +116,8 @@ class Judged:
         weights = resampling.weights[:, self.things.first_image]
         kinds = kinds_of(self.things, weights, self.links.gap_s, self.least_s)
         likely, perhaps = self.kinds.lasting[0] >= _LIKELY, self.kinds.at_least(_PERHAPS)
-        telling = self.likely | ~self.passing[self.links.rows]
-        image, duration = self.links.image[telling], kinds.of_thing[self.links.link[telling]]
-        weighing = Weighing(image, duration, kinds.lasting, likely, perhaps, self.empty)
+        duration = kinds.of_thing[self.links.link]
+        weighing = Weighing(self.links.image, duration, self.tells, kinds.lasting, likely, perhaps, self.empty)
         return rates_of(weighing, resampling, image_state, states, self.kinds.found, self.kinds.inflation)
 
     def own_rates(self, replicates: int, seed: int) -> tuple[StateRates, ...]:

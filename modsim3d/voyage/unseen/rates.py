@@ -17,16 +17,17 @@ class RateSource(Enum):
 
     EMPTY = "the stretches marked as empty"
     MIXTURE = "the mixture of lifetimes"
-    ALL = "all unmatched detections"
+    ALL = "all unmatched detections that are not left out"
 
 
 @dataclass(frozen=True, eq=False)
 class Weighing:
-    """Unmatched detections that tell something, and what speaks for each being of a vessel without a transponder.
+    """Unmatched detections, and what speaks for each being of a vessel without a transponder.
 
     Attributes:
         image: Image of each of n detections, shape (n,).
         duration: Which of D durations its thing has, shape (n,).
+        tells: Which tell something; the others lie where vessels pass each other or come into view, shape (n,).
         lasting: Probability that things of a duration last as vessels do, in each replicate, shape (rows, D).
         likely: Whether these are taken for vessels, shape (D,).
         perhaps: Whether they may be vessels, shape (D,).
@@ -35,6 +36,7 @@ class Weighing:
 
     image: Indices
     duration: Indices
+    tells: Mask
     lasting: Array
     likely: Mask
     perhaps: Mask
@@ -48,13 +50,13 @@ class StateRates:
     Attributes:
         state: Its name.
         images: Number of its images.
-        unmatched: Detections that match nothing.
+        unmatched: Detections that match nothing, but for second boxes and parts of known vessels.
         taken_for_vessels: Those of them that are taken for a vessel's.
-        upper: If all of them are false.
+        upper: If all of them are false, those that tell nothing, too.
         lower: If all that may be a vessel's are of vessels.
         mixture: By the mixture; None if nothing lasts as vessels do.
         empty: In the stretches marked as empty; None if none of its images lies in one.
-        vessel_share: Share of the unmatched detections that are of vessels, by the mixture.
+        vessel_share: Share of the unmatched detections that tell something that are of vessels, by the mixture.
         kept: The rate of those that are learned from.
         units: Number of runs or images that were resampled.
     """
@@ -81,7 +83,7 @@ class StateRates:
     @property
     def used(self) -> Column:
         """The rate that is used."""
-        return self.empty or self.mixture or self.upper
+        return self.empty or self.mixture or self.kept
 
     @property
     def factor(self) -> Array:
@@ -112,7 +114,8 @@ def rates_of(
     rates = []
     for index, name in enumerate(states):
         ours = image_state == index
-        chosen = ours[weighing.image]
+        every = ours[weighing.image]
+        chosen = every & weighing.tells
         whole, marked = weights[:, ours].sum(axis=1), weights[:, ours & weighing.empty].sum(axis=1)
         image, duration = weighing.image[chosen], weighing.duration[chosen]
         cells = (weighing.lasting.shape[1], 2)
@@ -122,20 +125,21 @@ def rates_of(
         def rate(amount: Array, images: Array = whole) -> Column:
             return Column(np.nan_to_num(ratio(amount, images)), "rate", np.array(images[0]), inflation)
 
-        every, lasting = seen.sum(axis=1), (seen * weighing.lasting).sum(axis=1)
+        most = resampling.counts(weighing.image[every], np.zeros(int(every.sum()), dtype=np.int64), ())
+        telling, lasting = seen.sum(axis=1), (seen * weighing.lasting).sum(axis=1)
         kept = np.where(weighing.likely, in_empty, seen)
-        share = np.nan_to_num(ratio(lasting, every))
+        share = np.nan_to_num(ratio(lasting, telling))
         rates.append(
             StateRates(
                 state=name,
                 images=int(ours.sum()),
-                unmatched=int(chosen.sum()),
+                unmatched=int(every.sum()),
                 taken_for_vessels=int(weighing.likely[duration].sum()),
-                upper=rate(every),
+                upper=rate(most),
                 lower=rate(seen[:, ~weighing.perhaps].sum(axis=1)),
-                mixture=rate(every - lasting) if found else None,
+                mixture=rate(telling - lasting) if found else None,
                 empty=rate(in_empty.sum(axis=1), marked) if marked[0] > 0 else None,
-                vessel_share=Column(share, "fraction", np.array(every[0])),
+                vessel_share=Column(share, "fraction", np.array(telling[0])),
                 kept=rate(kept.sum(axis=1)),
                 units=resampling.units(ours),
             )

@@ -73,6 +73,11 @@ def sentences(judged: Judged, rates: Sequence[StateRates]) -> Iterator[str]:
             "false positive that stays look alike, and what lasts as long as vessels do counts as a "
             "vessel; only stretches in which the sea is known to be empty (--empty) can tell them apart"
         )
+    if silent := int(np.count_nonzero(~judged.tells)):
+        yield (
+            f"{counted(silent, 'unmatched detection', 'unmatched detections')} where vessels pass each other or come "
+            "into view at the image's border may be of known ones: they are left out, and count in 'most' alone"
+        )
     lasting = things.lasted_s >= judged.least_s
     for behaviour in Behaviour:
         count = int(np.count_nonzero(lasting & (things.behaviour == behaviour)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from benchmarks.voyages.wrong_camera import WRONG, Voyage
 from modsim3d.errors import ModsimError
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from modsim3d.voyage.registration import BoxesAtTimes, Registration, register
-from modsim3d.voyage.registration.parameters import SHORT
+from modsim3d.voyage.registration import BoxesAtTimes, Registration, register, registering
+from modsim3d.voyage.registration.parameters import SHORT, Values
+from modsim3d.voyage.registration.starts import starts
 
 AIS_ERRORS = AisErrors(position_m=1.0, delay_s=0.5, along_m=3.0, across_m=1.0)
 CLOSE = {"clock_s": 0.2, "pitch_deg": 0.6, "yaw_deg": 0.2, "height_m": 2.0, "focal_share": 0.01, "roll_deg": 0.4}
@@ -109,6 +111,23 @@ def test_clocks_hours_apart_are_refused(scene: Scene, found: BoxesAtTimes) -> No
     late = BoxesAtTimes(found.times_s + 7200, found.frame, found.boxes_px)
     with pytest.raises(ModsimError, match=r"the clocks are 2\.0 hours apart.*Check the time zone"):
         register(scene, "quay", late)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 1.0])
+def test_rivals_that_match_nothing_in_the_end_do_not_end_a_registration(
+    scene: Scene, found: BoxesAtTimes, monkeypatch: pytest.MonkeyPatch, noise_m: float
+) -> None:
+    some = found.some(60)
+    alone = register(scene, "quay", some, searched_s=10, noise_m=noise_m)
+
+    def with_rivals(*arguments: Any) -> tuple[Values, list[Values]]:
+        best, _ = starts(*arguments)
+        return best, [best.changed(clock_s=1e4), best.changed(yaw_deg=90.0)]
+
+    monkeypatch.setattr(registering, "starts", with_rivals)
+    beside = register(scene, "quay", some, searched_s=10, noise_m=noise_m)
+    ends = [[(each.value, each.high) for each in done.estimates] for done in (beside, alone)]
+    np.testing.assert_array_equal(*ends)
 
 
 def test_a_log_of_another_camera_is_refused(scene: Scene, found: BoxesAtTimes) -> None:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.voyage.unseen.judged import judge
@@ -82,6 +83,12 @@ def test_a_known_vessel_in_view_before_its_truth_is_no_false_positive():
     assert judged.left_out[early_rows].all()
     (rate,) = judged.own_rates(10, 0)
     assert float(rate.used.estimate) * FRAMES <= 80 + 1e-9
+    all_unmatched = len(judged.links.rows)
+    assert rate.unmatched == all_unmatched > 80  # more than the stray ones
+    assert float(rate.upper.estimate) * FRAMES == pytest.approx(all_unmatched)
+    assert rate.used is rate.kept
+    said = f"{all_unmatched - 80:g} unmatched detections where vessels pass each other or come into view"
+    assert any(each.startswith(said) for each in sentences(judged, (rate,)))
     inland = replace(labelled, annotations=replace(labelled.annotations, boxes_px=labelled.annotations.boxes_px + 300))
     assert not judge(observed(inland)).crossings.results[early_rows].any()
 
@@ -92,3 +99,18 @@ def test_what_vessels_hide_of_each_other_is_said_and_not_told_as_missed():
     said = f"{judged.crossings.annotations.sum()} boxes of known vessels that these pass are ignored"
     assert any(each.startswith(said) for each in sentences(judged, judged.own_rates(10, 0)))
     assert not (judged.telling.matched.sought & hidden).any()
+
+
+def test_the_greatest_rate_has_all_unmatched_detections_also_where_vessels_pass():
+    x = 100 + 2.5 * np.arange(FRAMES)
+    known, other, stray = at(600.0), at(x, 402.0, 75.0), at(610.0, 405.0, 15.0)
+    single = (np.abs(x - 600) < 40) & (np.arange(FRAMES) % 8 == 0)
+    judged = judge(observed(set_of(known, known, other, np.where(single[:, None], stray, np.nan))))
+    (rate,) = judged.own_rates(10, 0)
+    silent = np.count_nonzero(~judged.tells)
+    assert silent >= single.sum() > 2
+    assert rate.unmatched == len(judged.links.rows)
+    assert float(rate.upper.estimate) * FRAMES == pytest.approx(len(judged.links.rows))
+    assert float(rate.mixture.estimate) * FRAMES == pytest.approx(
+        (1 - rate.vessel_share.estimate) * (len(judged.links.rows) - silent)
+    )
