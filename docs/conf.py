@@ -45,6 +45,7 @@ MENU = {
         "docs/tables",
         "docs/json",
         "benchmarks/RESULTS",
+        "benchmarks/GRAPHICS_CARD",
         "benchmarks/DRAWING",
         "benchmarks/FILMS",
         "benchmarks/REPORT_PAGE",
