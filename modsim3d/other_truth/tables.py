@@ -15,7 +15,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.other_truth.detecting import Part
 from modsim3d.other_truth.sought import Sought
 from modsim3d.runs.files.table_columns import COLUMNS, Column
-from modsim3d.runs.files.tables import BOX_SIDES, ROW_GROUP_ROWS, detection_columns, named, nullable
+from modsim3d.runs.files.tables import BOX_SIDES, ROW_GROUP_ROWS, detection_columns, named, numbers
 
 IMAGE = Column("image", pa.string(), "", "what the file of truth calls the image: its ID in COCO, the frame in MOT")
 FROM_OVERLAP = Column(
@@ -93,7 +93,7 @@ def _truth(part: Part, sought: Sought, names: Sequence[str], model: DetectorMode
         "label": named(model.labels, sought.label[rows]),
         **{f"full_{side}": sought.boxes_px[rows, k] for k, side in enumerate(BOX_SIDES)},
         "visible_fraction": sought.visible_fraction[rows],
-        "depth_m": nullable(sought.depth_m[rows]),
+        "depth_m": numbers(sought.depth_m[rows]),
         "annotated": sought.visible[rows],
         "detected": part.detected,
         "from_overlap": sought.from_overlap[rows],

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import centre_form
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, Detections
@@ -42,9 +42,9 @@ def frame_table(block: Block, scene: Scene) -> pa.Table:
             {
                 **_keys(block, part, scene, part.steps),
                 "state": named(states, part.detections.states),
-                "n_annotated": np.bincount(annotated, minlength=frames),
-                "n_detected": np.bincount(part.detections.frame[~false], minlength=frames),
-                "n_false": np.bincount(part.detections.frame[false], minlength=frames),
+                "n_annotated": numbers(np.bincount(annotated, minlength=frames)),
+                "n_detected": numbers(np.bincount(part.detections.frame[~false], minlength=frames)),
+                "n_false": numbers(np.bincount(part.detections.frame[false], minlength=frames)),
             }
         )
     return _in_order(FRAMES, tables)
@@ -63,10 +63,10 @@ def truth_table(block: Block, scene: Scene) -> pa.Table:
                 "label": named(labels, truth.vessel),
                 **_box_columns("full", truth.full_boxes_px),
                 **_box_columns("visible", truth.visible_boxes_px),
-                **{name: nullable(getattr(truth, name)) for name in TRUTH_NUMBERS},
+                **{name: numbers(getattr(truth, name)) for name in TRUTH_NUMBERS},
                 "occluded_by": _occluders(part, scene),
-                "annotated": truth.annotated,
-                "detected": part.detected,
+                "annotated": flags(truth.annotated),
+                "detected": flags(part.detected),
             }
         )
     return _in_order(TRUTH, tables)
@@ -92,45 +92,70 @@ def detection_columns(detections: Detections, model: DetectorModel) -> dict[str,
     """The columns of the table of detections that say nothing of frames and vessels."""
     starts = np.searchsorted(detections.frame, detections.frame)
     return {
-        "detection": np.arange(len(detections)) - starts,
+        "detection": numbers(np.arange(len(detections)) - starts),
         "label": named(model.labels, detections.label),
-        "confidence": detections.confidence,
-        **dict(zip(BOX_SIDES, detections.boxes_px.T, strict=True)),
-        **dict(zip(CENTRE_FORM, centre_form(detections.boxes_px).T, strict=True)),
+        "confidence": numbers(detections.confidence),
+        **_by_name(BOX_SIDES, detections.boxes_px),
+        **_by_name(CENTRE_FORM, centre_form(detections.boxes_px)),
         "state": named([state.name for state in model.states], detections.states[detections.frame]),
         "kind": named(KINDS, detections.kind),
-        **{name: nullable(column) for name, column in zip(ERRORS, detections.errors_px.T, strict=True)},
+        **_by_name(ERRORS, detections.errors_px),
     }
 
 
 def _keys(block: Block, part: CameraBlock, scene: Scene, step: Indices) -> dict[str, Any]:
     return {
         "camera": named([camera.name for camera in scene.cameras], np.full(len(step), part.camera)),
-        "step": step,
+        "step": numbers(step),
         "timestamp": named(block.timestamps, step - block.first),
     }
 
 
 def named(names: Sequence[str], indices: Indices) -> pa.Array:
     """Names by index; null where the index is negative."""
-    return pa.array(list(names), pa.string()).take(pa.array(indices, mask=indices < 0))
+    return pa.array(list(names), pa.string()).take(_column(indices, indices >= 0))
 
 
-def nullable(values: Array) -> pa.Array:
-    """Numbers with null for NaN."""
-    return pa.array(np.ascontiguousarray(values), from_pandas=True)
+def numbers(values: Array | Indices) -> pa.Array:
+    """Numbers of shape (n,) with null for NaN."""
+    return _column(values, ~np.isnan(values) if values.dtype.kind == "f" else None)
+
+
+def flags(values: Mask) -> pa.Array:
+    """Flags of shape (n,)."""
+    return pa.Array.from_buffers(pa.bool_(), len(values), [None, _bits(values)])
+
+
+def _column(values: Array | Indices, there: Mask | None) -> pa.Array:
+    """Numbers, and which of them are not null, all if None.
+
+    `pa.array` gives the same, but imports NumPy's masked arrays to ask whether it was given one, which takes as long as
+    a hundred frames.
+    """
+    validity = None if there is None or there.all() else _bits(there)
+    content = pa.py_buffer(np.ascontiguousarray(values))
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [validity, content])
+
+
+def _bits(flags: Mask) -> pa.Buffer:
+    return pa.py_buffer(np.packbits(flags, bitorder="little"))
+
+
+def _by_name(names: Sequence[str], values: Array) -> dict[str, pa.Array]:
+    """The columns of an array of shape (n, k) by their names."""
+    return {name: numbers(column) for name, column in zip(names, values.T, strict=True)}
 
 
 def _box_columns(prefix: str, boxes_px: Array) -> dict[str, pa.Array]:
-    return {f"{prefix}_{side}": nullable(boxes_px[:, i]) for i, side in enumerate(BOX_SIDES)}
+    return _by_name([f"{prefix}_{side}" for side in BOX_SIDES], boxes_px)
 
 
 def _occluders(part: CameraBlock, scene: Scene) -> pa.Array:
     truth = part.truth
     entries = pa.StructArray.from_arrays(
-        [named(scene.occluder_names, truth.occluder), pa.array(truth.occluder_px)], names=["id", "px"]
+        [named(scene.occluder_names, truth.occluder), numbers(truth.occluder_px)], names=["id", "px"]
     )
-    return pa.ListArray.from_arrays(pa.array(truth.occluder_offsets, pa.int32()), entries)
+    return pa.ListArray.from_arrays(numbers(truth.occluder_offsets.astype(np.int32)), entries)
 
 
 def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
@@ -138,7 +163,7 @@ def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
     joined = pa.concat_tables([pa.table([columns[name] for name in schema.names], schema=schema) for columns in tables])
     if len(tables) == 1:
         return joined
-    return joined.take(pa.array(np.argsort(joined["step"].to_numpy(), kind="stable")))
+    return joined.take(numbers(np.argsort(joined["step"].to_numpy(), kind="stable")))
 
 
 class TableWriter:

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.runs.files.table_columns import Column
-from modsim3d.runs.files.tables import BOX_SIDES, named, nullable
+from modsim3d.runs.files.tables import BOX_SIDES, named, numbers
 from modsim3d.scene.scene import Scene
 from modsim3d.tracks.tracks import Tracks
 
@@ -44,11 +44,11 @@ def track_table(tracks: Tracks, scene: Scene) -> pa.Table:
         "track": tracks.track,
         "label": named(scene.detector.labels, tracks.label),
         **{name: np.ascontiguousarray(side) for name, side in zip(BOX_SIDES, tracks.boxes_px.T, strict=True)},
-        "confidence": nullable(tracks.confidence),
+        "confidence": numbers(tracks.confidence),
         **dict(
             zip(
                 COVARIANCES,
-                (nullable(part) for part in (covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1])),
+                (numbers(part) for part in (covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1])),
                 strict=True,
             )
         ),
