@@ -10,6 +10,8 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +26,8 @@ MB = 1e6
 def workers(bench: Bench) -> Found:
     """Two processes against one, through the command line: a run of seconds, and one ten times as long."""
     short, long = (bench.steps(steps) for steps in (20_000, 200_000))
-    found = Found([_workers(bench, short, 5), _workers(bench, long, 3)])
-    if not all(row.met for row in found.rows):
+    found = Found([_workers(bench, short, 5), _workers(bench, long, 3), _two_runs(bench, short)])
+    if not all(row.met for row in found.rows[:2]):
         asked = {"scene": "simulation_1", "steps": short, "mode": 2}
         found.profiles += [
             profile_of_run(f"one worker, {short:,} steps", **asked),
@@ -58,6 +60,24 @@ def _workers(bench: Bench, steps: int, rounds: int) -> Row:
     limit = bench.times_limit(statistics.median(taken[2]), drawn)
     seconds = f"{significant(statistics.median(taken[1]))} s and {significant(statistics.median(taken[2]))} s"
     return Row(figure, promise, f"{spread(faster, ' ×')}; {seconds}; {same}", met, limit)
+
+
+def _two_runs(bench: Bench, steps: int) -> Row:
+    """Two runs of one process each at the same time: what two processes that share nothing gain on this machine."""
+    alone, together = [], []
+    command = ("run", "simulation_1", "--mode", "2", "--steps", str(steps), "--no-sheet", "--out")
+    folders = [bench.folder / f"run{number}" for number in range(2)]
+    for _ in bench.rounds(5):
+        alone.append(modsim3d(*command, folders[0]).seconds)
+        shutil.rmtree(folders[0])
+        with ThreadPoolExecutor(len(folders)) as threads:
+            together.append(max(run.seconds for run in threads.map(partial(modsim3d, *command), folders)))
+        for out in folders:
+            shutil.rmtree(out)
+    gain = ratios([2 * seconds for seconds in alone], together)
+    seconds = f"{significant(statistics.median(alone))} s and {significant(statistics.median(together))} s"
+    figure = f"two such runs of {steps:,} steps at the same time against one after the other, start and end shared too"
+    return Row(figure, "", f"{spread(gain, ' ×')}; {seconds}", None, "nothing is drawn")
 
 
 def differing_files(one: Path, other: Path) -> set[str]:
