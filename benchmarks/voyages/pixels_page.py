@@ -101,9 +101,9 @@ def _conclusion(found: dict[str, Any]) -> str:
         f"there. By that alone, with true tracks, the values change from {own} to {both}. In the other films the "
         "vessels with transponders have the errors of all, or a little larger ones of their own. That vessels without "
         "a transponder hide others unknown changes little. In the basin errors of positions remain in x: boats are 80 "
-        "to 300 m away and turn by up to a full circle. An error of a position lasts in east and north, and registration "
-        "finds one offset along and across the heading, so it does not take it off a vessel that turns. Delays do not "
-        f"matter there. Of the intervals of the clock, {held} of {len(clocks)} hold the true one."
+        "to 300 m away and turn by up to a full circle. An error of a position lasts in east and north, and "
+        "registration finds one offset along and across the heading, so it does not take it off a vessel that turns. "
+        f"Of the intervals of the clock, {held} of {len(clocks)} hold the true one."
     )
 
 
