@@ -16,8 +16,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads do
 
 from benchmarks.stand_in.films import WORK
 from benchmarks.voyages.cases import CASES, FIRST_SEED
+from benchmarks.voyages.causes import causes
 from benchmarks.voyages.page import text
-from benchmarks.voyages.pixels import PIXELS, pixel_voyages
+from benchmarks.voyages.pixels import PIXELS, pixel_voyages, restored_films
 from benchmarks.voyages.scores import scores
 from benchmarks.voyages.trials import trial
 
@@ -42,7 +43,8 @@ def main() -> None:
             if asked.case and name not in asked.case:
                 continue
             if name == PIXELS:
-                results[name] = pixel_voyages(pool, asked.work)
+                films = restored_films(asked.work)
+                results[name] = pixel_voyages(pool, films) | {"causes": causes(pool, films)}
             else:
                 seeds = range(FIRST_SEED, FIRST_SEED + asked.seeds)
                 results[name] = scores(list(pool.map(trial, [name] * len(seeds), seeds)))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks.voyages.cases import AIS, CASES, FIRST_SEED, TOLD_M, Case
-from benchmarks.voyages.pixels import NEAR_AIS, PIXELS, VARIANTS
+from benchmarks.voyages.pixels import PIXELS
+from benchmarks.voyages.pixels_page import pixels_section
 from benchmarks.voyages.scores import PARTS, below, share
 from benchmarks.voyages.wrong_camera import WRONG
 
@@ -18,26 +19,6 @@ TITLES = {"registration": "Camera and clock", "detector": "Detector"}
 HEAD = "| number | true | held | fewest | bias | spread | half-width |"
 UNITS = {"clock_s": "s", "pitch_deg": "°", "yaw_deg": "°", "height_m": "m"}
 
-PIXEL_WORDS = (
-    "The films of [stand_in](../stand_in.md), in which a detector that was trained on photographs looks at pictures of "
-    "this program. Of the first films of each place in clear weather from ashore, the detector is learned by full "
-    "truth, and by AIS through the same wrong camera and clock as above. The vessels are near, so AIS means less here: "
-    f"{NEAR_AIS.position_m:g} m, delays of {NEAR_AIS.delay_s:g} s. Films last half a minute. Values are means over the "
-    "films; of the films it is counted in how many the value by AIS lies within the interval of full truth, and in how "
-    "many both intervals overlap.\n\n"
-    "False positives differ by the vessels without a transponder: with transponders on all, they are those of full "
-    "truth. A film of half a minute cannot tell such vessels from false positives, since only things that last 30 s on "
-    "average are taken for vessels.\n\n"
-    "Box errors by AIS are larger in x and in width than by full truth, more so with four fifths, where they also "
-    "persist longer. Three films were looked into: one of the strait, with transponders on all, and both of the "
-    "basin. In that of the strait both truths give the same. In the basin it is errors of truth, not wrong matches: "
-    "at most 4 % of the matches are of another vessel than by full truth, and without these the errors are as large. "
-    "Even with the true camera and clock, errors and delays of positions there move boxes by 14 px in x (standard "
-    "deviation). Registration sets the clock 0.5 and 1.9 s wrong; with the true camera and clock, errors in width are "
-    "nearly those of full truth. Why box errors grow further with four fifths was not established: in the basin they "
-    "hardly do."
-)
-
 
 def text(results: dict[str, dict[str, Any]]) -> str:
     """The page."""
@@ -48,7 +29,7 @@ def text(results: dict[str, dict[str, Any]]) -> str:
         if case.name in results:
             lines += _section(case, results[case.name])
     if PIXELS in results:
-        lines += _pixels(results[PIXELS])
+        lines += pixels_section(results[PIXELS])
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -141,26 +122,6 @@ def _section(case: Case, found: dict[str, Any]) -> list[str]:
                 ]
     for reason, number in found["refused"].items():
         lines += [f"Refused in {number}: {reason}", ""]
-    return lines
-
-
-def _pixels(found: dict[str, Any]) -> list[str]:
-    """A detector that looks at pixels: the number of films in which AIS teaches what full truth does."""
-    names = dict.fromkeys(name for variant in VARIANTS for name in found[variant])
-    lines = ["## A detector that looks at pixels", "", PIXEL_WORDS, "",
-             "| number | full truth | by AIS, all have transponders | films | by AIS, four fifths have | films |",
-             "|---|---|---|---|---|---|"]  # fmt: skip
-    for name in names:
-        scores = [found[variant].get(name) for variant in VARIANTS]
-        full = next(_short(score["full"]) for score in scores if score)
-        cells = [
-            f"{_short(score['ais'])} | {score['inside']}, {score['overlap']} of {score['films']}" if score else "– | –"
-            for score in scores
-        ]
-        lines.append(f"| `{name}` | {full} | {' | '.join(cells)} |")
-    lines += [""]
-    for film, reason in found["refused"].items():
-        lines += [f"Refused, {film}: {reason}", ""]
     return lines
 
 

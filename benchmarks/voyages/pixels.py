@@ -6,7 +6,7 @@ import json
 import tempfile
 from collections.abc import Iterable
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,13 @@ from benchmarks.stand_in.films import WORK, Film, all_films
 from benchmarks.stand_in.rungs import LEAST_CONFIDENCE, LEAST_IOU
 from benchmarks.stand_in.stored import restore_films
 from benchmarks.voyages.reported import AisErrors, as_reported
-from benchmarks.voyages.trials import BY_RULE, LEVEL, REPLICATES
+from benchmarks.voyages.trials import BY_RULE, LEVEL, REPLICATES, bounds, registration_numbers
 from benchmarks.voyages.wrong_camera import WRONG, really, write_table
 from modsim3d.errors import ModsimError
-from modsim3d.learn.learning import LearnResult, learn_detector
-from modsim3d.voyage.learned import learn_voyage
+from modsim3d.learn.learned import Learned
+from modsim3d.learn.learning import learn_detector
+from modsim3d.voyage.correction import Correction
+from modsim3d.voyage.learned import VoyageResult, learn_voyage
 
 PIXELS = "pixels"
 NEAR_AIS = AisErrors(position_m=1.0, position_s=300.0, delay_s=0.2)
@@ -34,6 +36,24 @@ WITHOUT = ("relative", "mixed", "student_t", "effects", "vessels", "places", "la
 LABEL = "boat"
 _FULL = {"match": "confidence", "least_iou": LEAST_IOU, "confidence": LEAST_CONFIDENCE, "without": WITHOUT,
          "replicates": REPLICATES}  # fmt: skip
+STD = "box_error_std[{}] (px)"
+_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")
+
+Numbers = dict[str, dict[str, float]]
+"""Numbers by their names, each with `value`, `low` and `high`."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A film learned by full truth and by AIS.
+
+    Attributes:
+        numbers: Those of both; with `ais_` before, those by AIS; `ais_bound` is 1 if that is said to be an upper bound.
+        clock: What registration finds of the clock, as `registration_numbers` has it.
+    """
+
+    numbers: Numbers
+    clock: dict[str, float]
 
 
 def pixel_films(work: Path = WORK) -> list[Film]:
@@ -43,35 +63,46 @@ def pixel_films(work: Path = WORK) -> list[Film]:
     return [film for place in places for film in [each for each in films if each.place == place][:FILMS_OF_A_PLACE]]
 
 
-def pixel_voyages(pool: Executor, work: Path = WORK) -> dict[str, Any]:
-    """All films: their names, and each variant's comparisons, number by number.
-
-    Films that are not in the work folder are made of what was found in them, without pictures.
-    """
+def restored_films(work: Path = WORK) -> list[Film]:
+    """These films; those that are not in the work folder are made of what was found in them, without pictures."""
     films = pixel_films(work)
     restore_films(work, films)
-    found: dict[str, Any] = {"films": [film.name for film in films], "refused": {}}
+    return films
+
+
+def pixel_voyages(pool: Executor, films: list[Film]) -> dict[str, Any]:
+    """All films: their names, each variant's comparisons, number by number, and each film's clock and values."""
+    found: dict[str, Any] = {"films": [film.name for film in films], "refused": {}, "registered": {}}
     for variant in VARIANTS:
-        done = list(pool.map(compared, films, [variant] * len(films)))
-        found["refused"] |= {f"{film.name}, {variant}": each for film, each in zip(films, done, strict=True)
-                             if isinstance(each, str)}  # fmt: skip
-        found[variant] = comparisons(each for each in done if not isinstance(each, str))
+        done = dict(zip((film.name for film in films), pool.map(compared, films, [variant] * len(films)), strict=True))
+        found["refused"] |= {f"{name}, {variant}": each for name, each in done.items() if isinstance(each, str)}
+        learned = {name: each for name, each in done.items() if not isinstance(each, str)}
+        found[variant] = comparisons(each.numbers for each in learned.values())
+        found["registered"][variant] = {
+            name: {"clock": each.clock} | {key: number["ais_value"] for key, number in each.numbers.items()}
+            for name, each in learned.items()
+        }
     return found
 
 
-def compared(film: Film, variant: str) -> dict[str, dict[str, float]] | str:
-    """Each number of a film by full truth and by AIS, with its intervals; or why the film was refused."""
+def compared(film: Film, variant: str) -> Compared | str:
+    """A film by full truth and by AIS; or why it was refused."""
     full = learn_detector(truth=film.truth, detections=film.real, **_FULL)
     try:
-        by_ais = _by_ais(film, VARIANTS[variant])
+        by_ais = by_tracks(film, VARIANTS[variant])
     except ModsimError as error:
         return str(error)
-    first, second = _numbers(full), _numbers(by_ais)
-    return {name: first[name] | {f"ais_{key}": value for key, value in second[name].items()}
-            for name in first if name in second}  # fmt: skip
+    first, second = numbers_of(full.report.learned), numbers_of(by_ais.report.learned)
+    numbers = {name: first[name] | {f"ais_{key}": value for key, value in second[name].items()}
+               for name in first if name in second}  # fmt: skip
+    for component, bound in zip(_COMPONENTS, bounds(by_ais), strict=True):
+        if bound and STD.format(component) in numbers:
+            numbers[STD.format(component)]["ais_bound"] = 1.0
+    (done,) = by_ais.registered
+    return Compared(numbers, registration_numbers(done.registration)["clock_s"])
 
 
-def comparisons(films: Iterable[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
+def comparisons(films: Iterable[Numbers]) -> dict[str, dict[str, float]]:
     """Over films: means by both truths, in how many films intervals overlap, and in how many AIS is in the full one."""
     every = list(films)
     result = {}
@@ -86,20 +117,26 @@ def comparisons(films: Iterable[dict[str, dict[str, float]]]) -> dict[str, dict[
             "ais": float(f"{ais.mean():.6g}"),
             "overlap": int(((ais_low <= high) & (low <= ais_high)).sum()),
             "inside": int(((low <= ais) & (ais <= high)).sum()),
+            "bounds": sum(row.get("ais_bound", 0) > 0 for row in rows),
         }
     return result
 
 
-def _by_ais(film: Film, errors: AisErrors) -> LearnResult:
-    """Learned from what the detector found, by the tracks of AIS and through a camera and a clock that are wrong."""
+def by_tracks(film: Film, errors: AisErrors, *, registered: bool = True, replicates: int = REPLICATES) -> VoyageResult:
+    """Learned from what the detector found, by the tracks of AIS.
+
+    The camera and the clock are wrong and registered, or known.
+    """
     true = film.scene()
     camera = true.cameras[0].name
     opposite = {name: -value for name, value in WRONG.items()} | {"focal_share": 1 / (1 + WRONG["focal_share"]) - 1}
-    known, _ = as_reported(really(true, camera, opposite), film.seed, errors)
+    known, _ = as_reported(really(true, camera, opposite if registered else {}), film.seed, errors)
+    right = None if registered else Correction(clock_s=WRONG["clock_s"])
+    how = _FULL | {"replicates": replicates}
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "detections.csv"
         _write_log(film, camera, log)
-        return learn_voyage(known, log, position_noise=errors.position_m, **_FULL)
+        return learn_voyage(known, log, position_noise=errors.position_m, registration=right, **how)
 
 
 def _write_log(film: Film, camera: str, path: Path) -> None:
@@ -113,10 +150,10 @@ def _write_log(film: Film, camera: str, path: Path) -> None:
     write_table(path, times_s, camera, frame, [LABEL] * len(real), np.array([each["score"] for each in real]), boxes)
 
 
-def _numbers(learned: LearnResult) -> dict[str, dict[str, float]]:
+def numbers_of(learned: Learned) -> Numbers:
     """Each number with its interval; not the quantiles of confidence, which are many, nor what a rule settles."""
     found = {}
-    for each in learned.report.learned.intervals(LEVEL):
+    for each in learned.intervals(LEVEL):
         path = each.key.path
         if path != "transition_matrix" and not path.endswith((BY_RULE, "quantiles", "false_positive_labels")):
             ends = [np.broadcast_to(end, np.shape(each.estimate)) for end in (each.low, each.high)]

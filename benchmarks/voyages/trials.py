@@ -64,25 +64,25 @@ def registration_numbers(done: Registration) -> dict[str, Number]:
 def detector_numbers(learned: VoyageResult) -> dict[str, Number]:
     """What was learned of the detector, beside what its file says; numbers of models that it does not have are not."""
     asked = asked_of(DETECTOR)
-    bounds = _bounds(learned)
+    are_bounds = bounds(learned)
     found: dict[str, Number] = {}
     for each in learned.report.learned.intervals(LEVEL):
         path = each.key.path
         other = path.startswith(_BOX_ERRORS) and each.key.remark not in ("", "px")
         if path in asked and path != "transition_matrix" and not path.endswith(BY_RULE) and not other:
             for place, value in np.ndenumerate(asked[path]):
-                found[each.key.at(place)] = _number(each, place, float(value), path, bounds)
+                found[each.key.at(place)] = _number(each, place, float(value), path, are_bounds)
     return found
 
 
-def _number(each: Interval, place: tuple[int, ...], asked: float, path: str, bounds: np.ndarray) -> Number:
+def _number(each: Interval, place: tuple[int, ...], asked: float, path: str, are_bounds: np.ndarray) -> Number:
     ends = [float(np.broadcast_to(end, np.shape(each.estimate))[place]) for end in (each.low, each.high)]
     number = {"asked": asked, "value": float(each.estimate[place]), "low": ends[0], "high": ends[1]}
-    bound = bounds[place[0]] if path == f"{_BOX_ERRORS}std" else path == BOX_S and bounds.any()
+    bound = are_bounds[place[0]] if path == f"{_BOX_ERRORS}std" else path == BOX_S and are_bounds.any()
     return number | ({"bound": 1.0} if bound else {})
 
 
-def _bounds(learned: VoyageResult) -> np.ndarray:
+def bounds(learned: VoyageResult) -> np.ndarray:
     """Which components of the box error were said to be upper bounds, shape (4,)."""
     (state,) = learned.told.taken_off.states
     noisy = learned.told.taken_off.noise.position_m > 0

@@ -10,11 +10,13 @@ import pytest
 
 from benchmarks.campaigns.voyages import OUT
 from benchmarks.voyages.cases import BY_NAME, CASES, FIRST_SEED
+from benchmarks.voyages.causes import NUMBERS, Truth
 from benchmarks.voyages.page import text
 from benchmarks.voyages.pixels import comparisons
 from benchmarks.voyages.reported import AisErrors, as_reported
 from benchmarks.voyages.scores import below, fewest, scores
 from benchmarks.voyages.trials import holds, trial
+from benchmarks.voyages.wrong_camera import WRONG
 
 DETECTED = "states.voyage.confusion[missed from {}]"
 
@@ -76,8 +78,19 @@ def test_scores_count_what_holds() -> None:
 
 def test_two_truths_are_compared_by_their_intervals() -> None:
     film = {"value": 1.0, "low": 0.0, "high": 2.0, "ais_value": 3.0, "ais_low": 1.5, "ais_high": 4.0}
-    (found,) = comparisons([{"rate": film}, {"rate": film | {"ais_low": 2.5}}]).values()
-    assert (found["films"], found["overlap"], found["inside"], found["ais"]) == (2, 1, 0, 3.0)
+    (found,) = comparisons([{"rate": film}, {"rate": film | {"ais_low": 2.5, "ais_bound": 1.0}}]).values()
+    assert (found["films"], found["overlap"], found["inside"], found["ais"], found["bounds"]) == (2, 1, 0, 3.0, 1)
+
+
+def test_with_unknown_vessels_box_errors_grow_where_others_are_matched(committed: dict[str, dict[str, Any]]) -> None:
+    for film, causes in committed["pixels"]["causes"].items():
+        own, with_others = (
+            causes["some"][each.name][NUMBERS[0]] for each in (Truth.SAME_VESSELS, Truth.ALL_DETECTIONS)
+        )
+        many = causes["of_others"] > 0.05 * causes["matches"]
+        assert (with_others > 1.5 * own) == many, film
+    clocks = [film["clock"] for films in committed["pixels"]["registered"].values() for film in films.values()]
+    assert all(clock["low"] <= WRONG["clock_s"] <= clock["high"] for clock in clocks)
 
 
 def test_errors_of_positions_are_as_large_and_last_as_long_as_asked() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -87,19 +88,20 @@ class Traffic:
         return places[:, :3], nominal @ np.swapaxes(vehicle_R_nominal(places[:, 4:]), -1, -2)
 
     def velocities(self, times_s: Array, vessel: Indices) -> Array:
-        """Mean velocities along and across from `MEAN_S` before to `MEAN_S` after n times, in m/s, shape (n, 2)."""
+        """Mean velocities along and across from `MEAN_S` before to `MEAN_S` after n times, in m/s, shape (n, 2).
+
+        They turn with the vessel: one that goes round in a circle keeps its speed ahead.
+        """
         known = [np.flatnonzero(column) for column in self.present.T]
         first, last = (np.array([self.times_s[rows[end]] if len(rows) else 0.0 for rows in known]) for end in (0, -1))
         start, stop = (
             np.clip(times_s + side, first[vessel], np.maximum(last[vessel], first[vessel] + 1e-3))
             for side in (-MEAN_S, MEAN_S)
         )
-        moved = (self._placed(stop, vessel) - self._placed(start, vessel))[:, :2]
-        over_s = np.maximum(stop - start, 1e-3)
-        heading = self._placed(times_s, vessel)[:, 3]
-        cosine, sine = np.cos(heading), np.sin(heading)
-        along, across = moved[:, 0] * cosine + moved[:, 1] * sine, moved[:, 1] * cosine - moved[:, 0] * sine
-        found: Array = np.stack([along, across], axis=-1) / over_s[:, None]
+        moved = self._interpolated(self._travelled_m, stop, vessel) - self._interpolated(
+            self._travelled_m, start, vessel
+        )
+        found: Array = moved / np.maximum(stop - start, 1e-3)[:, None]
         return found
 
     def camera_at(self, times_s: Array, turn_rad: Array, raised_m: float) -> CameraPoses:
@@ -119,11 +121,24 @@ class Traffic:
         share = (times_s - self.times_s[before]) / (self.times_s[before + 1] - self.times_s[before])
         return before, np.clip(share, 0.0, 1.0)
 
+    @cached_property
+    def _travelled_m(self) -> Array:
+        """How far vessels have come since the first of the times, along and across their headings, shape (S, V, 2)."""
+        moved, heading = np.diff(self.places_m[..., :2], axis=0), self.places_m[..., 3]
+        midway = (heading[1:] + heading[:-1]) / 2
+        cosine, sine = np.cos(midway), np.sin(midway)
+        along, across = moved[..., 0] * cosine + moved[..., 1] * sine, moved[..., 1] * cosine - moved[..., 0] * sine
+        return np.pad(np.cumsum(np.stack([along, across], axis=-1), axis=0), ((1, 0), (0, 0), (0, 0)))
+
     def _placed(self, times_s: Array, vessel: Indices) -> Array:
+        return self._interpolated(self.places_m, times_s, vessel)
+
+    def _interpolated(self, of_steps: Array, times_s: Array, vessel: Indices) -> Array:
+        """Values of vessels at the steps, shape (S, V, k), at times (n,), shape (n, k)."""
         before, share = self._between(times_s)
-        start, end = self.places_m[before, vessel], self.places_m[before + 1, vessel]
-        placed: Array = start + share[:, None] * (end - start)
-        return placed
+        start, end = of_steps[before, vessel], of_steps[before + 1, vessel]
+        found: Array = start + share[:, None] * (end - start)
+        return found
 
 
 def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:

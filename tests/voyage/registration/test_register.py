@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.stand_in.places import place_scene
 from benchmarks.voyages.cases import REGISTRATION_SETTINGS
 from benchmarks.voyages.reported import AisErrors, as_reported
 from benchmarks.voyages.wrong_camera import WRONG, Voyage
@@ -197,3 +198,13 @@ def test_names_that_do_not_exist_are_refused(
 def test_wrong_detections_are_refused(times_s: list, frame: list, boxes: list, message: str) -> None:
     with pytest.raises(ModsimError, match=message):
         BoxesAtTimes(np.array(times_s), np.array(frame), np.array(boxes, dtype=float))
+
+
+def test_boats_that_turn_all_the_time_tell_the_clock_by_ais() -> None:
+    """They turn by up to 360° in the half minute: along a straight line they hardly come forward."""
+    basin = place_scene("basin", "shore", "clear", 127)
+    basin = replace(basin, annotation=replace(basin.annotation, source="analytic"))
+    known, _ = as_reported(basin, 1, AisErrors(position_m=1.0, position_s=300.0, delay_s=0.2))
+    registration = register(known, "shore", Voyage.of(basin, "shore", WRONG).detections(1), noise_m=1.0)
+    assert holds(registration, "clock_s"), registration
+    assert registration["clock_s"].value == pytest.approx(WRONG["clock_s"], abs=0.3)

@@ -26,9 +26,11 @@ def scene() -> Scene:
     return load_scene("strait", settings={"annotation.source": "analytic", "waves.apply_to": "ownship"})
 
 
-def with_places(scene: Scene, present: np.ndarray, positions_m: np.ndarray) -> Traffic:
-    known = scene.poses.poses(0, scene.steps)
-    poses = RecordedPoses(scene.poses.timestamps, Poses(present, positions_m, known.headings_rad))
+def with_places(
+    scene: Scene, present: np.ndarray, positions_m: np.ndarray, headings_rad: np.ndarray | None = None
+) -> Traffic:
+    headings = scene.poses.poses(0, scene.steps).headings_rad if headings_rad is None else headings_rad
+    poses = RecordedPoses(scene.poses.timestamps, Poses(present, positions_m, headings))
     changed = replace(scene, poses=poses)
     return Traffic.of(changed, changed.cameras[QUAY])
 
@@ -65,6 +67,18 @@ def test_mean_speeds_do_not_follow_the_errors_of_reports(scene: Scene) -> None:
     np.testing.assert_allclose(found, exact.velocities(times, ferry), atol=0.08)
     np.testing.assert_allclose(found[:, 0], 4.5, atol=0.2)
     assert np.abs(found[:, 1]).max() < 0.2
+
+
+def test_a_vessel_that_turns_within_the_time_of_a_mean_keeps_its_speed_ahead(scene: Scene) -> None:
+    known, times_s = scene.poses.poses(0, scene.steps), scene.times_s(0, scene.steps)
+    radius_m, speed_m_s = 15.0, 3.0
+    positions, headings = known.positions_m.copy(), known.headings_rad.copy()
+    turned_rad = speed_m_s / radius_m * times_s
+    positions[:, FERRY, :2] = radius_m * np.column_stack([np.sin(turned_rad), -np.cos(turned_rad)])
+    headings[:, FERRY] = turned_rad
+    traffic = with_places(scene, known.present, positions, headings)
+    found = traffic.velocities(np.linspace(0, times_s[-1], 20), np.full(20, FERRY))
+    np.testing.assert_allclose(found, np.tile([speed_m_s, 0.0], (20, 1)), atol=0.01)
 
 
 def test_a_point_that_k1_folds_into_the_image_is_no_edge_to_go_by(scene: Scene) -> None:
