@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import scipy.linalg  # noqa: F401 (it brings a library of its own for linear algebra, which is told below too)
 from hypothesis import settings
+from threadpoolctl import threadpool_limits
 
 from modsim3d.render.context import open_context
 from modsim3d.render.id_pass import IdRenderer
@@ -18,6 +20,10 @@ from modsim3d.render.id_pass import IdRenderer
 # A busy machine fails no test, and a run of the tests is the same as the one before.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
+
+# As the command line does for itself: matrices are small, and threads that wait for each other take half of the time of
+# the processors from the other tests. Not by a variable, which programs that tests start would inherit.
+threadpool_limits(1, user_api="blas")
 
 
 ROOT = Path(__file__).resolve().parents[1]
