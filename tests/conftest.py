@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -14,6 +15,7 @@ import scipy.linalg  # noqa: F401 (it brings a library of its own for linear alg
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
+from modsim3d.cli import COLLECT_AFTER
 from modsim3d.render.context import open_context
 from modsim3d.render.id_pass import IdRenderer
 
@@ -46,6 +48,12 @@ def forget_who_started_the_tests() -> None:
 
 
 forget_who_started_the_tests()  # now, because some libraries look at the terminal when they are imported
+
+
+def pytest_collection_finish() -> None:
+    """Let Python look for garbage as seldom as in the command line, and never through the thousands of tests."""
+    gc.set_threshold(COLLECT_AFTER)
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
