@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -10,14 +11,21 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import scipy.linalg  # noqa: F401 (it brings a library of its own for linear algebra, which is told below too)
 from hypothesis import settings
+from threadpoolctl import threadpool_limits
 
+from modsim3d.cli import COLLECT_AFTER
 from modsim3d.render.context import open_context
 from modsim3d.render.id_pass import IdRenderer
 
 # A busy machine fails no test, and a run of the tests is the same as the one before.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
+
+# As the command line does for itself: matrices are small, and threads that wait for each other take half of the time of
+# the processors from the other tests. Not by a variable, which programs that tests start would inherit.
+threadpool_limits(1, user_api="blas")
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -40,6 +48,12 @@ def forget_who_started_the_tests() -> None:
 
 
 forget_who_started_the_tests()  # now, because some libraries look at the terminal when they are imported
+
+
+def pytest_collection_finish() -> None:
+    """Let Python look for garbage as seldom as in the command line, and never through the thousands of tests."""
+    gc.set_threshold(COLLECT_AFTER)
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -52,9 +52,9 @@ def test_test_runs_all_checks_and_lists_at_the_end_which_passed(tmp_path: Path) 
         "passed  ruff check",
         "passed  ruff format",
         "passed  import-linter",
+        "passed  pytest",
         "FAILED  mypy",
         "passed  docs",
-        "passed  pytest",
     ]
 
 

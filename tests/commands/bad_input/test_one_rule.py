@@ -36,11 +36,20 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene, a run of it, its labels and tracks; no test writes here."""
+    folder = tmp_path_factory.mktemp("finished")
+    run_scene(load_scene(crossing(folder, 40), source="analytic"), folder / "run")
+    write_coco(labelled_run(folder / "run")[0], folder / "coco")
+    (folder / "tracks.csv").write_text(writers.TRACKS)
+    return folder
+
+
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
-    run_scene(load_scene(crossing(tmp_path, 40), source="analytic"), tmp_path / "run")
-    write_coco(labelled_run(tmp_path / "run")[0], tmp_path / "coco")
-    (tmp_path / "tracks.csv").write_text(writers.TRACKS)
+def run(finished: Path, tmp_path: Path) -> Path:
+    """A copy of the run in the test's own folder, with all that lies beside it."""
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     return tmp_path / "run"
 
 

@@ -14,6 +14,8 @@ def scene_file(run: Path) -> Path:
     return path
 
 
+QUICK = ("--replicates", 20, "--without", "persistence")
+"""Options of `learn` for tests of what becomes of files, not of what is learned."""
 Line = Callable[[Path, Path], tuple[object, ...]]
 """A command line, given a run directory and the file to write."""
 WRITERS: dict[str, tuple[str, Line]] = {
@@ -36,24 +38,24 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "score": ("score.json", lambda run, out: ("score", run, run.parent / "tracks.csv", "--out", out.parent)),
     "campaign-table": ("means.csv", lambda run, out: ("campaign-table", small_campaign(run.parent), "--out", out)),
     "campaign-report": ("page.html", lambda run, out: ("campaign-report", small_campaign(run.parent), "--out", out)),
-    "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
+    "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, *QUICK, "--out", out)),
     "learn: scene": (
         "detector.yaml",
         lambda run, out: (
-            *("learn", "--scene", scene_file(run), "--detections", run, "--match", "centre", "--replicates", 20),
+            *("learn", "--scene", scene_file(run), "--detections", run, "--match", "centre", *QUICK),
             *("--fixed", "all", "--out", out),
         ),
     ),
     "learn: written scene": (
         "detector.yaml",
         lambda run, out: (
-            *("learn", "--scene", scene_file(run), "--detections", run, "--match", "centre", "--replicates", 20),
+            *("learn", "--scene", scene_file(run), "--detections", run, "--match", "centre", *QUICK),
             *("--fixed", "all", "--out", out.with_name("d.yaml"), "--write-scene", out.parent),
         ),
     ),
     "learn: page": (
         "page.html",
-        lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out.with_name("d.yaml"), "--page", out),
+        lambda run, out: ("learn", "--run", run, *QUICK, "--out", out.with_name("d.yaml"), "--page", out),
     ),
     "guess": (
         "guess.yaml",
