@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import centre_form
@@ -116,7 +117,7 @@ def named(names: Sequence[str], indices: Indices) -> pa.Array:
     return pa.array(list(names), pa.string()).take(_column(indices, indices >= 0))
 
 
-def numbers(values: Array | Indices) -> pa.Array:
+def numbers(values: NDArray[Any]) -> pa.Array:
     """Numbers of shape (n,) with null for NaN."""
     return _column(values, ~np.isnan(values) if values.dtype.kind == "f" else None)
 
@@ -126,7 +127,7 @@ def flags(values: Mask) -> pa.Array:
     return pa.Array.from_buffers(pa.bool_(), len(values), [None, _bits(values)])
 
 
-def _column(values: Array | Indices, there: Mask | None) -> pa.Array:
+def _column(values: NDArray[Any], there: Mask | None) -> pa.Array:
     """Numbers, and which of them are not null, all if None.
 
     `pa.array` gives the same, but imports NumPy's masked arrays to ask whether it was given one, which takes as long as
