@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import yaml
+
 from benchmarks.processes import ROOT
 from benchmarks.voyages.reported import AisErrors
 from modsim3d.ais.options import Options
@@ -16,7 +18,13 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 
 HERE = Path(__file__).resolve().parent
-DETECTOR = HERE / "detector.yaml"
+DETECTORS = {
+    "strait_traffic": HERE / "strait_detector.yaml",
+    "strait_minute": HERE / "strait_detector.yaml",
+    "lanes": HERE / "detector.yaml",
+    "sample": HERE / "one_label.yaml",
+}
+"""Files of the detectors that are learned, by scene."""
 SAMPLE = ROOT / "tests" / "data" / "ais" / "receiver.nmea"
 REGISTRATION_SETTINGS = {
     "annotation.source": "analytic",
@@ -25,6 +33,11 @@ REGISTRATION_SETTINGS = {
     "detector.states.haze.box_error.mean": [0, 0, 0, 0],
 }
 """Of the strait. Mean box errors are zero, as the rule has it."""
+DETECTOR_SETTINGS = {
+    "annotation.source": "analytic",
+    "waves.apply_to": "ownship",
+    "detector": str(DETECTORS["strait_minute"]),
+}
 FIRST_SEED = 100
 """Seeds below it were looked at while learning was built, so that it may suit them better than others."""
 CLEAN = AisErrors()
@@ -66,6 +79,11 @@ class Case:
     priors: tuple[tuple[str, float], ...] = ()
     why: str = ""
 
+    @property
+    def detector(self) -> Path:
+        """The file of the detector that is learned."""
+        return DETECTORS[self.scene]
+
     def true_scene(self) -> Scene:
         """The scene as it really is, but for the camera and the clock."""
         return _scene(self.scene)
@@ -84,6 +102,14 @@ CASES = (
          "them, and the simulated vessels are just as large as guessed, so that nothing is there to be taken off.",
          "sample", "shore", AIS,
          priors=(*PRIORS, ("use_sizes", False))),
+    Case("traffic_true", "X", "", "strait_traffic", "bow", CLEAN, learns=True),
+    Case("traffic_all", "X", "", "strait_traffic", "bow", ALL, learns=True),
+    Case("traffic_ais", "X", "", "strait_traffic", "bow", AIS, learns=True),
+    Case("bow_true", "X", "", "strait_minute", "bow", CLEAN, learns=True),
+    Case("bow_all", "X", "", "strait_minute", "bow", ALL, learns=True),
+    Case("bow_5", "X", "", "strait_minute", "bow", AIS, learns=True),
+    Case("quay_true", "X", "", "strait_minute", "quay", CLEAN, learns=True),
+    Case("quay_5", "X", "", "strait_minute", "quay", AIS, learns=True),
     Case("detector", "Detector, true tracks", "Camera and clock are registered, then the detector is learned.",
          "lanes", "shore", CLEAN, learns=True),
     Case("detector_all", "Detector, by AIS of all vessels", "Tracks as AIS gives them, of vessels that all have a "
@@ -100,6 +126,11 @@ BY_NAME = {case.name: case for case in CASES}
 def _scene(name: str) -> Scene:
     if name == "strait":
         return load_scene("strait", settings=REGISTRATION_SETTINGS)
+    if name == "strait_traffic":
+        settings = yaml.safe_load((HERE / "strait_traffic.yaml").read_text(encoding="utf-8"))
+        return load_scene("strait", settings=settings | {"detector": str(DETECTORS[name])})
+    if name == "strait_minute":
+        return load_scene("strait", settings=DETECTOR_SETTINGS)
     return _of_sample() if name == "sample" else load_scene(HERE / "lanes.yaml")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.processes import ROOT
-from benchmarks.voyages.cases import BY_NAME, DETECTOR, TOLD_M, Case
+from benchmarks.voyages.cases import BY_NAME, TOLD_M, Case
 from benchmarks.voyages.reported import as_reported
 from benchmarks.voyages.wrong_camera import WRONG, Voyage
 from modsim3d.errors import ModsimError
@@ -42,7 +43,7 @@ def trial(name: str, seed: int) -> dict[str, Any]:
     try:
         if case.learns:
             learned = _learned(case, voyage, known, seed)
-            result["detector"] = detector_numbers(learned)
+            result["detector"] = detector_numbers(learned, asked_of(case.detector))
             done = [each.registration for each in learned.registered if each.registration is not None]
         else:
             done = [register(known, case.camera, voyage.detections(seed), **dict(case.priors))]
@@ -61,9 +62,8 @@ def registration_numbers(done: Registration) -> dict[str, Number]:
     }
 
 
-def detector_numbers(learned: VoyageResult) -> dict[str, Number]:
+def detector_numbers(learned: VoyageResult, asked: Mapping[str, np.ndarray]) -> dict[str, Number]:
     """What was learned of the detector, beside what its file says; numbers of models that it does not have are not."""
-    asked = asked_of(DETECTOR)
     bounds = _bounds(learned)
     found: dict[str, Number] = {}
     for each in learned.report.learned.intervals(LEVEL):
