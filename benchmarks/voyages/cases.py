@@ -64,6 +64,7 @@ class Case:
         errors: What is wrong with the positions that the user has.
         learns: Whether a detector is learned; else the camera and the clock are registered alone.
         registered: Whether the camera is registered before it is learned.
+        guessed: Whether sizes and headings are off as well, as learning takes them to be; only of `sample`.
         priors: What registration is told besides: see `register`.
         why: Why intervals fall below the limit, if they do.
     """
@@ -76,6 +77,7 @@ class Case:
     errors: AisErrors = CLEAN
     learns: bool = False
     registered: bool = True
+    guessed: bool = False
     priors: tuple[tuple[str, float], ...] = ()
     why: str = ""
 
@@ -102,6 +104,8 @@ CASES = (
          "them, and the simulated vessels are just as large as guessed, so that nothing is there to be taken off.",
          "sample", "shore", AIS,
          priors=(*PRIORS, ("use_sizes", False))),
+    Case("sample_detector", "X", "", "sample", "shore", AIS, learns=True, guessed=True),
+    Case("sample_true", "X", "", "sample", "shore", CLEAN, learns=True),
     Case("traffic_true", "X", "", "strait_traffic", "bow", CLEAN, learns=True),
     Case("traffic_all", "X", "", "strait_traffic", "bow", ALL, learns=True),
     Case("traffic_ais", "X", "", "strait_traffic", "bow", AIS, learns=True),
@@ -134,8 +138,13 @@ def _scene(name: str) -> Scene:
     return _of_sample() if name == "sample" else load_scene(HERE / "lanes.yaml")
 
 
+def scene_of_sample(folder: Path) -> Scene:
+    """The scene that `modsim3d ais` makes of the log, written into a folder."""
+    write_scene(read_traffic([SAMPLE], Options()), folder, DETECTORS["sample"])
+    return load_scene(folder / SCENE, settings={"annotation.source": "analytic"})
+
+
 def _of_sample() -> Scene:
-    """The scene that `modsim3d ais` makes of the log."""
+    """The same, and the folder is gone: nothing knows that it is from AIS."""
     with tempfile.TemporaryDirectory() as folder:
-        write_scene(read_traffic([SAMPLE], Options()), Path(folder), HERE / "one_label.yaml")
-        return load_scene(Path(folder) / SCENE, settings={"annotation.source": "analytic"})
+        return scene_of_sample(Path(folder))
