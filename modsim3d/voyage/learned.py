@@ -35,7 +35,7 @@ from modsim3d.voyage.told.voyage_report import VoyageReport
 from modsim3d.voyage.truth_noise.noise import TruthNoise
 from modsim3d.voyage.truth_noise.taken_off import report_less_truth_noise
 from modsim3d.voyage.unseen.learned_beside import learn_beside_unseen
-from modsim3d.voyage.unseen.stretches import Stretch, parse_stretches
+from modsim3d.voyage.unseen.stretches import Stretch, check_stretches, parse_stretches
 
 Method = Literal["confidence", "optimal", "centre"]
 NO_SHIFT = (
@@ -153,6 +153,7 @@ def learn_voyage(
         measured = None if attitude is None else read_attitude(as_path(attitude, "attitude"), loaded)
         position_m = position_noise_m(loaded, position_noise)
         stretches = parse_stretches(empty, SceneClock.of(loaded).start_s) if empty else ()
+        check_stretches(stretches, read.time_s)
         if registration is None:
             least = LEAST_CONFIDENCE if confidence is None else confidence
             registration = Registering(parse_fixed(fixed), position_m, least, measured, parse_known(known))
