@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet, Results
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.numbers.entries import Entry, with_entries
