@@ -132,8 +132,8 @@ CASES = (
          "then the detector is learned.", "strait_minute", "bow", CLEAN, learns=True),
     Case("strait_ais", "Detector in the strait, by AIS", "A fifth of the vessels has no transponder. The shipped "
          "minute is too near for AIS: its kayak comes to 33 m, where an error of 3 m is 120 px, more than the 50 px "
-         "within which boxes match. So this is a longer voyage in the same strait, and the nearest vessels pass at 180 m.",
-         "strait_traffic", "bow", AIS, learns=True),
+         "within which boxes match. So this is a longer voyage in the same strait, and the nearest vessels pass at "
+         "180 m.", "strait_traffic", "bow", AIS, learns=True),
     Case("sample_all", "Detector in the scene of an AIS log, with all vessels", SAMPLE_SAID, "sample", "shore", ALL,
          learns=True, guessed=True, why=WHY_CORRELATED),
     Case("sample_ais", "Detector in the scene of an AIS log", "The same, and a fifth of the vessels has no "
