@@ -18,6 +18,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched, match
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Learned, Settings
+from modsim3d.voyage.learned import with_sure_boxes
 
 NUMBERS = (STD.format("e_x"), STD.format("e_w"), "persistence.box_s")
 REPLICATES = 20
@@ -43,7 +44,7 @@ def film_causes(film: Film) -> dict[str, Any]:
     """`NUMBERS` of a film by variant and truth, and how many detections match another vessel than by full truth."""
     scene, some = film.scene(), VARIANTS["some"]
     full = by_tracks(film, AisErrors(), registered=False, replicates=REPLICATES)
-    labelled, settings = full.told.voyage.labelled, full.sources.settings
+    labelled, settings = with_sure_boxes(full.told.voyage.labelled), full.sources.settings
     silent = np.isin(scene.vessel_names, some.silent(scene, film.seed))
     unknown = silent[labelled.annotations.identity]
     matched = match(labelled, settings.rule, settings.threshold)

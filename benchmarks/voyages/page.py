@@ -12,6 +12,9 @@ from benchmarks.voyages.wrong_camera import WRONG
 
 PLACES = {
     "strait": "The shipped strait, a minute of eight vessels at 100 to 900 m",
+    "strait_minute": "The shipped strait, a minute of eight vessels at 30 to 900 m",
+    "strait_traffic": "The shipped strait with the traffic of `benchmarks/voyages/strait_traffic.yaml`, ten minutes of "
+    "eighteen vessels that cross at 180 to 720 m",
     "lanes": "`benchmarks/voyages/lanes.yaml`, ten minutes of fifteen ships that pass at 0.5 to 1.4 km",
     "sample": "Six minutes of ten vessels",
 }
@@ -110,10 +113,8 @@ def _section(case: Case, found: dict[str, Any]) -> list[str]:
             lines += [f"**{TITLES[part]}**", "", HEAD, "|---|---|---|---|---|---|---|"]
             lines += [_row(name, score) for name, score in found[part].items()] + [""]
             if fallen := below(found[part]):
-                lines += [
-                    f"Below the limit: {', '.join(f'`{short(name)}`' for name in fallen)}. {case.why}".rstrip(),
-                    "",
-                ]
+                why = case.why if part == "detector" else ""
+                lines += [f"Below the limit: {', '.join(f'`{short(name)}`' for name in fallen)}. {why}".rstrip(), ""]
             if bounded := [name for name, score in found[part].items() if score["bounds"]]:
                 counts = ", ".join(f"`{short(name)}` in {found[part][name]['bounds']:g}" for name in bounded)
                 lines += [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.processes import ROOT
-from benchmarks.voyages.cases import BY_NAME, DETECTOR, TOLD_M, Case
+from benchmarks.voyages.cases import BY_NAME, TOLD_M, Case, scene_of_sample
+from benchmarks.voyages.guessed import Guesses
 from benchmarks.voyages.reported import as_reported
 from benchmarks.voyages.wrong_camera import WRONG, Voyage
 from modsim3d.errors import ModsimError
 from modsim3d.learn.numbers.entries import Interval
+from modsim3d.scene.scene import Scene
 from modsim3d.voyage.learned import VoyageResult, learn_voyage
 from modsim3d.voyage.registration import Registration, register
 from tests.learn.round_trip import asked_of
@@ -36,20 +39,31 @@ Number = dict[str, float]
 def trial(name: str, seed: int) -> dict[str, Any]:
     """A voyage of a case: `registration` and `detector` by the numbers' names; or `refused`; and its CPU time."""
     case, start = BY_NAME[name], time.process_time()
-    voyage = _voyage(case.scene, case.camera)
-    known, _ = as_reported(case.true_scene(), seed, case.errors)
     result: dict[str, Any] = {"seed": seed}
-    try:
-        if case.learns:
-            learned = _learned(case, voyage, known, seed)
-            result["detector"] = detector_numbers(learned)
-            done = [each.registration for each in learned.registered if each.registration is not None]
-        else:
-            done = [register(known, case.camera, voyage.detections(seed), **dict(case.priors))]
-        result["registration"] = {key: value for each in done for key, value in registration_numbers(each).items()}
-    except ModsimError as error:
-        result["refused"] = str(error).replace(f"{ROOT}/", "")
+    with tempfile.TemporaryDirectory() as folder:
+        voyage, known = _really_and_known(case, seed, Path(folder))
+        try:
+            if case.learns:
+                learned = _learned(case, voyage, known, seed, Path(folder))
+                result["detector"] = detector_numbers(learned, asked_of(case.detector))
+                done = [each.registration for each in learned.registered if each.registration is not None]
+            else:
+                done = [register(known, case.camera, voyage.detections(seed), **dict(case.priors))]
+            result["registration"] = {key: value for each in done for key, value in registration_numbers(each).items()}
+        except ModsimError as error:
+            result["refused"] = str(error).replace(f"{ROOT}/", "")
     return result | {"cpu_s": time.process_time() - start}
+
+
+def _really_and_known(case: Case, seed: int, folder: Path) -> tuple[Voyage, Scene]:
+    """What the camera really saw, and the scene that the user has; one from AIS is in the folder."""
+    if not case.guessed:
+        return _voyage(case.scene, case.camera), as_reported(case.true_scene(), seed, case.errors)[0]
+    said = scene_of_sample(folder)
+    guesses = Guesses.drawn(said, seed)
+    true = guesses.true_scene(said)
+    known, _ = as_reported(true, seed, case.errors)
+    return Voyage.of(true, case.camera, WRONG), guesses.as_said(known, said)
 
 
 def registration_numbers(done: Registration) -> dict[str, Number]:
@@ -61,9 +75,8 @@ def registration_numbers(done: Registration) -> dict[str, Number]:
     }
 
 
-def detector_numbers(learned: VoyageResult) -> dict[str, Number]:
+def detector_numbers(learned: VoyageResult, asked: Mapping[str, np.ndarray]) -> dict[str, Number]:
     """What was learned of the detector, beside what its file says; numbers of models that it does not have are not."""
-    asked = asked_of(DETECTOR)
     are_bounds = bounds(learned)
     found: dict[str, Number] = {}
     for each in learned.report.learned.intervals(LEVEL):
@@ -95,19 +108,18 @@ def holds(number: Number) -> bool:
     return over and number["asked"] <= number["high"] + _CERTAIN
 
 
-def _learned(case: Case, voyage: Voyage, known: Any, seed: int) -> VoyageResult:
-    with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "detections.csv"
-        voyage.write_log(seed, log)
-        return learn_voyage(
-            known,
-            log,
-            fixed=() if case.registered else "all",
-            position_noise=TOLD_M if case.errors.position_m else 0.0,
-            match="centre",  # as is usual with AIS; by IoU slivers at the border would be false positives
-            replicates=REPLICATES,
-            seed=seed,
-        )
+def _learned(case: Case, voyage: Voyage, known: Scene, seed: int, folder: Path) -> VoyageResult:
+    log = folder / "detections.csv"
+    voyage.write_log(seed, log)
+    return learn_voyage(
+        known,
+        log,
+        fixed=() if case.registered else "all",
+        position_noise=TOLD_M if case.errors.position_m else 0.0,
+        match="centre",  # as is usual with AIS; by IoU slivers at the border would be false positives
+        replicates=REPLICATES,
+        seed=seed,
+    )
 
 
 @cache

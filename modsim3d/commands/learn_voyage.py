@@ -125,6 +125,8 @@ class AskedVoyage:
         Raises:
             ModsimError: There is no log, not a name for each, a log is wrong, or a camera cannot be registered.
         """
+        import numpy as np
+
         from modsim3d.display import counted
         from modsim3d.learn.learn_detector import LEAST_CONFIDENCE
         from modsim3d.voyage.attitude import read_attitude
@@ -133,6 +135,7 @@ class AskedVoyage:
         from modsim3d.voyage.logs.reading import read_log
         from modsim3d.voyage.on_scene import on_scene
         from modsim3d.voyage.registered import Registering
+        from modsim3d.voyage.unseen.stretches import check_stretches
 
         if not logs:
             raise ModsimError("nothing to learn from: --scene needs --detections, the log of its camera's detector")
@@ -158,14 +161,15 @@ class AskedVoyage:
         registering = Registering(self.fixed, self.position_m, least, attitude, self.known)
         names = conditions or [CONDITION] * len(logs)
         cameras = self.cameras * (len(logs) // len(self.cameras))
-        parts, read = [], set()
-        for path, name, camera in zip(logs, names, cameras, strict=True):
+        scene_logs, read = [], set()
+        for path, camera in zip(logs, cameras, strict=True):
             if (path.resolve(), camera) in read:
                 raise ModsimError(f"--detections {path} is given twice: its frames would count twice")
             read.add((path.resolve(), camera))
-            log = on_scene(read_log(path, said), self.scene, camera)
-            parts.append(labelled_voyage(log, VoyageOptions(registering, self.stale_s, attitude, name)))
-        return joined_voyages(parts)
+            scene_logs.append(on_scene(read_log(path, said), self.scene, camera))
+        check_stretches(self.stretches, np.concatenate([log.time_s for log in scene_logs]))
+        options_of = (VoyageOptions(registering, self.stale_s, attitude, name) for name in names)
+        return joined_voyages([labelled_voyage(*each) for each in zip(scene_logs, options_of, strict=True)])
 
     def learn(self, voyage: LabelledVoyage, settings: Settings, options: LearnOptions) -> tuple[Report, VoyageReport]:
         """Learn from the voyage.

@@ -55,6 +55,8 @@ class Annotations:
         identity: Equal for the same thing in images of one sequence, −1 where unknown, shape (T,).
         visible_fraction: NaN where unknown, shape (T,).
         depth_m: NaN where unknown, shape (T,).
+        unsure_box: Whether something hides a part of it, which may really be another part, so that the box of what is
+            left tells nothing of box errors, shape (T,); None if that is so of none.
     """
 
     image: Indices
@@ -65,6 +67,7 @@ class Annotations:
     identity: Indices
     visible_fraction: Array
     depth_m: Array
+    unsure_box: Mask | None = None
 
     def __len__(self) -> int:
         """Number of rows."""

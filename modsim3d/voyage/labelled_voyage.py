@@ -14,6 +14,7 @@ from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results,
 from modsim3d.runs.pipeline import open_renderer
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
+from modsim3d.truth.truth_record import Truth
 from modsim3d.voyage.attitude import Attitude
 from modsim3d.voyage.clock import within_scene
 from modsim3d.voyage.correction import NO_CORRECTION, Correction
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
 CONDITION = "voyage"
+_HIDDEN = 1e-3
+"""A vessel of which a larger share is hidden is partly hidden."""
 
 Registrar = Callable[[Scene, CameraLog], Correction]
 """Finds the correction of a camera from its log and the scene."""
@@ -216,6 +219,10 @@ class _CameraSet:
         results = Results(frames.frame, frames.label, frames.boxes_px, frames.confidence)
         return LabelledSet(self.log.labels, (self.options.condition,), images, annotations, results, tuple(self.notes))
 
+    def _partly_hidden(self, truth: Truth) -> Mask:
+        """Which vessels are annotated by the box of what is left of them, shape (n,)."""
+        return (self.scene.annotation.mode == 2) & (truth.visible_fraction < 1 - _HIDDEN)
+
     def _annotations(self, seen: CameraTruth) -> Annotations:
         """The annotated vessels, and the regions of those that are left out."""
         truth = seen.truth.take(seen.truth.annotated)
@@ -235,6 +242,7 @@ class _CameraSet:
             identity=vessel,
             visible_fraction=np.concatenate([truth.visible_fraction, np.full(len(out.off.frame), np.nan)]),
             depth_m=np.concatenate([truth.depth_m, out.off.depth_m]),
+            unsure_box=np.concatenate([self._partly_hidden(truth), np.zeros(len(out.off.frame), dtype=bool)]),
         ).by_image()
 
 

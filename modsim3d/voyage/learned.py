@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from modsim3d.errors import ModsimError
+from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, usual_method
 from modsim3d.inputs.opening import inputs_noted
 from modsim3d.learn.form import left_out
@@ -35,7 +36,7 @@ from modsim3d.voyage.told.voyage_report import VoyageReport
 from modsim3d.voyage.truth_noise.noise import TruthNoise
 from modsim3d.voyage.truth_noise.taken_off import report_less_truth_noise
 from modsim3d.voyage.unseen.learned_beside import learn_beside_unseen
-from modsim3d.voyage.unseen.stretches import Stretch, parse_stretches
+from modsim3d.voyage.unseen.stretches import Stretch, check_stretches, parse_stretches
 
 Method = Literal["confidence", "optimal", "centre"]
 NO_SHIFT = (
@@ -81,12 +82,18 @@ def learn_from(
     """
     if options.bias:
         raise ModsimError(NO_SHIFT)
-    report, judged = learn_beside_unseen(voyage.labelled, settings, options, stretches)
-    report = replace(report, near_gate=replace(report.near_gate, simulated=False))
     noise = TruthNoise.of(voyage.scene, position_m)
+    labelled = voyage.labelled if noise.std.any() else with_sure_boxes(voyage.labelled)
+    report, judged = learn_beside_unseen(labelled, settings, options, stretches)
+    report = replace(report, near_gate=replace(report.near_gate, simulated=False))
     report, taken_off = report_less_truth_noise(report, voyage.scene, voyage.views, noise)
     told = VoyageReport.of(voyage, judged, taken_off, report, settings.replicates, settings.seed)
     return report, told
+
+
+def with_sure_boxes(labelled: LabelledSet) -> LabelledSet:
+    """The set of a scene whose vessels are surely where it has them, so that what is hidden of them is known."""
+    return replace(labelled, annotations=replace(labelled.annotations, unsure_box=None))
 
 
 def learn_voyage(
@@ -153,6 +160,7 @@ def learn_voyage(
         measured = None if attitude is None else read_attitude(as_path(attitude, "attitude"), loaded)
         position_m = position_noise_m(loaded, position_noise)
         stretches = parse_stretches(empty, SceneClock.of(loaded).start_s) if empty else ()
+        check_stretches(stretches, read.time_s)
         if registration is None:
             least = LEAST_CONFIDENCE if confidence is None else confidence
             registration = Registering(parse_fixed(fixed), position_m, least, measured, parse_known(known))

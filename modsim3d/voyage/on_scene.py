@@ -78,6 +78,11 @@ class SceneLog:
     cameras: tuple[CameraLog, ...]
     notes: tuple[str, ...]
 
+    @property
+    def time_s(self) -> Array:
+        """Times of all frames by the log's own clock, shape (n,)."""
+        return np.concatenate([each.time_s - each.clock_s for each in self.cameras])
+
 
 def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> SceneLog:
     """A log with the cameras, the clock and the labels of its scene.

@@ -117,6 +117,26 @@ def test_the_report_says_how_many_matches_count() -> None:
     assert note in report.learned.notes
 
 
+def test_unsure_boxes_tell_no_box_errors() -> None:
+    labelled = detected(PX, 400, 1)
+    annotations, results = labelled.annotations, labelled.results
+    assert results.origin is not None
+    unsure = np.arange(len(annotations)) % 4 == 0
+    found = results.boxes_px.copy()
+    found[(results.origin >= 0) & unsure[results.origin], 2] += 40  # more of the vessel is seen than is thought
+    labelled = replace(labelled, results=replace(results, boxes_px=found))
+    told = replace(labelled, annotations=replace(annotations, unsure_box=unsure))
+    width = []
+    for each in (labelled, told):
+        learned = learn_from(each, Rule("provenance"), replicates=0)
+        width.append(float(learned.numbers.box_errors.states[0].std.estimate[2]))
+        notes = [note for note in learned.notes if "or partly hidden where positions are not surely known" in note]
+        assert len(notes) == (each is told)
+    asked = float(PX["std"][2])
+    assert width[0] > 2 * asked
+    assert width[1] == pytest.approx(asked, rel=0.15)
+
+
 @pytest.mark.parametrize("rule", [Rule(), Rule("centre", most_distance_px=9.0), Rule("provenance")])
 def test_what_passes_is_what_matching_lets_match(rule: Rule) -> None:
     rng = np.random.default_rng(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +173,21 @@ def test_nothing_can_be_learned_where_no_vessel_is_seen(strait: Scene, voyage: P
 def test_what_is_fixed_or_known_is_of_an_estimated_registration(strait: Scene, voyage: Path) -> None:
     with pytest.raises(ModsimError, match="fixed and known are for a registration that is estimated"):
         learn_voyage(strait, voyage / "run", registration=NO_CORRECTION, known="delay=2")
+
+
+@pytest.mark.parametrize(("position_m", "mode"), [(0.0, 2), (3.0, 2), (3.0, 1)])
+def test_hidden_parts_leave_box_errors_out_where_positions_are_not_surely_known(
+    strait: Scene, voyage: Path, position_m: float, mode: int
+) -> None:
+    scene = replace(strait, annotation=replace(strait.annotation, mode=mode))
+    given = {"registration": NO_CORRECTION, "position_noise": position_m, "replicates": 2, "without": WITHOUT}
+    found = learn_voyage(scene, voyage / "run", camera="bow", match="confidence", **given)
+    pairs = found.report.learned.observed.pairs
+    hidden = found.told.voyage.labelled.annotations.visible_fraction[pairs.rows] < 0.99
+    assert hidden.any()
+    assert not hidden.all()
+    assert pairs.edges.whole[hidden].any() == (position_m == 0 or mode == 1)
+    assert pairs.edges.whole[~hidden].any()
 
 
 def test_boxes_match_by_centres_where_positions_are_not_surely_known(strait: Scene, voyage: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 import modsim3d
 from modsim3d.errors import InputError
 from modsim3d.scene.reading import load_scene
+from modsim3d.voyage import labelled_voyage
 from modsim3d.voyage.correction import Correction
 from modsim3d.voyage.learned import VoyageResult, learn_voyage
 from modsim3d.voyage.registered import correction_of
@@ -80,6 +81,21 @@ def test_empty_stretches_are_by_the_clock_of_the_log(learned: VoyageResult) -> N
     assert judge(observed, (Stretch(last - 0.9, last + 9),)).empty.sum() == 5
     with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.7 s to 56"):
         judge(observed, (Stretch(last + 0.5, 59.8),))
+
+
+def test_an_empty_stretch_outside_the_log_is_refused_before_registration(
+    folder: Path, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object) -> Correction:
+        raise AssertionError("registered")
+
+    scene, log, stretch = folder / "strait.json", folder / "bow.csv", f"{60 - REALLY['clock_s']}-59.8"
+    with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.7 s to 56"):
+        learn_voyage(scene, log, camera="bow", registration=never, empty=stretch)
+    monkeypatch.setattr(labelled_voyage, "labelled_voyage", never)
+    line = ("learn", "--scene", scene, "--detections", log, "--camera", "bow", "--empty", stretch)
+    status, said = call(*line, "--out", tmp_path / "d.yaml")
+    assert (status, "no frame lies in it" in " ".join(said.split())) == (2, True)
 
 
 def test_json_has_the_registration_with_intervals_and_the_coverage(learned: VoyageResult) -> None:

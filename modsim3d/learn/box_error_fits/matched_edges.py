@@ -87,6 +87,11 @@ class MatchedEdges:
             self.image[rows],
         )
 
+    def without(self, boxes: Mask) -> MatchedEdges:
+        """The same, with all edges of some boxes (n,) left out."""
+        kept = ~boxes[:, None]
+        return replace(self, known=self.known & kept, censored=self.censored & kept)
+
     def as_measured(self) -> MatchedEdges:
         """All boxes with every edge known as it was measured, and nothing cut off by the rule."""
         every, none = np.ones_like(self.known), np.full_like(self.least_px, np.inf)

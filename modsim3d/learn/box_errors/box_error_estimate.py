@@ -174,6 +174,9 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
     return BoxErrorForm(tuple(forms), box_s, tuple(notes), things_keep)
 
 
+_UNSURE = ", or partly hidden where positions are not surely known"
+
+
 def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:
     """The first source with enough pairs that have all sides in the image."""
     pairs = observed.pairs
@@ -186,7 +189,7 @@ def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:
             matches = int(np.count_nonzero(pairs.state == state))
             notes.append(
                 f"states.{name}.box_error: from {matches - unused:,} of {matches:,} matches; {unused:,} with all sides "
-                "cut by the image's edge"
+                f"cut by the image's edge{_UNSURE if pairs.unsure is not None else ''}"
             )
         return ErrorSource.OWN_STATE
     source = ErrorSource.ALL_STATES if every >= ERRORS_NEEDED else ErrorSource.ALL_PAIRS

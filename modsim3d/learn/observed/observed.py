@@ -151,4 +151,5 @@ class Observed:
             errors_between(results.boxes_px[detection], box_px),
             self.labelled.images.sizes_px[image],
             self.matched.rule,
+            None if annotations.unsure_box is None else annotations.unsure_box[rows],
         )

@@ -32,6 +32,7 @@ class Pairs:
         error_px: e_x, e_y, e_w, e_h of the detected box, shape (m, 4).
         image_px: Width and height of the image, NaN where unknown, shape (m, 2).
         rule: The rule by which they match.
+        unsure: Whether the annotated box tells nothing of box errors, shape (m,); None if that is so of none.
     """
 
     rows: Indices
@@ -42,6 +43,7 @@ class Pairs:
     error_px: Array
     image_px: Array
     rule: Rule
+    unsure: Mask | None = None
     _fits: dict[tuple[ErrorSource, int], ErrorFits] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -57,7 +59,8 @@ class Pairs:
     def edges(self) -> MatchedEdges:
         """What each edge of the boxes says about their errors."""
         found = move(self.annotated_px, self.error_px)
-        return MatchedEdges.of(self.annotated_px, found, self.image_px, self.image, self.rule)
+        edges = MatchedEdges.of(self.annotated_px, found, self.image_px, self.image, self.rule)
+        return edges if self.unsure is None else edges.without(self.unsure)
 
     def errors(self, chosen: Mask, relative: bool) -> Array:
         """Errors of some rows in pixels, or in sides of the box, shape (chosen, 4)."""

@@ -70,9 +70,9 @@ def less_noise(
         sides_px: Width, height, width and height of the boxes, shape (n, 4).
         level: Level of the intervals that must not reach 0.
         measured: Covariances of the errors themselves, to take it off, shape (rows, 4, 4). Errors of truth differ from
-            box to box, so that the likeliest law has not quite their covariance. Not used if they are far from it, as
-            wrong matches make them; but where they are smaller, they must surely be larger than errors of truth.
-            None if unknown.
+            box to box, so that the likeliest law has not quite their covariance. Those of components that are far from
+            it, as wrong matches make them, are not used; but where they are smaller, they must surely be larger than
+            errors of truth. None if unknown.
         at_least: Standard deviations of what changes from frame to frame, shape (4,).
         cut_off: Whether the matching has cut off errors, which only the law knows.
     """
@@ -80,8 +80,8 @@ def less_noise(
     growth = np.zeros_like(std) if errors.growth is None else np.maximum(errors.growth.column.values, 0)
     products = _mean_products(std, growth, sides_px)
     whole = products * _matrix(correlation)
-    if measured is not None and not cut_off and _alike(measured[0], whole[0]):
-        whole = measured
+    if measured is not None and not cut_off:
+        whole = _as_measured(whole, measured)
     taken = _sure(whole, noise, level)
     if measured is not None:  # tails of the law may be wider than the errors
         smaller = np.diag(measured[0]) < np.diag(whole[0])
@@ -116,10 +116,18 @@ def less_noise(
     )
 
 
-def _alike(measured: Array, law: Array) -> bool:
-    """Whether two covariances (4, 4) have nearly the same standard deviations."""
-    ratio = np.sqrt(np.diag(measured) / np.maximum(np.diag(law), 1e-300))
-    return bool(np.all(np.abs(ratio - 1) <= _ALIKE))
+def _as_measured(law: Array, measured: Array) -> Array:
+    """Covariances of the law (rows, 4, 4) with standard deviations as measured, where both are nearly the same.
+
+    Of one component errors may be far from the law, as a vessel makes them that is not where it is thought to be; the
+    law's tails, which all components share, are too wide for the others then.
+    """
+    ratio = np.sqrt(np.einsum("bii->bi", measured) / np.maximum(np.einsum("bii->bi", law), 1e-300))
+    alike = np.abs(ratio[0] - 1) <= _ALIKE
+    if alike.all():
+        return measured
+    scale = np.where(alike, ratio, 1.0)
+    return law * scale[:, :, None] * scale[:, None, :]
 
 
 def _sure(whole: Array, noise: Array, level: float) -> Mask:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet, Results
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.numbers.entries import Entry, with_entries
@@ -20,7 +19,7 @@ from modsim3d.voyage.unseen.crossings import Crossings, Tracks, crossings, faint
 from modsim3d.voyage.unseen.lifetimes import LEAST_S, Kinds, kinds_of
 from modsim3d.voyage.unseen.links import Links, link
 from modsim3d.voyage.unseen.rates import RateSource, StateRates, Weighing, rates_of
-from modsim3d.voyage.unseen.stretches import Stretch, in_stretches
+from modsim3d.voyage.unseen.stretches import Stretch, check_stretches, in_stretches
 from modsim3d.voyage.unseen.things import Things, things_of
 
 _LIKELY, _PERHAPS = 0.5, 0.1
@@ -162,11 +161,9 @@ def judge(observed: Observed, stretches: tuple[Stretch, ...] = (), least_s: floa
         InputError: No image lies in a stretch that is marked as empty.
     """
     images = observed.labelled.images
-    empty = in_stretches(stretches, images.time_s) & (observed.image_state >= 0)
-    for stretch in stretches:
-        if not (in_stretches((stretch,), images.time_s) & empty).any():
-            low, high = (stretch.when(float(end)) for end in (np.nanmin(images.time_s), np.nanmax(images.time_s)))
-            raise InputError("--empty", [f"{stretch}: no frame lies in it; they are from {low} to {high}"])
+    counts = observed.image_state >= 0
+    check_stretches(stretches, images.time_s, counts)
+    empty = in_stretches(stretches, images.time_s) & counts
     links = link(observed)
     things = things_of(links, images)
     kinds = kinds_of(things, np.ones((1, len(things.detections))), links.gap_s, least_s)

@@ -73,6 +73,24 @@ def in_stretches(stretches: tuple[Stretch, ...], time_s: Array) -> Mask:
     return inside
 
 
+def check_stretches(stretches: tuple[Stretch, ...], time_s: Array, counts: Mask | None = None) -> None:
+    """Refuse a stretch without frames.
+
+    Args:
+        stretches: The stretches.
+        time_s: Times of all frames, at least one, shape (n,).
+        counts: Which frames count; all if None, shape (n,).
+
+    Raises:
+        InputError: No frame that counts lies in a stretch.
+    """
+    for stretch in stretches:
+        inside = in_stretches((stretch,), time_s)
+        if not (inside if counts is None else inside & counts).any():
+            low, high = (stretch.when(float(end)) for end in (np.nanmin(time_s), np.nanmax(time_s)))
+            raise InputError("--empty", [f"{stretch}: no frame lies in it; they are from {low} to {high}"])
+
+
 def _stretch(part: str, start_s: float | None) -> Stretch | str:
     """A stretch, or what is wrong with it."""
     seconds = _SECONDS.fullmatch(part)

@@ -246,6 +246,18 @@ def test_wrong_matches_among_the_measured_errors_do_not_pull(watched):
     assert (std[2] < errors.std.estimate).all()
 
 
+def test_one_component_far_from_the_law_leaves_the_others_as_measured(watched):
+    """A vessel that is off its reports widens the tails of the law, which all components share."""
+    scene, view, times = watched
+    learned = learned_from(noisy_set(scene, view, times, 0, 0.0, LASTING_S, np.diag(STD_PX**2)), 20, RICHER)
+    errors, sides = learned.numbers.box_errors.states[0], np.full((50, 4), 40.0)
+    noise = np.tile(np.diag(0.1 * errors.std.estimate**2), (21, 1, 1))
+    measured = np.tile(np.diag(np.array([3, 0.9, 0.9, 0.9]) * errors.std.estimate) ** 2, (21, 1, 1))
+    found = less_noise(errors, noise, sides, 0.95, measured, np.full(4, np.nan))
+    share = np.sqrt(np.array([1, 0.81, 0.81, 0.81]) - 0.1)
+    np.testing.assert_allclose(found.errors.std.estimate, share * errors.std.estimate, rtol=1e-6)
+
+
 def test_wide_tails_of_a_law_are_no_errors_of_the_detector(watched):
     scene, view, times = watched
     learned = learned_from(noisy_set(scene, view, times, 0, 0.0, LASTING_S, np.diag(STD_PX**2)), 20, RICHER)

@@ -44,7 +44,7 @@ def one_in_five_unannotated(seed):
     every = voyage(seed, boats=5, kayaks=0, flicker=Flicker(0.0))
     seen = simulated(every, np.zeros(len(every.images), dtype=np.int64), parse_detector(content), seed)
     known = every.annotations.identity != 2
-    columns = {name: column[known] for name, column in vars(every.annotations).items()}
+    columns = {name: column[known] for name, column in vars(every.annotations).items() if column is not None}
     names = "image", "label", "boxes_px", "confidence"
     results = Results(**{name: getattr(seen.results, name) for name in names})
     return replace(seen, annotations=Annotations(**columns), results=results)
