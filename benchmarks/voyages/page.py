@@ -105,6 +105,12 @@ def _side_by_side(registered: dict[str, Any], plain: dict[str, Any]) -> list[str
     return [*lines, ""]
 
 
+SAID = {
+    "bounds": "Said to be an upper bound, which holds if the true value is below it",
+    "unknown": "Said to be unknown, and not counted",
+}
+
+
 def _section(case: Case, found: dict[str, Any]) -> list[str]:
     lines = [f"## {case.title}", "", f"{case.said} {PLACES[case.scene]}, camera `{case.camera}`, "
              f"{found['voyages']} voyages.", ""]  # fmt: skip
@@ -115,12 +121,11 @@ def _section(case: Case, found: dict[str, Any]) -> list[str]:
             if fallen := below(found[part]):
                 why = case.why if part == "detector" else ""
                 lines += [f"Below the limit: {', '.join(f'`{short(name)}`' for name in fallen)}. {why}".rstrip(), ""]
-            if bounded := [name for name, score in found[part].items() if score["bounds"]]:
-                counts = ", ".join(f"`{short(name)}` in {found[part][name]['bounds']:g}" for name in bounded)
-                lines += [
-                    f"Said to be an upper bound, which holds if the true value is below it: {counts} voyages.",
-                    "",
-                ]
+            for kind, said in SAID.items():
+                counted = {name: score[kind] for name, score in found[part].items() if score[kind]}
+                if counted:
+                    counts = ", ".join(f"`{short(name)}` in {number:g}" for name, number in counted.items())
+                    lines += [f"{said}: {counts} voyages.", ""]
     for reason, number in found["refused"].items():
         lines += [f"Refused in {number}: {reason}", ""]
     return lines

@@ -17,7 +17,7 @@ PARTS = ("registration", "detector")
 
 def fewest(count: int) -> int:
     """The fewest intervals that hold, of so many at 95 %, with a probability of at least 1 %."""
-    return int(binom.ppf(1 - SURE, count, LEVEL))
+    return int(binom.ppf(1 - SURE, count, LEVEL)) if count else 0
 
 
 def scores(trials: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -25,8 +25,9 @@ def scores(trials: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
     Returns:
         `voyages`, `refused` (reason → number), `cpu_s` of a voyage, the estimates of the `first` voyage, and for
-        `registration` and `detector` each number with how many intervals hold, of how many, the fewest that may, bias
-        and spread of the estimates, and the median half-width of the intervals.
+        `registration` and `detector` each number with how many intervals hold, of how many that are known, the fewest
+        that may, how often it is said to be an upper bound or unknown, bias and spread of the estimates, and the median
+        half-width of the intervals.
     """
     reasons = [trial["refused"] for trial in trials if "refused" in trial]
     found: dict[str, Any] = {
@@ -46,13 +47,14 @@ def scores(trials: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def _score(numbers: Sequence[Number]) -> dict[str, float]:
     value, low, high = (np.array([each[key] for each in numbers]) for key in ("value", "low", "high"))
-    asked = numbers[0]["asked"]
+    asked, known = numbers[0]["asked"], [each for each in numbers if not each.get("unknown")]
     return {
         "asked": asked,
-        "held": sum(holds(each) for each in numbers),
-        "of": len(numbers),
-        "fewest": fewest(len(numbers)),
+        "held": sum(holds(each) for each in known),
+        "of": len(known),
+        "fewest": fewest(len(known)),
         "bounds": sum(bool(each.get("bound")) for each in numbers),
+        "unknown": len(numbers) - len(known),
         "bias": float(f"{value.mean() - asked:.6g}"),
         "spread": float(f"{value.std():.6g}"),
         "half_width": float(f"{np.median(high - low) / 2:.6g}"),

@@ -33,7 +33,8 @@ _BOX_ERRORS = "states.voyage.box_error_"
 _CERTAIN = 1e-9
 
 Number = dict[str, float]
-"""A number of a trial: `asked`, `value`, `low`, `high`; `bound` is 1 if it was said to be an upper bound."""
+"""A number of a trial: `asked`, `value`, `low`, `high`; `bound` is 1 if it was said to be an upper bound, and `unknown`
+if it was said that nothing is known of it."""
 
 
 def trial(name: str, seed: int) -> dict[str, Any]:
@@ -92,7 +93,8 @@ def _number(each: Interval, place: tuple[int, ...], asked: float, path: str, are
     ends = [float(np.broadcast_to(end, np.shape(each.estimate))[place]) for end in (each.low, each.high)]
     number = {"asked": asked, "value": float(each.estimate[place]), "low": ends[0], "high": ends[1]}
     bound = are_bounds[place[0]] if path == f"{_BOX_ERRORS}std" else path == BOX_S and are_bounds.any()
-    return number | ({"bound": 1.0} if bound else {})
+    unknown = path == f"{_BOX_ERRORS}correlation" and ends[0] <= -1 and ends[1] >= 1
+    return number | ({"bound": 1.0} if bound else {}) | ({"unknown": 1.0} if unknown else {})
 
 
 def bounds(learned: VoyageResult) -> np.ndarray:

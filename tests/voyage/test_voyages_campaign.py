@@ -73,7 +73,9 @@ def test_scores_count_what_holds() -> None:
     assert (found["voyages"], found["refused"]) == (5, {"no": 1})
     rate = found["detector"]["rate"]
     assert (rate["held"], rate["of"], rate["bounds"], rate["bias"]) == (3, 4, 1, 1.375)
-    assert (fewest(50), fewest(1)) == (43, 0)
+    assert (fewest(50), fewest(1), fewest(0)) == (43, 0, 0)
+    unknown = scores([{"cpu_s": 1.0, "detector": {"rate": number | {"unknown": 1.0}}} for number in numbers])
+    assert [unknown["detector"]["rate"][key] for key in ("held", "of", "unknown")] == [0, 0, 4]
 
 
 def test_two_truths_are_compared_by_their_intervals() -> None:

@@ -63,6 +63,7 @@ def less_noise(
     """Take the covariance of errors of truth off, where the rest is surely positive.
 
     The law keeps its form: of mixed errors, whose standard deviations grow with the side, both parts shrink alike.
+    Correlations with a component that is an upper bound are unknown: they keep their estimate, but no replicates.
 
     Args:
         errors: The errors of a state.
@@ -97,11 +98,12 @@ def less_noise(
     shrunk_products = products * shrunk[:, :, None] * shrunk[:, None, :]
     left = rest / np.where(shrunk_products > 0, shrunk_products, 1.0)
     left = np.clip(left[:, _FIRST, _SECOND], -_MOST_CORRELATION, _MOST_CORRELATION)
-    changed = taken[_FIRST] | taken[_SECOND]
+    correlation = np.where(taken[_FIRST] | taken[_SECOND], left, correlation)
+    correlation[1:, ~(taken[_FIRST] & taken[_SECOND])] = np.nan  # with errors of truth in it, it tells no interval
     result = replace(
         errors,
         std=_with(errors.std, std * shrunk),
-        correlation=_with(errors.correlation, np.where(changed, left, correlation)),
+        correlation=_with(errors.correlation, correlation),
         growth=None if errors.growth is None else _with(errors.growth, growth * shrunk),
     )
     inverse = np.linalg.pinv(whole)

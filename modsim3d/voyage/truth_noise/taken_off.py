@@ -92,7 +92,7 @@ class TakenOff:
                 which = "x, y, width and height" if len(found.bounds) == 4 else ", ".join(found.bounds)
                 yield (
                     f"{where}: an upper bound in {which}, for it is not surely larger than what errors of truth give; "
-                    "correlations with it hold errors of truth, too"
+                    "correlations with it are unknown"
                 )
         yield from self._on_persistence()
 

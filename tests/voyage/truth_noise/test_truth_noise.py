@@ -8,6 +8,7 @@ import pytest
 
 from modsim3d.ais.scene_folder import REPORT
 from modsim3d.boxes import errors_between
+from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.learn.form import RICHER
 from modsim3d.learn.numbers.entries import Entry, Key
@@ -147,6 +148,9 @@ def test_an_upper_bound_is_the_learned_covariance_and_is_said(watched):
     assert [each.upper_bound for each in found.components()] == [True, False, False, False]
     learned_std, _, _, written_std = zip(*(each.std for each in found.components()), strict=True)
     assert [a == b for a, b in zip(learned_std, written_std, strict=True)] == [True, False, False, False]
+    low, high = found.learned.numbers.box_errors.states[0].correlation.column.interval(0.95, 50)
+    assert ((low == -1) & (high == 1)).tolist() == [0 in pair for pair in ERROR_PAIRS]
+    assert any(said.endswith("correlations with it are unknown") for said in found.sentences())
 
 
 def test_a_vessel_that_two_logs_have_moved_is_one(watched):
