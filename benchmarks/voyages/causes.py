@@ -64,16 +64,15 @@ def film_causes(film: Film) -> dict[str, Any]:
         "some": {truth.name: _values(learned) for truth, learned in by_truth.items()},
         "all": {Truth.FULL.name: _values(by_truth[Truth.FULL]), Truth.REPORTS.name: _values(reports)},
         "matches": len(again.pairs[0]),
-        "of_others": _of_others(labelled, matched, fewer, again),
+        "of_others": _of_others(labelled, matched, fewer, again, unknown),
     }
 
 
-def _of_others(full: LabelledSet, matched: Matched, fewer: LabelledSet, again: Matched) -> int:
-    """How many detections match another vessel with fewer vessels than with all of them."""
-    rows, known = again.pairs
+def _of_others(full: LabelledSet, matched: Matched, fewer: LabelledSet, again: Matched, unknown: Mask) -> int:
+    """How many detections match a vessel with fewer vessels that with all of them match an unknown one, mask (T,)."""
+    rows, _ = again.pairs
     before = matched.annotation[rows]
-    other = full.annotations.identity[before] != fewer.annotations.identity[known]
-    return int((other & (before >= 0)).sum())
+    return int((unknown[before] & (before >= 0)).sum())
 
 
 def _without(labelled: LabelledSet, annotations: Mask | None = None, results: Mask | None = None) -> LabelledSet:

@@ -228,7 +228,7 @@ def _by_image(columns: dict[str, Any]) -> dict[str, Any]:
 
 
 def _stacked(parts: Sequence[Images] | Sequence[Annotations] | Sequence[Results]) -> dict[str, Any]:
-    """Columns one below the other. What some parts do not give is NaN for probabilities, else None."""
+    """Columns one below the other. What some parts do not give is NaN for probabilities, sure for boxes, else None."""
     return {name: _column(name, [vars(part)[name] for part in parts], list(map(len, parts))) for name in vars(parts[0])}
 
 
@@ -239,6 +239,11 @@ def _column(name: str, values: list[Any], lengths: list[int]) -> Any:
     if width is not None:
         values = [
             np.full((length, width), np.nan) if value is None else value
+            for value, length in zip(values, lengths, strict=True)
+        ]
+    if name == "unsure_box" and any(value is not None for value in values):
+        values = [
+            np.zeros(length, dtype=bool) if value is None else value
             for value, length in zip(values, lengths, strict=True)
         ]
     return None if any(value is None for value in values) else np.concatenate(values)

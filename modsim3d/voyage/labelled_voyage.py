@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 CONDITION = "voyage"
 _HIDDEN = 1e-3
-"""A vessel of which a larger share is hidden is partly hidden."""
+"""A vessel of which a larger share is hidden is partly hidden; a smaller one is a pixel's rounding."""
 
 Registrar = Callable[[Scene, CameraLog], Correction]
 """Finds the correction of a camera from its log and the scene."""

@@ -10,7 +10,7 @@ import pytest
 
 from modsim3d.boxes import clip, inside_image, iou, move
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.box_error_fits.edge_completion import completed
 from modsim3d.learn.box_error_fits.error_fit import slopes
@@ -130,11 +130,29 @@ def test_unsure_boxes_tell_no_box_errors() -> None:
     for each in (labelled, told):
         learned = learn_from(each, Rule("provenance"), replicates=0)
         width.append(float(learned.numbers.box_errors.states[0].std.estimate[2]))
-        notes = [note for note in learned.notes if "or partly hidden where positions are not surely known" in note]
+        notes = [note for note in learned.notes if "100 partly hidden, where positions are not surely known" in note]
         assert len(notes) == (each is told)
     asked = float(PX["std"][2])
     assert width[0] > 2 * asked
     assert width[1] == pytest.approx(asked, rel=0.15)
+
+
+def test_few_sure_boxes_tell_box_errors_rather_than_many_unsure_ones() -> None:
+    labelled = detected(PX, 400, 1)
+    annotations, results = labelled.annotations, labelled.results
+    assert results.origin is not None
+    unsure = np.arange(len(annotations)) >= 8
+    found = results.boxes_px.copy()
+    found[(results.origin >= 0) & unsure[results.origin], 2] += 40
+    annotations = replace(annotations, unsure_box=unsure)
+    labelled = replace(labelled, annotations=annotations, results=replace(results, boxes_px=found))
+    learned = learn_from(labelled, Rule("provenance"), replicates=0)
+    assert float(learned.numbers.box_errors.states[0].mean.estimate[2]) == pytest.approx(PX["mean"][2], abs=8)
+    assert any("and surely not hidden, needs" in note for note in learned.notes)
+    plain = replace(labelled, annotations=replace(annotations, unsure_box=None))
+    both = joined([labelled, plain]).annotations.unsure_box
+    assert both is not None
+    assert both.tolist() == [*unsure.tolist(), *[False] * len(unsure)]
 
 
 @pytest.mark.parametrize("rule", [Rule(), Rule("centre", most_distance_px=9.0), Rule("provenance")])

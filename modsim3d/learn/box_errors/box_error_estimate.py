@@ -174,9 +174,6 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
     return BoxErrorForm(tuple(forms), box_s, tuple(notes), things_keep)
 
 
-_UNSURE = ", or partly hidden where positions are not surely known"
-
-
 def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:
     """The first source with enough pairs that have all sides in the image."""
     pairs = observed.pairs
@@ -184,19 +181,23 @@ def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:
     own, every = int(np.count_nonzero(whole & (pairs.state == state))), int(np.count_nonzero(whole))
     name = observed.states[state]
     if own >= ERRORS_NEEDED:
-        unused = int(np.count_nonzero(~pairs.edges.usable & (pairs.state == state)))
-        if unused:
-            matches = int(np.count_nonzero(pairs.state == state))
+        ours = pairs.state == state
+        unused = ours & ~pairs.edges.usable
+        hidden = 0 if pairs.unsure is None else int(np.count_nonzero(unused & pairs.unsure))
+        if count := int(np.count_nonzero(unused)):
+            matches = int(np.count_nonzero(ours))
+            why = [f"{count - hidden:,} with all sides cut by the image's edge"] if count > hidden else []
+            why += [f"{hidden:,} partly hidden, where positions are not surely known"] if hidden else []
             notes.append(
-                f"states.{name}.box_error: from {matches - unused:,} of {matches:,} matches; {unused:,} with all sides "
-                f"cut by the image's edge{_UNSURE if pairs.unsure is not None else ''}"
+                f"states.{name}.box_error: from {matches - count:,} of {matches:,} matches; {' and '.join(why)}"
             )
         return ErrorSource.OWN_STATE
     source = ErrorSource.ALL_STATES if every >= ERRORS_NEEDED else ErrorSource.ALL_PAIRS
     cut = ", with sides that the image's edge cuts" if source is ErrorSource.ALL_PAIRS else ""
+    surely = "" if pairs.unsure is None or not pairs.unsure.any() else " and surely not hidden"
     notes.append(
-        f"states.{name}.box_error: that of all states{cut}; had {own} matches with all sides inside the image, needs "
-        f"{ERRORS_NEEDED}"
+        f"states.{name}.box_error: that of all states{cut}; had {own} matches with all sides inside the image{surely}, "
+        f"needs {ERRORS_NEEDED}"
     )
     return source
 

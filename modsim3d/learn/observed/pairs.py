@@ -62,6 +62,12 @@ class Pairs:
         edges = MatchedEdges.of(self.annotated_px, found, self.image_px, self.image, self.rule)
         return edges if self.unsure is None else edges.without(self.unsure)
 
+    @property
+    def sure(self) -> Mask:
+        """Which annotated boxes tell something of box errors, shape (n,); all if fewer than two do."""
+        unsure = np.zeros(len(self), dtype=bool) if self.unsure is None else self.unsure
+        return ~unsure if np.count_nonzero(~unsure) > 1 else np.ones(len(self), dtype=bool)
+
     def errors(self, chosen: Mask, relative: bool) -> Array:
         """Errors of some rows in pixels, or in sides of the box, shape (chosen, 4)."""
         result: Array = self.error_px[chosen] / (self.sides_px[chosen] if relative else 1.0)
@@ -76,6 +82,6 @@ class Pairs:
 
     def _edges_of(self, source: ErrorSource, state: int) -> MatchedEdges:
         if source is ErrorSource.ALL_PAIRS:
-            return self.edges.as_measured()
+            return self.edges[self.sure].as_measured()
         ours = self.edges.usable
         return self.edges[ours & (self.state == state) if source is ErrorSource.OWN_STATE else ours]

@@ -118,12 +118,12 @@ def _curve_pictures(report: Report) -> list[str]:
 
 def _scatter(report: Report) -> list[str]:
     pairs, relative = report.learned.observed.pairs, report.learned.form.box_errors.relative
-    error = pairs.errors(np.ones(len(pairs), dtype=bool), relative)  # in the unit in which they are learned
+    error, state = pairs.errors(pairs.sure, relative), pairs.state[pairs.sure]  # in the unit in which they are learned
     states, plots = report.learned.observed.states, []
-    there = [index for index in range(len(states)) if np.any(pairs.state == index)]
+    there = [index for index in range(len(states)) if np.any(state == index)]
     colours = [charts.state_colours(len(states))[index] for index in there]
     for (i, j), what in (((0, 1), "centres"), ((2, 3), "sizes")):
-        groups = {states[index]: error[pairs.state == index][:, [i, j]] for index in there}
+        groups = {states[index]: error[state == index][:, [i, j]] for index in there}
         units = ("widths", "heights") if relative else ("px", "px")
         x, y = (f"{ERROR_COMPONENTS[k]} in {unit}" for k, unit in zip((i, j), units, strict=True))
         caption = f"Errors of {what}; ellipses hold 95 % of normal errors with the same mean and covariance."

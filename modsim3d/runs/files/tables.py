@@ -117,7 +117,7 @@ def named(names: Sequence[str], indices: Indices) -> pa.Array:
     return pa.array(list(names), pa.string()).take(_column(indices, indices >= 0))
 
 
-def numbers(values: NDArray[Any]) -> pa.Array:
+def numbers(values: NDArray[np.number[Any]]) -> pa.Array:
     """Numbers of shape (n,) with null for NaN."""
     return _column(values, ~np.isnan(values) if values.dtype.kind == "f" else None)
 
@@ -127,7 +127,7 @@ def flags(values: Mask) -> pa.Array:
     return pa.Array.from_buffers(pa.bool_(), len(values), [None, _bits(values)])
 
 
-def _column(values: NDArray[Any], there: Mask | None) -> pa.Array:
+def _column(values: NDArray[np.number[Any]], there: Mask | None) -> pa.Array:
     """Numbers, and which of them are not null, all if None.
 
     `pa.array` gives the same, but imports NumPy's masked arrays to ask whether it was given one, which takes as long as

@@ -51,8 +51,8 @@ class Traffic:
     def of(cls, scene: Scene, camera: Camera, attitude: Attitude | None = None) -> Traffic:
         """That of a scene, all its steps, before one of its cameras; an attitude as it was measured replaces waves."""
         motion = Sampler(scene, attitude).at(scene.times_s(0, scene.steps))
-        headings = np.unwrap(motion.poses.headings_rad, axis=0)
-        places = np.concatenate([motion.poses.positions_m, headings[..., None], motion.angles_rad], axis=-1)
+        headings = motion.poses.headings_rad[..., None]
+        places = np.concatenate([motion.poses.positions_m, headings, motion.angles_rad], axis=-1)
         name = camera.mount.vessel
         steps_s = scene.times_s(0, scene.steps)
         times_s = np.concatenate([[steps_s[0] - BEYOND_S], steps_s, [steps_s[-1] + BEYOND_S]])
@@ -142,7 +142,7 @@ class Traffic:
 
 
 def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
-    """Places with those of absent vessels filled in, shape (S, V, 7).
+    """Places with those of absent vessels filled in and headings that go on beyond a full turn, shape (S, V, 7).
 
     Between two stretches they are linear. Before the first one and after the last one the position goes on at its
     speed, and the angles stay.
@@ -151,6 +151,7 @@ def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
     for vessel in np.flatnonzero(present.any(axis=0)).tolist():
         steps = np.flatnonzero(present[:, vessel])
         known_s, known = times_s[steps], places_m[steps, vessel]
+        known[:, 3] = filled[steps, vessel, 3] = np.unwrap(known[:, 3])
         columns = [np.interp(times_s, known_s, column) for column in known.T]
         absent = np.flatnonzero(~present[:, vessel])
         filled[absent, vessel] = np.stack(columns, axis=-1)[absent]

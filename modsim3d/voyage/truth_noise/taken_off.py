@@ -154,7 +154,7 @@ def take_off_truth_noise(
     jacobians = _Jacobians.of(learned, scene, views)
     states: list[LessNoise | None] = []
     for index, (errors, form) in enumerate(zip(box_errors.states, learned.form.box_errors.states, strict=True)):
-        ours = pairs.edges.whole if form.source is not ErrorSource.ALL_PAIRS else np.ones(len(pairs), dtype=bool)
+        ours = pairs.edges.whole if form.source is not ErrorSource.ALL_PAIRS else pairs.sure
         if form.source is ErrorSource.OWN_STATE:
             ours = ours & (pairs.state == index)
         relative = errors.unit == "relative"

@@ -81,6 +81,21 @@ def test_a_vessel_that_turns_within_the_time_of_a_mean_keeps_its_speed_ahead(sce
     np.testing.assert_allclose(found, np.tile([speed_m_s, 0.0], (20, 1)), atol=0.01)
 
 
+def test_a_vessel_that_heads_west_and_is_away_for_a_while_does_not_turn_meanwhile(scene: Scene) -> None:
+    """Where it is absent its heading is written as 0, between others to either side of ±π."""
+    known, times_s = scene.poses.poses(0, scene.steps), scene.times_s(0, scene.steps)
+    present, positions, headings = known.present.copy(), known.positions_m.copy(), known.headings_rad.copy()
+    positions[:, FERRY, :2] = np.column_stack([-5.0 * times_s, 0 * times_s])
+    headings[:, FERRY] = np.where(times_s < 30, np.pi - 0.02, 0.02 - np.pi)
+    away = (times_s > 28) & (times_s < 34)
+    present[away, FERRY] = False
+    headings[away, FERRY] = 0
+    traffic = with_places(scene, present, positions, headings)
+    times, ferry = np.linspace(0, times_s[-1], 20), np.full(20, FERRY)
+    np.testing.assert_allclose(traffic.velocities(times, ferry), np.tile([5.0, 0.0], (20, 1)), atol=0.15)
+    np.testing.assert_allclose(np.cos(traffic.at(np.array([31.0]), ferry[:1])[1][0, 0, 0]), np.cos(-1.0), atol=0.01)
+
+
 def test_a_point_that_k1_folds_into_the_image_is_no_edge_to_go_by(scene: Scene) -> None:
     model = BoxModel.of(scene, Traffic.of(scene, scene.cameras[QUAY]))
     none, times = Values.none(len(model.hulls_m)), np.linspace(0, 59, 60)
