@@ -105,13 +105,6 @@ WHY_SMALL = (
     "passes at a kilometre: its box is hardly larger than its errors, so that it is not known as a vessel, and its "
     "detections count as false positives. With transponders on all vessels all of them hold."
 )
-WHY_TRUE_AS_FALSE = (
-    "About 3 of 180 detections that count as false are of real vessels (51 in 16 voyages, with a mean confidence of "
-    "0.75): 30 are of vessels just coming into view at the image's border or leaving it, 23 of them where AIS has the "
-    "vessel outside the image, and 15 are of vessels that pass so closely that by AIS their hulls overlap, which "
-    "leaves both without a box. They raise the mean of `confidence.false.std` over these voyages to 0.128; without "
-    "them it is 0.120."
-)
 CASES = (
     Case("bow", "Registration on board", "A camera on a moving vessel; the tracks are true.", "strait", "bow"),
     Case("quay", "Registration ashore", "A camera ashore; the tracks are true.", "strait", "quay"),
@@ -136,7 +129,7 @@ CASES = (
     Case("strait_ais", "Detector in the strait, by AIS", "A fifth of the vessels has no transponder. The shipped "
          "minute is too near for AIS: its kayak comes to 33 m, where an error of 3 m is 120 px, more than the 50 px "
          "within which boxes match. So this is a longer voyage in the same strait, and the nearest vessels pass at "
-         "180 m.", "strait_traffic", "bow", AIS, learns=True, why=WHY_TRUE_AS_FALSE),
+         "180 m.", "strait_traffic", "bow", AIS, learns=True),
     Case("sample_all", "Detector in the scene of an AIS log, with all vessels", SAMPLE_SAID, "sample", "shore", ALL,
          learns=True, guessed=True),
     Case("sample_ais", "Detector in the scene of an AIS log", "The same, and a fifth of the vessels has no "

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modsim3d.arrays import Array, Mask
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results, joined
 from modsim3d.runs.pipeline import open_renderer
@@ -225,14 +225,18 @@ class _CameraSet:
 
     def _annotations(self, seen: CameraTruth) -> Annotations:
         """The annotated vessels, and the regions of those that are left out."""
-        truth = seen.truth.take(seen.truth.annotated)
+        untold = np.isnan(seen.truth.visible_fraction) & (seen.truth.silhouette_px > 0) & ~seen.truth.annotated
+        truth = seen.truth.take(seen.truth.annotated | untold)
+        untold = ~truth.annotated
+        self.notes += _said_of_overlaps(self.scene, truth.vessel[untold], len(self.times_s))
         boxes = annotation_boxes(truth, self.scene.annotation.mode)
+        boxes[untold] = truth.full_boxes_px[untold]
         rows = Regions(truth.step, truth.vessel, boxes, truth.depth_m)
         out = left_out(self.fresh, self.scene, self.camera, seen.camera_poses, self.times_s, rows)
         self.notes += out.notes
         boxes[out.rows] = out.boxes_px
         vessel = np.concatenate([truth.vessel, out.off.vessel])
-        ignored = np.concatenate([out.rows, np.ones(len(out.off.frame), dtype=bool)])
+        ignored = np.concatenate([out.rows | untold, np.ones(len(out.off.frame), dtype=bool)])
         return Annotations(
             image=np.concatenate([truth.step, out.off.frame]),
             label=self.log.vessel_label[vessel],
@@ -244,6 +248,15 @@ class _CameraSet:
             depth_m=np.concatenate([truth.depth_m, out.off.depth_m]),
             unsure_box=np.concatenate([self._partly_hidden(truth), np.zeros(len(out.off.frame), dtype=bool)]),
         ).by_image()
+
+
+def _said_of_overlaps(scene: Scene, vessel: Indices, frames: int) -> Iterator[str]:
+    """What becomes of vessels that overlap others in space, in which order the truth cannot tell, given their rows."""
+    for column, count in zip(*np.unique(vessel, return_counts=True), strict=True):
+        yield (
+            f"vessel '{scene.vessel_names[column]}' is left out of frames: it overlaps another one in {count:,} of "
+            f"{frames:,}"
+        )
 
 
 def _carrier_there(scene: Scene, vessel: str | None, times_s: Array) -> Mask:

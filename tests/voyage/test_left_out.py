@@ -168,3 +168,27 @@ def test_a_scene_made_by_an_older_version_says_what_it_does_not_know(scene: Scen
         assert ignored(scene, labelled, STALE, 0) == [False]
     finally:
         (tmp_path / "kept").rename(scene.path.parent / "report_times.json.gz")
+
+
+def test_vessels_that_overlap_by_their_positions_are_left_out_where_their_order_is_unknown(tmp_path: Path) -> None:
+    """Two that lie alongside, 4 m apart and 8 m wide; they are seen, so their detections are no false positives."""
+    times = list(range(0, LAST_S + 1, 10))
+    rows = [
+        row(time, 56 + north_m / LATITUDE_M, 12 + 800 / LONGITUDE_M, 0, 90, 90, mmsi, 70, 30, 8)
+        for time in times
+        for mmsi, north_m in ((FRESH, 0.0), (STALE, 4.0), (OFF, 100.0))
+    ]
+    write_scene(
+        traffic_of(old_file(tmp_path, *rows), origin=(56.0, 12.0)),
+        tmp_path / "scene",
+        data_folder("scenes") / "detectors" / "thesis.yaml",
+    )
+    keys = {"cameras.shore.pose": CAMERA, "annotation.mode": 2}
+    alongside = load_scene(tmp_path / "scene", source="analytic", settings=keys)
+    labelled = labelled_at(alongside, tmp_path, [50, 200])
+    for mmsi, left_out in ((FRESH, True), (STALE, True), (OFF, False)):
+        assert [ignored(alongside, labelled, mmsi, image) for image in range(2)] == [[left_out]] * 2, mmsi
+    assert np.isfinite(labelled.annotations.boxes_px).all()
+    said = "\n".join(labelled.notes)
+    assert f"vessel '{STALE}' is left out of frames: it overlaps another one in 2 of 2" in said
+    assert str(OFF) not in said

@@ -123,20 +123,34 @@ def at_the_border(links: Links, labelled: LabelledSet) -> Indices:
     of_known = _border(known.boxes_px, images.sizes_px[known.image])
     rows = np.flatnonzero(of_known.any(axis=1))
     rows = rows[np.argsort(images.time_s[known.image[rows]], kind="stable")]
-    time_s, boxes = images.time_s[known.image[rows]], known.boxes_px[rows]
+    of_image = known.image[rows]
+    time_s, below = images.time_s[of_image], _below_horizon(labelled, of_image, known.boxes_px[rows])
     found = []
     for place in np.flatnonzero(links.at_border & np.isfinite(links.time_s)).tolist():
         when, row = float(links.time_s[place]), links.rows[place]
         near = np.arange(*np.searchsorted(time_s, [when - links.longest_gap_s, when + links.longest_gap_s]))
-        box = labelled.results.boxes_px[row]
-        side = _border(box[None], images.sizes_px[[links.image[place]]])[0]
+        box, image = labelled.results.boxes_px[[row]], links.image[[place]]
+        side, (top, bottom) = _border(box, images.sizes_px[image])[0], _below_horizon(labelled, image, box)[0]
         same = images.sequence[known.image[rows[near]]] == images.sequence[links.image[place]]
         same &= (of_known[rows[near]] & side).any(axis=1)
-        common = np.minimum(boxes[near, 3], box[3]) - np.maximum(boxes[near, 1], box[1])
-        both = np.maximum(boxes[near, 3], box[3]) - np.minimum(boxes[near, 1], box[1])
+        common = np.minimum(below[near, 1], bottom) - np.maximum(below[near, 0], top)
+        both = np.maximum(below[near, 1], bottom) - np.minimum(below[near, 0], top)
         if (same & (common >= _MOSTLY * both)).any():
             found.append(place)
     return np.array(found, dtype=np.int64)
+
+
+def _below_horizon(labelled: LabelledSet, image: Indices, boxes_px: Array) -> Array:
+    """How far the upper and the lower edge of boxes (n, 4) lie below the horizon of their images, shape (n, 2).
+
+    On board, pitch moves the picture from frame to frame by more than the height of a far vessel. Where the horizon is
+    unknown, edges are rows of the image.
+    """
+    a, b, c = labelled.images.half_planes[image].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        horizon = -(a * (boxes_px[:, 0] + boxes_px[:, 2]) / 2 + c) / b
+    below: Array = boxes_px[:, [1, 3]] - np.where(np.isfinite(horizon), horizon, 0.0)[:, None]
+    return below
 
 
 def _border(boxes_px: Array, sizes_px: Array) -> Mask:

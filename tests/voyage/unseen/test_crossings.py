@@ -30,7 +30,7 @@ def set_of(known, *tracks):
 
 
 def at(x, y=400.0, size=60.0):
-    return boxes_at(np.broadcast_to(x, FRAMES), np.full(FRAMES, y), np.full(FRAMES, size))
+    return boxes_at(*(np.broadcast_to(each, FRAMES) for each in (x, y, size)))
 
 
 def passing():
@@ -91,6 +91,24 @@ def test_a_known_vessel_in_view_before_its_truth_is_no_false_positive():
     assert any(each.startswith(said) for each in sentences(judged, (rate,)))
     inland = replace(labelled, annotations=replace(labelled.annotations, boxes_px=labelled.annotations.boxes_px + 300))
     assert not judge(observed(inland)).crossings.results[early_rows].any()
+
+
+def test_on_board_a_known_vessel_comes_into_view_at_its_place_below_the_horizon():
+    """Pitch moves the picture by more than the vessel's height from frame to frame."""
+    x, pitch_px = -60 + 3.0 * np.arange(FRAMES), 60.0 * (np.arange(FRAMES) % 2)
+    known, seen = (np.clip(at(x - late, 400 + pitch_px), 0, [[WIDTH_PX, HEIGHT_PX] * 2]) for late in (6.0, 0.0))
+    known[known[:, 2] - known[:, 0] < 1] = seen[seen[:, 2] - seen[:, 0] < 1] = np.nan
+    first = int(np.flatnonzero(np.isfinite(known).all(axis=1))[0])
+    seen[first - 2 : first + 1][[0, 2]] = np.nan  # one sliver, a frame before the vessel is there
+    known[first + 1 :: 2] = np.nan
+    level = set_of(known, seen)
+    horizon = np.tile(SEA, (FRAMES, 1)) - np.outer(pitch_px, [0, 0, 1])
+    on_board = replace(level, images=replace(level.images, half_planes=horizon))
+    sliver = np.flatnonzero(level.results.image == first - 1)
+    sliver = sliver[level.results.boxes_px[sliver, 0] < 1]
+    assert len(sliver) == 1
+    assert not judge(observed(level)).crossings.results[sliver].any()
+    assert judge(observed(on_board)).crossings.results[sliver].all()
 
 
 def test_what_vessels_hide_of_each_other_is_said_and_not_told_as_missed():
