@@ -32,6 +32,7 @@ class Truth(StrEnum):
     SAME_VESSELS = "the same of vessels with transponders"
     ALL_DETECTIONS = "with detections of the others"
     TRACKS = "true tracks"
+    IN_VIEW = "without partly hidden boxes"
     REPORTS = "AIS, true camera"
 
 
@@ -50,19 +51,24 @@ def film_causes(film: Film) -> dict[str, Any]:
     matched = match(labelled, settings.rule, settings.threshold)
     fewer = _without(labelled, annotations=unknown)
     own = _without(fewer, results=np.append(unknown, False)[matched.annotation])
-    tracks = AisErrors(absent=some.absent)
+    tracks = by_tracks(film, AisErrors(absent=some.absent), registered=False, replicates=REPLICATES)
     by_truth = {
         Truth.FULL: _learned(labelled, settings),
         Truth.SAME_VESSELS: _learned(own, settings),
         Truth.ALL_DETECTIONS: _learned(fewer, settings),
-        Truth.TRACKS: by_tracks(film, tracks, registered=False, replicates=REPLICATES).report.learned,
+        Truth.TRACKS: tracks.report.learned,
+        Truth.IN_VIEW: _learned(tracks.told.voyage.labelled, settings),
         Truth.REPORTS: by_tracks(film, some, registered=False, replicates=REPLICATES).report.learned,
     }
-    reports = by_tracks(film, VARIANTS["all"], registered=False, replicates=REPLICATES).report.learned
+    of_all = {
+        Truth.FULL: by_truth[Truth.FULL],
+        Truth.IN_VIEW: _learned(full.told.voyage.labelled, settings),
+        Truth.REPORTS: by_tracks(film, VARIANTS["all"], registered=False, replicates=REPLICATES).report.learned,
+    }
     again = match(fewer, settings.rule, settings.threshold)
     return {
         "some": {truth.name: _values(learned) for truth, learned in by_truth.items()},
-        "all": {Truth.FULL.name: _values(by_truth[Truth.FULL]), Truth.REPORTS.name: _values(reports)},
+        "all": {truth.name: _values(learned) for truth, learned in of_all.items()},
         "matches": len(again.pairs[0]),
         "of_others": _of_others(labelled, matched, fewer, again, unknown),
     }

@@ -58,8 +58,12 @@ def test_as_many_intervals_hold_as_the_campaign_claims(committed: dict[str, dict
     for case in CASES:
         if "registration" in committed[case.name]:
             assert len(below(committed[case.name]["registration"])) <= 1, case.name
-    assert below(committed["detector"]["detector"]) == below(committed["detector_all"]["detector"]) == []
-    assert below(committed["detector_ais"]["detector"]) == []
+    for name in ("detector", "detector_all", "detector_ais", "strait_true", "strait_ais"):
+        assert below(committed[name]["detector"]) == [], name
+    assert len(below(committed["sample_all"]["detector"])) <= 1
+    assert all(
+        "false" in name for name in below(committed["sample_ais"]["detector"])
+    )  # of silent vessels: see its `why`
     assert len(below(committed["unregistered"]["detector"])) > 10
 
 
