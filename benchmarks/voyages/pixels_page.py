@@ -22,8 +22,8 @@ WORDS = (
     "average are taken for vessels."
 )
 CAUSES = (
-    "Box errors by AIS are smaller than by full truth, since [boxes of partly hidden vessels](../voyage.md#how-well-the-"
-    "truth-is-known) tell nothing of them where positions are not surely known. A detector that looks at pixels is "
+    "Box errors by AIS are smaller than by full truth, since boxes of partly hidden vessels [tell nothing of them]"
+    "(../voyage.md#how-well-the-truth-is-known) where positions are not surely known. A detector that looks at pixels is "
     "worse at such vessels; the errors of a detector that modsim3d simulates do not depend on what is hidden. The "
     "following tables tell film by film why box errors differ. Each cell has the standard deviations of errors in x "
     "and in width, in pixels, and how long box errors persist, in seconds. From column to column one cause is added."
@@ -32,9 +32,9 @@ _TITLE = {"all": "Transponders on all", "some": "Transponders on four fifths"}
 _SOME_WORDS = (
     "The vessels with transponders alone, with their own detections, are the sample of vessels. Then the detections "
     "of the others are there, too: some match a vessel with a transponder that is beside them. By true tracks, vessels "
-    "without a transponder hide nothing. Then boxes that are partly hidden are left out. AIS adds errors of positions, registration those of the camera and of the "
-    "clock. Matches of others counts the detections that match a vessel with a transponder and by full truth are of "
-    "one without."
+    "without a transponder hide nothing. Then boxes that are partly hidden are left out. AIS adds errors of positions, "
+    "registration those of the camera and of the clock. Matches of others counts the detections that match a vessel "
+    "with a transponder and by full truth are of one without."
 )
 
 
