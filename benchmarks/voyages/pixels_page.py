@@ -23,8 +23,8 @@ WORDS = (
 )
 CAUSES = (
     "Box errors by AIS are smaller than by full truth, since boxes of partly hidden vessels [tell nothing of them]"
-    "(../voyage.md#how-well-the-truth-is-known) where positions are not surely known. A detector that looks at pixels is "
-    "worse at such vessels; the errors of a detector that modsim3d simulates do not depend on what is hidden. The "
+    "(../voyage.md#how-well-the-truth-is-known) where positions are not surely known. A detector that looks at pixels "
+    "is worse at such vessels; the errors of a detector that modsim3d simulates do not depend on what is hidden. The "
     "following tables tell film by film why box errors differ. Each cell has the standard deviations of errors in x "
     "and in width, in pixels, and how long box errors persist, in seconds. From column to column one cause is added."
 )
