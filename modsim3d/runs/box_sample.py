@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -64,39 +62,35 @@ class BoxSample:
         resampled, the mean and covariance after resampling, and the standard error of that mean.
         """
         source = BoxErrorSource.from_model(scene.detector)
-        with ThreadPoolExecutor() as threads:  # NumPy and SciPy work on whole arrays at the same time
-            reports = list(threads.map(partial(self._truncation, scene, source), range(len(scene.detector.states))))
-        names = [state.name for state in scene.detector.states]
-        return {name: report for name, report in zip(names, reports, strict=True) if report is not None}
-
-    def _truncation(self, scene: Scene, source: BoxErrorSource, state: int) -> dict[str, Any] | None:
-        """What the report says of a state; None without a sampled box."""
-        ours, box_error = self.rows[self.rows[:, 1] == state], scene.detector.states[state].box_error
-        if not len(ours):
-            return None
-        kept = []
-        for number, camera in enumerate(scene.cameras):
-            boxes, image = ours[ours[:, 2] == number, 3:], camera.intrinsics.image_size_px
-            kept.append(truncated_errors(source, state, boxes, image, in_file_units=True, points=POINTS_A_BOX))
-        means = np.concatenate([part.means for part in kept])
-        mean = means.mean(axis=0)
-        covariance = np.concatenate([part.second_moments for part in kept]).mean(axis=0) - np.outer(mean, mean)
-        return {
-            "unit": box_error.unit,
-            "detections": self.counts[state],
-            "boxes": len(ours),
-            "redrawn": _rounded(1 - np.concatenate([part.accepted for part in kept]).mean()),
-            "mean": _rounded(mean),
-            "mean_shift": _rounded(mean - box_error.mean),
-            "mean_standard_error": _rounded(means.std(axis=0) / np.sqrt(len(means))),
-            "covariance": _rounded(covariance),
-        }
+        report = {}
+        for index, performance in enumerate(scene.detector.states):
+            ours = self.rows[self.rows[:, 1] == index]
+            if not len(ours):
+                continue
+            kept = []
+            for number, camera in enumerate(scene.cameras):
+                boxes, image = ours[ours[:, 2] == number, 3:], camera.intrinsics.image_size_px
+                kept.append(truncated_errors(source, index, boxes, image, in_file_units=True, points=POINTS_A_BOX))
+            means = np.concatenate([part.means for part in kept])
+            mean = means.mean(axis=0)
+            covariance = np.concatenate([part.second_moments for part in kept]).mean(axis=0) - np.outer(mean, mean)
+            report[performance.name] = {
+                "unit": performance.box_error.unit,
+                "detections": self.counts[index],
+                "boxes": len(ours),
+                "redrawn": _rounded(1 - np.concatenate([part.accepted for part in kept]).mean()),
+                "mean": _rounded(mean),
+                "mean_shift": _rounded(mean - performance.box_error.mean),
+                "mean_standard_error": _rounded(means.std(axis=0) / np.sqrt(len(means))),
+                "covariance": _rounded(covariance),
+            }
+        return report
 
 
 def _least(rows: Array) -> Array:
     """The rows with the least keys of each state, in order."""
     kept = [_NO_ROWS]
-    for state in np.flatnonzero(np.bincount(rows[:, 1].astype(np.int64))):
+    for state in np.flatnonzero(np.bincount(rows[:, 1].astype(np.int64))):  # np.unique imports masked arrays
         ours = rows[rows[:, 1] == state]
         if len(ours) > BOXES_A_STATE:  # few rows are sorted faster than many
             ours = ours[ours[:, 0] <= np.partition(ours[:, 0], BOXES_A_STATE - 1)[BOXES_A_STATE - 1]]
