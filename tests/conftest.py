@@ -39,12 +39,14 @@ TERMINAL = (
 def forget_who_started_the_tests() -> None:
     """Take from this process, and so from those that tests start, what its shell or its user gave it.
 
-    A shell lets the programs that it starts in the background ignore Ctrl-C.
+    A shell lets the programs that it starts in the background ignore Ctrl-C, and nohup lets them ignore that
+    their terminal is gone.
     """
     for name in TERMINAL:
         os.environ.pop(name, None)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 forget_who_started_the_tests()  # now, because some libraries look at the terminal when they are imported
