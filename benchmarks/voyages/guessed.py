@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.voyages.reported import lasting
 from modsim3d.arrays import Array
 from modsim3d.motion.poses import Poses
 from modsim3d.motion.poses.replay import RecordedPoses
@@ -40,9 +41,7 @@ class Guesses:
         noise, rng = TruthNoise.of(scene), np.random.default_rng([seed, 2])
         constant = rng.normal(0, noise.std)
         headings = rng.normal(size=(scene.steps, len(scene.vessels)))
-        kept = np.exp(-np.diff(scene.times_s(0, scene.steps)) / noise.position_s)
-        for step, share in enumerate(kept.tolist(), 1):
-            headings[step] = share * headings[step - 1] + np.sqrt(1 - share**2) * headings[step]
+        lasting(headings.T, np.exp(-np.diff(scene.times_s(0, scene.steps)) / noise.position_s))
         return cls(constant[:, _SIZES], constant[:, _ANTENNA], headings * noise.std[:, _HEADING])
 
     def true_scene(self, scene: Scene) -> Scene:

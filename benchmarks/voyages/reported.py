@@ -61,7 +61,9 @@ def as_reported(scene: Scene, seed: int, errors: AisErrors, silent: Sequence[str
     wrong[own] = 0
     along, across, delay = wrong.T[..., None]
     reports = np.arange(-errors.reports_s, times_s[-1] + errors.reports_s, errors.reports_s)
-    noise = _lasting(rng.normal(0, errors.position_m, (vessels, 2, len(reports))), errors)
+    noise = rng.normal(0, errors.position_m, (vessels, 2, len(reports)))
+    if errors.position_s:
+        lasting(noise, np.exp(-np.diff(reports) / errors.position_s))
     noise[own] = 0
     first_s = rng.uniform(0, errors.reports_s, vessels)  # in step with the frames, reports would tell the clock
     ahead = np.stack([np.cos(true.headings_rad), np.sin(true.headings_rad)], axis=-1)
@@ -87,10 +89,7 @@ def _velocities(poses: Poses, times_s: Array) -> Array:
     return velocities
 
 
-def _lasting(noise: Array, errors: AisErrors) -> Array:
-    """Independent errors of reports (V, 2, R) as ones that last."""
-    if errors.position_s:
-        kept = np.exp(-errors.reports_s / errors.position_s)
-        for k in range(1, noise.shape[-1]):
-            noise[..., k] = kept * noise[..., k - 1] + np.sqrt(1 - kept**2) * noise[..., k]
-    return noise
+def lasting(noise: Array, kept: Array) -> None:
+    """Make independent numbers (..., R) ones that last, of which a share is kept to the next, shape (R − 1,)."""
+    for k, share in enumerate(kept.tolist(), 1):
+        noise[..., k] = share * noise[..., k - 1] + np.sqrt(1 - share**2) * noise[..., k]
