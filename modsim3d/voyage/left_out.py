@@ -30,6 +30,8 @@ LYING_M_S = 0.25
 """A slower vessel does not move between its reports, which come every three minutes."""
 MOST_KN = 60.0
 """A vessel that would be faster has jumped, unless the scene was made with another limit."""
+ENDS_S = 3.0
+"""A vessel is there for so long before its first place and after its last one: clocks and reports may be late."""
 ALWAYS_OFF_M, OFF_M_S = 10.0, 0.5
 """How far off the place of a vessel that is left out may be: at once, and for each second since its last report."""
 
@@ -70,7 +72,8 @@ class Known:
     Attributes:
         reason: Reason → whether it holds, shape (n, V).
         since_s: Time to the nearest report, or to the nearest pose of the scene, 0 where unknown, shape (n, V).
-        off: Poses of the vessels that are off, straight between the last place before and the first after.
+        off: Poses of the vessels that are off, straight between the last place before and the first after, or on from
+            the first or the last.
     """
 
     reason: Mapping[Reason, Mask]
@@ -122,18 +125,22 @@ class Freshness:
     def _fill(self, known: Known, column: int, name: str, steps: Indices, times_s: Array) -> None:
         """Fill in the column of a vessel that is there at some steps, shape (k,)."""
         at_s, places_m = self._every_s[steps], self._poses.positions_m[steps, column]
+        early, late = times_s < at_s[0] - NEAR_S, times_s > at_s[-1] + NEAR_S
         before = np.clip(np.searchsorted(at_s, times_s + NEAR_S, side="right") - 1, 0, len(at_s) - 1)
+        before[late] = max(len(at_s) - 2, 0)  # straight on
         after = np.minimum(before + 1, len(at_s) - 1)
-        inside = (times_s >= at_s[0] - NEAR_S) & (times_s <= at_s[-1] + NEAR_S)
+        inside = ~early & ~late
         off = (steps[after] - steps[before] > 1) & (times_s - at_s[before] > NEAR_S) & inside
         there, span = inside & ~off, np.where(after > before, at_s[after] - at_s[before], 1.0)
+        off |= ~inside & (times_s >= at_s[0] - ENDS_S) & (times_s <= at_s[-1] + ENDS_S)
+        apart_s = np.minimum(np.abs(times_s - at_s[before]), np.abs(times_s - at_s[after]))
         way_m = places_m[after] - places_m[before]
         speed = np.linalg.norm(way_m, axis=1) / span
         known.reason[Reason.OFF][:, column] = off
         known.reason[Reason.JUMP][:, column] = there & (speed > MOST_KN * KNOT_M_S)
-        known.since_s[:, column] = np.where(off, np.minimum(times_s - at_s[before], at_s[after] - times_s), 0.0)
+        known.since_s[:, column] = np.where(off, apart_s, 0.0)
         known.off.present[:, column] = off
-        share = np.clip((times_s - at_s[before]) / span, 0, 1)[:, None]
+        share = ((times_s - at_s[before]) / span)[:, None]
         known.off.positions_m[:, column] = places_m[before] + share * way_m
         known.off.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
         used = self._reports.used_s.get(name) if self._reports else None

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.voyage.unseen.jitter import STEADY, Jitter
 
 MOST_HIDDEN_S = 30.0
 """The longest that a thing may be hidden."""
@@ -25,6 +26,8 @@ _SPEED_SIDES_S = 1.0
 """How fast a thing may be, in lengths a second: a boat of 10 m at 20 knots makes one."""
 _MOST_WAY_SIDES = 2.0
 _MOST_LOG_RATIO = np.log(2.0)
+_TIMES_JITTER = 3.0
+"""Or by how many standard deviations of what errors change by a box may lie off, or be larger or smaller."""
 _ASPECT = 3.0
 """Width over height of a thing whose width was never seen."""
 _VAGUE = 0.5
@@ -82,7 +85,7 @@ class _Thing:
         self.sides, self.known, self.last_s = sides, self.known | sure, now
 
 
-def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float) -> Indices:
+def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float, jitter: Jitter = STEADY) -> Indices:
     """Number the detections of one sequence by what they are of, from 0 up, shape (n,).
 
     Args:
@@ -90,6 +93,7 @@ def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float) -> Indices
         sides: Left, upper, right and lower side, shape (n, 4).
         sure: Which of them nothing cuts off, shape (n, 4).
         longest_s: How long a thing may be missed at least before it is another one.
+        jitter: By how much small boxes change through the detector's errors.
     """
     numbers, things, count = np.full(len(time_s), -1), list[_Thing](), 0
     edges = np.flatnonzero(np.diff(time_s)) + 1
@@ -99,7 +103,7 @@ def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float) -> Indices
         free = np.arange(len(ours))
         for seen in (sure[ours], sure[ours] & ~_beside_others(sides[ours])):
             waiting = [thing for thing in things if thing.last_s < now]
-            taken = _assigned(waiting, now, sides[ours[free]], seen[free])
+            taken = _assigned(waiting, now, sides[ours[free]], seen[free], jitter)
             for place, thing in taken:
                 row = ours[free[place]]
                 numbers[row] = waiting[thing].number
@@ -114,7 +118,9 @@ def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float) -> Indices
     return numbers
 
 
-def _assigned(things: list[_Thing], now: float, measured: Array, sure: Mask) -> list[tuple[int, int]]:
+def _assigned(
+    things: list[_Thing], now: float, measured: Array, sure: Mask, jitter: Jitter
+) -> list[tuple[int, int]]:
     """Pairs of a detection and the thing that it is of, as places; measured and sure are (n, 4)."""
     if not things:
         return []
@@ -124,9 +130,9 @@ def _assigned(things: list[_Thing], now: float, measured: Array, sure: Mask) -> 
     whole = known[:, 0] & known[:, 2]
     side = np.sqrt(np.where(whole, width, np.maximum(width, _ASPECT * height)) * height)
     way = np.minimum(apart * _SPEED_SIDES_S, _MOST_WAY_SIDES) / np.sqrt(told)
-    reach = np.maximum(_NEAR * side, _LEAST_NEAR_PX) + side * way
+    reach = np.maximum(_NEAR * side, max(_LEAST_NEAR_PX, _TIMES_JITTER * jitter.off_px)) + side * way
     off = np.linalg.norm(_offsets(measured, sure, expected, known), axis=-1) / reach
-    fits = (off <= 1) & _alike(measured, sure, expected, known)
+    fits = (off <= 1) & _alike(measured, sure, expected, known, jitter)
     if not fits.any():
         return []
     vague = 2 - (sure[:, None] & known[None]).reshape(*off.shape, 2, 2).any(axis=2).sum(axis=-1)
@@ -159,9 +165,10 @@ def _offsets(measured: Array, sure: Mask, expected: Array, known: Mask) -> Array
     return offsets
 
 
-def _alike(measured: Array, sure: Mask, expected: Array, known: Mask) -> Mask:
+def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Jitter) -> Mask:
     """Whether n detections are about as large as k things, along axes where all sides are sure, shape (n, k)."""
     usable = (sure[:, None] & known[None]).reshape(len(measured), len(expected), 2, 2).all(axis=2)
-    found, whole = (np.log(np.maximum(each[:, 2:] - each[:, :2], 1.0)) for each in (measured, expected))
-    alike: Mask = (~usable | (np.abs(found[:, None] - whole[None]) <= _MOST_LOG_RATIO)).all(axis=-1)
+    found, whole = (np.maximum(each[..., 2:] - each[..., :2], 1.0) for each in (measured[:, None], expected[None]))
+    near = np.abs(found - whole) <= _TIMES_JITTER * jitter.size_px
+    alike: Mask = (~usable | near | (np.abs(np.log(found / whole)) <= _MOST_LOG_RATIO)).all(axis=-1)
     return alike

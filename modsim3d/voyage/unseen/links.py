@@ -14,6 +14,7 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.formats.labelled import Images
 from modsim3d.learn.observed.observed import Observed
 from modsim3d.voyage.unseen.following import follow
+from modsim3d.voyage.unseen.jitter import Jitter, jitter_of
 from modsim3d.voyage.unseen.sides import Sides
 
 MOST_GAP_S = 3.0
@@ -38,6 +39,7 @@ class Links:
         at_border: Whether the image's left or right border may cut it, shape (n,).
         gap_s: Usual time between frames.
         longest_gap_s: Longest time between two detections of a thing that is not hidden.
+        jitter: By how much small boxes change through the detector's errors.
     """
 
     rows: Indices
@@ -51,6 +53,7 @@ class Links:
     at_border: Mask
     gap_s: float
     longest_gap_s: float
+    jitter: Jitter
 
     @property
     def count(self) -> int:
@@ -64,13 +67,14 @@ def link(observed: Observed) -> Links:
     time_s = images.time_s[sightings.image]
     gap_s = _usual_gap_s(images)
     longest = max(MOST_GAP_S, (LEAST_GAP_FRAMES + 0.5) * gap_s)
+    jitter = jitter_of(observed, longest)
     sides = Sides.of(sightings, observed.labelled.annotations, len(images))
     numbers, first = np.full(len(sightings), -1), 0
     sequence = images.sequence[sightings.image]
     for each in np.unique(sequence[np.isfinite(time_s)]):
         rows = np.flatnonzero((sequence == each) & np.isfinite(time_s))
         rows = rows[np.argsort(time_s[rows], kind="stable")]
-        numbers[rows] = first + follow(time_s[rows], sides.places_px[rows], sides.sure[rows], longest)
+        numbers[rows] = first + follow(time_s[rows], sides.places_px[rows], sides.sure[rows], longest, jitter)
         first = int(numbers.max()) + 1
     alone = np.flatnonzero(numbers < 0)
     numbers[alone] = first + np.arange(len(alone))
@@ -86,6 +90,7 @@ def link(observed: Observed) -> Links:
         sides.at_border,
         gap_s,
         longest,
+        jitter,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.formats.labelled import Images
+from modsim3d.voyage.unseen.jitter import TO_STD
 from modsim3d.voyage.unseen.links import Links
 
 _LEAST_SEEN = 5
@@ -19,8 +20,8 @@ _LEAST_SHARE = 0.25
 """Share of the frames of its life in which a vessel is detected at least."""
 _ABOVE, _LEAST_ABOVE_PX = 0.25, 3.0
 """How far above the horizon a vessel's lower edge may seem to be, in heights and in pixels."""
-_TO_STD = 1.4826
-"""Median absolute deviation to standard deviation of normal numbers."""
+_TIMES_JITTER = 1.5
+"""Or either in standard deviations of what box errors change by."""
 
 
 class Behaviour(IntEnum):
@@ -111,11 +112,13 @@ def _behaviour(links: Links, rows: Indices, share: float) -> Behaviour:
         return Behaviour.RARELY_SEEN
     part = ((time_s[1:-1] - time_s[:-2]) / (time_s[2:] - time_s[:-2]))[:, None]
     off = np.linalg.norm(place[1:-1] - (place[:-2] + part * (place[2:] - place[:-2])), axis=1)
-    if np.median(off) > max(_MOST_OFF * float(np.median(np.sqrt(size.prod(axis=1)))), _MOST_OFF_PX):
+    least_px = max(_MOST_OFF_PX, _TIMES_JITTER * links.jitter.off_px)
+    if np.median(off) > max(_MOST_OFF * float(np.median(np.sqrt(size.prod(axis=1)))), least_px):
         return Behaviour.JUMPS
-    changes = np.diff(np.log(size), axis=0)  # a vessel that nears grows, but slowly
-    spread = _TO_STD * np.median(np.abs(changes), axis=0) / np.sqrt(2)
-    return Behaviour.CHANGES_SIZE if spread.max() > _MOST_RESIZED else Behaviour.LIKE_A_VESSEL
+    # A vessel that nears grows, but slowly.
+    shares, pixels = (TO_STD * np.median(np.abs(np.diff(each, axis=0)), axis=0) for each in (np.log(size), size))
+    resized = (shares > np.sqrt(2) * _MOST_RESIZED) & (pixels > _TIMES_JITTER * links.jitter.size_px)
+    return Behaviour.CHANGES_SIZE if resized.any() else Behaviour.LIKE_A_VESSEL
 
 
 def _ends_s(images: Images) -> Array:
