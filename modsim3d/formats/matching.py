@@ -24,6 +24,8 @@ from modsim3d.inputs.budgets import MAX_PAIRS
 from modsim3d.inputs.validation import shown
 
 PAIRS_AT_ONCE = 2_000_000
+_IN_CROWD = 0.5
+"""Share of a detection in a crowd that is in it, however far from its centre."""
 NOT_SCORED = "the detections have none (-1)"
 """What is said where something needs confidences that are not given."""
 
@@ -34,40 +36,39 @@ class Rule:
 
     Attributes:
         method: `confidence`: the most confident detection chooses first, the annotation with the largest IoU;
-            `optimal`: as many matches as possible, and of those the largest sum of IoU; `centre`: like `confidence`,
-            but the nearest centre; `provenance`: what a simulated run says itself.
+            `optimal`: as many matches as possible, and of those the largest sum of IoU; `centre`: the pair whose centres
+            are nearest comes first; `provenance`: what a simulated run says itself.
         least_iou: A pair with less is no match.
         most_distance_px: Largest distance between the centres of a match, for `centre`.
         by_label: Whether only boxes of the same label match.
+        by_confidence: Whether the most confident detection chooses first, for `centre`.
     """
 
     method: str = "confidence"
     least_iou: float = 0.5
     most_distance_px: float = 50.0
     by_label: bool = False
+    by_confidence: bool = False
 
     def __str__(self) -> str:
         """The rule in words, for a report."""
-        return self.in_words()
-
-    def in_words(self, scored: bool = True) -> str:
-        """The rule in words; without confidences the nearest centres come first."""
         if self.method == "provenance":
             return "provenance"
         if self.method == "centre":
-            order = "in order of confidence" if scored else "the nearest first"
+            order = "in order of confidence" if self.by_confidence else "the nearest first"
             return f"centres at most {self.most_distance_px:g} px apart, {order}"
         order = "optimal assignment" if self.method == "optimal" else "in order of confidence"
         return f"IoU at least {self.least_iou:g}, {order}"
 
     @property
     def for_average_precision(self) -> Rule:
-        """The same rule label by label; in order of confidence in place of the optimal assignment.
+        """The same rule label by label, and in order of confidence.
 
-        Average precision is of the most confident detections at every threshold, and an optimal assignment of all
-        detections may give an annotation to a less confident one.
+        Average precision is of the most confident detections at every threshold, and the optimal assignment of all
+        detections, or the nearest of them, may give an annotation to a less confident one.
         """
-        return replace(self, method="confidence" if self.method == "optimal" else self.method, by_label=True)
+        method = "confidence" if self.method == "optimal" else self.method
+        return replace(self, method=method, by_label=True, by_confidence=method == "centre")
 
 
 def usual_method(labelled: LabelledSet, position_m: float = 0.0) -> str:
@@ -176,7 +177,7 @@ def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> M
         matches = _by_provenance(labelled, takes_part, rule)
     else:
         assign = _optimal if rule.method == "optimal" else _greedy
-        matches = assign(labelled, _candidates(labelled, takes_part, rule))
+        matches = assign(labelled, _candidates(labelled, takes_part, rule), rule)
     ignored = np.append(labelled.annotations.ignored, False)[matches]
     return Matched(np.where(ignored, NOBODY, matches), takes_part & ~ignored, ~labelled.annotations.ignored, rule)
 
@@ -238,6 +239,8 @@ def fits(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: R
     elif rule.method == "centre":
         quality = -np.hypot(*(centres(a_px) - centres(b_px)).T)
         good = quality >= -rule.most_distance_px
+        crowd = np.flatnonzero(annotations.crowd[annotation])
+        good[crowd] |= overlap(a_px[crowd], b_px[crowd], np.ones(len(crowd), dtype=bool)) >= _IN_CROWD
     else:
         quality = overlap(a_px, b_px, annotations.crowd[annotation])
         good = quality >= min(rule.least_iou, 1 - 1e-10)
@@ -246,8 +249,8 @@ def fits(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: R
     return good, quality
 
 
-def _greedy(labelled: LabelledSet, pairs: Candidates) -> Indices:
-    """Most confident detection first; without confidences, the pair that fits best first.
+def _greedy(labelled: LabelledSet, pairs: Candidates, rule: Rule) -> Indices:
+    """Most confident detection first; or, by centres or without confidences, the pair that fits best first.
 
     Ties are broken as COCO's own tools do: the later of equal annotations, the earlier of equal detections.
     """
@@ -255,7 +258,7 @@ def _greedy(labelled: LabelledSet, pairs: Candidates) -> Indices:
     target, detection, ignored = pairs.annotation, pairs.detection, annotations.ignored[pairs.annotation]
     matches = np.full(len(results), NOBODY)
     order = np.lexsort((-target, -pairs.quality, ignored, detection, -results.confidence[detection]))
-    if not labelled.scored:
+    if not labelled.scored or (rule.method == "centre" and not rule.by_confidence):
         order = np.lexsort((-target, detection, -pairs.quality, ignored))
     taken, done = set[int](), set[int]()
     crowd = annotations.crowd[target[order]].tolist()
@@ -268,12 +271,12 @@ def _greedy(labelled: LabelledSet, pairs: Candidates) -> Indices:
     return matches
 
 
-def _optimal(labelled: LabelledSet, pairs: Candidates) -> Indices:
+def _optimal(labelled: LabelledSet, pairs: Candidates, rule: Rule) -> Indices:
     """As many matches as possible, of those the largest sum; ignored annotations take detections that are left."""
     matches = np.full(len(labelled.results), NOBODY)
     sought = ~labelled.annotations.ignored[pairs.annotation]
     _assign(pairs.where(sought), matches)
-    rest = _greedy(labelled, pairs.where(~sought & (matches[pairs.detection] < 0)))
+    rest = _greedy(labelled, pairs.where(~sought & (matches[pairs.detection] < 0)), rule)
     return np.where(matches >= 0, matches, rest)
 
 

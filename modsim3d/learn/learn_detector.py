@@ -79,7 +79,7 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
         bias=bias_of(learned, settings) if options.bias else None,
         level=options.level,
         beta=options.beta,
-        matched_by=settings.rule.in_words(labelled.scored),
+        matched_by=str(settings.rule),
         curves_matched_by=str(curve_rule),
         warning=gate_warning(labelled, matched, settings.rule),
         remarks_on_data=(*dict.fromkeys(labelled.notes), *_remarks(observed)),
