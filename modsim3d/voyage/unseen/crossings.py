@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import areas, intersections, iou
+from modsim3d.boxes import areas, centres, intersections, iou
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Matched, image_pairs, match
+from modsim3d.formats.matching import Matched, Rule, image_pairs, match
 from modsim3d.voyage.unseen.links import Links
 from modsim3d.voyage.unseen.sides import AT_BORDER_PX
 
@@ -81,7 +81,7 @@ def crossings(tracks: Tracks, links: Links, labelled: LabelledSet, matched: Matc
         matched: Its matches.
     """
     known, results, number = labelled.annotations, labelled.results, len(labelled.images)
-    rows, places = _meetings(tracks, labelled)
+    rows, places = _meetings(tracks, labelled, matched.rule)
     met, beside = np.zeros(len(known), dtype=bool), np.zeros(len(tracks.image), dtype=bool)
     met[rows] = beside[places] = True
     found = np.append(met, False)[matched.annotation]
@@ -94,7 +94,7 @@ def crossings(tracks: Tracks, links: Links, labelled: LabelledSet, matched: Matc
     return Crossings(met & ~known.ignored, found)
 
 
-def _meetings(tracks: Tracks, labelled: LabelledSet) -> tuple[Indices, Indices]:
+def _meetings(tracks: Tracks, labelled: LabelledSet, rule: Rule) -> tuple[Indices, Indices]:
     """Annotations and places of a track that are close to each other in an image, shapes (n,).
 
     What stays with one known vessel for most of its life does not pass it: its truth may be off.
@@ -104,6 +104,8 @@ def _meetings(tracks: Tracks, labelled: LabelledSet) -> tuple[Indices, Indices]:
         boxes, theirs = known.boxes_px[row], tracks.boxes_px[track]
         near = np.maximum(_NEAR * (boxes[:, 3:] - boxes[:, 1:2]), _LEAST_NEAR_PX)
         meets = ((boxes[:, :2] - near < theirs[:, 2:]) & (theirs[:, :2] < boxes[:, 2:] + near)).all(axis=1)
+        if rule.method == "centre":  # a detection of one may match the other
+            meets |= np.hypot(*(centres(boxes) - centres(theirs)).T) <= rule.most_distance_px
         pairs.append((row[meets], track[meets]))
     rows, places = (np.concatenate(each) for each in zip(*pairs, strict=True))
     two = np.column_stack([tracks.thing[places], known.identity[rows]])
