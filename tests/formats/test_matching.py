@@ -101,6 +101,24 @@ def test_centres_match_where_boxes_do_not_overlap():
     assert match(labelled, Rule("centre", most_distance_px=19)).annotation.tolist() == [-1, -1]
 
 
+def test_by_centres_the_nearest_pair_comes_first_and_for_average_precision_the_most_confident():
+    labelled = two_boats([[11, 0, 111, 100], [22, 0, 122, 100]])  # both are nearest to the second, the less sure more so
+    rule = Rule("centre", most_distance_px=25)
+    assert match(labelled, rule).annotation.tolist() == [0, 1]
+    assert match(labelled, rule.for_average_precision).annotation.tolist() == [1, 0]
+    assert (str(rule), str(rule.for_average_precision)) == (
+        "centres at most 25 px apart, the nearest first",
+        "centres at most 25 px apart, in order of confidence",
+    )
+
+
+def test_by_centres_a_detection_in_an_ignored_region_is_in_it_wherever_its_centre():
+    labelled = LabelledSet(("a",), ("all",), images(1), truth([0], [0], [[0, 0, 400, 40]], [True], [True]),
+                           found([0] * 3, [0] * 3, [[0, 0, 20, 20], [380, 10, 410, 20], [390, 0, 420, 40]],
+                                 [0.9, 0.8, 0.7]))  # fmt: skip
+    assert match(labelled, Rule("centre")).counts.tolist() == [False, False, True]
+
+
 def test_what_is_ignored_neither_counts_as_missed_nor_as_false():
     there = truth([0, 0], [0, 0], [[0, 0, 200, 200], [300, 300, 350, 350]], [True, False], [True, False])
     seen = [[10, 10, 40, 40], [60, 60, 90, 90], [400, 0, 450, 50]]

@@ -15,7 +15,7 @@ from modsim3d.inputs.shipped import data_folder
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.labelled_voyage import NO_OPTIONS, VoyageOptions, labelled_voyage
-from modsim3d.voyage.left_out import stale_limit_s
+from modsim3d.voyage.left_out import Freshness, stale_limit_s
 from modsim3d.voyage.logs.log import Clock
 from modsim3d.voyage.logs.reading import read_log
 from modsim3d.voyage.moved_vessels import with_moved_vessels
@@ -129,6 +129,31 @@ def test_a_vessel_that_is_left_out_is_neither_missed_nor_a_false_detection(scene
     assert matched.counts.sum() == 1
     assert matched.false.tolist() == [int(np.argmin(labelled.results.boxes_px[:, 1]))]
     assert matched.sought.sum() == 3  # the fresh one, the one that lies still and the slow one
+
+
+def test_a_vessel_is_left_out_just_before_its_first_report_and_just_after_its_last(tmp_path: Path) -> None:
+    """It goes straight on; a scene lasts as long as any vessel."""
+    rows = [*reports(FRESH, list(range(0, LAST_S + 1, 10))), *reports(OFF, list(range(100, 301, 10)), 20.0)]
+    traffic = traffic_of(old_file(tmp_path, *rows), origin=(56.0, 12.0))
+    write_scene(traffic, tmp_path / "scene", data_folder("scenes") / "detectors" / "thesis.yaml")
+    scene = load_scene(tmp_path / "scene", source="analytic", settings={"cameras.shore.pose": CAMERA})
+    times = [96, 98, 100, 101, 300, 302, 304]
+    labelled = labelled_at(scene, tmp_path, times)
+    there = [[], [True], [False], [False], [False], [True], []]
+    assert [ignored(scene, labelled, OFF, image) for image in range(len(times))] == there
+    boxes = {image: box for image, box, identity in zip(
+        labelled.annotations.image.tolist(), labelled.annotations.boxes_px, labelled.annotations.identity, strict=True
+    ) if identity == vessel(scene, OFF)}  # fmt: skip
+    for inside, outside in ((2, 1), (4, 5)):
+        assert (boxes[outside][:2] < boxes[inside][:2]).all()
+        assert (boxes[outside][2:] > boxes[inside][2:]).all()
+    fresh = Freshness(scene, None).at(np.array([98.0, 302.0]))
+    ends = np.searchsorted(scene.times_s(0, scene.steps), [100, 300])
+    at_ends_m = scene.poses.poses(0, scene.steps).positions_m[ends, vessel(scene, OFF), 0]
+    moved_m = fresh.off.positions_m[:, vessel(scene, OFF), 0] - at_ends_m
+    np.testing.assert_allclose(moved_m, 0.5144 * 20 * np.array([-2, 2]), rtol=0.02)
+    said = "\n".join(labelled.notes)
+    assert f"vessel '{OFF}' is left out of frames: its AIS is off in 2 of 7" in said
 
 
 def test_slow_vessels_have_three_minutes_and_the_limit_is_an_option(scene: Scene, tmp_path: Path) -> None:

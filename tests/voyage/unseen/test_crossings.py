@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule
 from modsim3d.voyage.unseen.judged import judge
 from modsim3d.voyage.unseen.told import sentences
 from tests.formats.labelled_sets import found, images, truth
@@ -61,6 +62,18 @@ def test_the_box_of_an_unseen_vessel_is_no_error_of_a_known_one():
     assert len(wrong) > 5  # the other one's box matches the known one that it hides
     left = observed(judge(observed(labelled)).labelled)
     assert np.abs(left.pairs.error_px).max() < 1e-6
+
+
+def test_an_unseen_vessel_beside_a_known_one_does_not_match_it():
+    """Their boxes are 12 px apart, and the known one is missed in every other frame."""
+    x, frame = 100 + 2.5 * np.arange(FRAMES), np.arange(FRAMES)
+    seen = np.where((frame % 2 == 0)[:, None], at(600.0), np.nan)
+    judged = judge(observed(set_of(at(600.0), seen, at(x, 440.0, 30.0)), Rule("centre")))
+    near = np.flatnonzero(np.abs(x - 600) < 25)
+    others = np.abs(judged.observed.pairs.error_px[:, 1]) > 30
+    assert others.sum() > 5
+    assert judged.labelled.annotations.ignored[near].all()
+    assert not np.abs(observed(judged.labelled, Rule("centre")).pairs.error_px).max() > 1
 
 
 def test_a_vessel_whose_truth_is_off_is_still_missed():

@@ -3,8 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule
+from modsim3d.voyage.unseen.jitter import STEADY
 from modsim3d.voyage.unseen.links import link
 from modsim3d.voyage.unseen.things import Behaviour, things_of
 from tests.formats.labelled_sets import found, images, truth
@@ -96,6 +99,37 @@ def test_a_detection_of_another_size_is_another_thing():
     image = np.arange(10)
     links = linked(set_of(image, np.full(10, 300.0), np.full(10, 400.0), np.where(image < 5, 20.0, 60.0)))
     assert links.link.tolist() == [0] * 5 + [1] * 5
+
+
+@pytest.mark.parametrize(("seed", "error_px"), [(0, 1.0), (1, 3.0)])
+def test_a_vessel_hardly_larger_than_its_box_errors_is_one_thing_where_known_ones_err_as_much(seed, error_px):
+    """Of 9 px. Known ones are 14 px long; far larger ones, whose boxes err by far more, do not count."""
+    rng, frame = np.random.default_rng(seed), np.arange(300)
+
+    def measured(boxes, error):
+        centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2
+        half = np.maximum(half + rng.normal(0, error / 2, half.shape), 0.5)
+        return np.concatenate([centre - half, centre + half], axis=1) + np.tile(rng.normal(0, error, centre.shape), 2)
+
+    known, large = boxes_at(500 + 0.1 * frame, 0 * frame + 300.0, 14.0), boxes_at(800.0 + frame, 0 * frame + 500.0, 300)
+    silent = measured(boxes_at(100 + 0.5 * frame, 0 * frame + 400.0, 9.0), error_px)
+    image = np.tile(frame, 4)
+    boxes = np.concatenate([measured(known, error_px), measured(large, 30.0), measured(large, 30.0), silent])
+    annotated = truth(np.tile(frame, 2), np.zeros(600), np.concatenate([known, large]), identity=np.repeat([0, 1], 300))
+    rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
+    labelled = replace(set_of(frame[:1], [0.0], [0.0], frames=300), results=rows, annotations=annotated.by_image())
+    links = link(observed(labelled, Rule("centre", most_distance_px=30)))
+    ours = (links.places_px[:, 0] < 300) & (links.places_px[:, 1] < 250)
+    things = things_of(links, labelled.images)
+    of_silent = np.unique(links.link[ours])
+    np.testing.assert_allclose(links.jitter.size_px, np.sqrt(2) * error_px, rtol=0.2)
+    assert len(of_silent) == 1
+    assert things.perhaps_vessel[of_silent].all()
+    alone = replace(labelled, annotations=truth([], [], np.empty((0, 4))))
+    steady = link(observed(alone))
+    assert steady.jitter is STEADY
+    pieces = len(np.unique(steady.link[(steady.places_px[:, 0] < 300) & (steady.places_px[:, 1] < 250)]))
+    assert (pieces > 5) == (error_px > 2)
 
 
 def test_a_camera_that_pitches_does_not_break_links():

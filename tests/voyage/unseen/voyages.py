@@ -56,9 +56,9 @@ def voyage(seed, frames=600, boats=4, kayaks=1, flicker=Flicker(), kayak_s=150.0
     return LabelledSet(("boat",), ("all",), shots, annotated, results)
 
 
-def observed(labelled):
+def observed(labelled, rule=Rule()):
     state = np.zeros(len(labelled.images), dtype=np.int64)
-    return Observed(labelled, match(labelled, Rule(), 0.2), ("all",), state, 0.2, frozenset({"merges", "splits"}))
+    return Observed(labelled, match(labelled, rule, 0.2), ("all",), state, 0.2, frozenset({"merges", "splits"}))
 
 
 def _moved(rng, boxes):
