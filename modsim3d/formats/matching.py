@@ -25,7 +25,7 @@ from modsim3d.inputs.validation import shown
 
 PAIRS_AT_ONCE = 2_000_000
 _IN_CROWD = 0.5
-"""Share of a detection in a crowd that is in it, however far from its centre."""
+"""A detection of which a larger share lies in a crowd is in it, however far from its centre."""
 NOT_SCORED = "the detections have none (-1)"
 """What is said where something needs confidences that are not given."""
 
@@ -36,12 +36,12 @@ class Rule:
 
     Attributes:
         method: `confidence`: the most confident detection chooses first, the annotation with the largest IoU;
-            `optimal`: as many matches as possible, and of those the largest sum of IoU; `centre`: the pair whose centres
-            are nearest comes first; `provenance`: what a simulated run says itself.
+            `optimal`: as many matches as possible, and of those the largest sum of IoU; `centre`: of boxes with
+            centres near each other, the pair whose corners are nearest; `provenance`: what a simulated run says.
         least_iou: A pair with less is no match.
         most_distance_px: Largest distance between the centres of a match, for `centre`.
         by_label: Whether only boxes of the same label match.
-        by_confidence: Whether the most confident detection chooses first, for `centre`.
+        by_confidence: Whether for `centre`, too, the most confident detection chooses first.
     """
 
     method: str = "confidence"
@@ -55,7 +55,7 @@ class Rule:
         if self.method == "provenance":
             return "provenance"
         if self.method == "centre":
-            order = "in order of confidence" if self.by_confidence else "the nearest first"
+            order = "in order of confidence" if self.by_confidence else "the nearest corners first"
             return f"centres at most {self.most_distance_px:g} px apart, {order}"
         order = "optimal assignment" if self.method == "optimal" else "in order of confidence"
         return f"IoU at least {self.least_iou:g}, {order}"
@@ -64,8 +64,8 @@ class Rule:
     def for_average_precision(self) -> Rule:
         """The same rule label by label, and in order of confidence.
 
-        Average precision is of the most confident detections at every threshold, and the optimal assignment of all
-        detections, or the nearest of them, may give an annotation to a less confident one.
+        Average precision is of the most confident detections at every threshold, and other orders may give an
+        annotation to a less confident one.
         """
         method = "confidence" if self.method == "optimal" else self.method
         return replace(self, method=method, by_label=True, by_confidence=method == "centre")
@@ -237,8 +237,8 @@ def fits(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: R
         good = _origins(labelled)[detection] == annotation
         quality = good.astype(np.float64)
     elif rule.method == "centre":
-        quality = -np.hypot(*(centres(a_px) - centres(b_px)).T)
-        good = quality >= -rule.most_distance_px
+        quality = -np.linalg.norm(a_px - b_px, axis=1)  # a small box on a large vessel is no match for it
+        good = np.linalg.norm(centres(a_px) - centres(b_px), axis=1) <= rule.most_distance_px
         crowd = np.flatnonzero(annotations.crowd[annotation])
         good[crowd] |= overlap(a_px[crowd], b_px[crowd], np.ones(len(crowd), dtype=bool)) >= _IN_CROWD
     else:

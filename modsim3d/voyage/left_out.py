@@ -10,6 +10,7 @@ import numpy as np
 
 from modsim3d.ais.headings import KNOT_M_S
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
@@ -30,7 +31,7 @@ LYING_M_S = 0.25
 """A slower vessel does not move between its reports, which come every three minutes."""
 MOST_KN = 60.0
 """A vessel that would be faster has jumped, unless the scene was made with another limit."""
-ENDS_S = 3.0
+BEYOND_S = 3.0
 """A vessel is there for so long before its first place and after its last one: clocks and reports may be late."""
 ALWAYS_OFF_M, OFF_M_S = 10.0, 0.5
 """How far off the place of a vessel that is left out may be: at once, and for each second since its last report."""
@@ -42,6 +43,7 @@ class Reason(Enum):
     STALE = "stale, no report within {limit}"
     JUMP = "jumping"
     OFF = "off"
+    BEYOND = "before its first place or after its last"
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +74,13 @@ class Known:
     Attributes:
         reason: Reason → whether it holds, shape (n, V).
         since_s: Time to the nearest report, or to the nearest pose of the scene, 0 where unknown, shape (n, V).
-        off: Poses of the vessels that are off, straight between the last place before and the first after, or on from
-            the first or the last.
+        guessed: Poses of the vessels that are off, straight between the last place before and the first after, and of
+            those that are just beyond their first or last one, straight on.
     """
 
     reason: Mapping[Reason, Mask]
     since_s: Array
-    off: Poses
+    guessed: Poses
 
 
 def stale_limit_s(scene: Scene, given: float | None) -> float:
@@ -132,17 +134,18 @@ class Freshness:
         inside = ~early & ~late
         off = (steps[after] - steps[before] > 1) & (times_s - at_s[before] > NEAR_S) & inside
         there, span = inside & ~off, np.where(after > before, at_s[after] - at_s[before], 1.0)
-        off |= ~inside & (times_s >= at_s[0] - ENDS_S) & (times_s <= at_s[-1] + ENDS_S)
+        beyond = ~inside & (times_s >= at_s[0] - BEYOND_S) & (times_s <= at_s[-1] + BEYOND_S)
         apart_s = np.minimum(np.abs(times_s - at_s[before]), np.abs(times_s - at_s[after]))
         way_m = places_m[after] - places_m[before]
         speed = np.linalg.norm(way_m, axis=1) / span
-        known.reason[Reason.OFF][:, column] = off
+        way_m[~inside & (speed > MOST_KN * KNOT_M_S)] = 0
+        known.reason[Reason.OFF][:, column], known.reason[Reason.BEYOND][:, column] = off, beyond
         known.reason[Reason.JUMP][:, column] = there & (speed > MOST_KN * KNOT_M_S)
-        known.since_s[:, column] = np.where(off, apart_s, 0.0)
-        known.off.present[:, column] = off
+        known.since_s[:, column] = np.where(off | beyond, apart_s, 0.0)
+        known.guessed.present[:, column] = off | beyond
         share = ((times_s - at_s[before]) / span)[:, None]
-        known.off.positions_m[:, column] = places_m[before] + share * way_m
-        known.off.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
+        known.guessed.positions_m[:, column] = places_m[before] + share * way_m
+        known.guessed.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
         used = self._reports.used_s.get(name) if self._reports else None
         if self._reports is None or used is None or not len(used):
             return
@@ -154,7 +157,7 @@ class Freshness:
         jumps = self._reports.jumps_s.get(name, np.empty(0))
         between = np.searchsorted(jumps, first) > np.searchsorted(jumps, last)
         known.reason[Reason.JUMP][:, column] |= there & between
-        known.since_s[:, column] = np.where(off, known.since_s[:, column], near)
+        known.since_s[:, column] = np.where(off | beyond, known.since_s[:, column], near)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,8 +209,10 @@ def left_out(
             counts[each] += np.bincount(part.vessel[ours], minlength=len(scene.vessels))
         look = CameraPoses(camera_poses.camera_R_world[frames], camera_poses.positions_m[frames])
         boxes.append(_grown(part.rows(rows[start:stop]), camera, look, known).boxes_px)
-        away = _off_regions(scene, camera, look, known)
-        counts[Reason.OFF] += np.bincount(away.vessel, minlength=len(scene.vessels))
+        away = _guessed_regions(scene, camera, look, known)
+        for each in (Reason.OFF, Reason.BEYOND):
+            ours = known.reason[each][away.frame, away.vessel]
+            counts[each] += np.bincount(away.vessel[ours], minlength=len(scene.vessels))
         pieces.append(away.rows(slice(None), first))
     off = Regions(*(np.concatenate(columns) for columns in zip(*(vars(each).values() for each in pieces), strict=True)))
     return LeftOut(rows, np.concatenate(boxes), off, tuple(_told(scene, counts, len(times_s), fresh.stale_s)))
@@ -220,16 +225,25 @@ _AT_ONCE = 1_000_000
 
 def _told(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: float) -> Iterator[str]:
     limit = f"{stale_s:g} s" + (f" ({SLOW_STALE_S:g} s below {SLOW_KN:g} kn)" if stale_s < SLOW_STALE_S else "")
+    beyond = counts[Reason.BEYOND]
     for column, name in enumerate(scene.vessel_names):
         if parts := [
-            f"{each.value.format(limit=limit)} in {count[column]:,}" for each, count in counts.items() if count[column]
+            f"{each.value.format(limit=limit)} in {count[column]:,}"
+            for each, count in counts.items()
+            if count[column] and each is not Reason.BEYOND
         ]:
             yield f"vessel '{name}' is left out of frames: its AIS is {'; '.join(parts)} of {frames:,}"
+    if beyond.any():
+        vessels = counted(int(np.count_nonzero(beyond)), "vessel is", "vessels are")
+        yield (
+            f"{vessels} left out of frames up to {BEYOND_S:g} s before the first place that the scene has, or after "
+            f"the last: {counted(int(beyond.sum()), 'box', 'boxes')}"
+        )
 
 
-def _off_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
+def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
     """Where vessels without AIS may be in the frames of a camera with some poses, one for each frame."""
-    poses, frames = known.off, np.arange(len(known.since_s))
+    poses, frames = known.guessed, np.arange(len(known.since_s))
     calm = np.zeros((*poses.present.shape, 3))
     places = PosesInWaves(poses, calm, world_R_vehicle(poses.headings_rad))
     sight = line_of_sight(camera, camera_poses, frames, scene.vessels, places, (), scene.sea == "curved")

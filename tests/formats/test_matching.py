@@ -102,14 +102,22 @@ def test_centres_match_where_boxes_do_not_overlap():
 
 
 def test_by_centres_the_nearest_pair_comes_first_and_for_average_precision_the_most_confident():
-    labelled = two_boats([[11, 0, 111, 100], [22, 0, 122, 100]])  # both are nearest to the second, the less sure more so
+    labelled = two_boats(
+        [[11, 0, 111, 100], [22, 0, 122, 100]]
+    )  # both are nearest to the second, the less sure more so
     rule = Rule("centre", most_distance_px=25)
     assert match(labelled, rule).annotation.tolist() == [0, 1]
     assert match(labelled, rule.for_average_precision).annotation.tolist() == [1, 0]
     assert (str(rule), str(rule.for_average_precision)) == (
-        "centres at most 25 px apart, the nearest first",
+        "centres at most 25 px apart, the nearest corners first",
         "centres at most 25 px apart, in order of confidence",
     )
+
+
+def test_by_centres_a_small_box_on_a_vessel_does_not_take_its_match():
+    labelled = LabelledSet(("a",), ("all",), images(1), truth([0], [0], [[0, 0, 300, 60]]),
+                           found([0, 0], [0, 0], [[142, 22, 158, 38], [10, 0, 310, 60]], [0.9, 0.8]))  # fmt: skip
+    assert match(labelled, Rule("centre")).annotation.tolist() == [-1, 0]
 
 
 def test_by_centres_a_detection_in_an_ignored_region_is_in_it_wherever_its_centre():

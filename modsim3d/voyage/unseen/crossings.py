@@ -6,7 +6,7 @@ either may match the known one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -95,23 +95,27 @@ def crossings(tracks: Tracks, links: Links, labelled: LabelledSet, matched: Matc
 
 
 def _meetings(tracks: Tracks, labelled: LabelledSet, rule: Rule) -> tuple[Indices, Indices]:
-    """Annotations and places of a track that are close to each other in an image, shapes (n,).
+    """Annotations and places of a track that touch in an image, or of which a detection may match the other, (n,).
 
     What stays with one known vessel for most of its life does not pass it: its truth may be off.
     """
-    known, pairs = labelled.annotations, [(np.empty(0, dtype=np.int64),) * 2]
+    known, pairs = labelled.annotations, [(np.empty(0, dtype=np.int64),) * 3]
     for row, track in image_pairs(known.image, tracks.image, len(labelled.images)):
         boxes, theirs = known.boxes_px[row], tracks.boxes_px[track]
         near = np.maximum(_NEAR * (boxes[:, 3:] - boxes[:, 1:2]), _LEAST_NEAR_PX)
-        meets = ((boxes[:, :2] - near < theirs[:, 2:]) & (theirs[:, :2] < boxes[:, 2:] + near)).all(axis=1)
-        if rule.method == "centre":  # a detection of one may match the other
-            meets |= np.hypot(*(centres(boxes) - centres(theirs)).T) <= rule.most_distance_px
-        pairs.append((row[meets], track[meets]))
-    rows, places = (np.concatenate(each) for each in zip(*pairs, strict=True))
+        touch = ((boxes[:, :2] - near < theirs[:, 2:]) & (theirs[:, :2] < boxes[:, 2:] + near)).all(axis=1)
+        reach_px = rule.most_distance_px if rule.method == "centre" else 0.0
+        meet: Mask = touch | (np.linalg.norm(centres(boxes) - centres(theirs), axis=1) <= reach_px)
+        pairs.append((row[meet], track[meet], touch[meet]))
+    rows, places, touch = (np.concatenate(each) for each in zip(*pairs, strict=True))
+    touch = touch.astype(bool)
     two = np.column_stack([tracks.thing[places], known.identity[rows]])
-    keys, key, together = np.unique(two, axis=0, return_inverse=True, return_counts=True)
-    lives = np.bincount(tracks.thing, minlength=1)[keys[:, 0]]
-    passes = (together <= _PASSES * lives)[key.ravel()]
+    keys, key = np.unique(two, axis=0, return_inverse=True)
+    most = _PASSES * np.bincount(tracks.thing, minlength=1)[keys[:, 0]]
+    passes = np.zeros(len(rows), dtype=bool)
+    for chosen in (touch, np.ones(len(rows), dtype=bool)):
+        together = np.bincount(key.ravel()[chosen], minlength=len(keys))
+        passes |= chosen & (together <= most)[key.ravel()]
     return rows[passes], places[passes]
 
 
@@ -169,7 +173,7 @@ def fainter(tracks: Tracks, labelled: LabelledSet, matched: Matched, threshold: 
     faint = np.flatnonzero(results.confidence < threshold)
     if not len(faint) or not len(tracks.image):
         return faint[:0]
-    faint = faint[match(labelled, matched.rule).annotation[faint] < 0]
+    faint = faint[match(labelled, replace(matched.rule, by_confidence=True)).annotation[faint] < 0]
     found = [
         faint[a][iou(results.boxes_px[faint[a]], tracks.boxes_px[b]) >= _SAME_IOU]
         for a, b in image_pairs(results.image[faint], tracks.image, len(labelled.images))

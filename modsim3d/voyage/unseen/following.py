@@ -26,8 +26,8 @@ _SPEED_SIDES_S = 1.0
 """How fast a thing may be, in lengths a second: a boat of 10 m at 20 knots makes one."""
 _MOST_WAY_SIDES = 2.0
 _MOST_LOG_RATIO = np.log(2.0)
-_TIMES_JITTER = 3.0
-"""Or by how many standard deviations of what errors change by a box may lie off, or be larger or smaller."""
+_GATE_STDS = 3.0
+"""A box may also be as far off, and as much larger or smaller, as so many standard deviations of the jitter."""
 _ASPECT = 3.0
 """Width over height of a thing whose width was never seen."""
 _VAGUE = 0.5
@@ -118,9 +118,7 @@ def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float, jitter: Ji
     return numbers
 
 
-def _assigned(
-    things: list[_Thing], now: float, measured: Array, sure: Mask, jitter: Jitter
-) -> list[tuple[int, int]]:
+def _assigned(things: list[_Thing], now: float, measured: Array, sure: Mask, jitter: Jitter) -> list[tuple[int, int]]:
     """Pairs of a detection and the thing that it is of, as places; measured and sure are (n, 4)."""
     if not things:
         return []
@@ -130,7 +128,8 @@ def _assigned(
     whole = known[:, 0] & known[:, 2]
     side = np.sqrt(np.where(whole, width, np.maximum(width, _ASPECT * height)) * height)
     way = np.minimum(apart * _SPEED_SIDES_S, _MOST_WAY_SIDES) / np.sqrt(told)
-    reach = np.maximum(_NEAR * side, max(_LEAST_NEAR_PX, _TIMES_JITTER * jitter.off_px)) + side * way
+    near = np.maximum(_GATE_STDS * jitter.off_px(side), _LEAST_NEAR_PX)
+    reach = np.maximum(_NEAR * side, near) + side * way
     off = np.linalg.norm(_offsets(measured, sure, expected, known), axis=-1) / reach
     fits = (off <= 1) & _alike(measured, sure, expected, known, jitter)
     if not fits.any():
@@ -169,6 +168,6 @@ def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Ji
     """Whether n detections are about as large as k things, along axes where all sides are sure, shape (n, k)."""
     usable = (sure[:, None] & known[None]).reshape(len(measured), len(expected), 2, 2).all(axis=2)
     found, whole = (np.maximum(each[..., 2:] - each[..., :2], 1.0) for each in (measured[:, None], expected[None]))
-    near = np.abs(found - whole) <= _TIMES_JITTER * jitter.size_px
+    near = np.abs(found - whole) <= _GATE_STDS * jitter.resized_px(np.sqrt(whole.prod(axis=-1)))
     alike: Mask = (~usable | near | (np.abs(np.log(found / whole)) <= _MOST_LOG_RATIO)).all(axis=-1)
     return alike

@@ -20,8 +20,8 @@ _LEAST_SHARE = 0.25
 """Share of the frames of its life in which a vessel is detected at least."""
 _ABOVE, _LEAST_ABOVE_PX = 0.25, 3.0
 """How far above the horizon a vessel's lower edge may seem to be, in heights and in pixels."""
-_TIMES_JITTER = 1.5
-"""Or either in standard deviations of what box errors change by."""
+_UNSTEADY_STDS = 1.5
+"""What does not exceed so many standard deviations of the jitter of known boxes is steady in any case."""
 
 
 class Behaviour(IntEnum):
@@ -112,12 +112,12 @@ def _behaviour(links: Links, rows: Indices, share: float) -> Behaviour:
         return Behaviour.RARELY_SEEN
     part = ((time_s[1:-1] - time_s[:-2]) / (time_s[2:] - time_s[:-2]))[:, None]
     off = np.linalg.norm(place[1:-1] - (place[:-2] + part * (place[2:] - place[:-2])), axis=1)
-    least_px = max(_MOST_OFF_PX, _TIMES_JITTER * links.jitter.off_px)
-    if np.median(off) > max(_MOST_OFF * float(np.median(np.sqrt(size.prod(axis=1)))), least_px):
+    side = float(np.median(np.sqrt(size.prod(axis=1))))
+    if np.median(off) > max(_MOST_OFF * side, _MOST_OFF_PX, _UNSTEADY_STDS * float(links.jitter.off_px(side))):
         return Behaviour.JUMPS
     # A vessel that nears grows, but slowly.
     shares, pixels = (TO_STD * np.median(np.abs(np.diff(each, axis=0)), axis=0) for each in (np.log(size), size))
-    resized = (shares > np.sqrt(2) * _MOST_RESIZED) & (pixels > _TIMES_JITTER * links.jitter.size_px)
+    resized = (shares > np.sqrt(2) * _MOST_RESIZED) & (pixels > _UNSTEADY_STDS * links.jitter.resized_px(side))
     return Behaviour.CHANGES_SIZE if resized.any() else Behaviour.LIKE_A_VESSEL
 
 

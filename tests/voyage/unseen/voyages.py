@@ -13,6 +13,7 @@ from tests.formats.labelled_sets import found, images, truth
 
 WIDTH_PX, HEIGHT_PX, HORIZON_PX = 1200.0, 700.0, 200.0
 RATE_HZ, FOUND = 2.0, 0.9
+IOU = Rule()
 SEA = [0.0, 1.0, -HORIZON_PX]
 
 
@@ -56,7 +57,7 @@ def voyage(seed, frames=600, boats=4, kayaks=1, flicker=Flicker(), kayak_s=150.0
     return LabelledSet(("boat",), ("all",), shots, annotated, results)
 
 
-def observed(labelled, rule=Rule()):
+def observed(labelled, rule=IOU):
     state = np.zeros(len(labelled.images), dtype=np.int64)
     return Observed(labelled, match(labelled, rule, 0.2), ("all",), state, 0.2, frozenset({"merges", "splits"}))
 
