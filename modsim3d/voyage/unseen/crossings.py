@@ -99,16 +99,16 @@ def _meetings(tracks: Tracks, labelled: LabelledSet, rule: Rule) -> tuple[Indice
 
     What stays with one known vessel for most of its life does not pass it: its truth may be off.
     """
-    known, pairs = labelled.annotations, [(np.empty(0, dtype=np.int64),) * 3]
+    known, none = labelled.annotations, np.empty(0, dtype=np.int64)
+    pairs: list[tuple[Indices, Indices, Mask]] = [(none, none, np.empty(0, dtype=bool))]
     for row, track in image_pairs(known.image, tracks.image, len(labelled.images)):
         boxes, theirs = known.boxes_px[row], tracks.boxes_px[track]
         near = np.maximum(_NEAR * (boxes[:, 3:] - boxes[:, 1:2]), _LEAST_NEAR_PX)
-        touch = ((boxes[:, :2] - near < theirs[:, 2:]) & (theirs[:, :2] < boxes[:, 2:] + near)).all(axis=1)
+        touch = np.asarray(((boxes[:, :2] - near < theirs[:, 2:]) & (theirs[:, :2] < boxes[:, 2:] + near)).all(axis=1))
         reach_px = rule.most_distance_px if rule.method == "centre" else 0.0
-        meet: Mask = touch | (np.linalg.norm(centres(boxes) - centres(theirs), axis=1) <= reach_px)
+        meet = touch | (np.linalg.norm(centres(boxes) - centres(theirs), axis=1) <= reach_px)
         pairs.append((row[meet], track[meet], touch[meet]))
     rows, places, touch = (np.concatenate(each) for each in zip(*pairs, strict=True))
-    touch = touch.astype(bool)
     two = np.column_stack([tracks.thing[places], known.identity[rows]])
     keys, key = np.unique(two, axis=0, return_inverse=True)
     most = _PASSES * np.bincount(tracks.thing, minlength=1)[keys[:, 0]]

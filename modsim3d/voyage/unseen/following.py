@@ -35,8 +35,8 @@ _VAGUE = 0.5
 _NOTHING = 1.001
 _BESIDE_PX = 5.0
 """A side so near to another detection's box may be hidden by what is there."""
-_MEMORY = 12
-"""Detections that a velocity is made from."""
+_MEMORY, _LEAST_MEMORY, _MEMORY_S = 12, 5, 6.0
+"""Detections that a velocity is made from; not many more than in so long, since what nears seems to go ever faster."""
 _AXES = np.array([0, 1, 0, 1])
 """Axis of the left, upper, right and lower side."""
 
@@ -73,7 +73,8 @@ class _Thing:
         apart, expected = now - self.last_s, self.expected(now)
         usable = (sure & self.known).reshape(2, 2)
         self.seen += 1
-        self.told = np.minimum(self.told + usable.any(axis=0), _MEMORY)
+        memory = np.clip(_MEMORY_S / apart, _LEAST_MEMORY, _MEMORY)
+        self.told = np.minimum(self.told + usable.any(axis=0), memory)
         off = _offsets(measured[None], sure[None], expected[None], self.known[None])[0, 0] * usable.any(axis=0)
         # Gains of a straight line through the last detections, evenly spaced (Brookner (1998), section 1.2.10).
         sides = expected + (2 * (2 * self.told - 1) / (self.told * (self.told + 1)) * off)[_AXES]
