@@ -143,8 +143,9 @@ class Freshness:
         known.reason[Reason.JUMP][:, column] = there & (speed > MOST_KN * KNOT_M_S)
         known.since_s[:, column] = np.where(off | beyond, apart_s, 0.0)
         known.guessed.present[:, column] = off | beyond
-        share = ((times_s - at_s[before]) / span)[:, None]
-        known.guessed.positions_m[:, column] = places_m[before] + share * way_m
+        from_which = np.where(late, after, before)
+        share = ((times_s - at_s[from_which]) / span)[:, None]
+        known.guessed.positions_m[:, column] = places_m[from_which] + share * way_m
         known.guessed.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
         used = self._reports.used_s.get(name) if self._reports else None
         if self._reports is None or used is None or not len(used):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.inputs.shipped import data_folder
+from modsim3d.motion.poses import Poses
+from modsim3d.motion.poses.replay import RecordedPoses
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.labelled_voyage import NO_OPTIONS, VoyageOptions, labelled_voyage
@@ -158,6 +161,16 @@ def test_a_vessel_is_left_out_just_before_its_first_report_and_just_after_its_la
         in said
     )
     assert "its AIS is" not in said
+
+
+def test_a_vessel_that_has_jumped_is_not_moved_on(tmp_path: Path) -> None:
+    strait = load_scene("strait", steps=6)
+    poses = strait.poses.poses(0, 6)
+    present, places = poses.present.copy(), poses.positions_m.copy()
+    present[3:, 1], places[2, 1] = False, places[1, 1] + 500.0
+    jumped = replace(strait, poses=RecordedPoses(strait.poses.timestamps, Poses(present, places, poses.headings_rad)))
+    known = Freshness(jumped, None).at(jumped.times_s(0, 6))
+    np.testing.assert_array_equal(known.guessed.positions_m[3:5, 1], places[[2, 2], 1])
 
 
 def test_slow_vessels_have_three_minutes_and_the_limit_is_an_option(scene: Scene, tmp_path: Path) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule
+from modsim3d.formats.matching import Rule, match
+from modsim3d.voyage.unseen.crossings import Tracks, fainter
 from modsim3d.voyage.unseen.judged import judge
 from modsim3d.voyage.unseen.told import sentences
 from tests.formats.labelled_sets import found, images, truth
@@ -74,6 +75,30 @@ def test_an_unseen_vessel_beside_a_known_one_does_not_match_it():
     assert others.sum() > 5
     assert judged.labelled.annotations.ignored[near].all()
     assert not np.abs(observed(judged.labelled, Rule("centre")).pairs.error_px).max() > 1
+
+
+@pytest.mark.parametrize("speed_px", [0.9, 0.7, 0.5])
+def test_a_slow_vessel_that_passes_close_is_left_out_where_the_two_touch(speed_px):
+    """The slower ones are within 50 px, so that they may match, for most of their lives."""
+    frame = np.arange(FRAMES)
+    x = np.where(frame < 240, 600 + speed_px * (frame - 120), np.nan)
+    judged = judge(observed(set_of(at(600.0, size=14.0), at(600.0, size=14.0), at(x, 402.0, 14.0)), Rule("centre")))
+    ignored = judged.labelled.annotations.ignored
+    assert ignored[np.abs(x - 600) < 14].all()
+    assert ignored.sum() < 130
+
+
+def test_faint_detections_do_not_take_a_known_vessel_from_a_sure_one():
+    labelled = set_of(at(600.0), at(600.0))
+    sure, faint = [570.0, 380, 650, 420], [575.0, 382, 625, 418]
+    one = replace(
+        labelled,
+        annotations=truth([0], [0], [[570.0, 380, 630, 420]]),
+        results=found([0, 0], [0, 0], [sure, faint], [0.9, 0.1]),
+    )
+    tracks = Tracks(np.array([0]), np.array([faint]), np.array([0]))
+    rule = Rule("centre")
+    assert fainter(tracks, one, match(one, rule, 0.2), 0.2).tolist() == [1]
 
 
 def test_a_vessel_whose_truth_is_off_is_still_missed():

@@ -7,7 +7,8 @@ import pytest
 
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
-from modsim3d.voyage.unseen.jitter import STEADY
+from modsim3d.voyage.unseen.jitter import STEADY, jitter_of
+from modsim3d.voyage.unseen.judged import judge
 from modsim3d.voyage.unseen.links import link
 from modsim3d.voyage.unseen.things import Behaviour, things_of
 from tests.formats.labelled_sets import found, images, truth
@@ -24,6 +25,12 @@ def set_of(image, x, y, size=40.0, frames=60, rate_hz=2.0, seas=SEA):
 
 def linked(labelled):
     return link(observed(labelled))
+
+
+def test_what_nears_is_one_thing_though_it_seems_to_go_ever_faster():
+    """At 1 Hz and 12 px, by up to a twentieth of its length a second each second."""
+    frame = np.arange(40)
+    assert linked(set_of(frame, 100 + 0.3 * frame**2.0, np.full(40, 400.0), 12.0, 40, 1.0)).count == 1
 
 
 def test_a_thing_is_followed_over_a_gap_as_long_as_it_was_seen_and_not_over_a_longer_one():
@@ -130,6 +137,48 @@ def test_a_vessel_hardly_larger_than_its_box_errors_is_one_thing_where_known_one
     assert steady.jitter is STEADY
     pieces = len(np.unique(steady.link[(steady.places_px[:, 0] < 300) & (steady.places_px[:, 1] < 250)]))
     assert (pieces > 5) == (error_px > 2)
+
+
+def test_errors_of_large_known_vessels_do_not_link_small_clutter():
+    """A false positive an image of 6 to 24 px, where boxes of 250 px err by 15 px."""
+    rng, frame = np.random.default_rng(0), np.arange(600)
+    known = np.concatenate([boxes_at(200 + 350.0 * k + 0.1 * frame, 0 * frame + 420.0, 250.0) for k in range(3)])
+    single = np.repeat(frame, rng.poisson(1.0, 600))
+    count = len(single)
+    clutter = boxes_at(rng.uniform(400, 800, count), rng.uniform(620, 680, count), rng.uniform(6, 24, count))
+    image = np.r_[np.tile(frame, 3), single]
+    boxes = np.concatenate([known + rng.normal(0, 15, known.shape), clutter])
+    rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
+    labelled = replace(
+        set_of(frame[:1], [0.0], [0.0], frames=600),
+        results=rows,
+        annotations=truth(np.tile(frame, 3), np.zeros(1800), known, identity=np.repeat([0, 1, 2], 600)).by_image(),
+    )
+    judged = judge(observed(labelled, Rule("centre")))
+    assert judged.links.jitter.place_px.min() > 10
+    assert judged.things.lasted_s.max() <= 30
+    assert not judged.likely.any()
+
+
+def test_jitter_is_that_of_boxes_in_full_view():
+    """Every other vessel is partly hidden or comes into view, and its boxes jump."""
+    rng, frame = np.random.default_rng(0), np.arange(200)
+    rows = np.tile(frame, 4)
+    whole = np.concatenate([boxes_at(0 * frame + x, 0 * frame + 400.0, 20.0) for x in (300, 500, 700)])
+    cut = np.tile([0.0, 393, 12, 407], (200, 1))
+    known = np.concatenate([whole, cut])
+    wild = np.repeat([False, False, True, True], 200)[:, None]
+    seen = known + np.where(wild, rng.normal(0, 10, known.shape), rng.normal(0, 1, known.shape))
+    unsure = np.repeat([False, False, True, False], 200)
+    annotated = replace(truth(rows, 0 * rows, known, identity=np.repeat(np.arange(4), 200)), unsure_box=unsure)
+    labelled = replace(
+        set_of(frame[:1], [0.0], [0.0], frames=200),
+        results=found(rows, 0 * rows, seen, np.full(800, 0.9)).by_image(),
+        annotations=annotated.by_image(),
+    )
+    jitter = jitter_of(observed(labelled, Rule("centre")), 3.0)
+    np.testing.assert_allclose(jitter.place_px, 1.0, rtol=0.25)  # √2 · 1 px / √2 corners
+    assert jitter_of(observed(labelled, Rule("centre")), 0.4) is STEADY
 
 
 def test_a_camera_that_pitches_does_not_break_links():
