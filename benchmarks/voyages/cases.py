@@ -68,7 +68,6 @@ class Case:
         registered: Whether the camera is registered before it is learned.
         guessed: Whether sizes and headings are off as well, as learning takes them to be; only of `sample`.
         priors: What registration is told besides: see `register`.
-        why: Why intervals of the detector fall below the limit, if they do.
     """
 
     name: str
@@ -81,7 +80,6 @@ class Case:
     registered: bool = True
     guessed: bool = False
     priors: tuple[tuple[str, float], ...] = ()
-    why: str = ""
 
     @property
     def detector(self) -> Path:
@@ -99,11 +97,6 @@ SAMPLE_SAID = (
     "all air drafts by 30 % (standard deviation), sent dimensions by rounding, headings by 1° or, taken from the "
     "course, by 6°, for 300 s. Every air draft is a guess, so the error in height is an upper bound, and that in y "
     "nearly always."
-)
-WHY_SMALL = (
-    "Sizes, confidences and number of false positives are wrong where a vessel of 12 to 20 m without a transponder "
-    "passes at a kilometre: its box is hardly larger than its errors, so that it is not known as a vessel, and its "
-    "detections count as false positives. With transponders on all vessels all of them hold."
 )
 CASES = (
     Case("bow", "Registration on board", "A camera on a moving vessel; the tracks are true.", "strait", "bow"),
@@ -133,7 +126,7 @@ CASES = (
     Case("sample_all", "Detector in the scene of an AIS log, with all vessels", SAMPLE_SAID, "sample", "shore", ALL,
          learns=True, guessed=True),
     Case("sample_ais", "Detector in the scene of an AIS log", "The same, and a fifth of the vessels has no "
-         "transponder.", "sample", "shore", AIS, learns=True, guessed=True, why=WHY_SMALL),
+         "transponder.", "sample", "shore", AIS, learns=True, guessed=True),
 )  # fmt: skip
 BY_NAME = {case.name: case for case in CASES}
 

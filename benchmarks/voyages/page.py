@@ -119,8 +119,7 @@ def _section(case: Case, found: dict[str, Any]) -> list[str]:
             lines += [f"**{TITLES[part]}**", "", HEAD, "|---|---|---|---|---|---|---|"]
             lines += [_row(name, score) for name, score in found[part].items()] + [""]
             if fallen := below(found[part]):
-                why = case.why if part == "detector" else ""
-                lines += [f"Below the limit: {', '.join(f'`{short(name)}`' for name in fallen)}. {why}".rstrip(), ""]
+                lines += [f"Below the limit: {', '.join(f'`{short(name)}`' for name in fallen)}.", ""]
             for kind, said in SAID.items():
                 counted = {name: score[kind] for name, score in found[part].items() if score[kind]}
                 if counted:
