@@ -156,11 +156,10 @@ def _move(fleet: _Fleet, i: int, basin: AgentsKeys, time_step_s: float, rng: np.
 
 def _scores(fleet: _Fleet, i: int, basin: AgentsKeys, speed: Array, turn: Array) -> Array:
     """Scores of n arcs by progress, clearance ahead and speed, shape (n,)."""
-    clearance = np.full(len(speed), np.inf)
-    for ahead in LOOK_AHEAD_S:
-        place, heading = _along(fleet, i, speed, turn, ahead)
-        clearance = np.minimum(clearance, _clearance(fleet, i, basin, place, heading, ahead))
-    place, heading = _along(fleet, i, speed, turn, LOOK_AHEAD_S[3])
+    ahead_s = np.array(LOOK_AHEAD_S)[:, None]
+    place, heading = _along(fleet, i, speed, turn, ahead_s)
+    clearance = _clearance(fleet, i, basin, place, heading, ahead_s).min(axis=0)
+    place, heading = place[3], heading[3]
     to_goal = fleet.goal[i] - place
     bearing = np.arctan2(to_goal[:, 1], to_goal[:, 0])
     off = np.abs((bearing - heading + math.pi) % (2 * math.pi) - math.pi)
@@ -169,53 +168,73 @@ def _scores(fleet: _Fleet, i: int, basin: AgentsKeys, speed: Array, turn: Array)
     return score
 
 
-def _along(fleet: _Fleet, i: int, speed: Array, turn: Array, time_s: float) -> tuple[Array, Array]:
-    """Places and headings after driving arcs of constant speed and rate of turn, shapes (n, 2) and (n,)."""
+def _along(fleet: _Fleet, i: int, speed: Array, turn: Array, time_s: float | Array) -> tuple[Array, Array]:
+    """Places and headings after driving n arcs of constant speed and rate of turn.
+
+    Returns:
+        Shapes (n, 2) and (n,), or (t, n, 2) and (t, n) for times of shape (t, 1).
+    """
     heading = fleet.heading[i] + turn * time_s
     half = turn * time_s / 2
     chord = speed * time_s * np.sinc(half / math.pi)
     direction = fleet.heading[i] + half
-    place = fleet.place[i] + chord[:, None] * np.stack([np.cos(direction), np.sin(direction)], axis=1)
+    place = fleet.place[i] + chord[..., None] * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
     return place, heading
 
 
-def _clearance(fleet: _Fleet, i: int, basin: AgentsKeys, place: Array, heading: Array, time_s: float) -> Array:
-    """Least distance of a hull to the wall and the others in metres, shape (n,); negative if they overlap.
+def _clearance(fleet: _Fleet, i: int, basin: AgentsKeys, place: Array, heading: Array, time_s: float | Array) -> Array:
+    """Least distance of a hull to the wall and the others in metres; negative if they overlap.
 
     The others keep their course and speed. The distance of two rectangles is taken as the widest gap along the normals
     of their sides, which is never more.
+
+    Args:
+        fleet: The vessels.
+        i: Which of them the hull is.
+        basin: The water.
+        place: Where it may be, shape (n, 2), or (t, n, 2) for times of shape (t, 1).
+        heading: Its headings there, of that shape without the last axis, as is the result.
+        time_s: When.
     """
-    axes = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    reach = np.abs(axes) * fleet.half_m[i, 0] + np.abs(axes[:, ::-1]) * fleet.half_m[i, 1]
-    wall: Array = np.minimum(place - reach, np.array(basin.size_m) - place - reach).min(axis=1)
+    axes = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    reach = np.abs(axes) * fleet.half_m[i, 0] + np.abs(axes[..., ::-1]) * fleet.half_m[i, 1]
+    wall: Array = np.minimum(place - reach, np.array(basin.size_m) - place - reach).min(axis=-1)
     others = np.flatnonzero((np.arange(len(fleet.heading)) != i) & np.isfinite(fleet.place[:, 0]))
     if not len(others):
         return wall
     theirs = np.stack([np.cos(fleet.heading[others]), np.sin(fleet.heading[others])], axis=1)
-    centres = fleet.place[others] + theirs * (fleet.speed[others] * time_s)[:, None]
-    apart: Array = _gaps(place, axes, fleet.half_m[i], centres, theirs, fleet.half_m[others]).min(axis=1)
+    centres = fleet.place[others] + theirs * (fleet.speed[others] * time_s)[..., None]
+    apart: Array = _gaps(place, axes, fleet.half_m[i], centres, theirs, fleet.half_m[others]).min(axis=-1)
     least: Array = np.minimum(wall, apart)
     return least
 
 
 def _gaps(place: Array, axis: Array, half: Array, others: Array, other_axis: Array, other_half: Array) -> Array:
-    """Widest gap between n places of a rectangle and m others along the normals of their sides, in metres, (n, m).
+    """Widest gap between n places of a rectangle and m others along the normals of their sides, in metres.
 
     Rectangles are given by their centres, unit vectors along their lengths, and half lengths and half beams.
+
+    Args:
+        place: Shape (n, 2), or (t, n, 2) if the others move.
+        axis: As place.
+        half: Shape (2,).
+        others: Shape (m, 2), or (t, m, 2).
+        other_axis: Shape (m, 2).
+        other_half: Shape (m, 2).
+
+    Returns:
+        Shape (n, m), or (t, n, m).
     """
-    offset = others[None] - place[:, None]
+    x, y = np.moveaxis(others[..., None, :, :] - place[..., :, None, :], -1, 0)
+    (a, b), (c, d) = np.moveaxis(axis, -1, 0)[..., None], other_axis.T
     cosine = np.abs(axis @ other_axis.T)
-    sine = np.abs(axis[:, :1] * other_axis[None, :, 1] - axis[:, 1:] * other_axis[None, :, 0])
-    across = np.stack([-axis[:, 1], axis[:, 0]], axis=1)
-    other_across = np.stack([-other_axis[:, 1], other_axis[:, 0]], axis=1)
-    length, beam = other_half[None, :, 0], other_half[None, :, 1]
-    mine = [
-        np.abs((offset * axis[:, None]).sum(axis=2)) - half[0] - cosine * length - sine * beam,
-        np.abs((offset * across[:, None]).sum(axis=2)) - half[1] - sine * length - cosine * beam,
-    ]
-    theirs = [
-        np.abs((offset * other_axis[None]).sum(axis=2)) - length - cosine * half[0] - sine * half[1],
-        np.abs((offset * other_across[None]).sum(axis=2)) - beam - sine * half[0] - cosine * half[1],
-    ]
-    widest: Array = np.maximum.reduce([*mine, *theirs])
+    sine = np.abs(a * d - b * c)
+    length, beam = other_half.T
+    gaps = (
+        np.abs(x * a + y * b) - half[0] - cosine * length - sine * beam,
+        np.abs(x * -b + y * a) - half[1] - sine * length - cosine * beam,
+        np.abs(x * c + y * d) - length - cosine * half[0] - sine * half[1],
+        np.abs(x * -d + y * c) - beam - sine * half[0] - cosine * half[1],
+    )
+    widest: Array = np.maximum.reduce(gaps)
     return widest
