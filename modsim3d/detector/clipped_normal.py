@@ -13,7 +13,7 @@ _MOST_ROUNDS, _SETTLED = 400, 1e-10
 
 
 def clipped_score(scores: Array, means: Array | float, std: float, threshold: float) -> Array:
-    """Derivatives of the log-likelihood of scores (n,) by mean and standard deviation, shape (n, 2)."""
+    """Derivatives of the log-likelihood of scores (...) by mean and standard deviation, shape (..., 2)."""
     z = (scores - means) / std
     low, high = (threshold - np.asarray(means)) / std, (1 - np.asarray(means)) / std
     below, above = -_hazard(-low), _hazard(high)
@@ -28,16 +28,17 @@ def _hazard(z: Array) -> Array:
     return ratio
 
 
-def clipped_law(mean: float, std: float, threshold: float) -> tuple[Array, Array]:
-    """Quadrature nodes of the clipped law and their probabilities, shapes (nodes,)."""
-    low, high = max((threshold - mean) / std, -_REACH), min((1 - mean) / std, _REACH)
-    nodes, weights = np.zeros(0), np.zeros(0)
-    if high > low:
-        nodes = (low + high) / 2 + (high - low) / 2 * _NODES
-        weights = (high - low) / 2 * _WEIGHTS * np.exp(-(nodes**2) / 2) / np.sqrt(2 * np.pi)
+def clipped_laws(means: Array, std: float, threshold: float) -> tuple[Array, Array]:
+    """Quadrature nodes of the clipped law of each mean (n,), and their probabilities, shapes (n, nodes)."""
+    mean = means[:, None]
+    low, high = np.maximum((threshold - mean) / std, -_REACH), np.minimum((1 - mean) / std, _REACH)
+    half = np.maximum((high - low) / 2, 0)  # none where all is clipped
+    nodes = (low + high) / 2 + half * _NODES
+    weights = half * _WEIGHTS * np.exp(-(nodes**2) / 2) / np.sqrt(2 * np.pi)
     inside = np.clip(mean + std * nodes, threshold + 1e-15, 1 - 1e-15)
-    ends = special.ndtr((threshold - mean) / std), special.ndtr(-(1 - mean) / std)
-    return np.concatenate([[threshold], inside, [1.0]]), np.concatenate([[ends[0]], weights, [ends[1]]])
+    places = np.hstack([np.full_like(mean, threshold), inside, np.ones_like(mean)])
+    chances = np.hstack([special.ndtr((threshold - mean) / std), weights, special.ndtr(-(1 - mean) / std)])
+    return places, chances
 
 
 def clipped_sums(values: Array, low: float, high: float) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array
-from modsim3d.detector.clipped_normal import clipped_law, clipped_score
+from modsim3d.detector.clipped_normal import clipped_laws, clipped_score
 from modsim3d.verify.kept_scores import KeptScores
 from modsim3d.verify.measures import Estimate
 
@@ -38,10 +38,11 @@ class Clipped:
         One step from the asked values towards the maximum likelihood, which is also the score test of each with the
         others free; several steps for an estimate that is far off.
         """
-        step, covariance, third = self._step(coefficients, std)
+        information = self._information(self.design @ coefficients, std)
+        step, covariance, third = self._step(coefficients, std, information)
         if step is None:
             return [None] * (len(coefficients) + 1)
-        inflation = self._inflation(coefficients, std, covariance)
+        inflation = self._inflation(information, covariance)
         errors = np.sqrt(np.diag(covariance) * inflation)
         third = third * inflation**2
         z = step / errors
@@ -57,11 +58,10 @@ class Clipped:
             for k, count in enumerate(counts)
         ]
 
-    def _inflation(self, coefficients: Array, std: float, covariance: Array) -> Array:
+    def _inflation(self, information: Array, covariance: Array) -> Array:
         """Variance of each estimate over that from independent numbers, in the order of `measures`."""
         if self.kept is None:
             return np.ones(len(covariance))
-        information = self._information(self.design @ coefficients, std)
         design = np.insert(self.design, 1, 0.0, axis=1)
         of_mean = (design @ covariance) * np.sqrt(information[:, :1])
         of_std = np.sqrt(information[:, 2:]) * covariance[1]
@@ -69,13 +69,14 @@ class Clipped:
 
     def _fitted(self, value: Array) -> Array:
         for _ in range(_STEPS):
-            step, _, _ = self._step(np.concatenate([value[:1], value[2:]]), value[1])
+            coefficients = np.concatenate([value[:1], value[2:]])
+            step, _, _ = self._step(coefficients, value[1], self._information(self.design @ coefficients, value[1]))
             if step is None:
                 break
             value = value + np.clip(step, -0.5 * value[1], 0.5 * value[1])
         return value
 
-    def _step(self, coefficients: Array, std: float) -> tuple[Array | None, Array, Array]:
+    def _step(self, coefficients: Array, std: float, information: Array) -> tuple[Array | None, Array, Array]:
         """Step from the law towards the maximum likelihood, its covariance, and its third cumulants."""
         means = self.design @ coefficients
         # In this order: first coefficient, standard deviation, the others.
@@ -83,7 +84,6 @@ class Clipped:
         of_std = np.arange(design.shape[1]) == 1
         score = clipped_score(self.scores, means, std, self.threshold)
         total = (design * np.where(of_std, score[:, 1:], score[:, :1])).sum(axis=0)
-        information = self._information(means, std)
         part = np.where(
             of_std[:, None] & of_std,
             information[:, 2, None, None],
@@ -96,9 +96,7 @@ class Clipped:
         # From a few rows, spread evenly, that stand for all.
         rows = np.linspace(0, len(means) - 1, min(len(means), 64)).astype(np.int64)
         third = np.zeros(len(total))
-        for row in rows:
-            places, chances = clipped_law(means[row], std, self.threshold)
-            each = clipped_score(places, means[row], std, self.threshold)
+        for row, chances, each in zip(rows, *self._laws(means[rows], std), strict=True):
             influence = (design[row] * np.where(of_std, each[:, 1:], each[:, :1])) @ covariance
             third += chances @ influence**3
         return covariance @ total, covariance, third * len(means) / len(rows)
@@ -108,8 +106,11 @@ class Clipped:
         low, high = float(means.min()), float(means.max())
         levels = np.linspace(low, high, _LEVELS if high - low > 1e-12 else 1)
         table = np.empty((len(levels), 3))
-        for k, mean in enumerate(levels):
-            places, chances = clipped_law(mean, std, self.threshold)
-            score = clipped_score(places, mean, std, self.threshold)
+        for k, (chances, score) in enumerate(zip(*self._laws(levels, std), strict=True)):
             table[k] = chances @ (score[:, [0, 0, 1]] * score[:, [0, 1, 1]])
         return np.column_stack([np.interp(means, levels, column) for column in table.T])
+
+    def _laws(self, means: Array, std: float) -> tuple[Array, Array]:
+        """Probabilities and scores at the quadrature nodes of the law of each mean, shapes (n, nodes), (n, nodes, 2)."""
+        places, chances = clipped_laws(means, std, self.threshold)
+        return chances, clipped_score(places, means[:, None], std, self.threshold)

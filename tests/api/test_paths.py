@@ -39,7 +39,7 @@ def kind(request):
     return request.param
 
 
-def test_every_kind_of_path_is_taken(kind, thesis_folder, tmp_path):
+def test_every_kind_of_path_is_taken(kind, tmp_path):
     assert modsim3d.load_detector(kind(DETECTORS / "thesis.yaml")).labels == ("Vessel",)
     scene = modsim3d.load_scene(kind("simulation_1"), steps=2, source="analytic", detector=kind("thesis"))
     result = modsim3d.run_scene(scene, kind(tmp_path / "a"))
@@ -49,12 +49,12 @@ def test_every_kind_of_path_is_taken(kind, thesis_folder, tmp_path):
     (tmp_path / "gt.txt").write_text("1,1,2,3,40,30,1,1,1")
     options = {"image_size_px": (640, 480), "frame_rate_hz": 10}
     modsim3d.detect_truth(kind(tmp_path / "gt.txt"), kind(tmp_path / "c"), detector=kind("thesis"), **options)
-    verified = modsim3d.verify_run(kind(thesis_folder), detector=kind("thesis"))
+    verified = modsim3d.verify_run(kind(tmp_path / "a"), detector=kind("thesis"))
     assert verified.write(kind(tmp_path / "checked")) == (
         tmp_path / "checked/verify.json",
         tmp_path / "checked/verify.html",
     )
-    learned = modsim3d.learn_detector(run=kind(thesis_folder), replicates=20)
+    learned = modsim3d.learn_detector(run=kind(tmp_path / "a"), replicates=20)
     assert learned.write(kind(tmp_path / "learned.yaml"))[0].is_file()
     assert scene.copy.write(kind(tmp_path / "copy")).is_file()
 

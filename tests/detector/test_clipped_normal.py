@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
 
-from modsim3d.detector.clipped_normal import clipped_law, clipped_score, clipped_sums, fit_clipped
+from modsim3d.detector.clipped_normal import clipped_laws, clipped_score, clipped_sums, fit_clipped
 
 LAWS = [(0.6, 0.2, 0.2), (0.9, 0.3, 0.1), (0.1, 0.15, 0.3), (1.4, 0.5, 0.05), (-0.5, 0.4, 0.2), (0.5, 0.01, 0.2)]
 
 
 @pytest.mark.parametrize(("mean", "std", "threshold"), LAWS)
 def test_law_has_the_ends_and_the_moments_of_the_clipped_normal(mean, std, threshold):
-    nodes, probabilities = clipped_law(mean, std, threshold)
+    (nodes,), (probabilities,) = clipped_laws(np.array([mean]), std, threshold)
     normal = stats.norm(mean, std)
     assert (nodes[0], nodes[-1]) == (threshold, 1.0)
     assert probabilities[[0, -1]] == pytest.approx([normal.cdf(threshold), normal.sf(1)], rel=1e-12, abs=1e-300)
@@ -24,7 +24,7 @@ def test_law_has_the_ends_and_the_moments_of_the_clipped_normal(mean, std, thres
 
 def test_law_whose_numbers_all_lie_beyond_an_end_is_that_end():
     for mean, end in ((-5.0, 0), (7.0, -1)):  # fifty standard deviations away
-        nodes, probabilities = clipped_law(mean, 0.1, 0.2)
+        (nodes,), (probabilities,) = clipped_laws(np.array([mean]), 0.1, 0.2)
         assert len(nodes) == len(probabilities)
         assert probabilities[end] == pytest.approx(1)
         assert probabilities.sum() == pytest.approx(1)

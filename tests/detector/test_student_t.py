@@ -229,6 +229,12 @@ def many() -> ManyDetections:
     return ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=500, source="analytic"))
 
 
+@pytest.fixture(scope="module")
+def table(many: ManyDetections) -> MomentTable:
+    """What is expected of box errors over that truth, most of the work of `verify`."""
+    return MomentTable()
+
+
 def t_data(nu: float = 4.0, spread: float = 1.0, **sections: Any) -> dict[str, Any]:
     data = variant("plain") | sections
     for state in data["states"].values():
@@ -238,15 +244,15 @@ def t_data(nu: float = 4.0, spread: float = 1.0, **sections: Any) -> dict[str, A
     return data
 
 
-def test_twenty_honest_seeds_obey(many: ManyDetections) -> None:
-    model, table = parse_detector(t_data()), MomentTable()
+def test_twenty_honest_seeds_obey(many: ManyDetections, table: MomentTable) -> None:
+    model = parse_detector(t_data())
     for seed in range(20):
         found = verify(model, many.detect(model, seed), table)
         assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
 
 
-def test_honest_errors_that_persist_obey(many: ManyDetections) -> None:
-    model, table = parse_detector(t_data(persistence={"box_s": 0.5})), MomentTable()
+def test_honest_errors_that_persist_obey(many: ManyDetections, table: MomentTable) -> None:
+    model = parse_detector(t_data(persistence={"box_s": 0.5}))
     for seed in range(3):
         found = verify(model, many.detect(model, seed), table)
         assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
@@ -257,9 +263,11 @@ def test_honest_errors_that_persist_obey(many: ManyDetections) -> None:
 @pytest.mark.parametrize(
     ("changes", "named"), [({"nu": 60.0}, "degrees_of_freedom"), ({"spread": 2.0}, "std")], ids=["nu", "covariance"]
 )
-def test_a_wrong_law_is_noticed_and_named(many: ManyDetections, changes: dict[str, float], named: str) -> None:
+def test_a_wrong_law_is_noticed_and_named(
+    many: ManyDetections, table: MomentTable, changes: dict[str, float], named: str
+) -> None:
     asked, made_with = parse_detector(t_data()), parse_detector(t_data(**changes))
-    found = verify(asked, many.detect(made_with, 1))
+    found = verify(asked, many.detect(made_with, 1), table)
     assert found.failed
     assert any(f"box_error.{named}" in verdict.parameter.name for verdict in found.failed)
 

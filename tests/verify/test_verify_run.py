@@ -38,6 +38,12 @@ def many() -> ManyDetections:
     return ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=500, source="analytic"))
 
 
+@pytest.fixture(scope="module")
+def table(many) -> MomentTable:
+    """What is expected of box errors over that truth: most models have the same law of them."""
+    return MomentTable()
+
+
 def command(monkeypatch, *arguments) -> int:
     monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:
@@ -92,9 +98,9 @@ def test_cameras_with_states_of_their_own_have_a_timeline_each(tmp_path):
     assert "modsim3d.verify_run(" in page and "from Python" in page  # no command made it
 
 
-def test_in_memory_and_from_files_the_verdicts_are_the_same(finished, many):
+def test_in_memory_and_from_files_the_verdicts_are_the_same(finished, many, table):
     run = open_run(finished)
-    in_memory = verify(run.scene.detector, many.detect(run.scene.detector, run.scene.detector_seed))
+    in_memory = verify(run.scene.detector, many.detect(run.scene.detector, run.scene.detector_seed), table)
     from_files = verify_run(run).verification
     for a, b in zip(from_files.verdicts, in_memory.verdicts, strict=True):
         assert (a.parameter.name, a.verdict) == (b.parameter.name, b.verdict)
@@ -112,9 +118,9 @@ def test_the_thesiss_rule_falls_short_of_the_asked_false_discovery_rate(many):
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_run_of_every_model_obeys_its_file(many, name):
+def test_a_run_of_every_model_obeys_its_file(many, table, name):
     model = parse_detector(variant(name))
-    verification = verify(model, many.detect(model, 3))
+    verification = verify(model, many.detect(model, 3), table)
     assert verification.obeys, [verdict.parameter.name for verdict in verification.failed]
 
 
@@ -128,24 +134,24 @@ def test_a_run_of_every_model_obeys_its_file(many, name):
         ("persistent false positives", "false_positives.persistence.share"),
     ],
 )
-def test_a_model_that_the_file_does_not_have_is_named(many, made_with, cause):
-    verification = verify(parse_detector(thesis_data()), many.detect(parse_detector(variant(made_with)), 3))
+def test_a_model_that_the_file_does_not_have_is_named(many, table, made_with, cause):
+    verification = verify(parse_detector(thesis_data()), many.detect(parse_detector(variant(made_with)), 3), table)
     assert cause in [verdict.parameter.name for verdict in verification.failed]
     if cause.startswith("persistence"):
         assert verification.cause.parameter.name == cause
 
 
-def test_a_slope_that_is_another_is_named(many):
+def test_a_slope_that_is_another_is_named(many, table):
     name = "dropout by size and distance, anchored"
     data = variant(name)
     data["dropout"]["size_px"]["per_doubling"] = 1.0
-    verification = verify(parse_detector(data), many.detect(parse_detector(variant(name)), 3))
+    verification = verify(parse_detector(data), many.detect(parse_detector(variant(name)), 3), table)
     assert verification.cause.parameter.name == "dropout.size_px.per_doubling"
 
 
-def test_changes_that_are_noticeable_are_caught_and_named(many):
+def test_changes_that_are_noticeable_are_caught_and_named(many, table):
     model = parse_detector(thesis_data())
-    evidence, table = many.detect(model, 5), MomentTable()
+    evidence = many.detect(model, 5)
     verify(model, evidence, table)
     noticeable = named = 0
     for change in list(single_changes(model, 0.2))[::9]:

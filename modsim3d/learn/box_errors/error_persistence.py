@@ -6,6 +6,7 @@ edge counts if it lies so far inside the image that hardly any error reaches the
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -65,12 +66,12 @@ def consecutive_errors(observed: Observed, models: Sequence[ErrorModel | None]) 
 
     Products are means over as many components as edges count in both frames.
     """
-    return _settled(observed, models)[0]
+    return _settled(observed, tuple(models))[0]
 
 
 def white_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> WhiteErrors:
     """Errors of boxes of which every edge counts, whitened as in `consecutive_errors`."""
-    pairs, (_, shapes) = observed.pairs, _settled(observed, models)
+    pairs, (_, shapes) = observed.pairs, _settled(observed, tuple(models))
     kept = np.flatnonzero(_clear_edges(pairs, models).all(axis=1))
     white = _whitened(pairs, models, shapes, kept, np.arange(4))
     return WhiteErrors(pairs.rows[kept], white, pairs.state[kept], _heavy(models))
@@ -80,8 +81,11 @@ def _heavy(models: Sequence[ErrorModel | None]) -> Mask:
     return np.array([model is not None and model.heavy for model in models], dtype=bool)
 
 
-def _settled(observed: Observed, models: Sequence[ErrorModel | None]) -> tuple[Consecutive, Sequence[Array | None]]:
+@functools.lru_cache(1)
+def _settled(observed: Observed, models: tuple[ErrorModel | None, ...]) -> tuple[Consecutive, Sequence[Array | None]]:
     """Errors in consecutive frames, and the correlation of each state's standardised errors by which they are whitened.
+
+    The last are kept: what is learned of one set asks for the same several times over.
 
     Few errors that persist do not tell their correlation well, and whitened by it they look less alike from frame to
     frame than they are. Changes from frame to frame are independent of each other. So errors are whitened by the
