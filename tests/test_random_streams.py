@@ -23,8 +23,9 @@ UNIFORM = [purpose for purpose in Purpose if purpose.width is not None]
 def uses() -> dict[Purpose, set[str]]:
     """The modules of the package that name each purpose."""
     package, found = Path(modsim3d.__file__).parent, defaultdict(set)
-    for path in package.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    texts = {path: path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
+    for path, text in texts.items():
+        for node in ast.walk(ast.parse(text)) if "Purpose" in text else ():  # to parse the others takes seconds
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "Purpose":
                 found[Purpose[node.attr]].add(path.relative_to(package).as_posix())
     return found

@@ -111,6 +111,6 @@ class Clipped:
         return np.column_stack([np.interp(means, levels, column) for column in table.T])
 
     def _laws(self, means: Array, std: float) -> tuple[Array, Array]:
-        """Probabilities and scores at the quadrature nodes of the law of each mean, shapes (n, nodes), (n, nodes, 2)."""
+        """Probabilities and scores at the nodes of the law of each mean, shapes (n, nodes) and (n, nodes, 2)."""
         places, chances = clipped_laws(means, std, self.threshold)
         return chances, clipped_score(places, means[:, None], std, self.threshold)

@@ -156,8 +156,9 @@ def test_no_classifier_is_asked_about_a_film_that_it_learned_from():
 
 
 def test_larger_errors_are_told_and_named(usual):
-    simulated = {name: [usual[0][name]] for name in FILMS}
-    told = tell_apart(FILMS, output(7, spread_px=2.5), simulated, 0.25, kinds=("frames",))["frames"]
+    films = FILMS[:4]  # so large a difference needs no more
+    simulated = {name: [usual[0][name]] for name in films}
+    told = tell_apart(films, output(7, spread_px=2.5), simulated, 0.25, kinds=("frames",))["frames"]
     assert told["auc"] > 0.9
     assert told["low"] > GOAL_AUC
     assert told["verdict"] == "told apart"

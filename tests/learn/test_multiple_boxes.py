@@ -35,7 +35,7 @@ def many(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def none(tmp_path_factory):
-    return labelled_run(simulate("harbour", tmp_path_factory.mktemp("none"), 2, 120, 3))[0]
+    return labelled_run(simulate("harbour", tmp_path_factory.mktemp("none"), 2, 80, 3))[0]
 
 
 def observed_in(labelled, method, without=frozenset()):

@@ -69,8 +69,8 @@ def test_variance_from_zero_start_is_that_of_figure_7_13():
     assert np.degrees(np.sqrt(second_order_variance(FIGURE_7_13, 100))) == pytest.approx(1.65, abs=0.005)
     assert np.degrees(long_run_deviation(FIGURE_7_13)) == pytest.approx(2.87, abs=0.005)
     motion = waves()
-    at_100 = np.concatenate([motion.angles(f"v{i}", np.zeros(1), np.array([100]))[0] for i in range(500)])
-    long_run = np.concatenate([motion.angles(f"v{i}", np.zeros(1), np.array([2000]))[0] for i in range(500)])
+    both = [motion.angles(f"v{i}", np.zeros(2), np.array([100, 2000])) for i in range(500)]
+    at_100, long_run = np.concatenate(both, axis=1)
     for sample, variance in (
         (at_100, second_order_variance(FIGURE_7_13, 100)),
         (long_run, long_run_deviation(FIGURE_7_13) ** 2),

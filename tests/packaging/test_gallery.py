@@ -3,24 +3,38 @@
 from __future__ import annotations
 
 import re
-import subprocess
+import runpy
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from PIL import Image
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 GALLERY = REPOSITORY / "script" / "gallery"
 
 
-def gallery(*arguments: object) -> str:
-    finished = subprocess.run(
-        [sys.executable, GALLERY, *map(str, arguments)], capture_output=True, text=True, check=True, cwd=REPOSITORY
-    )
-    return finished.stdout
+Gallery = Callable[..., str]
 
 
-def test_every_picture_of_the_documents_is_made_by_the_gallery() -> None:
+@pytest.fixture
+def gallery(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Gallery:
+    """The script, run in this process, which has imported most of what it needs; gives what it prints."""
+
+    def run(*arguments: object) -> str:
+        monkeypatch.setattr(sys, "argv", [str(GALLERY), *map(str, arguments)])
+        monkeypatch.setattr(sys, "path", list(sys.path))
+        try:
+            runpy.run_path(str(GALLERY), run_name="__main__")
+        except SystemExit as stopped:
+            assert not stopped.code
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_every_picture_of_the_documents_is_made_by_the_gallery(gallery: Gallery) -> None:
     pages = [REPOSITORY / "README.md", *(REPOSITORY / "docs").glob("*.md")]
     shown = {
         (page.parent / name).resolve()
@@ -32,7 +46,7 @@ def test_every_picture_of_the_documents_is_made_by_the_gallery() -> None:
     assert all(path.is_file() for path in shown)
 
 
-def test_gallery_draws(tmp_path: Path) -> None:
+def test_gallery_draws(gallery: Gallery, tmp_path: Path) -> None:
     """Those that take little time; a change of what the script calls is noticed here."""
     written = gallery("--out", tmp_path, "looks.png", "map.png")
     assert written.count("kB") == 2

@@ -60,7 +60,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     python = environment / "bin" / "python"
     # Without an index, pip fails if the wheel asks for anything that is not there.
     pip = (sys.executable, "-m", "pip", "--python", python)
-    run(*pip, "install", "--quiet", "--no-index", wheel, cwd=folder)
+    run(*pip, "install", "--quiet", "--no-index", "--no-compile", wheel, cwd=folder)
     return environment / "bin"
 
 
@@ -116,7 +116,7 @@ def test_installed_wheel_simulates_a_shipped_scene(installed: Path, tmp_path: Pa
 def test_installed_wheel_finds_the_parts_of_an_installed_package(installed: Path, tmp_path: Path) -> None:
     plug_in = shutil.copytree(EXAMPLE, tmp_path / "plug_in", ignore=shutil.ignore_patterns("__pycache__"))
     pip = (installed / "python", "-m", "pip", "install", "--quiet", "--no-index", "--no-build-isolation", "--no-deps")
-    run(*pip, plug_in, cwd=tmp_path)
+    run(*pip, "--no-compile", plug_in, cwd=tmp_path)
     (quoted,) = re.findall(r"```yaml\n(.*?)```", PLUGINS_PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
     camera = yaml.safe_load((REPOSITORY / "scenes" / "simulation_2.yaml").read_text(encoding="utf-8"))["cameras"]["C0"]
     camera["mount"] |= {"vessel": "a", "position_m": [14, 0, 5]}
