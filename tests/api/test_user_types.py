@@ -45,10 +45,9 @@ strict = true
 follow_imports = skip
 [mypy-modsim3d.*,numpy.*]
 follow_imports = silent
-ignore_errors = true
 """
-"""The package's own modules are not reported on, as those of an installed one, so bodies of functions are not read. Its
-other dependencies, most of what there is to read, are left out: nothing that a user writes here has a type of theirs."""
+"""The package's own modules are not reported on, as those of an installed one. Its other dependencies, most of what
+there is to read, are left out: nothing that a user writes here has a type of theirs."""
 
 
 def test_strict_types_hold_for_a_user(tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from modsim3d.scene.reading import load_scene
 from tests.formats.labelled_sets import found, images, random_set, truth
 from tests.learn.round_trip import simulate
 
-
 WITHOUT = frozenset(RICHER) - {"duplicates", "merges", "splits"}
 """What is learned beside matching, and would be most of the work. Second boxes and parts count as matching has them."""
 

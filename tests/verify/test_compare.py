@@ -3,7 +3,9 @@
 import json
 import re
 import sys
-from dataclasses import replace
+from contextlib import redirect_stdout
+from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -39,13 +41,33 @@ def scene(tmp_path):
 
 
 @pytest.fixture(autouse=True)
-def few_pictures(monkeypatch):
-    monkeypatch.setattr(compare, "WORST", 3)  # drawing them is most of the time
+def one_picture(monkeypatch):
+    monkeypatch.setattr(compare, "WORST", 1)  # drawing them is most of the time
 
 
-def test_every_difference_in_a_scene_is_explained_and_the_figures_are_those_of_the_scene(monkeypatch, tmp_path, scene):
-    status, found = figures_of(monkeypatch, tmp_path / "out", scene)
-    assert status == 0
+@dataclass(frozen=True)
+class Whole:
+    """A comparison of the whole scene with three pictures: exit status, compare.json, the page, and what is printed."""
+
+    status: int
+    figures: dict
+    page: str
+    said: str
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as monkeypatch, redirect_stdout(StringIO()) as said:
+        monkeypatch.setattr(compare, "WORST", 3)
+        status, figures = figures_of(monkeypatch, folder / "out", crossing(folder))
+    page = (folder / "out" / "compare.html").read_text(encoding="utf-8")
+    return Whole(status, figures, page, re.sub(r"\s+", " ", said.getvalue()))
+
+
+def test_every_difference_in_a_scene_is_explained_and_the_figures_are_those_of_the_scene(whole):
+    found = whole.figures
+    assert whole.status == 0
     assert found["unexplained"] == 0
     assert found["steps"] == found["frames"] == 12
     # The ship is there for eleven of the twelve steps and in the image for some of them.
@@ -67,21 +89,19 @@ def test_every_difference_in_a_scene_is_explained_and_the_figures_are_those_of_t
     assert wrong > 0  # the ship lies askew: its box hides more of the sail than it does itself
 
 
-def test_page_is_self_contained_and_shows_the_largest_differences(monkeypatch, tmp_path, scene):
-    figures_of(monkeypatch, tmp_path / "out", scene)
-    page = (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
+def test_page_is_self_contained_and_shows_the_largest_differences(whole):
+    page = whole.page
     assert not re.search(r"https?://|\bsrc=\"(?!data:)|\bhref=(?!\"#)|<script|<link|@import|url\(", page)
     pictures = re.findall(r'<img src="data:image/png;base64,([A-Za-z0-9+/=]+)"', page)
-    assert len(pictures) == page.count("<img") == compare.WORST + 1  # and the rule's worst mistake
+    assert len(pictures) == page.count("<img") == 3 + 1  # and the rule's worst mistake
     assert all(picture.startswith("iVBORw0KGgo") and len(picture) > 2000 for picture in pictures)
     for word in ("Rendered against analytic", "rectangle rule", "UNEXPLAINED"):
         assert word in page
     assert " ms" not in page and "Time per frame" not in page  # the same input gives the same bytes
 
 
-def test_terminal_says_the_same_as_the_file(monkeypatch, tmp_path, scene, capsys):
-    _, found = figures_of(monkeypatch, tmp_path / "out", scene)
-    said = re.sub(r"\s+", " ", capsys.readouterr().out)
+def test_terminal_says_the_same_as_the_file(whole):
+    found, said = whole.figures, whole.said
     assert f"vessel-frames compared {found['vessel_frames']} in {found['frames']} frames" in said
     assert "UNEXPLAINED 0" in said
     assert f"wrong in total {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
@@ -113,16 +133,18 @@ def test_every_and_steps_choose_what_is_looked_at(monkeypatch, tmp_path, scene, 
     assert looked_at == list(range(0, named.get("--steps", 12), named.get("--every", 1)))
 
 
-def test_every_step_of_many_is_looked_at_in_blocks(monkeypatch, tmp_path, scene):
-    whole = figures_of(monkeypatch, tmp_path / "a", scene)[1]
+def test_every_step_of_many_is_looked_at_in_blocks(monkeypatch, tmp_path, scene, whole):
     monkeypatch.setattr(compare, "BLOCK_STEPS", 5)
     parts = figures_of(monkeypatch, tmp_path / "b", scene)[1]
-    del whole["ms_per_frame"], parts["ms_per_frame"]
-    assert parts == whole
+    own = ("ms_per_frame", "scene")  # a scene has the name of its folder
+    assert parts.keys() == whole.figures.keys()
+    assert {key: parts[key] for key in parts if key not in own} == {
+        key: value for key, value in whole.figures.items() if key not in own
+    }
 
 
-def test_supersampling_brings_the_boxes_nearer_to_the_exact_ones(monkeypatch, tmp_path, scene):
-    coarse = figures_of(monkeypatch, tmp_path / "a", scene)[1]
+def test_supersampling_brings_the_boxes_nearer_to_the_exact_ones(monkeypatch, tmp_path, scene, whole):
+    coarse = whole.figures
     status, fine = figures_of(monkeypatch, tmp_path / "b", scene, "--supersample", 4)
     assert (status, fine["supersample"]) == (0, 4)
     assert fine["full_box"]["side_max_px"] <= 0.25

@@ -30,6 +30,12 @@ def many() -> ManyDetections:
     return ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=400, source="analytic"))
 
 
+@pytest.fixture(scope="module")
+def table(many: ManyDetections) -> MomentTable:
+    """What is expected of box errors over that truth, the same for most of these models."""
+    return MomentTable()
+
+
 def changed(**sections: Any) -> DetectorModel:
     return parse_detector(thesis_data() | sections)
 
@@ -75,12 +81,12 @@ def test_splits_leave_the_law_of_box_errors_as_it_is(many: ManyDetections) -> No
     assert abs(some_narrow.mean() - share) < 4 * np.sqrt(share * (1 - share) / len(some))
 
 
-def test_box_errors_are_not_tested_where_the_largest_boxes_were_kept(many: ManyDetections) -> None:
+def test_box_errors_are_not_tested_where_the_largest_boxes_were_kept(many: ManyDetections, table: MomentTable) -> None:
     data = thesis_data() | {"gates": {"max_detections": 2}}
     data["states"]["good"]["confidence"]["size_slope"] = 0.1
     model = parse_detector(data)
     evidence = many.detect(model, 0)
-    found = box_error_checks(model, evidence, MomentTable())
+    found = box_error_checks(model, evidence, table)
     of_good = [p for p in found if p.name.startswith("states.good.")]
     assert of_good and all(p.measure is None and "max_detections was reached" in p.note for p in of_good)
     enough = np.bincount(evidence.instances.state[evidence.true_detections.instance], minlength=4) >= LEAST_DETECTIONS
@@ -88,20 +94,22 @@ def test_box_errors_are_not_tested_where_the_largest_boxes_were_kept(many: ManyD
     assert any(p.measure is not None for p in found if p.name.startswith("states.") and p not in of_good)
 
 
-def persistence_of(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
-    every = [*class_checks(model, evidence), *box_error_checks(model, evidence, MomentTable())]
+def persistence_of(model: DetectorModel, evidence: Evidence, table: MomentTable) -> list[Parameter]:
+    every = [*class_checks(model, evidence), *box_error_checks(model, evidence, table)]
     return [parameter for parameter in every if parameter.name.startswith("persistence.")]
 
 
-def test_persistence_is_seen_between_the_frames_at_which_the_detector_runs(many: ManyDetections) -> None:
+def test_persistence_is_seen_between_the_frames_at_which_the_detector_runs(
+    many: ManyDetections, table: MomentTable
+) -> None:
     gates = {"update_interval_s": 0.4}
     model = changed(gates=gates, persistence={"class_s": 1.0, "box_s": 1.0})
     evidence = many.detect(model, 4)
-    for parameter in persistence_of(model, evidence):
+    for parameter in persistence_of(model, evidence, table):
         assert parameter.measure is not None
         assert parameter.measure.asked == pytest.approx(np.exp(-0.4), rel=1e-9)
         assert parameter.measure.p_value() > 1e-4
-    for parameter in persistence_of(changed(gates=gates), evidence):
+    for parameter in persistence_of(changed(gates=gates), evidence, table):
         assert parameter.measure is not None
         assert parameter.measure.p_value() < 1e-6
 
@@ -115,28 +123,30 @@ def test_misses_that_persist_for_ever_are_obeyed_and_those_that_do_not_are_seen(
         assert cause is not None and cause.parameter.name == "persistence.class_s"
 
 
-def test_box_errors_that_stay_with_a_few_vessels_are_too_little_seen(many: ManyDetections) -> None:
+def test_box_errors_that_stay_with_a_few_vessels_are_too_little_seen(many: ManyDetections, table: MomentTable) -> None:
     for_ever = changed(persistence={"box_s": 1e6})
-    found = box_error_checks(for_ever, many.detect(for_ever, 0), MomentTable())
+    found = box_error_checks(for_ever, many.detect(for_ever, 0), table)
     laws = [parameter for parameter in found if parameter.name.startswith("states.")]
     assert laws and all(parameter.measure is None for parameter in laws)
     persistence = found[-1].measure
     assert persistence is not None and persistence.p_value() > 1e-4
     for_a_moment = changed(persistence={"box_s": 0.05})
-    found = box_error_checks(for_a_moment, many.detect(for_a_moment, 0), MomentTable())
+    found = box_error_checks(for_a_moment, many.detect(for_a_moment, 0), table)
     assert sum(p.measure is not None for p in found if p.name.startswith("states.")) > len(laws) / 3
 
 
-def box_persistence(asked: DetectorModel, evidence: Evidence) -> Estimate:
-    measure = box_error_checks(asked, evidence, MomentTable())[-1].measure
+def box_persistence(asked: DetectorModel, evidence: Evidence, table: MomentTable) -> Estimate:
+    measure = box_error_checks(asked, evidence, table)[-1].measure
     assert isinstance(measure, Estimate)
     return measure
 
 
-def test_what_truncation_leaves_of_a_correlation_of_box_errors_is_not_taken_for_all_of_it(many: ManyDetections) -> None:
+def test_what_truncation_leaves_of_a_correlation_of_box_errors_is_not_taken_for_all_of_it(
+    many: ManyDetections, table: MomentTable
+) -> None:
     # Half of the first draws leave no box: of a correlation of 0.2 from frame to frame 0.05 is left.
     made_with = changed(persistence={"box_s": -0.2 / np.log(0.2)})
-    found = [box_persistence(changed(), many.detect(made_with, seed)) for seed in range(4)]
+    found = [box_persistence(changed(), many.detect(made_with, seed), table) for seed in range(4)]
     error = float(np.mean([measure.error for measure in found])) / 2
     assert error < 0.04
     assert np.mean([measure.measured for measure in found]) == pytest.approx(0.2, abs=4 * error)
@@ -147,7 +157,7 @@ def test_of_errors_that_nothing_cuts_all_of_a_correlation_is_left(many: ManyDete
     for state in data["states"].values():
         state["box_error"]["covariance"] = [[value / 100 for value in row] for row in state["box_error"]["covariance"]]
     model = parse_detector(data)
-    measure = box_persistence(model, many.detect(model, 0))
+    measure = box_persistence(model, many.detect(model, 0), MomentTable())
     assert measure.error == pytest.approx((4 * measure.count) ** -0.5, rel=0.01)
 
 
