@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from modsim3d.scene import reading
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 GALLERY = REPOSITORY / "script" / "gallery"
 
@@ -46,8 +48,10 @@ def test_every_picture_of_the_documents_is_made_by_the_gallery(gallery: Gallery)
     assert all(path.is_file() for path in shown)
 
 
-def test_gallery_draws(gallery: Gallery, tmp_path: Path) -> None:
-    """Those that take little time; a change of what the script calls is noticed here."""
+def test_gallery_draws(gallery: Gallery, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that take little time; a change of what the script calls is noticed here. Both show the first 151 steps."""
+    load_scene = reading.load_scene
+    monkeypatch.setattr(reading, "load_scene", lambda name, **options: load_scene(name, **options | {"steps": 151}))
     written = gallery("--out", tmp_path, "looks.png", "map.png")
     assert written.count("kB") == 2
     for name in ("looks.png", "map.png"):

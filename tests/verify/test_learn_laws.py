@@ -102,12 +102,21 @@ def test_directions_are_derivatives_of_the_normal_density(parameter):
     np.testing.assert_allclose(found - found[0], slope - slope[0], rtol=1e-4, atol=1e-4)
 
 
+def enough(law: ErrorParameters, box: np.ndarray, count: int, seed: int) -> np.ndarray:
+    """At least so many errors of one box, of which one in a hundred may count."""
+    parts: list[np.ndarray] = []
+    while sum(map(len, parts)) < count:
+        assert len(parts) < 20
+        parts.append(sampled(law, box, 15 * count, 100 * seed + len(parts)))
+    return np.concatenate(parts)
+
+
 def samples_of(law: ErrorParameters, copies: int, count: int) -> list[ErrorSample]:
     """Errors of four boxes, so many of each, so many times over."""
     boxes = np.repeat(BOXES_PX[:4], copies, axis=0)
     images = np.tile(np.array(IMAGE_PX, float), (len(boxes), 1))
     means, stds = law.at(boxes)
-    pools = [sampled(law, box, 250 * copies * count, seed) for seed, box in enumerate(BOXES_PX[:4])]
+    pools = [enough(law, box, copies * count, seed) for seed, box in enumerate(BOXES_PX[:4])]
     return [
         ErrorSample(
             means + stds * np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]),
