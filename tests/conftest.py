@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import os
 import signal
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import scipy.linalg  # noqa: F401 (it brings a library of its own for linear algebra, which is told below too)
+import typer.testing
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
@@ -27,6 +29,8 @@ settings.load_profile("repeatable")
 # the processors from the other tests. Not by a variable, which programs that tests start would inherit.
 threadpool_limits(1, user_api="blas")
 
+# Typer prepares all commands anew for each call of its CliRunner, for a tenth of a second; they do not change.
+typer.testing._get_command = functools.cache(typer.main.get_command)
 
 ROOT = Path(__file__).resolve().parents[1]
 TERMINAL = (
