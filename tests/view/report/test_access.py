@@ -2,76 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
-from pathlib import Path
-
 import pytest
 
-from modsim3d import cli
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
-from modsim3d.verify.sources import compare
-from tests.campaign.small_campaign import small_campaign
-from tests.scenes import crossing
 from tests.view.report.axe import grave_violations
 from tests.view.report.browser import Browser
-from tests.view.report.test_layout import DESK, PHONE, pale_texts
+from tests.view.report.test_layout import DESK, PHONE
 
 STOPS = """(() => { const { id, ariaLabel, textContent, tagName } = document.activeElement;
 return tagName === 'BODY' ? '' : id || ariaLabel || textContent.trim(); })()"""
-
-
-@pytest.fixture(scope="module")
-def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Forty steps: their pages have all parts that longer ones have."""
-    folder = tmp_path_factory.mktemp("short")
-    run_scene(load_scene(crossing(folder, 40), source="analytic"), folder / "run")
-    return folder / "run"
-
-
-def call(*arguments: object) -> None:
-    """Run the command line in this process."""
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
-        patch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-        cli.main()
-    assert stopped.value.code in (0, 1, 3), arguments
-
-
-def verified(run: Path, folder: Path) -> Path:
-    call("verify", run, "--out", folder)
-    return folder / "verify.html"
-
-
-def compared(run: Path, folder: Path) -> Path:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compare, "WORST", 1)  # drawing them is most of the time
-        call("compare", crossing(folder), "--every", 4, "--out", folder / "out")
-    return folder / "out" / "compare.html"
-
-
-def learned(run: Path, folder: Path) -> Path:
-    call("learn", "--run", run, "--out", folder / "learned.yaml", "--replicates", 20)
-    return folder / "learned.html"
-
-
-def scored(run: Path, folder: Path) -> Path:
-    call("track", run, "--tracker", "reference", "--out", folder / "tracks")
-    call("score", run, folder / "tracks", "--out", folder / "scores")
-    return folder / "scores" / "score.html"
-
-
-def of_campaign(run: Path, folder: Path) -> Path:
-    call("campaign-report", small_campaign(folder), "--out", folder / "campaign.html")
-    return folder / "campaign.html"
-
-
-@pytest.mark.parametrize("make", [verified, compared, learned, scored, of_campaign], ids=lambda make: make.__name__)
-def test_axe_finds_nothing_serious_on_a_page(browser, short_run, tmp_path, make: Callable[[Path, Path], Path]):
-    browser.visit(make(short_run, tmp_path), PHONE)
-    assert grave_violations(browser) == []
-    browser.scheme("dark")
-    assert pale_texts(browser) == []
 
 
 @pytest.mark.parametrize(("which", "scheme", "size"), [("page", "light", DESK), ("tracks_page", "dark", PHONE)])

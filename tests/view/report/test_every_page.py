@@ -1,4 +1,4 @@
-"""Every page that commands write: what it rests on, a narrow screen, and paper."""
+"""Every page that commands write: what it rests on, what axe-core finds, a narrow screen, and paper."""
 
 from __future__ import annotations
 
@@ -18,22 +18,27 @@ from modsim3d import cli
 from modsim3d.errors import InputError
 from modsim3d.learn.learned import Settings
 from modsim3d.learn.told.sources import Sources
+from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
 from modsim3d.view.pages.provenance import Provenance, file_input, top_line
 from modsim3d.view.pages.run_inputs import CHANGED, run_inputs
+from tests.campaign.campaigns import run_campaign_file
 from tests.view.made_tracks import perfect, write_csv
+from tests.view.report.axe import grave_violations
 from tests.view.report.browser import Browser
+from tests.view.report.test_layout import PHONE, pale_texts
 
-CAMPAIGN = """\
-scene: fairway
-steps: 4
-seed: 7
-seeds: {traffic: 2}
-set: {annotation.source: analytic}
-trackers: [reference]
-require: [{score: hota, at_least: 0.0}, {score: hota, at_least: 0.9}]
-"""
+CAMPAIGN = {
+    "scene": "fairway",
+    "steps": 4,
+    "seed": 7,
+    "seeds": {"traffic": 2},
+    "set": {"annotation.source": "analytic"},
+    "trackers": ["reference"],
+    "require": [{"score": "hota", "at_least": 0.0}, {"score": "hota", "at_least": 0.9}],
+}
 COMMANDS = {
     "verify": "verify run --out verify",
     "compare": "compare harbour --steps 2 --out compare",
@@ -60,17 +65,19 @@ def command(words: str) -> int:
 
 
 @pytest.fixture(scope="module")
-def pages(run_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with every page, which is the working directory, so that paths are given as users do."""
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with every page, which is the working directory, so that paths are given as users do.
+
+    Two cameras and two performance states, as in longer runs: pages have the same parts.
+    """
     folder, before = tmp_path_factory.mktemp("pages"), Path.cwd()
-    (folder / "run").symlink_to(run_folder)
+    run_scene(load_scene("simulation_3", mode=2, seed=8, steps=80, source="analytic"), folder / "run")
     (folder / "learn").mkdir()
-    (folder / "c.yaml").write_text(CAMPAIGN)
-    rows = RunRows.of(open_run(run_folder))
+    rows = RunRows.of(open_run(folder / "run"))
     write_csv(perfect(rows), rows, folder / "tracks.csv")
+    run_campaign_file(folder, **CAMPAIGN)
     os.chdir(folder)
     try:
-        command("campaign c.yaml --out campaign")
         for words in COMMANDS.values():
             assert command(words) in (0, 1), words
         yield folder
@@ -190,6 +197,14 @@ def test_tests_that_pass_are_folded_behind_their_number(pages: Path) -> None:
     passed = [each for each in verified["parameters"] if each["verdict"] == "obeys"]
     summaries = re.findall(r"<details><summary>[^<]*?: (\d+) tests? passed", (pages / PAGES["verify"]).read_text())
     assert sum(map(int, summaries)) == len(passed) > 20
+
+
+@pytest.mark.parametrize("name", [name for name in PAGES if name != "report"])
+def test_axe_finds_nothing_serious_on_a_page(pages: Path, browser: Browser, name: str) -> None:
+    browser.visit(pages / PAGES[name], PHONE)
+    assert grave_violations(browser) == []
+    browser.scheme("dark")
+    assert pale_texts(browser) == []
 
 
 WIDEST = """(() => { document.querySelectorAll('details').forEach(each => each.open = true);
