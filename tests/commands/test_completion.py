@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -11,11 +12,19 @@ import pytest
 
 from tests.commands.test_help import HEAVY
 
-SCRIPT = f"""import sys; sys.argv = ['modsim3d']
+SCRIPT = f"""import json, os, sys; sys.argv = ['modsim3d']
 from modsim3d.cli import main
-try: main()
-except SystemExit: pass
-print(*(name for name in {HEAVY!r} if name in sys.modules), file=sys.stderr)"""
+for environment in json.load(sys.stdin):
+    print(end='', flush=True)
+    if os.fork() == 0:
+        os.environ.update(environment)
+        try: main()
+        except SystemExit: pass
+        print(*(name for name in {HEAVY!r} if name in sys.modules), end='', file=sys.stderr)
+        print(end='\\0', flush=True)
+        os._exit(0)
+    os.wait()"""
+"""Answers each completion in a fork of a process that has imported the command line and nothing else."""
 
 
 @pytest.fixture
@@ -26,45 +35,63 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def complete(folder: Path, shell: str, *words: str) -> list[str]:
-    """What a shell is told to offer for the last of some words, through the protocol of its script."""
-    line = " ".join(words)
-    environment = {
-        **os.environ,
-        "_MODSIM3D_COMPLETE": f"complete_{shell}",
-        "COMP_WORDS": "\n".join(words),
-        "COMP_CWORD": str(len(words) - 1),
-        "_TYPER_COMPLETE_ARGS": line,
-        "_TYPER_COMPLETE_FISH_ACTION": "get-args",
-    }
+def completions(folder: Path, *asked: tuple[str, ...]) -> list[list[str]]:
+    """What shells are told to offer, each for the last of some words, through the protocol of its script.
+
+    Args:
+        folder: Where the shells are.
+        *asked: A shell and the words after `modsim3d`.
+    """
+    environments = [
+        {
+            "_MODSIM3D_COMPLETE": f"complete_{shell}",
+            "COMP_WORDS": "\n".join(["modsim3d", *words]),
+            "COMP_CWORD": str(len(words)),
+            "_TYPER_COMPLETE_ARGS": " ".join(["modsim3d", *words]),
+            "_TYPER_COMPLETE_FISH_ACTION": "get-args",
+        }
+        for shell, *words in asked
+    ]
     command = [sys.executable, "-c", SCRIPT]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True, cwd=folder, env=environment)
+    done = subprocess.run(
+        command, input=json.dumps(environments), capture_output=True, text=True, timeout=120, check=True, cwd=folder
+    )
     assert done.stderr.strip() == "", "loaded for a completion"
-    return done.stdout.split("\n") if done.stdout.strip() else []
+    *answers, rest = done.stdout.split("\0")
+    assert rest == "" and len(answers) == len(asked)
+    return [answer.split("\n") if answer.strip() else [] for answer in answers]
 
 
 def test_scene_completes_shipped_names_and_scene_files(folder: Path) -> None:
-    offered = [word for word in complete(folder, "bash", "modsim3d", "run", "s") if word]
-    assert offered == ["simulation_1", "simulation_2", "simulation_3", "strait", "simple.json", "strange.yaml"]
+    (offered,) = completions(folder, ("bash", "run", "s"))
+    assert [word for word in offered if word] == ["simulation_1", "simulation_2", "simulation_3", "strait", "simple.json", "strange.yaml"]
 
 
-@pytest.mark.parametrize("words", [("run", "sc"), ("run", "scenes/"), ("verify", ""), ("run", "x", "--out", "")])
-def test_the_shell_itself_completes_files_and_folders(folder: Path, words: tuple[str, ...]) -> None:
-    assert complete(folder, "bash", "modsim3d", *words) == []
-    assert complete(folder, "zsh", "modsim3d", *words)[0] == "_files"
-    assert complete(folder, "fish", "modsim3d", *words) == []
+def test_the_shell_itself_completes_files_and_folders(folder: Path) -> None:
+    words = [("run", "sc"), ("run", "scenes/"), ("verify", ""), ("run", "x", "--out", "")]
+    asked = [(shell, *each) for shell in ("bash", "zsh", "fish") for each in words]
+    offered = completions(folder, *asked)
+    assert [first[:1] for first in offered] == [[]] * 4 + [["_files"]] * 4 + [[]] * 4
 
 
 def test_commands_options_and_values_are_completed(folder: Path) -> None:
-    assert {"run", "learn", "scenes"} <= set(complete(folder, "bash", "modsim3d", ""))
-    assert "--detector-seed" in complete(folder, "bash", "modsim3d", "run", "strait", "--det")
-    assert "rectangles" in complete(folder, "bash", "modsim3d", "run", "strait", "--source", "r")
-    assert any("strait" in line for line in complete(folder, "zsh", "modsim3d", "run", "st"))
-    assert "strait" in complete(folder, "fish", "modsim3d", "run", "st")
+    commands, options, values, zsh, fish = completions(
+        folder,
+        ("bash", ""),
+        ("bash", "run", "strait", "--det"),
+        ("bash", "run", "strait", "--source", "r"),
+        ("zsh", "run", "st"),
+        ("fish", "run", "st"),
+    )
+    assert {"run", "learn", "scenes"} <= set(commands)
+    assert "--detector-seed" in options
+    assert "rectangles" in values
+    assert any("strait" in line for line in zsh)
+    assert "strait" in fish
 
 
 def test_names_of_trackers_are_completed(folder: Path) -> None:
-    offered = complete(folder, "bash", "modsim3d", "track", "run", "--tracker", "s")
+    (offered,) = completions(folder, ("bash", "track", "run", "--tracker", "s"))
     assert [word for word in offered if word] == ["sort", "stonesoup_gnn", "stonesoup_jpda"]
 
 

@@ -44,8 +44,15 @@ def test_the_status_of_verify_is_its_verdict_whoever_reads(
 @pytest.mark.parametrize(
     "arguments", ["scenes", "-h", "run -h", "check harbour", "scenes --json", "check harbour --json", "--version"]
 )
+def test_no_command_minds_a_reader_that_goes_away(arguments: str, prepared: Path) -> None:
+    done = bash(f"MODSIM3D {arguments} | true; echo ${{PIPESTATUS[0]}}", program=prepared)
+    assert (done.stdout, done.stderr) == ("0\n", "")
+
+
+@pytest.mark.parametrize("arguments", ["-h", "check harbour", "scenes --json"])
 @pytest.mark.parametrize("unbuffered", ["", "PYTHONUNBUFFERED=1"])
-def test_no_command_minds_a_reader_that_goes_away(arguments: str, unbuffered: str) -> None:
+def test_no_program_minds_a_reader_that_goes_away(arguments: str, unbuffered: str) -> None:
+    """In a Python of its own: help, which is printed before all else, a text and an object."""
     done = bash(f"{unbuffered} MODSIM3D {arguments} | true; echo ${{PIPESTATUS[0]}}")
     assert (done.stdout, done.stderr) == ("0\n", "")
 

@@ -169,7 +169,7 @@ def test_killed_anywhere_while_files_are_put_in_place_it_becomes_the_new_run_or_
 ):
     """Killed before any of the renames of the end, and then either resumed or replaced by a third run."""
     scene = inputs.write()
-    run_scene(load_scene(data_folder("scenes") / "simulation_3.yaml", steps=2), tmp_path / "run")
+    run_scene(load_scene(data_folder("scenes") / "simulation_1.yaml", steps=2), tmp_path / "run")
     notes = write(tmp_path / "run", {"notes.txt": "mine"})
     real, left = Path.replace, [calls]
 
