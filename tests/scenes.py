@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -55,7 +56,7 @@ def random_places(
         distance, bearing = np.exp(rng.uniform(np.log(near_m), np.log(far_m))), rng.uniform(-0.6, 0.6)
         centre = distance * np.array([np.cos(bearing), np.sin(bearing)])
         radius = np.hypot(length, beam) / 2
-        clear = all(np.hypot(*(centre - other)) > radius + r for other, r in circles)
+        clear = all(math.dist(centre, other) > radius + r for other, r in circles)
         if clear and distance > radius + 5:
             circles.append((centre, radius))
             name = f"v{len(places)}"
@@ -102,13 +103,13 @@ def random_scene(
         bearing = mount.yaw_rad + rng.uniform(-spread, spread)
         centre = distance * np.array([np.cos(bearing), np.sin(bearing)])
         radius = float(np.hypot(length, beam)) / 2
-        if distance > radius + 0.5 and all(np.hypot(*(centre - c)) > radius + r for c, r in hulls):
+        if distance > radius + 0.5 and all(math.dist(centre, c) > radius + r for c, r in hulls):
             hulls.append((centre, radius))
             heading = float(rng.choice([0.0, rng.uniform(-np.pi, np.pi)]))
             places.append((vessel(f"v{len(places)}", length, beam, height), (centre[0], centre[1]), heading))
             if rng.random() < 0.15:  # a twin that touches it side by side, nothing between
                 side = centre + beam * np.array([-np.sin(heading), np.cos(heading)])
-                if all(np.hypot(*(side - c)) > radius + r for c, r in hulls[:-1]) and np.hypot(*side) > radius + 0.5:
+                if all(math.dist(side, c) > radius + r for c, r in hulls[:-1]) and np.hypot(*side) > radius + 0.5:
                     hulls.append((side, radius))
                     twin = vessel(f"v{len(places)}", length, beam, height * rng.uniform(0.5, 1.5))
                     places.append((twin, (side[0], side[1]), heading))

@@ -18,7 +18,7 @@ from modsim3d.campaign.work import layers
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import SCORES
 
-STEPS = 25
+STEPS = 12
 WAVES = [{"level": "small", "apply_to": "all"}, {"level": "large", "apply_to": "all"}]
 KEYS: dict[str, Any] = {
     "scene": "harbour",

@@ -24,6 +24,7 @@ from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.errors import InputError
 from modsim3d.learn.learning import LearnResult
 from modsim3d.learn.numbers.entries import Interval
+from modsim3d.learn.uncertainty import correlated
 from modsim3d.scene.detector_choice import choose_detector
 from tests.campaign.campaigns import checked_campaign, run_campaign_file
 
@@ -51,10 +52,8 @@ def learned(folder: Path) -> dict[str, LearnResult]:
 
 @pytest.fixture(scope="module")
 def draws(folder: Path, learned: dict[str, LearnResult]) -> dict[str, list[dict[str, Any]]]:
-    return {
-        name: [drawn_detector(read_uncertainty(folder / f"{name}.yaml"), 1_000_000 + k) for k in range(DRAWS)]
-        for name in learned
-    }
+    known = {name: read_uncertainty(folder / f"{name}.yaml") for name in learned}
+    return {name: [drawn_detector(each, 1_000_000 + k) for k in range(DRAWS)] for name, each in known.items()}
 
 
 def drawn_numbers(drawn: list[dict[str, Any]], state: str | None, name: str) -> Array | None:
@@ -150,27 +149,38 @@ def test_correlations_of_the_replicates_are_those_of_the_draws() -> None:
     assert np.abs(found[2:, :2]).max() < 5 / np.sqrt(1500)
 
 
+def of_numbers(known: dict[str, Any], *names: str) -> LearnedUncertainty:
+    """What is known of some of the numbers, none of which is correlated with others: they are quicker to draw."""
+    (state,) = known["groups"]
+    numbers = [number for number in state["numbers"] if number["key"][0] in names]
+    shapes = [(tuple(number["key"]), np.shape(number["estimate"])) for number in numbers]
+    size = sum(int(correlated(*each).sum()) for each in shapes)
+    state |= {"numbers": numbers, "correlations": [[0.0] * i for i in range(size)]}
+    return LearnedUncertainty.model_validate(known)
+
+
 def test_counts_and_normal_numbers_have_the_distributions_of_their_intervals() -> None:
     """Jeffreys's Beta and Gamma distributions from many images; from five, Student's with four degrees of freedom."""
     count = 2000
 
-    def drawn(units: int) -> dict[str, Array]:
-        known = LearnedUncertainty.model_validate(group(0.0, 2, units, 0.3))
+    def drawn(units: int, **keys: str) -> dict[str, Array]:
+        known = of_numbers(group(0.0, 2, units, 0.3), *keys)
         found = [drawn_detector(known, seed) for seed in range(count)]
         return {
-            "missed": np.array([each["detector.states.a.confusion"][-1][0] for each in found]),
-            "rate": np.array([each["detector.states.a.false_positives_per_image"] for each in found]),
-            "mean": np.array([each["detector.states.a.box_error.mean"] for each in found])[:, 0],
+            name: np.reshape([each[f"detector.states.a.{key}"] for each in found], (count, -1))
+            for name, key in keys.items()
         }
 
-    many, few = drawn(100_000), drawn(5)
-    for name, law in (
-        ("missed", stats.beta(12.5, 28.5)),
-        ("rate", stats.gamma(10.5, scale=1 / 50)),
-        ("mean", stats.norm()),
+    counts = {"confusion": "confusion", "false_positives_per_image": "false_positives_per_image"}
+    means = {"box_error_mean": "box_error.mean"}
+    many, few = drawn(100_000, **counts, **means), drawn(5, **means)
+    for found, law in (
+        (many["confusion"].reshape(count, 3, 2)[:, -1, 0], stats.beta(12.5, 28.5)),
+        (many["false_positives_per_image"][:, 0], stats.gamma(10.5, scale=1 / 50)),
+        (many["box_error_mean"][:, 0], stats.norm()),
     ):
-        assert stats.kstest(many[name], law.cdf).pvalue > 1e-3
-    beyond = int((np.abs(few["mean"]) > stats.t(4).ppf(0.975)).sum())
+        assert stats.kstest(found, law.cdf).pvalue > 1e-3
+    beyond = int((np.abs(few["box_error_mean"][:, 0]) > stats.t(4).ppf(0.975)).sum())
     assert stats.binomtest(beyond, count, 0.05).pvalue > 1e-3  # 0.6 % of normal ones are beyond
 
 

@@ -64,7 +64,14 @@ def completions(folder: Path, *asked: tuple[str, ...]) -> list[list[str]]:
 
 def test_scene_completes_shipped_names_and_scene_files(folder: Path) -> None:
     (offered,) = completions(folder, ("bash", "run", "s"))
-    assert [word for word in offered if word] == ["simulation_1", "simulation_2", "simulation_3", "strait", "simple.json", "strange.yaml"]
+    assert [word for word in offered if word] == [
+        "simulation_1",
+        "simulation_2",
+        "simulation_3",
+        "strait",
+        "simple.json",
+        "strange.yaml",
+    ]
 
 
 def test_the_shell_itself_completes_files_and_folders(folder: Path) -> None:
