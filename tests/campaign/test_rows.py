@@ -39,8 +39,26 @@ def campaign_table(folder: Path, **keys: Any) -> pa.Table:
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = campaign_table(tmp_path_factory.mktemp("rows") / "c").to_pylist()
+def made() -> dict[str, int]:
+    """How often each layer of the campaign was made."""
+    return {"truth_block": 0, "Simulation": 0, "tracked": 0}
+
+
+@pytest.fixture(scope="module")
+def rows(made: dict[str, int], tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    def counted(name: str) -> Callable[..., Any]:
+        function = getattr(layers, name)
+
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            made[name] += 1
+            return function(*arguments, **keywords)
+
+        return call
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in made:
+            patch.setattr(layers, name, counted(name))
+        found: list[dict[str, Any]] = campaign_table(tmp_path_factory.mktemp("rows") / "c").to_pylist()
     return found
 
 
@@ -82,21 +100,8 @@ def test_layers_are_shared_by_the_runs_that_have_them_in_common(rows: list[dict[
     kinds("tracks_key", lambda row: row["run"])
 
 
-def test_truth_and_detections_are_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = {"truth_block": 0, "Simulation": 0, "tracked": 0}
-
-    def counted(name: str) -> Callable[..., Any]:
-        function = getattr(layers, name)
-
-        def call(*arguments: Any, **keywords: Any) -> Any:
-            made[name] += 1
-            return function(*arguments, **keywords)
-
-        return call
-
-    for name in made:
-        monkeypatch.setattr(layers, name, counted(name))
-    campaign_table(tmp_path / "c", steps=3)
+def test_truth_and_detections_are_made_once(rows: list[dict[str, Any]], made: dict[str, int]) -> None:
+    assert len(rows) == 32
     assert made == {"truth_block": 2 * 2, "Simulation": 2 * 2 * 2 * 2, "tracked": 32}
 
 

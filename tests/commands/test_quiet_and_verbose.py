@@ -40,29 +40,22 @@ def test_every_command_with_something_to_tell_has_both_options() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS_TRIED)
-def test_quiet_prints_nothing_and_does_the_same(
+def test_verbose_tells_versions_files_and_times_and_quiet_prints_nothing_and_does_the_same(
     modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], command: str
 ) -> None:
-    said = modsim3d(*lines[command])
-    assert said.out
-    warnings = [line for line in said.err.splitlines() if line.startswith("warning: ")]
-    quiet = modsim3d(*lines[command], "-q")
-    assert (quiet.status, quiet.out, quiet.err.splitlines()) == (said.status, "", warnings)
-
-
-@pytest.mark.parametrize("command", COMMANDS_TRIED)
-def test_verbose_tells_versions_files_and_times(
-    modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], command: str
-) -> None:
-    said = modsim3d(*lines[command], "--verbose")
-    first, *rest = said.err.splitlines()
+    verbose = modsim3d(*lines[command], "--verbose")
+    first, *rest = verbose.err.splitlines()
     assert first.startswith("versions  modsim3d ")
     read = [line.removeprefix("read      ") for line in rest if line.startswith("read ")]
     assert read and all(Path(path).exists() for path in read)
     assert any(line.startswith("time ") for line in rest)
-    assert not any(line.startswith(("versions ", "read ", "time  ")) for line in said.out.splitlines())
-    again = modsim3d(*lines[command])
-    assert "versions  modsim3d" not in again.err, "an earlier command's -v"
+    assert not any(line.startswith(("versions ", "read ", "time  ")) for line in verbose.out.splitlines())
+    said = modsim3d(*lines[command])
+    assert said.out
+    assert "versions  modsim3d" not in said.err, "an earlier command's -v"
+    warnings = [line for line in said.err.splitlines() if line.startswith("warning: ")]
+    quiet = modsim3d(*lines[command], "-q")
+    assert (quiet.status, quiet.out, quiet.err.splitlines()) == (said.status, "", warnings)
 
 
 @pytest.mark.parametrize("command", ["run", "compare"])

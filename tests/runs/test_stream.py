@@ -27,12 +27,12 @@ from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
-STEPS = 70
+STEPS = 40
 
 
 def line(step, *names):
     """Own ship drives along w1 with a camera at its bow; the others are ahead of it."""
-    places = {"own": (0.2 * step, 0.0, 0.1), "a": (70 + 0.3 * step, 4 - 0.1 * step, 1.0), "b": (90, 0.05 * step, -2.0)}
+    places = {"own": (0.2 * step, 0.0, 0.1), "a": (70 + 0.3 * step, 4 - 0.1 * step, 1.0), "b": (90, 0.1 * step, -2.0)}
     entries = {
         name: {"center_position_m": [*places[name][:2], 0], "heading_rad": places[name][2] + step / 7} for name in names
     }
@@ -43,7 +43,7 @@ def line(step, *names):
 def lines(steps=STEPS):
     """`a` comes and goes, `b` comes late and leaves."""
     return [
-        line(t, "own", *(["a"] if t % 9 < 6 else []), *(["b"] if 20 <= t < 50 else [])) for t in range(steps)
+        line(t, "own", *(["a"] if t % 9 < 6 else []), *(["b"] if 10 <= t < 28 else [])) for t in range(steps)
     ]  # fmt: skip
 
 

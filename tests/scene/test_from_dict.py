@@ -79,9 +79,10 @@ def inline(name: str, steps: int) -> dict:
 @pytest.mark.parametrize("name", sorted(path.stem for path in SCENES.glob("*.yaml")))
 def test_a_shipped_scene_given_as_a_mapping_gives_the_bytes_of_its_file(name, tmp_path):
     run_scene(load_scene(name, steps=5), tmp_path / "file")
-    run_scene(Scene.from_dict(inline(name, 5), name=name), tmp_path / "mapping")
+    scene = Scene.from_dict(inline(name, 5), name=name)
+    run_scene(scene, tmp_path / "mapping")
     assert results(tmp_path / "mapping") == results(tmp_path / "file")
-    frames = [*simulate_frames(Scene.from_dict(inline(name, 5), name=name))]
+    frames = [*simulate_frames(scene)]
     assert len(frames) == json.loads((tmp_path / "file" / "run.json").read_text())["counts"]["frames"]
 
 
