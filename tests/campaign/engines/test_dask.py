@@ -15,6 +15,12 @@ from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_
 from tests.campaign.engines.cluster import Cluster, cluster, free_port
 
 
+@pytest.fixture(autouse=True)
+def quick_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was lost is looked for often, so that no test waits for the next look."""
+    monkeypatch.setattr("modsim3d.campaign.engines.dask_engine.LOOK_S", 0.1)
+
+
 @pytest.fixture(scope="module")
 def shared(campaigns: Campaigns, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     """A scheduler with one worker, for tests that leave it alive."""

@@ -52,7 +52,7 @@ BUDGETS: dict[str, tuple[str, Content, str]] = {
     "packed lists": ("vessels", lambda: gzip.compress(b"[" + b"[]," * 10_000_000 + b"[]]"), "unpacks to more than 100"),
     "lists": ("vessels", lambda: b"[" + b"[]," * 1_000_000 + b"[]]", "(commas and brackets) in 3,000,004 characters"),
     "lists of poses": ("poses", lambda: b'{"0": [' + b"[]," * 2_000_000 + b"[]]}", "values (commas and brackets)"),
-    "packed blanks": ("poses", lambda: zeros(1 << 28), "unpacks to more than 100 times its own size"),
+    "packed blanks": ("poses", lambda: zeros(1 << 27), "unpacks to more than 100 times its own size"),
 }
 
 
@@ -70,7 +70,7 @@ def test_steps_times_vessels_have_a_budget(inputs: Inputs, refused: Refused, mon
 
 def test_a_packed_file_is_refused_after_a_few_megabytes(tmp_path: Path) -> None:
     path = tmp_path / "blank.gz"
-    path.write_bytes(zeros(1 << 28))
+    path.write_bytes(zeros(1 << 27))
     count = 0
     with pytest.raises(InputError, match="unpacks to more than 100 times"), open_input(path, "log") as file:
         while piece := file.read(budgets.PIECE_BYTES):
