@@ -74,8 +74,10 @@ class Map:
         place = {"loc": "outside right upper"} if is_high(birds_eye) else {"loc": "outside lower center", "ncols": 5}
         symbols = self.sheet.symbols
         self.figure.legend(handles=handles, handler_map=symbols, fontsize=8, frameon=False, **place)
+        layout = self.figure.get_layout_engine()
         for _ in range(2):  # the places of axes and legend are found from each other's
-            self.figure.draw_without_rendering()
+            layout.execute(self.figure)
+            axes.apply_aspect()
         self.figure.set_layout_engine("none")
 
     def show(self, step: int) -> None:
