@@ -28,7 +28,7 @@ def content(folder: Path) -> dict[str, bytes]:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("outputs")
-    run_scene(load_scene(crossing(folder, 40), source="analytic"), folder / "run")
+    run_scene(load_scene(crossing(folder, 20), source="analytic"), folder / "run")
     write_coco(labelled_run(folder / "run")[0], folder / "coco")
     (folder / "tracks.csv").write_text(TRACKS)
     return folder / "run"
