@@ -13,7 +13,7 @@ from modsim3d.runs.detect_run import detect_run
 from modsim3d.runs.files.replacing import remove_files
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.reading import load_scene
 from modsim3d.verify.sources import compare
 from tests.commands.bad_input.builders import Call, Inputs
 from tests.commands.bad_input.writers import scene_file
@@ -171,7 +171,7 @@ def test_killed_anywhere_while_files_are_put_in_place_it_becomes_the_new_run_or_
 ):
     """Killed before any of the renames of the end, and then either resumed or replaced by a third run."""
     scene = inputs.write()
-    run_scene(load_scene(data_folder("scenes") / "simulation_1.yaml", steps=2), tmp_path / "run")
+    run_scene(load_scene("strait", steps=2, source="analytic"), tmp_path / "run")  # other cameras, other files
     notes = write(tmp_path / "run", {"notes.txt": "mine"})
     real, left = Path.replace, [calls]
 
