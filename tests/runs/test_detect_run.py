@@ -113,12 +113,13 @@ def test_a_detector_that_does_not_know_the_labels_is_refused(first, tmp_path):
 
 
 def test_a_folder_that_is_taken_is_refused(first, tmp_path):
-    detect_run(open_run(first), tmp_path / "new", seed=1)
+    run = open_run(first)
+    detect_run(run, tmp_path / "new", seed=1)
     with pytest.raises(RunDirectoryError, match="--overwrite"):
-        detect_run(open_run(first), tmp_path / "new", seed=2)
-    detect_run(open_run(first), tmp_path / "new", seed=2, overwrite=True)
+        detect_run(run, tmp_path / "new", seed=2)
+    detect_run(run, tmp_path / "new", seed=2, overwrite=True)
     with pytest.raises(RunDirectoryError, match="choose another folder"):
-        detect_run(open_run(first), first, overwrite=True)
+        detect_run(run, first, overwrite=True)
 
 
 def test_truth_that_other_versions_made_is_named(first, tmp_path):

@@ -29,7 +29,7 @@ from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 
-BLOCK, STEPS = 150, 300  # two blocks
+BLOCK, STEPS = 75, 150  # two blocks
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -21,7 +21,7 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.truth.truth_record import COLUMNS
 from tests.scenes import write_scene
 
-BLOCK, STEPS = 250, 300  # two blocks
+BLOCK, STEPS = 100, 120  # two blocks
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -81,7 +81,7 @@ def test_a_step_in_two_row_groups_is_read_whole(finished, tmp_path, monkeypatch)
     folder = shutil.copytree(finished, tmp_path / "run")
     expected = {name: open_run(finished).table(name) for name in ("frames", "truth", "detections")}
     for name, table in expected.items():
-        pq.write_table(table, folder / f"{name}.parquet", row_group_size=101)  # cuts the rows of a frame apart
+        pq.write_table(table, folder / f"{name}.parquet", row_group_size=51)  # cuts the rows of a frame apart
     content = json.loads((folder / "run.json").read_text())
     del content["files"]
     (folder / "run.json").write_text(json.dumps(content))
