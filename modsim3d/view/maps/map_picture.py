@@ -75,6 +75,7 @@ class Map:
         symbols = self.sheet.symbols
         self.figure.legend(handles=handles, handler_map=symbols, fontsize=8, frameon=False, **place)
         layout = self.figure.get_layout_engine()
+        assert layout is not None
         for _ in range(2):  # the places of axes and legend are found from each other's
             layout.execute(self.figure)
             axes.apply_aspect()
