@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,15 @@ def crowd_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     run_scene(load_scene(str(write_scene(folder, boats, steps=8)), source="analytic"), folder / "run")
     return write_report(open_run(folder / "run"))
+
+
+def test_every_colour_of_texts_stands_out_from_every_surface() -> None:
+    found = dict(re.findall(r"--(\w+): light-dark\((.*?)\)", (PLAYER / "base.css").read_text(encoding="utf-8")))
+    light_and_dark = {name: pair.split(", ") for name, pair in found.items()}
+    for text in ("ink", "soft", "accent", "alarm"):
+        for surface in ("paper", "card", "track"):
+            for ink, behind in zip(light_and_dark[text], light_and_dark[surface], strict=True):
+                assert contrast(ink, behind) >= 4.5, (text, surface)
 
 
 def measured(browser: Browser, what: str) -> list[str]:
