@@ -49,7 +49,9 @@ def crowd_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_colour_of_texts_stands_out_from_every_surface() -> None:
     found = dict(re.findall(r"--(\w+): light-dark\((.*?)\)", (PLAYER / "base.css").read_text(encoding="utf-8")))
-    light_and_dark = {name: pair.split(", ") for name, pair in found.items()}
+    light_and_dark = {
+        name: [list(bytes.fromhex(each[1:])) for each in pair.split(", ")] for name, pair in found.items()
+    }
     for text in ("ink", "soft", "accent", "alarm"):
         for surface in ("paper", "card", "track"):
             for ink, behind in zip(light_and_dark[text], light_and_dark[surface], strict=True):
