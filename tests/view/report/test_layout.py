@@ -52,8 +52,6 @@ def test_every_colour_of_texts_stands_out_from_every_surface() -> None:
     light_and_dark = {
         name: [list(bytes.fromhex(each[1:])) for each in pair.split(", ")] for name, pair in found.items()
     }
-        name: [list(bytes.fromhex(each[1:])) for each in pair.split(", ")] for name, pair in found.items()
-    }
     for text in ("ink", "soft", "accent", "alarm"):
         for surface in ("paper", "card", "track"):
             for ink, behind in zip(light_and_dark[text], light_and_dark[surface], strict=True):
