@@ -18,8 +18,8 @@ WORDS = (
     "many both intervals overlap. A value that is said to be an upper bound need only be above that of full truth; "
     "in how many films it is said is given too.\n\n"
     "False positives differ by the vessels without a transponder: with transponders on all, they are those of full "
-    "truth. A film of half a minute hardly tells such vessels from false positives, since only things that last 30 s on "
-    "average are taken for vessels."
+    "truth. A film of half a minute hardly tells such vessels from false positives, since only things that last 30 s "
+    "on average are taken for vessels."
 )
 CAUSES = (
     "Box errors by AIS are smaller than by full truth, since boxes of partly hidden vessels [tell nothing of them]"

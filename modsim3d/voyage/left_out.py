@@ -43,7 +43,6 @@ class Reason(Enum):
     STALE = "stale, no report within {limit}"
     JUMP = "jumping"
     OFF = "off"
-    BEYOND = "before its first place or after its last"
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +72,14 @@ class Known:
 
     Attributes:
         reason: Reason → whether it holds, shape (n, V).
+        beyond: Whether a time is just before the first place of a vessel, or just after the last, shape (n, V).
         since_s: Time to the nearest report, or to the nearest pose of the scene, 0 where unknown, shape (n, V).
         guessed: Poses of the vessels that are off, straight between the last place before and the first after, and of
-            those that are just beyond their first or last one, straight on.
+            those just beyond their first or last one, straight on.
     """
 
     reason: Mapping[Reason, Mask]
+    beyond: Mask
     since_s: Array
     guessed: Poses
 
@@ -117,7 +118,8 @@ class Freshness:
         """How well they are known at ascending times within the scene, shape (n,)."""
         count, vessels = len(times_s), len(self._scene.vessels)
         reason = {each: np.zeros((count, vessels), dtype=bool) for each in Reason}
-        known = Known(reason, np.zeros((count, vessels)), Poses.absent(count, vessels))
+        beyond, since_s = np.zeros((count, vessels), dtype=bool), np.zeros((count, vessels))
+        known = Known(reason, beyond, since_s, Poses.absent(count, vessels))
         for column, name in enumerate(self._scene.vessel_names):
             steps = np.flatnonzero(self._poses.present[:, column])
             if len(steps):
@@ -139,7 +141,7 @@ class Freshness:
         way_m = places_m[after] - places_m[before]
         speed = np.linalg.norm(way_m, axis=1) / span
         way_m[~inside & (speed > MOST_KN * KNOT_M_S)] = 0
-        known.reason[Reason.OFF][:, column], known.reason[Reason.BEYOND][:, column] = off, beyond
+        known.reason[Reason.OFF][:, column], known.beyond[:, column] = off, beyond
         known.reason[Reason.JUMP][:, column] = there & (speed > MOST_KN * KNOT_M_S)
         known.since_s[:, column] = np.where(off | beyond, apart_s, 0.0)
         known.guessed.present[:, column] = off | beyond
@@ -198,6 +200,7 @@ def left_out(
     """
     rows, pieces, boxes = np.zeros(len(seen.frame), dtype=bool), [_NOTHING], [np.empty((0, 4))]
     counts = {each: np.zeros(len(scene.vessels), dtype=np.int64) for each in Reason}
+    beyond = np.zeros(len(scene.vessels), dtype=np.int64)
     length = max(1, _AT_ONCE // len(scene.vessels))
     for first in range(0, len(times_s), length):
         frames = np.arange(first, min(first + length, len(times_s)))
@@ -211,12 +214,13 @@ def left_out(
         look = CameraPoses(camera_poses.camera_R_world[frames], camera_poses.positions_m[frames])
         boxes.append(_grown(part.rows(rows[start:stop]), camera, look, known).boxes_px)
         away = _guessed_regions(scene, camera, look, known)
-        for each in (Reason.OFF, Reason.BEYOND):
-            ours = known.reason[each][away.frame, away.vessel]
-            counts[each] += np.bincount(away.vessel[ours], minlength=len(scene.vessels))
+        is_beyond = known.beyond[away.frame, away.vessel]
+        beyond += np.bincount(away.vessel[is_beyond], minlength=len(scene.vessels))
+        counts[Reason.OFF] += np.bincount(away.vessel[~is_beyond], minlength=len(scene.vessels))
         pieces.append(away.rows(slice(None), first))
     off = Regions(*(np.concatenate(columns) for columns in zip(*(vars(each).values() for each in pieces), strict=True)))
-    return LeftOut(rows, np.concatenate(boxes), off, tuple(_told(scene, counts, len(times_s), fresh.stale_s)))
+    told = (*_told(scene, counts, len(times_s), fresh.stale_s), *_told_beyond(beyond))
+    return LeftOut(rows, np.concatenate(boxes), off, told)
 
 
 _NOTHING = Regions(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty(0))
@@ -226,14 +230,15 @@ _AT_ONCE = 1_000_000
 
 def _told(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: float) -> Iterator[str]:
     limit = f"{stale_s:g} s" + (f" ({SLOW_STALE_S:g} s below {SLOW_KN:g} kn)" if stale_s < SLOW_STALE_S else "")
-    beyond = counts[Reason.BEYOND]
     for column, name in enumerate(scene.vessel_names):
         if parts := [
-            f"{each.value.format(limit=limit)} in {count[column]:,}"
-            for each, count in counts.items()
-            if count[column] and each is not Reason.BEYOND
+            f"{each.value.format(limit=limit)} in {count[column]:,}" for each, count in counts.items() if count[column]
         ]:
             yield f"vessel '{name}' is left out of frames: its AIS is {'; '.join(parts)} of {frames:,}"
+
+
+def _told_beyond(beyond: Indices) -> Iterator[str]:
+    """What becomes of vessels that come or go, given their numbers of boxes just beyond their tracks, shape (V,)."""
     if beyond.any():
         vessels = counted(int(np.count_nonzero(beyond)), "vessel is", "vessels are")
         yield (

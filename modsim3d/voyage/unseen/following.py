@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.voyage.unseen.jitter import STEADY, Jitter
+from modsim3d.voyage.unseen.jitter import Jitter
 
 MOST_HIDDEN_S = 30.0
 """The longest that a thing may be hidden."""
@@ -86,7 +86,7 @@ class _Thing:
         self.sides, self.known, self.last_s = sides, self.known | sure, now
 
 
-def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float, jitter: Jitter = STEADY) -> Indices:
+def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float, jitter: Jitter) -> Indices:
     """Number the detections of one sequence by what they are of, from 0 up, shape (n,).
 
     Args:
