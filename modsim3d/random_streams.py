@@ -10,11 +10,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.random import Generator, Philox, SeedSequence
 from numpy.typing import NDArray
+from scipy import special
 
 from modsim3d import philox
 from modsim3d.arrays import Array, Indices, occurring
 from modsim3d.philox import NUMBERS_PER_BLOCK
-from modsim3d.special_functions import special
 
 _UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps differently and would overlap
 # Below so many streams, and with so many rows for each, NumPy's own generator of one stream after the other is faster.

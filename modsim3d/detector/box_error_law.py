@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal, Protocol
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Mask, read_only
 from modsim3d.random_streams import on_grid
-from modsim3d.special_functions import special
 
 ERROR_NORMALS = 4
 """Standard normal numbers that every box error is made from: one for each component."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array
-from modsim3d.special_functions import special
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _REACH = 9.0  # standard deviations that the integrals go to

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import clip, sizes
@@ -25,7 +26,6 @@ from modsim3d.detector.placement import DRAWS, Placement
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Purpose, Streams, grid_normals, on_grid
-from modsim3d.special_functions import special
 
 _LN_2 = math.log(2)
 

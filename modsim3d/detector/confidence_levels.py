@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array
 from modsim3d.detector.confidence import NormalScores, QuantileScores
-from modsim3d.special_functions import special
 
 Levels = tuple[Array, Array]
 """Probability of a smaller confidence, and of one that is not larger, shapes (n,)."""

@@ -9,9 +9,9 @@ numbers may be too large by a factor, which is left free.
 from __future__ import annotations
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array
-from modsim3d.special_functions import special
 
 _LEAST_CHANCE, _NEAR = 1e-300, 1e-4
 

@@ -13,12 +13,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.box_error_law import ERROR_NORMALS
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.random_streams import Purpose, Streams, grid_normals, on_grid
-from modsim3d.special_functions import special
 
 _LN_2 = math.log(2)
 _MOST_COUNTED = 16

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import sizes
 from modsim3d.detector.draws import log2
 from modsim3d.detector.records import Targets
-from modsim3d.special_functions import special
 
 MOST_LOG_ODDS = 30.0
 """Beyond this a rate differs from 0 or 1 by less than 1e-13."""

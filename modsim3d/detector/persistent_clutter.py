@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.draws import poisson_quantile
 from modsim3d.detector.records import CameraFrames
 from modsim3d.random_streams import Purpose, Streams
-from modsim3d.special_functions import special
 
 _LOOK_BACK = 38
 """Lifetimes that the oldest can have lived: −ln of the least positive uniform number, 2⁻⁵³, is below 37."""

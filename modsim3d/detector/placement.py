@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.detector.draws import choose, cumulative
 from modsim3d.random_streams import on_grid
-from modsim3d.special_functions import special
 
 _NEXT = np.array([1, 2, 3, 0])
 """The corner after each of four: `np.roll` takes ten times as long for one image."""

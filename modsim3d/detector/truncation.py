@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices, Mask, read_only
 from modsim3d.boxes import at_least_a_pixel, sizes
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.box_error_law import ERROR_NORMALS, ErrorDistribution, Normal
 from modsim3d.detector.sobol import sobol_points
-from modsim3d.special_functions import special
 
 POINTS = 128
 """Points of Sobol's sequence for each box, shifted for each box by an amount of its own (Cranley & Patterson, 1976),

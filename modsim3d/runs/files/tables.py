@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, Detections
@@ -66,8 +66,8 @@ def truth_table(block: Block, scene: Scene) -> pa.Table:
                 **_box_columns("visible", truth.visible_boxes_px),
                 **{name: numbers(getattr(truth, name)) for name in TRUTH_NUMBERS},
                 "occluded_by": _occluders(part, scene),
-                "annotated": flags(truth.annotated),
-                "detected": flags(part.detected),
+                "annotated": pa.array(truth.annotated),
+                "detected": pa.array(part.detected),
             }
         )
     return _in_order(TRUTH, tables)
@@ -114,32 +114,12 @@ def _keys(block: Block, part: CameraBlock, scene: Scene, step: Indices) -> dict[
 
 def named(names: Sequence[str], indices: Indices) -> pa.Array:
     """Names by index; null where the index is negative."""
-    return pa.array(list(names), pa.string()).take(_column(indices, indices >= 0))
+    return pa.array(list(names), pa.string()).take(pa.array(indices, mask=indices < 0))
 
 
 def numbers(values: NDArray[np.number[Any]]) -> pa.Array:
     """Numbers of shape (n,) with null for NaN."""
-    return _column(values, ~np.isnan(values) if values.dtype.kind == "f" else None)
-
-
-def flags(values: Mask) -> pa.Array:
-    """Flags of shape (n,)."""
-    return pa.Array.from_buffers(pa.bool_(), len(values), [None, _bits(values)])
-
-
-def _column(values: NDArray[np.number[Any]], there: Mask | None) -> pa.Array:
-    """Numbers, and which of them are not null, all if None.
-
-    `pa.array` gives the same, but imports NumPy's masked arrays to ask whether it was given one, which takes as long as
-    a hundred frames.
-    """
-    validity = None if there is None or there.all() else _bits(there)
-    content = pa.py_buffer(np.ascontiguousarray(values))
-    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [validity, content])
-
-
-def _bits(flags: Mask) -> pa.Buffer:
-    return pa.py_buffer(np.packbits(flags, bitorder="little"))
+    return pa.array(values, from_pandas=True)
 
 
 def _by_name(names: Sequence[str], values: Array) -> dict[str, pa.Array]:
