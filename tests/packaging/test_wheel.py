@@ -23,8 +23,6 @@ PLUGINS_PAGE = REPOSITORY / "docs" / "plugins.md"
 
 
 FOREIGN = ("PYTHONPATH", "VIRTUAL_ENV")
-LISTED = ("git", "-c", "safe.directory=*", "ls-files")
-"""Lists files under version control, whoever owns the checkout."""
 
 
 def run(*command: str | Path, cwd: Path) -> str:
@@ -64,6 +62,12 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return environment / "bin"
 
 
+def files_in(folder: str) -> set[str]:
+    """Files of the repository by their paths in it, but for what Python leaves there; an unpacked archive has no git."""
+    files = (path for path in (REPOSITORY / folder).rglob("*") if path.is_file() and path.name != ".gitkeep")
+    return {path.relative_to(REPOSITORY).as_posix() for path in files if "__pycache__" not in path.parts}
+
+
 def files_of(wheel: Path) -> set[str]:
     with zipfile.ZipFile(wheel) as archive:
         return set(archive.namelist())
@@ -71,16 +75,15 @@ def files_of(wheel: Path) -> set[str]:
 
 @pytest.mark.parametrize("kind", ["scenes", "meshes"])
 def test_wheel_carries_every_file_of(wheel: Path, kind: str) -> None:
-    tracked = run(*LISTED, kind, cwd=REPOSITORY).split()
-    shipped = [name for name in tracked if not name.endswith(".gitkeep")]
+    shipped = files_in(kind)
     assert shipped
     assert {f"modsim3d/_data/{name}" for name in shipped} <= files_of(wheel)
 
 
 def test_wheel_carries_every_part_of_the_page_of_a_run(wheel: Path) -> None:
-    parts = run(*LISTED, "modsim3d/view/report", cwd=REPOSITORY).split()
+    parts = files_in("modsim3d/view/report")
     assert {Path(path).suffix for path in parts} == {".py", ".html", ".css", ".js"}
-    assert set(parts) <= files_of(wheel)
+    assert parts <= files_of(wheel)
 
 
 def test_wheel_says_that_it_is_typed(wheel: Path) -> None:

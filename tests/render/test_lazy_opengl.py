@@ -10,7 +10,7 @@ from modsim3d.scene.reading import load_scene
 scene = load_scene("simulation_1", steps=3)
 with open_renderer(scene) as renderer:
     truth = truth_block(scene, 0, 3, renderer)
-    assert "OpenGL 4.5" in renderer.context.description
+    assert "OpenGL 4." in renderer.context.description
 print(len(truth) > 0, "OpenGL.GL" in sys.modules)
 next(simulate_blocks(scene, 1))
 print("OpenGL.GL" in sys.modules)

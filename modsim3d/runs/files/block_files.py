@@ -110,8 +110,8 @@ def truth_kept(folder: Path, truth: Truth, first: int, stop: int) -> Iterator[No
     """
     path, packed = kept_truth_path(folder, first, stop), io.BytesIO()
     np.savez(packed, **{name: getattr(truth, name) for name in COLUMNS})
-    with ThreadPoolExecutor(1) as thread:
-        kept = thread.submit(_keep, path, packed.getbuffer())
+    with packed.getbuffer() as content, ThreadPoolExecutor(1) as thread:
+        kept = thread.submit(_keep, path, content)
         yield
         kept.result()
 

@@ -26,7 +26,7 @@ class Timetable:
     @property
     def duration_s(self) -> float:
         """Length of the film in seconds."""
-        return float(self.repeats.sum() / self.rate)
+        return float(int(self.repeats.sum()) / self.rate)
 
     @classmethod
     def of(cls, durations_s: Array, speed: float, most_rate: int) -> Timetable:
