@@ -39,7 +39,7 @@ def test_the_page_runs_from_top_to_bottom(tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
     done = subprocess.run(
-        [sys.executable, "-W", "error", script], cwd=empty, capture_output=True, text=True, check=False
+        [sys.executable, "-W", "error:::__main__", script], cwd=empty, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     learned = {"learned.yaml", "learned.html", "learned.uncertainty.json"}
