@@ -57,7 +57,7 @@ MENU = {
     "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],
 }
 CAMPAIGNS = [
-    *("compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "search", "sequences"),
+    *("compare", "fresh", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "search", "sequences"),
     *("tracker_scores", "traffic", "verify_changes", "verify_seeds", "voyages"),
 ]
 
