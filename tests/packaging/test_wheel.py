@@ -63,7 +63,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def files_in(folder: str) -> set[str]:
-    """Files of the repository by their paths in it, but for what Python leaves there; an unpacked archive has no git."""
+    """Paths of the files in a folder of the repository, without what Python leaves there."""
     files = (path for path in (REPOSITORY / folder).rglob("*") if path.is_file() and path.name != ".gitkeep")
     return {path.relative_to(REPOSITORY).as_posix() for path in files if "__pycache__" not in path.parts}
 
