@@ -209,7 +209,7 @@ class Stored:
     def submit(self, task: Task) -> None:
         self._waiting.append(task)
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport]:
         started, task = time.process_time(), self._waiting.popleft()
         numbers = [run.number for run in task.runs]
         rows = self._other(self._rows.take([number % len(self._rows) for number in numbers]))

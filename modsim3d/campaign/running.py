@@ -1,4 +1,4 @@
-"""Runs a campaign: hands tasks to an engine, splits those that end their worker, and stops when all is decided."""
+"""Runs a campaign: hands tasks to an engine, splits those whose worker died, and stops when all is decided."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from modsim3d.campaign.cutting import Cutter, same_truth
+from modsim3d.campaign.engines.death import Death
 from modsim3d.campaign.engines.interface import Engine
+from modsim3d.campaign.results.deaths import note_kill
 from modsim3d.campaign.results.done_rows import DoneRows
 from modsim3d.campaign.results.folder import LOG, RESULTS, CampaignFolder, locked_campaign, planned
 from modsim3d.campaign.results.gather import remove_done, results_table, write_results, write_verdicts
 from modsim3d.campaign.verdicts.judging import judged
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import CheckedCampaign
-from modsim3d.campaign.work.task import DONE_FOLDER, Task, TaskReport, store_crashed, with_cache
+from modsim3d.campaign.work.task import DONE_FOLDER, Task, TaskReport, store_crashed, stored_report, with_cache
 from modsim3d.errors import ModsimError, OutputError
 
 T = TypeVar("T")
 
 DEATHS = 2
-"""A run that ends its worker so often is given up."""
+"""A run whose worker is killed so often while it does nothing else is given up."""
 AHEAD = 2
 """Tasks that are handed in for each worker, so that none waits."""
 READ_AGAIN_S = (0.1, 0.5, 2.0, 10.0, 30.0)
@@ -147,6 +149,24 @@ def read_back(task: Task, read: Callable[[], T | None]) -> T:
     )
 
 
+def crash_of(folder: CampaignFolder, task: Task, death: Death, deaths: Counter[int]) -> str | None:
+    """What a run has crashed with whose worker died; None if it is to be tried again.
+
+    Args:
+        folder: The campaign, whose log says that a worker was killed.
+        task: The task of the worker.
+        death: How it died.
+        deaths: How often runs were killed that were alone in their task.
+    """
+    if death.error is not None:
+        return death.error
+    note_kill(folder, death, [run.number for run in task.runs])
+    if len(task.runs) > 1:
+        return None
+    deaths[task.runs[0].number] += 1
+    return DIED if deaths[task.runs[0].number] >= DEATHS else None
+
+
 def _check_cache(cache: Path | None, folder: Path) -> None:
     """Refuse layers among the rows and results of the campaign.
 
@@ -265,13 +285,13 @@ class _Campaign:
                 tasks, state.running = tasks + 1, state.running + len(task.runs)
             task, report = engine.next()
             tasks, state.running = tasks - 1, state.running - len(task.runs)
-            if report is None:
-                report = self._died(task, split)
-            if report is not None:
+            if isinstance(report, Death):
+                self._died(task, report, split)
+            else:
                 cutter.learn(report)
                 self._take(task, report)
-                if (end := self._look()) is not None:
-                    return end
+            if (end := self._look()) is not None:
+                return end
             if not tasks and not split and not cutter.waiting and ahead == len(self._todo):
                 return len(self._plan)
             left_s = cutter.seconds(state.total - len(state.done))
@@ -291,19 +311,27 @@ class _Campaign:
                 self._state.done.add(run.number)
                 self._missing[run.number // self._batch] -= 1
 
-    def _died(self, task: Task, split: list[Task]) -> TaskReport | None:
-        """A task ended its worker: try its halves, and give up a run that does so alone."""
-        if len(task.runs) > 1:
-            half = len(task.runs) // 2
-            split += [replace(task, runs=task.runs[half:]), replace(task, runs=task.runs[:half])]
-            return None
-        number = task.runs[0].number
-        self._state.deaths[number] += 1
-        if self._state.deaths[number] < DEATHS:
-            split.append(task)
-            return None
-        store_crashed(task, DIED)
-        return TaskReport(1, 1, 0.0, 0.0, "", 0)
+    def _died(self, task: Task, death: Death, split: list[Task]) -> None:
+        """Go on after the death of a worker: the run that it had begun by itself, the others of its task together."""
+        if (report := stored_report(task.path)) is not None:
+            self._take(task, report)
+            return
+        runs, numbers = task.runs, [run.number for run in task.runs]
+        place = numbers.index(death.run) if death.run in numbers else None
+        if place is None and len(runs) > 1:
+            note_kill(self._folder, death, numbers)
+            half = len(runs) // 2
+            split += [replace(task, runs=runs[half:]), replace(task, runs=runs[:half])]
+            return
+        place = place or 0
+        alone = replace(task, runs=runs[place : place + 1])
+        split += [replace(task, runs=part) for part in (runs[place + 1 :], runs[:place]) if part]
+        error = crash_of(self._folder, task, death, self._state.deaths)
+        if error is None:
+            split.append(alone)
+        else:
+            store_crashed(alone, error)
+            self._take(alone, TaskReport(1, 1, 0.0, 0.0, "", 0))
 
     def log(self, seconds: float) -> None:
         """Write what the campaign cost into its log; times and hosts are named nowhere else."""

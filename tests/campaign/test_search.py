@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
+from modsim3d.campaign.engines.death import LOST, Death
 from modsim3d.campaign.engines.interface import Engine, ThisProcess
 from modsim3d.campaign.file.reading import read_campaign
 from modsim3d.campaign.results.folder import opened_campaign
@@ -56,7 +57,7 @@ class Backwards(ThisProcess):
 
     width = 2
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport | Death]:
         self._waiting.reverse()
         found = super().next()
         self._waiting.reverse()
@@ -68,7 +69,7 @@ class Interrupted(ThisProcess):
 
     done = 0
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport | Death]:
         if self.done == 6:
             raise KeyboardInterrupt
         self.done += 1
@@ -78,9 +79,9 @@ class Interrupted(ThisProcess):
 class Deadly(ThisProcess):
     """Loses its worker over one trial."""
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport | Death]:
         if self._waiting[0].runs[0].number == 3:
-            return self._waiting.pop(0), None
+            return self._waiting.pop(0), LOST
         return super().next()
 
 

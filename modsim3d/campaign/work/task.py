@@ -8,7 +8,7 @@ import platform
 import resource
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -125,8 +125,12 @@ class Worker:
             self._layers[1].close()
             self._layers = None
 
-    def do(self, task: Task) -> TaskReport:
+    def do(self, task: Task, begin: Callable[[int], None] = lambda number: None) -> TaskReport:
         """Do a task, unless its file is there, and write its file.
+
+        Args:
+            task: The task.
+            begin: Called with the number of each run before it is made.
 
         Raises:
             OutputError: The file cannot be written.
@@ -135,7 +139,7 @@ class Worker:
         if (report := stored_report(task.path)) is not None:
             return report
         started, cpu = time.perf_counter(), _cpu_s()
-        rows = [self._row(run, task.work) for run in task.runs]
+        rows = [self._row(run, task.work, begin) for run in task.runs]
         if problems := changed_files(task.work.files, Path(task.work.base)):
             raise ModsimError(f"{'; '.join(problems)}: put it back to go on, or choose another folder")
         crashed = sum(row["status"] == CRASHED for row in rows)
@@ -145,12 +149,13 @@ class Worker:
         store(task.path, table_of(rows), report)
         return report
 
-    def _row(self, run: PlannedRun, work: Work) -> dict[str, object]:
+    def _row(self, run: PlannedRun, work: Work, begin: Callable[[int], None]) -> dict[str, object]:
         """The row of a run; one that fails, for whatever reason, has a row too.
 
         Raises:
             OutputError: A layer that is kept cannot be written.
         """
+        begin(run.number)
         try:
             return row_of(run.number, self._layers_of(work).made(run), rules_of(work.keys.score))
         except OutputError:  # the disk is full: that says nothing about the run
