@@ -17,7 +17,8 @@ from modsim3d.campaign.engines.death import Death
 from modsim3d.campaign.engines.interface import Engine
 from modsim3d.campaign.results.deaths import note_kill
 from modsim3d.campaign.results.done_rows import DoneRows
-from modsim3d.campaign.results.folder import LOG, RESULTS, CampaignFolder, locked_campaign, planned
+from modsim3d.campaign.results.ended import RESULTS, check_ended
+from modsim3d.campaign.results.folder import LOG, VERDICTS, CampaignFolder, locked_campaign, planned
 from modsim3d.campaign.results.gather import remove_done, results_table, write_results, write_verdicts
 from modsim3d.campaign.verdicts.judging import judged
 from modsim3d.campaign.verdicts.verdict import Verdict
@@ -121,8 +122,10 @@ def run_plan(
         if not here.finished:
             started = time.perf_counter()
             running = _Campaign(campaign, here, None, cache, progress)
-            write_results(here, running.rows(running.make(engine)))
+            rows = running.rows(running.make(engine))
+            write_results(here, rows, judged(here.plan, rows))
             running.log(time.perf_counter() - started)
+        check_ended(folder, later=(VERDICTS,))
         remove_done(here)
         table = results_table(here)
         verdicts = judged(here.plan, table)
@@ -150,13 +153,9 @@ def read_back(task: Task, read: Callable[[], T | None]) -> T:
 
 
 def crash_of(folder: CampaignFolder, task: Task, death: Death, deaths: Counter[int]) -> str | None:
-    """What a run has crashed with whose worker died; None if it is to be tried again.
+    """What a run has crashed with whose worker died in a task; None if it is to be tried again.
 
-    Args:
-        folder: The campaign, whose log says that a worker was killed.
-        task: The task of the worker.
-        death: How it died.
-        deaths: How often runs were killed that were alone in their task.
+    The log of the campaign says that a worker was killed; `deaths` counts it for a run that was alone in its task.
     """
     if death.error is not None:
         return death.error
@@ -316,22 +315,16 @@ class _Campaign:
         if (report := stored_report(task.path)) is not None:
             self._take(task, report)
             return
-        runs, numbers = task.runs, [run.number for run in task.runs]
-        place = numbers.index(death.run) if death.run in numbers else None
-        if place is None and len(runs) > 1:
-            note_kill(self._folder, death, numbers)
-            half = len(runs) // 2
-            split += [replace(task, runs=runs[half:]), replace(task, runs=runs[:half])]
-            return
-        place = place or 0
-        alone = replace(task, runs=runs[place : place + 1])
-        split += [replace(task, runs=part) for part in (runs[place + 1 :], runs[:place]) if part]
-        error = crash_of(self._folder, task, death, self._state.deaths)
-        if error is None:
-            split.append(alone)
-        else:
+        runs, known = task.runs, [run.number for run in task.runs].index(death.run) if death.run is not None else None
+        begin = len(runs) // 2 if known is None else known
+        end = begin + (known is not None or len(runs) == 1)
+        alone, others = replace(task, runs=runs[begin:end]), [runs[end:], runs[:begin]]
+        split += [replace(task, runs=part) for part in others if part]
+        if (error := crash_of(self._folder, task, death, self._state.deaths)) is not None:
             store_crashed(alone, error)
             self._take(alone, TaskReport(1, 1, 0.0, 0.0, "", 0))
+        elif alone.runs:
+            split.append(alone)
 
     def log(self, seconds: float) -> None:
         """Write what the campaign cost into its log; times and hosts are named nowhere else."""

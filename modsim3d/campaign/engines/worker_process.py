@@ -26,14 +26,10 @@ _END_S = 10.0
 
 
 class ProcessDiedError(Exception):
-    """The process of a worker ended while it did a task.
-
-    Attributes:
-        death: How it ended.
-    """
+    """The process of a worker ended while it did a task."""
 
     def __init__(self, death: Death) -> None:
-        """Take how it ended."""
+        """Take how it ended, `death`."""
         super().__init__(death)
         self.death = death
 

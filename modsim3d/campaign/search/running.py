@@ -16,6 +16,7 @@ import pyarrow as pa
 from modsim3d.campaign.engines.death import Death
 from modsim3d.campaign.engines.interface import Engine
 from modsim3d.campaign.plan.plan import PlannedRun
+from modsim3d.campaign.results.ended import check_ended
 from modsim3d.campaign.results.folder import LOG, CampaignFolder, locked_campaign, planned
 from modsim3d.campaign.results.gather import remove_done
 from modsim3d.campaign.running import Progress, crash_of, read_back
@@ -93,6 +94,7 @@ def run_search(
                 _make_all(trials, here)
             write_trials(here, trials_table(trials.runs, trials.rows, search))
             _log(here, search.budget, time.perf_counter() - started)
+        check_ended(folder)
         remove_done(here)
         return SearchResult(here, search_table(here))
 
