@@ -139,7 +139,9 @@ def task_cost(file: Path, runs: int, tasks: int, workers: int = 2) -> TaskCost:
     from distributed import Client
 
     campaign = checked(read_campaign(file))
-    work = Work(campaign.file.keys, str(campaign.file.base), "/campaign", campaign.sha256, files=campaign.files)
+    work = Work(
+        campaign.file.keys, str(campaign.file.base), "/campaign", campaign.sha256, files=campaign.content["files"]
+    )
     carried = pickle.dumps(Task(work, tuple(campaign.plan.runs(range(min(runs, len(campaign.plan)))))))
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="modsim3d-dask-"))
@@ -209,7 +211,7 @@ class Stored:
     def submit(self, task: Task) -> None:
         self._waiting.append(task)
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport]:
         started, task = time.process_time(), self._waiting.popleft()
         numbers = [run.number for run in task.runs]
         rows = self._other(self._rows.take([number % len(self._rows) for number in numbers]))

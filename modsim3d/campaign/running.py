@@ -1,4 +1,4 @@
-"""Runs a campaign: hands tasks to an engine, splits those that end their worker, and stops when all is decided."""
+"""Runs a campaign: hands tasks to an engine, splits those whose worker died, and stops when all is decided."""
 
 from __future__ import annotations
 
@@ -13,20 +13,23 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from modsim3d.campaign.cutting import Cutter, same_truth
+from modsim3d.campaign.engines.death import Death
 from modsim3d.campaign.engines.interface import Engine
+from modsim3d.campaign.results.deaths import note_kill
 from modsim3d.campaign.results.done_rows import DoneRows
-from modsim3d.campaign.results.folder import LOG, RESULTS, CampaignFolder, locked_campaign, planned
+from modsim3d.campaign.results.ended import RESULTS, check_ended
+from modsim3d.campaign.results.folder import LOG, VERDICTS, CampaignFolder, locked_campaign, planned
 from modsim3d.campaign.results.gather import remove_done, results_table, write_results, write_verdicts
 from modsim3d.campaign.verdicts.judging import judged
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import CheckedCampaign
-from modsim3d.campaign.work.task import DONE_FOLDER, Task, TaskReport, store_crashed, with_cache
+from modsim3d.campaign.work.task import DONE_FOLDER, Task, TaskReport, store_crashed, stored_report, with_cache
 from modsim3d.errors import ModsimError, OutputError
 
 T = TypeVar("T")
 
 DEATHS = 2
-"""A run that ends its worker so often is given up."""
+"""A run whose worker is killed so often while it does nothing else is given up."""
 AHEAD = 2
 """Tasks that are handed in for each worker, so that none waits."""
 READ_AGAIN_S = (0.1, 0.5, 2.0, 10.0, 30.0)
@@ -119,8 +122,10 @@ def run_plan(
         if not here.finished:
             started = time.perf_counter()
             running = _Campaign(campaign, here, None, cache, progress)
-            write_results(here, running.rows(running.make(engine)))
+            rows = running.rows(running.make(engine))
+            write_results(here, rows, judged(here.plan, rows))
             running.log(time.perf_counter() - started)
+        check_ended(folder, later=(VERDICTS,))
         remove_done(here)
         table = results_table(here)
         verdicts = judged(here.plan, table)
@@ -145,6 +150,20 @@ def read_back(task: Task, read: Callable[[], T | None]) -> T:
     raise OutputError(
         f"{task.path} was written, and cannot be read here: all workers need the folder of the campaign itself"
     )
+
+
+def crash_of(folder: CampaignFolder, task: Task, death: Death, deaths: Counter[int]) -> str | None:
+    """What a run has crashed with whose worker died in a task; None if it is to be tried again.
+
+    The log of the campaign says that a worker was killed; `deaths` counts it for a run that was alone in its task.
+    """
+    if death.error is not None:
+        return death.error
+    note_kill(folder, death, [run.number for run in task.runs])
+    if len(task.runs) > 1:
+        return None
+    deaths[task.runs[0].number] += 1
+    return DIED if deaths[task.runs[0].number] >= DEATHS else None
 
 
 def _check_cache(cache: Path | None, folder: Path) -> None:
@@ -265,13 +284,13 @@ class _Campaign:
                 tasks, state.running = tasks + 1, state.running + len(task.runs)
             task, report = engine.next()
             tasks, state.running = tasks - 1, state.running - len(task.runs)
-            if report is None:
-                report = self._died(task, split)
-            if report is not None:
+            if isinstance(report, Death):
+                self._died(task, report, split)
+            else:
                 cutter.learn(report)
                 self._take(task, report)
-                if (end := self._look()) is not None:
-                    return end
+            if (end := self._look()) is not None:
+                return end
             if not tasks and not split and not cutter.waiting and ahead == len(self._todo):
                 return len(self._plan)
             left_s = cutter.seconds(state.total - len(state.done))
@@ -291,19 +310,21 @@ class _Campaign:
                 self._state.done.add(run.number)
                 self._missing[run.number // self._batch] -= 1
 
-    def _died(self, task: Task, split: list[Task]) -> TaskReport | None:
-        """A task ended its worker: try its halves, and give up a run that does so alone."""
-        if len(task.runs) > 1:
-            half = len(task.runs) // 2
-            split += [replace(task, runs=task.runs[half:]), replace(task, runs=task.runs[:half])]
-            return None
-        number = task.runs[0].number
-        self._state.deaths[number] += 1
-        if self._state.deaths[number] < DEATHS:
-            split.append(task)
-            return None
-        store_crashed(task, DIED)
-        return TaskReport(1, 1, 0.0, 0.0, "", 0)
+    def _died(self, task: Task, death: Death, split: list[Task]) -> None:
+        """Go on after the death of a worker: the run that it had begun by itself, the others of its task together."""
+        if (report := stored_report(task.path)) is not None:
+            self._take(task, report)
+            return
+        runs, known = task.runs, [run.number for run in task.runs].index(death.run) if death.run is not None else None
+        begin = len(runs) // 2 if known is None else known
+        end = begin + (known is not None or len(runs) == 1)
+        alone, others = replace(task, runs=runs[begin:end]), [runs[end:], runs[:begin]]
+        split += [replace(task, runs=part) for part in others if part]
+        if (error := crash_of(self._folder, task, death, self._state.deaths)) is not None:
+            store_crashed(alone, error)
+            self._take(alone, TaskReport(1, 1, 0.0, 0.0, "", 0))
+        elif alone.runs:
+            split.append(alone)
 
     def log(self, seconds: float) -> None:
         """Write what the campaign cost into its log; times and hosts are named nowhere else."""

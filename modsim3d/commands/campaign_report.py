@@ -29,14 +29,14 @@ def campaign_report_command(
     Example: modsim3d campaign-report runs/example
     """
     from modsim3d.campaign.report.campaign_page import REPORT_FILE
-    from modsim3d.campaign.report.rests_on import files_read
     from modsim3d.campaign.report.writing import write_page
+    from modsim3d.campaign.results.files import files_of_campaign
     from modsim3d.campaign.results.folder import opened_campaign
     from modsim3d.outputs.claims import claimed
 
     with timed("opening the campaign"):
         opened = opened_campaign(campaign)
-    path, read = out_file(out, campaign / REPORT_FILE), files_read(opened)
+    path, read = out_file(out, campaign / REPORT_FILE), files_of_campaign(opened)
     tell_files(read)
     with timed("page"), claimed([path], overwrite=overwrite, inputs=read), progress("worst runs", None) as advance:
         lead = write_page(opened, path, advance, typed_command(context))

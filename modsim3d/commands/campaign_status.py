@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from modsim3d.commands.shared import CampaignArgument, JsonOption, QuietOption, VerboseOption, print_line
+from modsim3d.commands.tables import print_prose
 from modsim3d.commands.terminal import open_console, say_json, timed
 
 if TYPE_CHECKING:
     from modsim3d.campaign.present import Present
+    from modsim3d.campaign.results.folder import CampaignFolder
 
 
 def campaign_status_command(
@@ -29,7 +30,7 @@ def campaign_status_command(
     with timed("reading the rows"):
         opened = opened_campaign(campaign)
         found = present_state(opened)
-    _print_state(campaign, found, opened.keys.stop == "once")
+    _print_state(opened, found, opened.keys.stop == "once")
     say_json(
         {
             "format": 1,
@@ -47,7 +48,8 @@ def campaign_status_command(
     )
 
 
-def _print_state(folder: Path, found: Present, once: bool) -> None:
+def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
+    from modsim3d.campaign.results.deaths import killed_sentence
     from modsim3d.commands.campaign_progress import present_text
     from modsim3d.commands.campaign_text import MOST_ROWS, print_crashed, print_verdicts
 
@@ -62,7 +64,9 @@ def _print_state(folder: Path, found: Present, once: bool) -> None:
         print_line(console, "requirements so far" if once else "requirements at the last look", "bold")
         for verdict in found.verdicts[:MOST_ROWS]:
             print_line(console, f"  {present_text(verdict, once)}")
-    print_crashed(console, found.table, folder)
+    print_crashed(console, found.table, opened.path)
+    if killed := killed_sentence(opened):
+        print_prose(console, killed)
 
 
 def _how(found: Present) -> list[str]:

@@ -18,7 +18,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import FinishedRun
 from modsim3d.scene.scene import Scene
 
-VERSION_KEYS = ("versions", "truth_versions", "plugins", "backend")
+VERSION_KEYS = ("versions", "truth_versions", "plugins", "plugins_sha256", "backend")
 """What `run.json` says of the programs that made a run."""
 _NOT_REPEATED = frozenset({*VERSION_KEYS, "files"})
 _OF_LIVE_RUNS = frozenset({"scene_sha256", "poses_sha256"})  # the copy of a live scene reads its poses from a file
@@ -149,8 +149,7 @@ def _found(folder: Path, name: str) -> Any:
 
 def _versions(then: dict[str, Any], now: dict[str, Any]) -> list[VersionDifference]:
     """Programs that are not the same."""
-    before = _flat_versions({**then.get("versions", {}), **then.get("plugins", {}), "renderer": then.get("backend")})
-    today = _flat_versions({**now["versions"], **now["plugins"], "renderer": now["backend"]})
+    before, today = _programs(then), _programs(now)
     truth = {f"{name} (truth)": version for name, version in then.get("truth_versions", {}).items()}
     today |= {name: today.get(name.removesuffix(" (truth)")) for name in truth}
     before |= truth
@@ -158,5 +157,8 @@ def _versions(then: dict[str, Any], now: dict[str, Any]) -> list[VersionDifferen
     return [VersionDifference(name, before.get(name), today.get(name)) for name in names]
 
 
-def _flat_versions(versions: dict[str, Any]) -> dict[str, str | None]:
+def _programs(settings: dict[str, Any]) -> dict[str, str | None]:
+    files = {f"{name} (files)": sha256 for name, sha256 in settings.get("plugins_sha256", {}).items()}
+    versions = {**settings.get("versions", {}), **settings.get("plugins", {}), **files}
+    versions["renderer"] = settings.get("backend")
     return {name: None if version is None else str(version) for name, version in versions.items()}

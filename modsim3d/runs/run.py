@@ -271,7 +271,8 @@ def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
         "annotation": asdict(scene.annotation),
         "cameras": [camera.name for camera in scene.cameras],
         "backend": backend,
-        "plugins": {f"{plugin.group}:{plugin.name}": plugin.package for plugin in scene.plugins},
+        "plugins": {plugin.key: plugin.package for plugin in scene.plugins},
+        **({"plugins_sha256": {plugin.key: plugin.sha256 for plugin in scene.plugins}} if scene.plugins else {}),
         "versions": dict(_versions()),
     }
 

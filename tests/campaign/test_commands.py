@@ -170,7 +170,7 @@ def test_results_without_a_file_are_told_as_damaged(
     (out / "results").mkdir()
     for line in (("campaign", file, "--out", out), ("campaign-status", out), ("campaign-table", out)):
         said = modsim3d(*line)
-        assert said.status == 2 and "results is damaged: it holds no results" in said.err
+        assert said.status == 2 and "_files.json cannot be read, or a file" in said.err
 
 
 def test_commands_that_are_printed_can_be_pasted(

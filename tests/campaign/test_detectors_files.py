@@ -41,10 +41,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_paths_are_relative_to_the_campaign_file(folder: Path) -> None:
     campaign = checked_campaign(folder, **KEYS)
-    assert list(campaign.files) == ["mine.yaml", "scenes/quay.yaml"]
+    assert list(campaign.content["files"]) == ["mine.yaml", "scenes/quay.yaml"]
     assert [facts.states for facts in campaign.facts] == [("real_world",), ("real_world",)]
     own = checked_campaign(folder, **{**KEYS, "vary": []})
-    assert list(own.files) == ["scenes/detectors/thesis.yaml", "scenes/quay.yaml"]
+    assert list(own.content["files"]) == ["scenes/detectors/thesis.yaml", "scenes/quay.yaml"]
 
 
 @pytest.mark.parametrize(

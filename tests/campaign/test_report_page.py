@@ -12,12 +12,12 @@ from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.report.campaign_page import campaign_page
 from modsim3d.campaign.report.compared import mean_sections
 from modsim3d.campaign.report.requirements import requirement_sections, verdict_sentence
-from modsim3d.campaign.report.rests_on import files_read
 from modsim3d.campaign.report.runs_shown import crash_sections
 from modsim3d.campaign.report.search_page import search_page
 from modsim3d.campaign.report.words import constant
 from modsim3d.campaign.report.writing import write_page
 from modsim3d.campaign.results.done_rows import with_plan
+from modsim3d.campaign.results.files import files_of_campaign
 from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
@@ -140,7 +140,7 @@ def test_charts_name_their_axes(html):
 
 
 def test_the_page_can_lie_in_the_folder_of_its_campaign(campaign):
-    assert all(path.is_file() for path in files_read(campaign))
+    assert all(path.is_file() for path in files_of_campaign(campaign))
 
 
 def test_an_unfinished_campaign_says_so_first(campaign, tmp_path):

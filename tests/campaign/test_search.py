@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
+from modsim3d.campaign.engines.death import LOST, Death
 from modsim3d.campaign.engines.interface import Engine, ThisProcess
 from modsim3d.campaign.file.reading import read_campaign
 from modsim3d.campaign.results.folder import opened_campaign
@@ -56,7 +57,7 @@ class Backwards(ThisProcess):
 
     width = 2
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport | Death]:
         self._waiting.reverse()
         found = super().next()
         self._waiting.reverse()
@@ -68,7 +69,7 @@ class Interrupted(ThisProcess):
 
     done = 0
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport | Death]:
         if self.done == 6:
             raise KeyboardInterrupt
         self.done += 1
@@ -78,9 +79,9 @@ class Interrupted(ThisProcess):
 class Deadly(ThisProcess):
     """Loses its worker over one trial."""
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport | Death]:
         if self._waiting[0].runs[0].number == 3:
-            return self._waiting.pop(0), None
+            return self._waiting.pop(0), LOST
         return super().next()
 
 
@@ -182,7 +183,7 @@ def test_a_score_that_was_damaged_on_the_disk_is_told(campaign: Path, result: Se
     content = bytearray(file.read_bytes())
     content[hota.data_page_offset - 20] ^= 255  # of the values themselves, which lie before the page that names them
     file.write_bytes(content)
-    with pytest.raises(ModsimError, match="is damaged"):
+    with pytest.raises(ModsimError, match=r"part-00000\.parquet was changed after the campaign ended"):
         search_table(opened_campaign(folder))
 
 

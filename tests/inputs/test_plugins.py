@@ -141,6 +141,26 @@ def test_another_version_does_not_continue_a_run(site, tmp_path):
         run_scene(load_scene(path), tmp_path / "out", resume=True)
 
 
+def test_another_file_of_the_same_version_does_not_continue_a_run(site, tmp_path):
+    site.add_example()
+    path = scene_with(tmp_path, DRIFT)
+
+    def stop(steps):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(load_scene(path), tmp_path / "out", progress=stop)
+    module = site.folder / "modsim3d_drift.py"
+    module.write_text(module.read_text() + "# edited\n")
+    del sys.modules["modsim3d_drift"]  # as in a new process
+    with pytest.raises(ModsimError, match="another scene, seed, settings or version"):
+        run_scene(load_scene(path), tmp_path / "out", resume=True)
+    scene = load_scene(path)
+    run_scene(scene, tmp_path / "out", overwrite=True)
+    (digest,) = json.loads((tmp_path / "out" / "run.json").read_text())["plugins_sha256"].values()
+    assert digest == scene.plugins[0].sha256
+
+
 def problems_of(path):
     with pytest.raises(InputError) as caught:
         load_scene(path)

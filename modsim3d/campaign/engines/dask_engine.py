@@ -13,6 +13,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from modsim3d.campaign.engines.dask_worker import give_up, work_on
+from modsim3d.campaign.engines.death import LOST, Death
 from modsim3d.campaign.work.task import Task, TaskReport
 from modsim3d.errors import ModsimError
 
@@ -67,8 +68,10 @@ class DaskEngine:
         self._handed[key] = future, task
         future.add_done_callback(lambda ended: self._ended.put(ended.key))
 
-    def next(self) -> tuple[Task, TaskReport | None]:
-        """Wait for a task that was handed in, with its report; None if its worker died too often.
+    def next(self) -> tuple[Task, TaskReport | Death]:
+        """Wait for a task that was handed in, with its report, or how its process died.
+
+        Dask hands the task of a worker that it has lost to another by itself, and says so only if that happens often.
 
         Raises:
             ModsimError: A worker cannot do it, or the scheduler is gone.
@@ -81,10 +84,10 @@ class DaskEngine:
             status = future.status
             if status == "error":
                 _raise_unless_killed(future.exception())
-                return task, None
+                return task, LOST
             if status == "finished":
                 with suppress(CancelledError, OSError):  # the connection may be lost just now
-                    report: TaskReport | None = future.result()
+                    report: TaskReport | Death = future.result()
                     return task, report
             self._wait_for_scheduler()  # it was cancelled when the connection was lost, or its result is lost
             self.submit(task)

@@ -14,6 +14,7 @@ from functools import cache
 from queue import SimpleQueue
 from typing import Any
 
+from modsim3d.campaign.engines.death import LOST
 from modsim3d.campaign.engines.worker_process import ProcessDiedError, WorkerProcess
 
 
@@ -25,7 +26,7 @@ def work_on(campaign: str, task: bytes) -> Any:
         task: The pickled task.
 
     Returns:
-        Its report; None if its process died.
+        Its report, or how its process died.
 
     Raises:
         ModsimError: A process could not start, or the task cannot be done here.
@@ -79,7 +80,7 @@ class _Hands:
     def _answer(self, campaign: str, task: bytes) -> Any:
         with self._lock:
             if campaign in self._given_up:
-                return None
+                return LOST
             if self._process is None:
                 self._process = WorkerProcess()
             self._campaign, process = campaign, self._process
@@ -88,7 +89,7 @@ class _Hands:
         except BaseException as error:
             self._close()
             if isinstance(error, ProcessDiedError):
-                return None
+                return error.death
             raise
         finally:
             with self._lock:

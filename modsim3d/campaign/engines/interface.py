@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from modsim3d.campaign.engines.death import Death
 from modsim3d.campaign.work.task import Task, TaskReport, Worker
 
 
@@ -17,8 +18,8 @@ class Engine(Protocol):
     def submit(self, task: Task) -> None:
         """Hand in a task."""
 
-    def next(self) -> tuple[Task, TaskReport | None]:
-        """Wait for a task that was handed in, with its report; None if its worker died.
+    def next(self) -> tuple[Task, TaskReport | Death]:
+        """Wait for a task that was handed in, with its report, or how its worker died.
 
         Raises:
             ModsimError: The work cannot go on: a file cannot be written, or the cluster is gone.
@@ -41,7 +42,7 @@ class ThisProcess:
         """Put a task at the end of the queue."""
         self._waiting.append(task)
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport | Death]:
         """Do the first task of the queue."""
         task = self._waiting.pop(0)
         return task, self._worker.do(task)

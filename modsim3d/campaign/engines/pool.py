@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from multiprocessing.connection import Connection, wait
 
+from modsim3d.campaign.engines.death import Death
 from modsim3d.campaign.engines.worker_process import ProcessDiedError, WorkerProcess
 from modsim3d.campaign.work.task import Task, TaskReport
 from modsim3d.processes import WorkerCount, worker_count
@@ -32,8 +33,8 @@ class ProcessPool:
         self._waiting.append(task)
         self._hand_out()
 
-    def next(self) -> tuple[Task, TaskReport | None]:
-        """Wait for a task that was handed in, with its report; None if its process died.
+    def next(self) -> tuple[Task, TaskReport | Death]:
+        """Wait for a task that was handed in, with its report, or how its process died.
 
         Raises:
             ModsimError: A process could not start, or a file cannot be written.
@@ -43,11 +44,12 @@ class ProcessPool:
                 assert isinstance(pipe, Connection)
                 process, task = self._busy[pipe]
                 try:
-                    if (report := process.answer()) is None:
+                    report: TaskReport | Death | None = process.answer()
+                    if report is None:
                         continue
                     self._idle.append(process)
-                except ProcessDiedError:
-                    report = None
+                except ProcessDiedError as error:
+                    report = error.death
                     process.close()
                     self._idle.append(WorkerProcess())
                 del self._busy[pipe]

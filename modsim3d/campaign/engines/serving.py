@@ -19,7 +19,10 @@ from modsim3d.worker_process import end_with_parent
 
 
 def serve(pipe: Connection) -> None:
-    """Do what comes through a pipe; each task is answered with its report, or with an error."""
+    """Do what comes through a pipe; each task is answered with its report, or with an error.
+
+    Before a run begins, its number is sent: should it end this process, the other side knows which one did.
+    """
     admitted: Work | None = None
     with closing(Worker()) as worker:
         pipe.send(READY)
@@ -33,7 +36,7 @@ def serve(pipe: Connection) -> None:
                 if task.work != admitted:
                     check_worker(task.work)
                     admitted = task.work
-                answer = worker.do(task), None
+                answer = worker.do(task, begin=pipe.send), None
             except ModsimError as error:
                 answer = None, error
             except Exception as error:  # a defect: what it says must reach the user

@@ -12,6 +12,7 @@ import subprocess
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from modsim3d.campaign.engines.death import Death
 from modsim3d.errors import ModsimError
 from modsim3d.worker_process import new_interpreter
 
@@ -27,6 +28,11 @@ _END_S = 10.0
 class ProcessDiedError(Exception):
     """The process of a worker ended while it did a task."""
 
+    def __init__(self, death: Death) -> None:
+        """Take how it ended, `death`."""
+        super().__init__(death)
+        self.death = death
+
 
 class WorkerProcess:
     """A process that does tasks one after the other, in one thread, with one OpenGL context.
@@ -38,6 +44,7 @@ class WorkerProcess:
         """Start the process; tasks may be handed to it at once."""
         self.pipe, other_end = multiprocessing.Pipe()
         self._busy = self._ready = False
+        self._run: int | None = None
         with other_end:
             serving = "modsim3d.campaign.engines.serving", str(other_end.fileno()), str(os.getpid())
             self._process = new_interpreter(other_end, "-m", *serving)
@@ -53,14 +60,16 @@ class WorkerProcess:
         Raises:
             ProcessDiedError: The process has ended.
         """
-        self._busy = True
+        self._busy, self._run = True, None
         try:
             self.pipe.send(task)
         except OSError:
             raise self._died() from None
 
     def answer(self) -> TaskReport | None:
-        """Read one message from the pipe: the report on the task, or None if the process only says that it is ready.
+        """Read one message from the pipe: the report on the task, or None if it is not done yet.
+
+        The process also says that it is ready, and which run it begins.
 
         Raises:
             ProcessDiedError: The process ended while it did the task.
@@ -72,6 +81,9 @@ class WorkerProcess:
             raise self._died() from None
         if message == READY:
             self._ready = True
+            return None
+        if isinstance(message, int):
+            self._run = message
             return None
         self._busy = False
         report: TaskReport | None
@@ -110,11 +122,13 @@ class WorkerProcess:
         """What a broken pipe means."""
         try:
             code = self._process.wait(_END_S)
+            death = Death.of(self._run, code)
         except subprocess.TimeoutExpired:  # it lives, and something in it closed the pipe
             self.kill()
             code = self._process.wait()
+            death = Death(self._run, "it closed the pipe", outside=False)
         if self._ready:
-            return ProcessDiedError()
+            return ProcessDiedError(death)
         return ModsimError(f"a worker process could not start: {_said(code)}, see above")
 
 

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
+from modsim3d.campaign.results.files import files_of_campaign
 from modsim3d.campaign.results.folder import FILE, CampaignFolder
-from modsim3d.campaign.work.task import PLAN, ROWS_PATTERN
+from modsim3d.campaign.work.task import PLAN
 from modsim3d.view.pages.provenance import Input, Provenance, file_input, folder_input, versions_in_words
 
 _ROWS = ".rows", ".parquet"
-
-
-def files_read(folder: CampaignFolder) -> list[Path]:
-    """The files that the page is made from."""
-    rows = [*folder.results.glob("scene=*/part-*.parquet"), *folder.done.glob(ROWS_PATTERN)]
-    return [folder.path / PLAN, folder.path / FILE, *sorted(rows), *sorted(folder.path.glob("search/*.parquet"))]
 
 
 def rests_on(folder: CampaignFolder, page: str, command: str | None) -> Provenance:
@@ -46,7 +39,7 @@ def rests_on(folder: CampaignFolder, page: str, command: str | None) -> Provenan
 
 
 def _files(folder: CampaignFolder) -> list[Input]:
-    read = [path for path in files_read(folder) if path.is_file()]
+    read = [path for path in files_of_campaign(folder) if path.is_file()]
     rows = [path for path in read if path.suffix in _ROWS]
     named = {FILE: "campaign file", PLAN: "plan with all checksums"}
     found = [file_input(what, folder.path / name) for name, what in named.items() if (folder.path / name).is_file()]

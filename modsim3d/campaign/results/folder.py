@@ -6,7 +6,7 @@ import errno
 import uuid
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,19 @@ import orjson
 from modsim3d.campaign.file.keys import CampaignKeys
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.results.differences import differences
+from modsim3d.campaign.results.ended import RESULTS, check_ended
 from modsim3d.campaign.work.checking import CheckedCampaign
+from modsim3d.campaign.work.digests import plan_digest
 from modsim3d.campaign.work.files import differing_files
 from modsim3d.campaign.work.task import DONE_FOLDER, PLAN, Work
 from modsim3d.errors import ModsimError, OutputError
+from modsim3d.inputs.plugins import differing
 from modsim3d.outputs.locks import locked_folder
 from modsim3d.outputs.placing import make_folder, sync_file, sync_folder
 from modsim3d.paths import StrPath, as_path
 
 FORMAT = 1
 FILE, LOG, VERDICTS = "campaign.yaml", "campaign.log", "verdicts.json"
-RESULTS = "results"
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,8 @@ class CampaignFolder:
     def work(self) -> Work:
         """What all its tasks have in common."""
         facts = self.facts
-        return Work(self.keys, facts["base"], str(self.path.resolve()), facts["sha256"], files=facts["files"])
+        made_of = {"files": facts["files"], "plugins": facts.get("plugins", {})}
+        return Work(self.keys, facts["base"], str(self.path.resolve()), facts["sha256"], **made_of)
 
     @property
     def done(self) -> Path:
@@ -73,18 +76,34 @@ def opened_campaign(folder: StrPath) -> CampaignFolder:
     """Open the folder of a campaign.
 
     Raises:
-        ModsimError: It is none, or its plan is damaged.
+        ModsimError: It is none, its plan is damaged, or a file has changed since the campaign ended.
         TypeError: It is neither text nor a path.
     """
     path = as_path(folder, "campaign", "the folder of a campaign")
-    try:
-        facts = orjson.loads((path / PLAN).read_bytes())
-        keys = CampaignKeys.model_validate(facts["campaign"])
-    except OSError as error:
-        raise ModsimError(f"{path} is no folder of a campaign: {PLAN}: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise ModsimError(f"{path / PLAN} is damaged: {error}") from None
+    facts, keys = _read_plan(path / PLAN)
+    check_ended(path)
     return CampaignFolder(path, facts, Plan.of(keys))
+
+
+def _read_plan(path: Path) -> tuple[dict[str, Any], CampaignKeys]:
+    """The content of `plan.json`, and the campaign file in it.
+
+    Raises:
+        ModsimError: It is not there, is damaged, or was changed after it was written.
+    """
+    try:
+        facts: dict[str, Any] = orjson.loads(path.read_bytes())
+        stated, found, keys = facts["sha256"], plan_digest(facts), CampaignKeys.model_validate(facts["campaign"])
+    except OSError as error:
+        raise ModsimError(f"{path.parent} is no folder of a campaign: {PLAN}: {error.strerror or error}") from None
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise ModsimError(f"{path} is damaged: {type(error).__name__}: {error}") from None
+    if found != stated:
+        raise ModsimError(
+            f"{path} was changed after it was written: what decides the results has the checksum {found}, and its "
+            f"sha256 is {stated}"
+        )
+    return facts, keys
 
 
 def planned(campaign: CheckedCampaign, folder: Path) -> CampaignFolder:
@@ -165,13 +184,7 @@ def _facts(campaign: CheckedCampaign) -> dict[str, Any]:
         "sha256": campaign.sha256,
         "base": str(campaign.file.base),
         "runs": len(campaign.plan),
-        "campaign": campaign.file.keys.model_dump(mode="json", by_alias=True),
-        "conditions": [
-            {"values": condition.values, **asdict(facts)}
-            for condition, facts in zip(campaign.plan.conditions, campaign.facts, strict=True)
-        ],
-        "files": campaign.files,
-        "versions": campaign.versions,
+        **campaign.content,
     }
 
 
@@ -180,13 +193,13 @@ def _check_same(plan: Path, facts: dict[str, Any]) -> None:
 
     Raises:
         OutputError: It has.
+        ModsimError: The plan is damaged.
     """
-    try:
-        found = orjson.loads(plan.read_bytes())
-    except (OSError, ValueError) as error:
-        raise OutputError(f"{plan} is damaged: {error}") from None
-    if isinstance(found, dict) and found.get("sha256") == facts["sha256"]:
+    found, _ = _read_plan(plan)
+    if found["sha256"] == facts["sha256"]:
         return
-    files = differing_files(found.get("files", {}), facts["files"]) if isinstance(found, dict) else []
-    differing = f"{', '.join(files)} changed" if files else "; ".join(differences(found, facts))
-    raise OutputError(f"{plan.parent} holds a campaign with another plan: {differing}. Choose another folder")
+    files = differing_files(found["files"], facts["files"])
+    before, now = found.get("plugins", {}), facts.get("plugins", {})
+    files += [f"{file} of the plug-in {key}" for key in now for file in differing(before.get(key, now[key]), now[key])]
+    changed = f"{', '.join(files)} changed" if files else "; ".join(differences(found, facts))
+    raise OutputError(f"{plan.parent} holds a campaign with another plan: {changed}. Choose another folder")

@@ -15,9 +15,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from modsim3d.campaign.results.done_rows import DoneRows
-from modsim3d.campaign.results.folder import FORMAT, VERDICTS, CampaignFolder
+from modsim3d.campaign.results.ended import RESULTS, write_list
+from modsim3d.campaign.results.folder import FILE, FORMAT, VERDICTS, CampaignFolder
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.errors import ModsimError, OutputError
+from modsim3d.campaign.work.task import PLAN
+from modsim3d.errors import OutputError
 from modsim3d.outputs.placing import make_folder, sync_file, sync_folder, write_files
 
 PART_ROWS = 50_000
@@ -29,14 +31,17 @@ def done_rows(folder: CampaignFolder) -> pa.Table:
     return DoneRows(folder).read().table()
 
 
-def write_results(folder: CampaignFolder, table: pa.Table) -> None:
+def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> None:
     """Write the data set, `results/scene=NAME/part-N.parquet`; it gets its name when it is whole.
+
+    With it comes the list of all files of the campaign, see `check_ended`.
 
     On a file system without locks another process may do the same; whoever comes second leaves the first one's.
 
     Args:
         folder: The campaign.
         table: The rows that count, in the order of the plan.
+        verdicts: The verdicts on them, which are written afterwards.
 
     Raises:
         OutputError: It cannot be written.
@@ -47,6 +52,7 @@ def write_results(folder: CampaignFolder, table: pa.Table) -> None:
         for name in dict.fromkeys(table["scene"].to_pylist()):
             rows = table.filter(pc.equal(table["scene"], name)).drop_columns(["scene"])
             _write_scene(partial / f"scene={name}", rows)
+        write_list(folder.path, partial, RESULTS, (FILE, PLAN), {VERDICTS: _content_of(folder, verdicts)})
         sync_folder(partial)
         partial.rename(folder.results)
         sync_folder(folder.path)
@@ -86,8 +92,12 @@ def write_verdicts(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> None:
     Raises:
         OutputError: It cannot be written.
     """
+    write_files({folder.path / VERDICTS: _content_of(folder, verdicts)})
+
+
+def _content_of(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> bytes:
     content = {"format": FORMAT, "sha256": folder.facts["sha256"], "verdicts": [asdict(each) for each in verdicts]}
-    write_files({folder.path / VERDICTS: orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)})
+    return orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
 
 
 def results_table(folder: CampaignFolder) -> pa.Table:
@@ -96,14 +106,7 @@ def results_table(folder: CampaignFolder) -> pa.Table:
         return done_rows(folder)
     parts = []
     for path in sorted(folder.results.glob("scene=*/part-*.parquet")):
-        try:
-            part = pq.read_table(path, partitioning=None, page_checksum_verification=True)
-        except (OSError, pa.ArrowException) as error:
-            raise ModsimError(f"{path} is damaged: {error}") from None
+        part = pq.read_table(path, partitioning=None)
         scene = pa.array([path.parent.name.partition("=")[2]] * len(part), pa.string())
         parts.append(part.add_column(1, "scene", scene))
-    if not parts:
-        raise ModsimError(
-            f"{folder.results} is damaged: it holds no results; remove it, and the same command makes them"
-        )
     return pa.concat_tables(parts, promote_options="default").sort_by("run")

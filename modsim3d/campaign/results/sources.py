@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from modsim3d.campaign.results.folder import CampaignFolder
-from modsim3d.campaign.work.files import changed_files
+from modsim3d.campaign.work.task import changes
 from modsim3d.errors import InputError
 
 
@@ -15,7 +13,6 @@ def check_files(folder: CampaignFolder) -> None:
     Raises:
         InputError: With every file that has changed or is not there.
     """
-    problems = changed_files(folder.facts["files"], Path(folder.facts["base"]))
-    if problems:
+    if problems := changes(folder.work):
         hint = "put the files back as they were: runs are made again from the same bytes only"
         raise InputError(f"campaign {folder.path}", [*problems, hint])

@@ -19,18 +19,17 @@ from modsim3d.campaign.file.keys import Range, SearchKeys
 from modsim3d.campaign.plan.plan import PlannedRun
 from modsim3d.campaign.plan.seeds import traffic_seed
 from modsim3d.campaign.results.done_rows import text_of
-from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
+from modsim3d.campaign.results.ended import SEARCH, write_list
+from modsim3d.campaign.results.folder import FILE, CampaignFolder, opened_campaign
 from modsim3d.campaign.search.space import Point
 from modsim3d.campaign.search.trials import planned_trial, told_apart
 from modsim3d.campaign.work.row import table_of
 from modsim3d.campaign.work.scenes import Scenes
-from modsim3d.campaign.work.task import Task, read_rows
+from modsim3d.campaign.work.task import PLAN, Task, read_rows
 from modsim3d.errors import ModsimError, OutputError
 from modsim3d.outputs.placing import make_folder, sync_file, sync_folder, write_files
 from modsim3d.paths import StrPath
 
-SEARCH = "search"
-"""In the folder of a search that ended: its trials."""
 _PART = "part-00000.parquet"
 VALUES = "values"
 """Column with the values of the keys that were searched, as JSON."""
@@ -107,6 +106,7 @@ def write_trials(folder: CampaignFolder, table: pa.Table) -> None:
         make_folder(partial)
         pq.write_table(table, partial / _PART, compression="zstd", write_page_checksum=True)
         sync_file(partial / _PART)
+        write_list(folder.path, partial, SEARCH, (FILE, PLAN), {})
         sync_folder(partial)
         partial.rename(final)
         sync_folder(folder.path)
@@ -122,11 +122,7 @@ def search_table(folder: CampaignFolder) -> pa.Table:
     """
     search = searched(folder)
     if search_ended(folder):
-        path = folder.path / SEARCH / _PART
-        try:
-            return pq.read_table(path, partitioning=None, page_checksum_verification=True)
-        except (OSError, pa.ArrowException) as error:
-            raise ModsimError(f"{path} is damaged: {error}") from None
+        return pq.read_table(folder.path / SEARCH / _PART, partitioning=None)
     scenes = Scenes(folder.keys.steps, Path(folder.facts["base"]))
     runs, rows = [], []
     for run in stored_trials(folder):

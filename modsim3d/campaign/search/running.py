@@ -13,11 +13,13 @@ from typing import Any
 
 import pyarrow as pa
 
+from modsim3d.campaign.engines.death import Death
 from modsim3d.campaign.engines.interface import Engine
 from modsim3d.campaign.plan.plan import PlannedRun
+from modsim3d.campaign.results.ended import check_ended
 from modsim3d.campaign.results.folder import LOG, CampaignFolder, locked_campaign, planned
 from modsim3d.campaign.results.gather import remove_done
-from modsim3d.campaign.running import DEATHS, DIED, Progress, read_back
+from modsim3d.campaign.running import Progress, crash_of, read_back
 from modsim3d.campaign.search.findings import Finding, findings, sentence
 from modsim3d.campaign.search.folder import (
     batches,
@@ -92,6 +94,7 @@ def run_search(
                 _make_all(trials, here)
             write_trials(here, trials_table(trials.runs, trials.rows, search))
             _log(here, search.budget, time.perf_counter() - started)
+        check_ended(folder)
         remove_done(here)
         return SearchResult(here, search_table(here))
 
@@ -139,9 +142,12 @@ class _Trials:
                 running += 1
             task, report = self._engine.next()
             running -= 1
-            if report is None and not self._given_up(task):
+            error = crash_of(self._folder, task, report, self._deaths) if isinstance(report, Death) else ""
+            if error is None:
                 waiting.append(task)
             else:
+                if error:
+                    store_crashed(task, error)
                 self._made += 1
                 found[task.runs[0].number] = self._known(read_back(task, partial(done_row, task)), task.runs[0])
             self._tell(len(found), running)
@@ -153,15 +159,6 @@ class _Trials:
         row = told_apart(row, run, self._scenes)
         self._crashed += row["status"] == CRASHED
         return row
-
-    def _given_up(self, task: Task) -> bool:
-        """Whether a trial that ended its worker is not tried again."""
-        number = task.runs[0].number
-        self._deaths[number] += 1
-        if self._deaths[number] < DEATHS:
-            return False
-        store_crashed(task, DIED)
-        return True
 
     def _tell(self, done: int, running: int) -> None:
         budget, done = searched(self._folder).budget, len(self.rows) + done

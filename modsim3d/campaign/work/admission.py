@@ -12,6 +12,7 @@ import orjson
 from modsim3d.campaign.work.digests import versions
 from modsim3d.campaign.work.task import PLAN, Work
 from modsim3d.errors import ModsimError
+from modsim3d.inputs.plugins import changed_plugins
 
 
 def check_worker(work: Work) -> None:
@@ -36,6 +37,8 @@ def check_worker(work: Work) -> None:
             f"the worker on {host} finds another campaign at {plan}: every worker needs the folder of the campaign "
             "under the same path"
         )
+    if changed := changed_plugins(work.plugins, "the campaign was planned"):
+        raise ModsimError(f"the worker on {host} has other plug-ins than the plan: {'; '.join(changed)}")
     found = versions() | {name: _version(name) for name in wanted if name not in versions()}
     if differing := [f"{name} {found[name]} instead of {each}" for name, each in wanted.items() if found[name] != each]:
         raise ModsimError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from modsim3d.campaign.file.reading import CampaignFile
 from modsim3d.campaign.plan.conditions import count_conditions
 from modsim3d.campaign.plan.drawn import value_at
 from modsim3d.campaign.plan.plan import Plan, PlannedRun
-from modsim3d.campaign.work.digests import detector_digest, digest, versions
+from modsim3d.campaign.work.digests import detector_digest, digest, plan_digest, versions
 from modsim3d.campaign.work.files import checksums
 from modsim3d.campaign.work.refusals import condition_problems, tracker_problems
 from modsim3d.campaign.work.requirement_problems import judging_problems, where_problems
@@ -21,6 +21,7 @@ from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.search_checks import search_problems, search_versions
 from modsim3d.display import counted
 from modsim3d.errors import InputError, ModsimError
+from modsim3d.inputs.plugins import Plugin, changed_plugins
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.scene.reading import shipped_scenes
 from modsim3d.tracking.trackers.registry import named_tracker
@@ -73,16 +74,14 @@ class CheckedCampaign:
         file: The file.
         plan: Its plan.
         facts: What is known of each condition.
-        files: Checksum of each file that scenes and detectors are made of.
-        versions: Version of every package that decides the results.
+        content: The plan as `plan.json` has it, with the checksums of files and plug-ins and the versions of packages.
         sha256: Checksum of all that decides the results.
     """
 
     file: CampaignFile
     plan: Plan
     facts: tuple[ConditionFacts, ...]
-    files: dict[str, str]
-    versions: dict[str, str]
+    content: dict[str, Any]
     sha256: str
 
 
@@ -98,19 +97,27 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     if too_large := [*_size_problems(keys)]:
         raise InputError(source, too_large)
     plan, scenes = Plan.of(keys), Scenes(keys.steps, file.base, learned=keys.uncertainty == "learned")
-    paths: set[Path] = set()
+    paths, plugins = set[Path](), set[Plugin]()
     wrong_keys = [*_vary_problems(keys)]
     problems = [*_problems(keys), *wrong_keys, *_twice(plan), *_scene_problems(file)]
-    facts = [] if wrong_keys else [*_facts_of_all(_with_known_trackers(plan, problems), scenes, paths, problems)]
+    known = None if wrong_keys else _with_known_trackers(plan, problems)
+    facts = [*_facts_of_all(known, scenes, paths, plugins, problems)] if known else []
     if len(facts) == len(plan.conditions):
         problems += _requirement_problems(plan, facts)
     else:
         problems += _score_problems(keys)
+    own = {plugin.key: dict(plugin.files) for plugin in sorted(plugins, key=lambda plugin: plugin.key)}
+    problems += changed_plugins(own, "Python loaded it: start it again")
     if problems:
         raise InputError(source, dict.fromkeys(problems))
-    content = keys.model_dump(mode="json", by_alias=True, exclude={"keep"})  # which decides no row
-    sha256 = digest(content, [vars(each) for each in facts], packages)
-    return CheckedCampaign(file, plan, tuple(facts), checksums(paths, file.base), packages, sha256)
+    content = {
+        "campaign": keys.model_dump(mode="json", by_alias=True),
+        "conditions": [{"values": each.values, **asdict(it)} for each, it in zip(plan.conditions, facts, strict=True)],
+        "files": checksums(paths, file.base),
+        "plugins": own,
+        "versions": packages,
+    }
+    return CheckedCampaign(file, plan, tuple(facts), content, plan_digest(content))
 
 
 def _size_problems(keys: CampaignKeys) -> Iterator[str]:
@@ -157,10 +164,13 @@ def _with_known_trackers(plan: Plan, problems: list[str]) -> Plan:
     return replace(plan, keys=plan.keys.model_copy(update={"trackers": trackers}))
 
 
-def _facts_of_all(plan: Plan, scenes: Scenes, paths: set[Path], problems: list[str]) -> Iterator[ConditionFacts]:
+def _facts_of_all(
+    plan: Plan, scenes: Scenes, paths: set[Path], plugins: set[Plugin], problems: list[str]
+) -> Iterator[ConditionFacts]:
     """What is known of the conditions that can be run.
 
-    The files that they are made of are added to the paths, and what is wrong with the others to the problems.
+    The files and plug-ins that they are made of are added to those given, and what is wrong with the others to the
+    problems.
     """
     first = [plan.run(place * plan.runs_by_seed // len(plan.conditions)) for place in range(len(plan.conditions))]
     ends = [replace(first[0], condition=first[0].condition.with_values(values)) for values in _ends(plan.keys)]
@@ -173,7 +183,7 @@ def _facts_of_all(plan: Plan, scenes: Scenes, paths: set[Path], problems: list[s
         if run.condition.scene in missing:
             continue
         try:
-            facts = _facts(run, plan, scenes, paths)
+            facts = _facts(run, plan, scenes, paths, plugins)
         except ModsimError as error:
             problems += condition_problems(run.condition, error, "search.over" if plan.keys.search else "vary")
         else:
@@ -249,15 +259,16 @@ def _keys_of(factor: Any) -> Iterator[str]:
     yield from factor.grid or factor.pairs or factor.ranges
 
 
-def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path]) -> ConditionFacts:
-    """What is known of a condition; the files that it is made of are added to the paths."""
+def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugins: set[Plugin]) -> ConditionFacts:
+    """What is known of a condition; the files and plug-ins that it is made of are added to those given."""
     scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
     paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()
-    trackers = {
-        each.label: vars(named_tracker(each.tracker, {**each.settings, **settings}, scene.name).origin)
+    named = {
+        each.label: named_tracker(each.tracker, {**each.settings, **settings}, scene.name)
         for each in plan.keys.trackers
     }
+    plugins.update(scene.plugins, (each.plugin for each in named.values() if each.plugin))
     return ConditionFacts(
         scene.name,
         scene.copy.truth_sha256(),
@@ -266,7 +277,7 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path]) -> Con
         scene.traffic_has_seed,
         tuple(state.name for state in scene.detector.states),
         tuple(camera.name for camera in scene.cameras),
-        trackers,
+        {label: vars(each.origin) for label, each in named.items()},
     )
 
 

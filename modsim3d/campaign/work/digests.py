@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -29,8 +30,16 @@ def truth_digest(scene: Scene, backend: str) -> str:
         backend: The OpenGL context that draws it.
     """
     packages = {name: version(name) for name in VERSIONED}
-    plugins = [[plugin.group, plugin.name, plugin.package] for plugin in scene.plugins]
+    plugins = [[plugin.group, plugin.name, plugin.package, plugin.sha256] for plugin in scene.plugins]
     return digest(scene.copy.truth_sha256(), scene.seed if scene.truth_has_seed else None, packages, plugins, backend)
+
+
+def plan_digest(facts: Mapping[str, Any]) -> str:
+    """Of all that decides the results, given the content of `plan.json`."""
+    campaign = {key: value for key, value in facts["campaign"].items() if key != "keep"}  # which decides no row
+    conditions = [{key: value for key, value in each.items() if key != "values"} for each in facts["conditions"]]
+    plugins = [facts["plugins"]] if facts.get("plugins") else []
+    return digest(campaign, conditions, facts["versions"], *plugins)
 
 
 def detector_digest(detector: DetectorModel) -> str:

@@ -86,7 +86,8 @@ class Layers:
         detections_key = digest(truth_key, detector_digest(scene.detector), scene.detector_seed)
         rows = self._rows.get(detections_key, lambda: self._rows_of(scene, renderer, truth_key, detections_key))
         named = named_tracker(run.tracker.tracker, {**run.tracker.settings, **run.condition.of_tracker()}, scene.name)
-        tracks_key = digest(detections_key, vars(named.origin))
+        plugin = [named.plugin.sha256] if named.plugin else []
+        tracks_key = digest(detections_key, vars(named.origin), *plugin)
         return Made(rows, self._tracks_of(rows, named, tracks_key), truth_key, detections_key, tracks_key)
 
     def _open(self, scene: Scene) -> IdRenderer | None:

@@ -8,7 +8,7 @@ import platform
 import resource
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from modsim3d.campaign.work.layers import Layers
 from modsim3d.campaign.work.row import CRASHED, crashed_row, row_of, rules_of, table_of
 from modsim3d.campaign.work.stored_layers import CACHE_FOLDER
 from modsim3d.errors import ModsimError, OutputError
+from modsim3d.inputs.plugins import changed_plugins
 
 PLAN = "plan.json"
 """In the folder of a campaign: its plan."""
@@ -47,6 +48,7 @@ class Work:
         plan_sha256: Checksum of the plan.
         cache: The folder of layers on the disk; None: `cache` in that of the campaign.
         files: Checksums of the files that scenes and detectors are made of.
+        plugins: Checksums of the files of each plug-in.
     """
 
     keys: CampaignKeys
@@ -55,6 +57,7 @@ class Work:
     plan_sha256: str
     cache: str | None = None
     files: Mapping[str, str] = field(default_factory=dict)
+    plugins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
     def layers(self) -> Path:
@@ -125,8 +128,12 @@ class Worker:
             self._layers[1].close()
             self._layers = None
 
-    def do(self, task: Task) -> TaskReport:
+    def do(self, task: Task, begin: Callable[[int], None] = lambda number: None) -> TaskReport:
         """Do a task, unless its file is there, and write its file.
+
+        Args:
+            task: The task.
+            begin: Called with the number of each run before it is made.
 
         Raises:
             OutputError: The file cannot be written.
@@ -135,9 +142,8 @@ class Worker:
         if (report := stored_report(task.path)) is not None:
             return report
         started, cpu = time.perf_counter(), _cpu_s()
-        rows = [self._row(run, task.work) for run in task.runs]
-        if problems := changed_files(task.work.files, Path(task.work.base)):
-            raise ModsimError(f"{'; '.join(problems)}: put it back to go on, or choose another folder")
+        rows = [self._row(run, task.work, begin) for run in task.runs]
+        _check_unchanged(task.work)
         crashed = sum(row["status"] == CRASHED for row in rows)
         report = TaskReport(
             len(rows), crashed, time.perf_counter() - started, _cpu_s() - cpu, platform.node(), os.getpid()
@@ -145,12 +151,13 @@ class Worker:
         store(task.path, table_of(rows), report)
         return report
 
-    def _row(self, run: PlannedRun, work: Work) -> dict[str, object]:
+    def _row(self, run: PlannedRun, work: Work, begin: Callable[[int], None]) -> dict[str, object]:
         """The row of a run; one that fails, for whatever reason, has a row too.
 
         Raises:
             OutputError: A layer that is kept cannot be written.
         """
+        begin(run.number)
         try:
             return row_of(run.number, self._layers_of(work).made(run), rules_of(work.keys.score))
         except OutputError:  # the disk is full: that says nothing about the run
@@ -166,12 +173,25 @@ class Worker:
         return self._layers[1]
 
 
+def changes(work: Work) -> list[str]:
+    """What has changed of the files and plug-ins of a campaign, one line for each file."""
+    since = "the campaign was planned"
+    return [*changed_files(work.files, Path(work.base)), *changed_plugins(work.plugins, since)]
+
+
+def _check_unchanged(work: Work) -> None:
+    if problems := changes(work):
+        raise ModsimError(f"{'; '.join(problems)}: put it back to go on, or choose another folder")
+
+
 def store_crashed(task: Task, error: str) -> None:
     """Write the file of a task whose runs ended their workers.
 
     Raises:
         OutputError: The file cannot be written.
+        ModsimError: A file that runs are made of is not as it was when the campaign was planned.
     """
+    _check_unchanged(task.work)
     rows = [crashed_row(run.number, error) for run in task.runs]
     store(task.path, table_of(rows), TaskReport(len(rows), len(rows), 0.0, 0.0, "", 0))
 

@@ -44,11 +44,7 @@ def row_of_run(folder: CampaignFolder, number: int) -> dict[str, Any] | None:
         found = table.filter(pc.equal(table["run"], number)).to_pylist()
         return found[0] if found else None
     for path in sorted(folder.results.glob("scene=*/part-*.parquet")):
-        try:
-            rows = pq.read_table(path, partitioning=None, filters=[("run", "==", number)]).to_pylist()
-        except (OSError, ValueError) as error:
-            raise ModsimError(f"{path} is damaged: {error}") from None
-        if rows:
+        if rows := pq.read_table(path, partitioning=None, filters=[("run", "==", number)]).to_pylist():
             return {"scene": path.parent.name.partition("=")[2], **rows[0]}
     return None
 

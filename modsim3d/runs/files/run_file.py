@@ -69,6 +69,7 @@ class Settings(Strict):
 
     Attributes:
         traffic_seed: The seed that the traffic was drawn from; None where every seed has this traffic.
+        plugins_sha256: Checksum of the files of each plug-in; None if there are none, or the run is older.
         traffic_sha256: Checksum of the vessels and their poses where the vessels were drawn too.
     """
 
@@ -84,6 +85,7 @@ class Settings(Strict):
     cameras: list[Text]
     backend: Text
     plugins: dict[Text, Text]
+    plugins_sha256: dict[Text, Sha256] | None = None
     versions: dict[Text, Text]
     truth_versions: dict[Text, Text] | None = None
 

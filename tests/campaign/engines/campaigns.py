@@ -38,7 +38,26 @@ trackers: [reference, {tracker: fragile, name: fatal, set: {fatal: true}}]
 """
 STILL = "{scene: harbour, steps: 3, seeds: {traffic: 8}, trackers: [reference]}"
 SEQUENTIAL = PLAIN + "require: [{score: hota, at_least: 0.1}]\nstop: sequential\nbatch: 1\n"
-FILES = {"still": STILL, "plain": PLAIN, "fatal": FATAL, "sequential": SEQUENTIAL}
+MORTAL = ("exit", "nothing", "system_exit", "abort", "segfault", "kill", "term")
+"""How the tracker `mortal` ends its process, once for each of these."""
+_DEATHS = ", ".join(f"{{tracker: mortal, name: {how}, set: {{how: {how}}}}}" for how in MORTAL)
+MORTALS = f"{{scene: harbour, steps: 3, trackers: [reference, {_DEATHS}]}}"
+KILLED = """
+scene: harbour
+steps: 3
+trackers: [reference, {tracker: mortal, name: exit, set: {how: exit, always: true}},
+           {tracker: mortal, name: kill, set: {how: kill}}]
+"""
+DEAF = "{scene: harbour, steps: 3, trackers: [{tracker: mortal, set: {how: deaf, always: true}}]}"
+FILES = {
+    "deaf": DEAF,
+    "mortal": MORTALS,
+    "killed": KILLED,
+    "still": STILL,
+    "plain": PLAIN,
+    "fatal": FATAL,
+    "sequential": SEQUENTIAL,
+}
 
 
 @dataclass(frozen=True)

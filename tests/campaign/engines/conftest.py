@@ -12,7 +12,7 @@ from modsim3d.campaign.engines.interface import ThisProcess
 from tests.campaign.engines.campaigns import Campaigns
 
 TRACKER = """
-import os, time
+import ctypes, os, signal, sys, time
 from pathlib import Path
 import numpy as np
 from modsim3d import TrackedFrame, Tracker
@@ -30,6 +30,31 @@ class Fragile(Tracker):
             os._exit(9)
         for frame in frames:
             yield TrackedFrame(np.arange(len(frame.boxes_px)), frame.boxes_px, frame.label, frame.confidence)
+
+class Mortal(Tracker):
+    how: str
+    always: bool = False
+
+    def follow(self, frames, camera):
+        mark = Path(os.environ["FRAGILE_HOLD"]).with_name("marks") / self.how
+        if self.always or not mark.exists():
+            mark.touch()
+            DEATHS[self.how]()
+        yield from Fragile().follow(frames, camera)
+
+def segfault():
+    ctypes.string_at(0)
+
+DEATHS = {
+    "exit": lambda: os._exit(3),
+    "nothing": lambda: os._exit(0),
+    "system_exit": lambda: sys.exit(5),
+    "abort": os.abort,
+    "segfault": segfault,
+    "deaf": lambda: (os.closerange(3, 256), time.sleep(60)),
+    "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
+    "term": lambda: os.kill(os.getpid(), signal.SIGTERM),
+}
 """
 
 
@@ -40,7 +65,9 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Campaigns]:
     (site / "fragile-1.0.dist-info").mkdir(parents=True)
     (site / "fragile.py").write_text(TRACKER, encoding="utf-8")
     (site / "fragile-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: fragile\nVersion: 1.0\n")
-    (site / "fragile-1.0.dist-info" / "entry_points.txt").write_text("[modsim3d.trackers]\nfragile = fragile:Fragile\n")
+    (site / "fragile-1.0.dist-info" / "entry_points.txt").write_text(
+        "[modsim3d.trackers]\nfragile = fragile:Fragile\nmortal = fragile:Mortal\n"
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(site)
         patch.setenv("PYTHONPATH", os.pathsep.join([str(site), str(Path(__file__).resolve().parents[3])]))

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from modsim3d.campaign.engines.dask_engine import DaskEngine, _raise_unless_killed
+from modsim3d.campaign.engines.death import Death
 from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.work.task import TaskReport
 from modsim3d.errors import ModsimError
 from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
 from tests.campaign.engines.cluster import Cluster, cluster, free_port
@@ -44,7 +46,7 @@ def test_a_run_ends_its_process_the_worker_stays_and_what_is_not_wanted_any_more
     _, tasks = campaigns.planned(tmp_path / "out")
     engine, fatal = DaskEngine(shared.address), campaigns.fatal_task(tmp_path / "fatal")
     engine.submit(fatal)
-    assert engine.next() == (fatal, None)
+    assert engine.next() == (fatal, Death.of(1, 9))
     with campaigns.holding() as hold:
         for task in tasks:
             engine.submit(task)
@@ -102,7 +104,7 @@ def test_workers_and_the_scheduler_are_lost_and_others_come(
             made.start_worker()
         done = [engine.next() for _ in range(2)]
         assert {task.path for task, _ in done} == {task.path for task in tasks[:2]} == set(here.done.iterdir())
-        assert all(report is not None and report.crashed == 0 for _, report in done)
+        assert all(isinstance(report, TaskReport) and report.crashed == 0 for _, report in done)
         engine.close()
     campaigns.run("plain", ThisProcess, tmp_path / "out")
     assert content(tmp_path / "out") == campaigns.reference

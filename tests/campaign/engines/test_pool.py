@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from modsim3d.campaign.engines.death import Death
 from modsim3d.campaign.engines.interface import ThisProcess
 from modsim3d.campaign.engines.pool import ProcessPool
 from modsim3d.campaign.engines.worker_process import WorkerProcess
@@ -23,7 +24,7 @@ def test_a_process_that_is_killed_in_a_task_is_replaced(campaigns: Campaigns, tm
         waited_for(lambda: numbers_in(hold))
         (killed,) = numbers_in(hold)
         os.kill(killed, signal.SIGKILL)
-        assert pool.next() == (tasks[0], None)
+        assert pool.next() == (tasks[0], Death.of(0, -signal.SIGKILL))
         pool.submit(tasks[0])
     assert [pool.next()[0] for _ in range(2)] == [tasks[1], tasks[0]]
     assert set(here.done.iterdir()) == {task.path for task in tasks[:2]}

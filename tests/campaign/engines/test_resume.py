@@ -125,7 +125,7 @@ def test_a_crash_between_any_two_steps_of_the_end(
 def test_two_processes_that_end_at_once_where_there_are_no_locks(half: Path, campaigns: Campaigns) -> None:
     campaigns.run("plain", ThisProcess, half)
     here, _ = campaigns.planned(half)
-    gather.write_results(here, gather.results_table(here))
+    gather.write_results(here, gather.results_table(here), [])
 
 
 def test_results_in_place_beside_rows_that_were_not_removed(

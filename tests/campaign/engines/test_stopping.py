@@ -9,6 +9,7 @@ import pyarrow as pa
 import pytest
 
 from modsim3d.campaign import running
+from modsim3d.campaign.engines.death import LOST, Death
 from modsim3d.campaign.engines.interface import ThisProcess
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.verdicts.verdict import Verdict
@@ -23,7 +24,7 @@ class Shuffled(ThisProcess):
         super().__init__()
         self.width, self._chance = width, random.Random(width)
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport | Death]:
         self._chance.shuffle(self._waiting)
         return super().next()
 
@@ -65,9 +66,9 @@ def test_a_campaign_that_went_on_beyond_its_end_and_was_killed_ends_where_it_sho
 class Deadly(ThisProcess):
     """Loses each task with a run of the tracker `fatal`."""
 
-    def next(self) -> tuple[Task, TaskReport | None]:
+    def next(self) -> tuple[Task, TaskReport | Death]:
         if any(run.tracker.label == "fatal" for run in self._waiting[0].runs):
-            return self._waiting.pop(0), None
+            return self._waiting.pop(0), LOST
         return super().next()
 
 

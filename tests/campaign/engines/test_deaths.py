@@ -1,0 +1,106 @@
+"""Runs that end their worker: by their own doing they have crashed, from outside they are tried again and noted."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from modsim3d.campaign.engines.dask_engine import DaskEngine
+from modsim3d.campaign.engines.death import LOST, Death
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.engines.pool import ProcessPool
+from modsim3d.campaign.report.campaign_page import cautions
+from modsim3d.campaign.results.deaths import killed_sentence
+from modsim3d.campaign.work.task import Task, TaskReport
+from tests.campaign.engines.campaigns import MORTAL, Campaigns, content
+from tests.campaign.engines.cluster import cluster
+
+CRASHES = {
+    "exit": "the run ended its worker process (exit status 3)",
+    "nothing": "the run ended its worker process (exit status 0)",
+    "system_exit": "the run ended its worker process (exit status 5)",
+    "abort": "the run ended its worker process (SIGABRT)",
+    "segfault": "the run ended its worker process (SIGSEGV)",
+}
+
+
+@pytest.fixture
+def doomed(campaigns: Campaigns) -> Path:
+    """A folder of marks: each death comes once, so a run that is tried again does not die."""
+    folder = campaigns.folder / "marks"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    return folder
+
+
+def test_a_run_that_ends_its_process_once_has_crashed_and_one_that_is_killed_is_tried_again(
+    campaigns: Campaigns, doomed: Path, tmp_path: Path
+) -> None:
+    result = campaigns.run("mortal", lambda: ProcessPool(1), tmp_path / "out")
+    assert result is not None
+    rows = {row["tracker"]: row for row in result.table.to_pylist()}
+    assert {path.name for path in doomed.iterdir()} == {*MORTAL}
+    assert {name: row["error"] for name, row in rows.items() if row["status"] == "crashed"} == CRASHES
+    assert {name for name, row in rows.items() if row["status"] == "done"} == {"reference", "kill", "term"}
+    assert killed_sentence(result.folder) == (
+        "Killed from outside, and their work tried again: 2 workers (SIGKILL 1×, SIGTERM 1×); "
+        "runs under way: 6, 7 (campaign.log)."
+    )
+    assert (killed_sentence(result.folder), "") in cautions(result.folder, result.table)
+    again = campaigns.run("mortal", ThisProcess, tmp_path / "out")
+    assert again is not None and again.table.equals(result.table)
+
+
+def test_a_kill_changes_no_byte(campaigns: Campaigns, doomed: Path, tmp_path: Path) -> None:
+    made = []
+    for name in ("killed", "undisturbed"):
+        assert campaigns.run("killed", lambda: ProcessPool(1), tmp_path / name) is not None
+        made.append(content(tmp_path / name))
+    assert made[0] == made[1]
+    assert "killed" in (tmp_path / "killed" / "campaign.log").read_text()
+    assert "killed" not in (tmp_path / "undisturbed" / "campaign.log").read_text()
+
+
+def test_a_run_that_ends_the_process_of_a_dask_worker_has_crashed(
+    campaigns: Campaigns, doomed: Path, tmp_path: Path
+) -> None:
+    with cluster(tmp_path, 1) as made:
+        result = campaigns.run("killed", lambda: DaskEngine(made.address), tmp_path / "out")
+    assert result is not None
+    assert result.table["error"].to_pylist() == [None, CRASHES["exit"], None]
+    assert "1 worker (SIGKILL 1×); runs under way: 2 (" in str(killed_sentence(result.folder))
+
+
+class Losing(ThisProcess):
+    """Loses the first two tasks with their worker, of which nothing is known."""
+
+    lost = 0
+
+    def next(self) -> tuple[Task, TaskReport | Death]:
+        if self.lost < 2:
+            self.lost += 1
+            return self._waiting.pop(0), LOST
+        return super().next()
+
+
+def test_a_worker_that_is_lost_without_a_word_is_noted_with_its_runs(campaigns: Campaigns, tmp_path: Path) -> None:
+    result = campaigns.run("plain", Losing, tmp_path / "out")
+    assert result is not None
+    assert content(tmp_path / "out") == campaigns.reference
+    assert "2 workers (its Dask worker was lost 2×); runs under way: 0, 1, " in str(killed_sentence(result.folder))
+
+
+def test_a_run_that_closes_the_pipe_and_goes_on_has_crashed(
+    campaigns: Campaigns, doomed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("modsim3d.campaign.engines.worker_process._END_S", 0.3)
+    result = campaigns.run("deaf", lambda: ProcessPool(1), tmp_path / "out")
+    assert result is not None
+    assert result.table["error"].to_pylist() == ["the run ended its worker process (it closed the pipe)"]
+
+
+def test_a_campaign_without_kills_says_nothing(campaigns: Campaigns, tmp_path: Path) -> None:
+    result = campaigns.run("plain", ThisProcess, tmp_path / "out")
+    assert result is not None and killed_sentence(result.folder) is None

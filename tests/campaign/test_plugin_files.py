@@ -1,0 +1,181 @@
+"""A plug-in whose files change while its version stays: its old scores are served nowhere."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.results.folder import opened_campaign
+from modsim3d.campaign.results.sources import check_files
+from modsim3d.campaign.running import run_plan
+from modsim3d.campaign.work.admission import check_worker
+from modsim3d.errors import InputError, ModsimError, OutputError
+from modsim3d.inputs.plugins import TRACKERS, changed_plugins, load_plugin, own_files
+from tests.campaign.campaigns import checked_campaign
+
+ROOT = Path(__file__).resolve().parents[2]
+TRACKER = """
+import numpy as np
+from modsim3d import TrackedFrame, Tracker
+
+class Shifting(Tracker):
+    def follow(self, frames, camera):
+        for frame in frames:
+            yield TrackedFrame(np.arange(len(frame.boxes_px)), frame.boxes_px + SHIFT_PX, frame.label, frame.confidence)
+"""
+KEYS = {"scene": "harbour", "steps": 20, "trackers": ["shifting"], "keep": ["detections", "tracks"]}
+
+
+class Site:
+    """A folder on the path with a package that has a tracker, and no record of its files."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.info = folder / "shifting-1.0.dist-info"
+        self.info.mkdir(parents=True)
+        (self.info / "METADATA").write_text("Metadata-Version: 2.1\nName: shifting\nVersion: 1.0\n")
+        (self.info / "entry_points.txt").write_text("[modsim3d.trackers]\nshifting = shifting.tracker:Shifting\n")
+        package = folder / "shifting"
+        package.mkdir()
+        (package / "__init__.py").write_text("")
+        (package / "tracker.py").write_text("from shifting.numbers import SHIFT_PX\n" + TRACKER)
+        self.shift(0)
+
+    def shift(self, pixels: int) -> None:
+        (self.folder / "shifting" / "numbers.py").write_text(f"SHIFT_PX = {pixels}\n")
+
+    def forget(self) -> None:
+        """As a new process does, load the package anew."""
+        for name in [name for name in sys.modules if name.partition(".")[0] == "shifting"]:
+            del sys.modules[name]
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
+    made = Site(tmp_path / "site")
+    monkeypatch.syspath_prepend(made.folder)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # two edits within a second have one time
+    yield made
+    made.forget()
+
+
+def campaign(site: Site, folder: Path, *options: object) -> tuple[int, str]:
+    """The command in a process of its own: its status, and what it says of errors."""
+    (folder / "campaign.yaml").write_text(json.dumps(KEYS))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site.folder), str(ROOT)])}
+    line = [sys.executable, "-B", "-m", "modsim3d", "campaign", folder / "campaign.yaml", "--workers", "1", *options]
+    done = subprocess.run([*map(str, line)], env=environment, capture_output=True, text=True, timeout=300)
+    return done.returncode, done.stderr
+
+
+def hota(out: Path) -> float:
+    (value,) = pq.read_table(out / "results")["hota"].to_pylist()
+    return float(value)
+
+
+def test_an_edited_tracker_is_refused_by_the_same_command_and_scored_anew_with_a_shared_cache(
+    site: Site, tmp_path: Path
+) -> None:
+    shared = "--cache", tmp_path / "cache"
+    assert campaign(site, tmp_path, "--out", tmp_path / "old", *shared)[0] == 0
+    site.shift(400)
+    status, said = campaign(site, tmp_path, "--out", tmp_path / "old", *shared)
+    assert status == 2
+    assert "shifting/numbers.py of the plug-in modsim3d.trackers:shifting changed. Choose another folder" in said
+    assert campaign(site, tmp_path, "--out", tmp_path / "new", *shared)[0] == 0
+    assert hota(tmp_path / "old") > 0.1 and hota(tmp_path / "new") == 0
+    keys = [
+        pq.read_table(tmp_path / name / "results").select(["detections_key", "tracks_key"]) for name in ("old", "new")
+    ]
+    assert keys[0]["detections_key"] == keys[1]["detections_key"]
+    assert keys[0]["tracks_key"] != keys[1]["tracks_key"]
+    plan = json.loads((tmp_path / "new" / "plan.json").read_text())
+    assert {*plan["plugins"]["modsim3d.trackers:shifting"]} == {
+        "entry_points.txt",
+        "shifting/__init__.py",
+        "shifting/numbers.py",
+        "shifting/tracker.py",
+    }
+
+
+def test_no_row_is_kept_of_a_plugin_that_changes_while_the_campaign_runs(site: Site, tmp_path: Path) -> None:
+    made = checked_campaign(tmp_path, **KEYS)
+    site.shift(400)
+    with pytest.raises(
+        ModsimError, match=r"shifting/numbers\.py of the plug-in 'shifting' of shifting 1\.0 has changed"
+    ):
+        run_plan(made, tmp_path / "out", ThisProcess)
+    assert not [*(tmp_path / "out" / "done").iterdir()]
+    site.shift(0)
+    assert run_plan(made, tmp_path / "out", ThisProcess) is not None
+    opened = opened_campaign(tmp_path / "out")
+    check_files(opened)
+    check_worker(opened.work)
+    site.shift(400)
+    with pytest.raises(InputError, match=r"numbers\.py of the plug-in .* has changed since the campaign was planned"):
+        check_files(opened)
+    with pytest.raises(ModsimError, match=r"the worker on .* has other plug-ins than the plan: shifting/numbers\.py"):
+        check_worker(opened.work)
+
+
+def test_a_process_that_has_loaded_an_older_plugin_is_refused(site: Site, tmp_path: Path) -> None:
+    checked_campaign(tmp_path, **KEYS)
+    site.shift(400)
+    with pytest.raises(InputError, match=r"numbers\.py of .* has changed since Python loaded it: start it again"):
+        checked_campaign(tmp_path, **KEYS)
+    (point,) = entry_points(group=TRACKERS, name="shifting")
+    planned_elsewhere = {f"{TRACKERS}:shifting": own_files(point)}
+    (problem,) = changed_plugins(planned_elsewhere, "the campaign was planned")
+    assert problem.endswith("this process has loaded it before it was changed: start it again")
+    site.forget()
+    assert changed_plugins(planned_elsewhere, "the campaign was planned") == []
+
+
+def test_a_campaign_that_was_interrupted_does_not_go_on_with_an_edited_plugin(site: Site, tmp_path: Path) -> None:
+    made = checked_campaign(tmp_path, **KEYS)
+    run_plan(made, tmp_path / "out", ThisProcess, shard=(1, 1))
+    site.forget()
+    (site.folder / "shifting" / "more.py").write_text("")
+    with pytest.raises(
+        OutputError, match=r"another plan: shifting/more\.py of the plug-in modsim3d\.trackers:shifting"
+    ):
+        run_plan(checked_campaign(tmp_path, **KEYS), tmp_path / "out", ThisProcess)
+
+
+def test_a_record_says_what_the_files_of_a_package_are(site: Site) -> None:
+    """Of an installed package the record counts: what Python and installers make does not."""
+    beside = site.folder / "shifting" / "notes.txt"
+    beside.write_text("not recorded")
+    recorded = ["shifting/__init__.py", "shifting/tracker.py", "shifting/numbers.py", "shifting/data.bin"]
+    made = ["shifting/__pycache__/tracker.cpython-311.pyc", "../bin/shifting", "shifting-1.0.dist-info/INSTALLER"]
+    (site.folder / "shifting" / "data.bin").write_bytes(b"weights")
+    (site.info / "INSTALLER").write_text("pip")
+    (site.info / "RECORD").write_text("".join(f"{name},,\n" for name in [*recorded, *made]))
+    _, plugin = load_plugin(TRACKERS, "shifting", "--tracker")
+    assert {*plugin.files} == {*recorded, "entry_points.txt"}
+
+
+def test_an_editable_package_is_all_that_its_folder_holds(site: Site, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    (site.folder / "shifting").rename(source / "shifting")
+    (site.folder / "_editable_impl_shifting.pth").write_text(f"{source}\n")
+    (site.info / "RECORD").write_text("_editable_impl_shifting.pth,,\nshifting-1.0.dist-info/entry_points.txt,,\n")
+    for name in ("weights.bin", ".weights.bin.swp", "tracker.py~"):
+        (source / "shifting" / name).write_bytes(b"")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(source)
+        _, plugin = load_plugin(TRACKERS, "shifting", "--tracker")
+    names = ["__init__.py", "numbers.py", "tracker.py", "weights.bin"]
+    assert {*plugin.files} == {"entry_points.txt", *(f"shifting/{name}" for name in names)}
+    assert replace(plugin, files={}).sha256 != plugin.sha256
