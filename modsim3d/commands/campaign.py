@@ -92,6 +92,7 @@ def campaign_command(
     """
     from modsim3d.campaign.campaign import engine_of
     from modsim3d.campaign.file.reading import read_campaign
+    from modsim3d.campaign.results.same_detections import same_detections
     from modsim3d.campaign.running import run_plan
     from modsim3d.campaign.work.checking import checked
     from modsim3d.commands.campaign_progress import campaign_progress
@@ -125,7 +126,9 @@ def campaign_command(
         say_json(_json(found, folder, warnings))
         return
     _print_result(result)
-    say_json(_json(found, folder, warnings) | _result_json(result))
+    for text in (same := same_detections(result.folder.plan, result.table)):
+        warn(text)
+    say_json(_json(found, folder, [*warnings, *same]) | _result_json(result))
     if status := exit_status(result.verdicts):
         raise typer.Exit(status)
 

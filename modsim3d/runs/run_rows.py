@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -110,6 +111,14 @@ class RunRows:
     def detection_boxes_px(self) -> Array:
         """The detections' boxes as x_min, y_min, x_max, y_max, shape (m, 4)."""
         return detection_boxes_px(self.detections)
+
+    @cached_property
+    def detections_sha256(self) -> str:
+        """Checksum of what a tracker sees: frames, boxes, labels and confidence of the detections."""
+        labels = indices(self.detections, "label", self.scene.detector.labels)
+        columns = (self.frames, self.detection_frame, self.detection_boxes_px(), labels)
+        content = b"".join(column.tobytes() for column in (*columns, numbers(self.detections, "confidence")))
+        return hashlib.sha256(content).hexdigest()
 
     @cached_property
     def annotated_boxes_px(self) -> Array:

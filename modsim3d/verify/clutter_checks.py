@@ -17,7 +17,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part
 from modsim3d.detector.records import DUPLICATE, FALSE_POSITIVE, FRAGMENT, MERGED, PERSISTENT, SPLIT, TRUE
 from modsim3d.verify.clutter_box_checks import clutter_box_checks
-from modsim3d.verify.evidence import Evidence, frames_above_max, max_detections_note
+from modsim3d.verify.evidence import Evidence, frames_above_max, unknown_rest_note
 from modsim3d.verify.measures import Exact
 from modsim3d.verify.pairs import lag_pairs
 from modsim3d.verify.parameters import Parameter
@@ -200,7 +200,7 @@ def _extras(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
 
 def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """The rate of each state and of all, the kinds, and the labels of false positives."""
-    note = max_detections_note(model, evidence)
+    note = unknown_rest_note(model, evidence)
     seen = ClutterEvidence(model, evidence, expected_clutter(model, evidence))
     check = RATE_CHECKS.get(model.clutter.model)
     parameters = []

@@ -18,6 +18,7 @@ from modsim3d.campaign.report.runs_shown import crash_sections, worst_sections
 from modsim3d.campaign.report.words import constant
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.results.gather import results_table
+from modsim3d.campaign.results.same_detections import same_detections
 from modsim3d.campaign.verdicts.judging import judged
 from modsim3d.campaign.verdicts.levels import levels_of
 from modsim3d.campaign.verdicts.verdict import Verdict
@@ -103,6 +104,7 @@ def cautions(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
     plan, found = folder.plan, []
     if crashed := len(table) - int(pc.sum(pc.equal(table["status"], DONE)).as_py() or 0):
         found.append((f"{counted(crashed, 'run')} of {len(table):,} crashed: see below.", "bad"))
+    found += [(f"{text[0].upper()}{text[1:]}.", "bad") for text in same_detections(plan, table)]
     fixed = dict.fromkeys(each["scene"] for each in folder.facts["conditions"] if not each["traffic_has_seed"])
     if fixed:
         said = f"This traffic only: vessels in {listed(list(fixed))} move the same way with every seed. "
