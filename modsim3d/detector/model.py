@@ -32,8 +32,7 @@ class PerformanceState:
         confusion: Pr(detected as i | label j), rows labels then background, shape (k + 1, k), columns sum
             to one (Jessen & Mohr (2023), eq. 5.25).
         false_positive_labels: Pr(label i | false positive), shape (k,), sums to one (eq. 5.26).
-        false_discovery_rate: False positives over all detections, in [0, 1); NaN if the file has none, since its model
-            of false positives reads another rate.
+        false_discovery_rate: False positives over all detections, in [0, 1); NaN if the file has another rate.
         box_error: Law of the box errors.
         confidence: Laws of the confidence of true and of false detections.
         false_positives_per_image: Rate for the model of false positives that has such a one.

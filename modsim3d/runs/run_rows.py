@@ -115,10 +115,9 @@ class RunRows:
     @cached_property
     def detections_sha256(self) -> str:
         """Checksum of what a tracker sees: frames, boxes, labels and confidence of the detections."""
-        labels = indices(self.detections, "label", self.scene.detector.labels)
-        columns = (self.frames, self.detection_frame, self.detection_boxes_px(), labels)
-        content = b"".join(column.tobytes() for column in (*columns, numbers(self.detections, "confidence")))
-        return hashlib.sha256(content).hexdigest()
+        scores = (indices(self.detections, "label", self.scene.detector.labels), numbers(self.detections, "confidence"))
+        columns = (self.frames, self.detection_frame, self.detection_boxes_px(), *scores)
+        return hashlib.sha256(b"".join(column.tobytes() for column in columns)).hexdigest()
 
     @cached_property
     def annotated_boxes_px(self) -> Array:

@@ -108,25 +108,13 @@ class Settings:
         return data
 
     def in_file(self, section: str, content: Any, source: str) -> Any:
-        """The content of a file that a section of the scene names, with the settings.
-
-        Args:
-            section: The section.
-            content: The file's content.
-            source: What errors call the file.
-        """
+        """The content of a file that a section of the scene names, with the settings; `source` names it in errors."""
         for setting in self._of_files[section]:
             content = self._changed(content, setting, source, section)
         return content
 
     def detector_of(self, file: Path) -> tuple[dict[str, Any] | None, DetectorModel]:
-        """The content of a detector file with the settings, None if there are none for it, and the detector.
-
-        A setting that nothing reads is a problem.
-
-        Raises:
-            InputError: The file is wrong.
-        """
+        """The content of a detector file with the settings, None if there are none for it, and the detector."""
         content, source, settings = load_yaml(file, "detector"), f"detector {file}", self._of_files["detector"]
         changed = self.in_file("detector", content, source) if settings and isinstance(content, dict) else None
         model = parse_detector(content if changed is None else changed, source)

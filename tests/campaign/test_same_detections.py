@@ -29,7 +29,7 @@ def test_conditions_with_the_same_detections_are_told_everywhere(tmp_path: Path,
     assert SAID in " ".join(said.err.split())
     again = modsim3d("campaign", file, "--out", tmp_path / "out", "--json")
     (warning,) = [text for text in json.loads(again.out)["warnings"] if SAID in text]
-    assert "runs with detector.operating_threshold 0.2 and detector.operating_threshold 0.21: what differs" in warning
+    assert "runs with detector.operating_threshold 0.2, detector.operating_threshold 0.21: what differs" in warning
     page = tmp_path / "page.html"
     write_page(opened_campaign(tmp_path / "out"), page)
     assert SAID.capitalize() in page.read_text(encoding="utf-8")

@@ -115,10 +115,8 @@ def test_a_line_of_a_detector_file_that_nothing_reads_is_warned_of(modsim3d: Mod
     text = shipped_detectors()["coastal"].read_text(encoding="utf-8")
     file = tmp_path / "detector.yaml"
     file.write_text(text.replace("    box_error:", "    false_discovery_rate: 0.1\n    box_error:", 1))
-    text = (
-        "nothing reads states.clear.false_discovery_rate in the detector file: model per_image does not read it: set "
-    )
-    wanted = f"{text}detector.false_positives.rate"
+    key, reason = "states.clear.false_discovery_rate", "model per_image does not read it"
+    wanted = f"nothing reads {key} in the detector file: {reason}: set detector.false_positives.rate"
     for line in (
         ("check", "strait", "--set", f"detector={file}"),
         ("run", "strait", "--detector", file, "--steps", 2, "--source", "analytic", "--out", tmp_path / "run"),

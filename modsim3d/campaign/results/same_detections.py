@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pyarrow as pa
 
 from modsim3d.campaign.plan.conditions import Condition
@@ -12,12 +10,12 @@ from modsim3d.campaign.work.digests import digest
 from modsim3d.display import listed
 from modsim3d.inputs.validation import shown
 
-MOST_SAID = 10
-
 
 def same_detections(plan: Plan, table: pa.Table) -> list[str]:
     """A sentence for each group of conditions whose scenes or detectors differ and whose detections do not."""
     names, seen = ("condition", "traffic_seed", "detector_seed", "detections_sha256"), dict[int, set[tuple[str, ...]]]()
+    if not {*names} <= {*table.column_names}:  # it was made by an older version, or has no rows
+        return []
     for place, *found in zip(*(table[name].to_pylist() for name in names), strict=True):
         if None not in found:
             seen.setdefault(place, set()).add(tuple(map(str, found)))
@@ -26,18 +24,17 @@ def same_detections(plan: Plan, table: pa.Table) -> list[str]:
         condition = plan.conditions[place]
         asked = digest(condition.scene, condition.of_truth(), condition.of_detector())
         groups.setdefault(digest(sorted(seen[place])), {}).setdefault(asked, condition)
-    alike = [" and ".join(_in_words(list(each.values()))) for each in groups.values() if len(each) > 1]
     return [
-        f"the detections are the same in all runs with {text}: what differs there changes nothing that a tracker sees, "
-        "and a verdict on one condition says nothing of the other"
-        for text in alike[:MOST_SAID]
+        f"the detections are the same in all runs with {_in_words([*each.values()])}: what differs there changes "
+        "nothing that a tracker sees, and a verdict on one condition says nothing of the other"
+        for each in groups.values()
+        if len(each) > 1
     ]
 
 
-def _in_words(conditions: list[Condition]) -> Iterator[str]:
+def _in_words(conditions: list[Condition]) -> str:
     """The values of each condition that are not those of all of them."""
     values = [{"scene": each.scene, **each.of_truth(), **each.of_detector()} for each in conditions]
     keys = dict.fromkeys(key for each in values for key in each)
     differing = [key for key in keys if len({shown(each.get(key)) for each in values}) > 1]
-    for each in values:
-        yield listed([f"{key} {shown(each.get(key))}" for key in differing])
+    return listed([" and ".join(f"{key} {shown(each.get(key))}" for key in differing) for each in values])

@@ -13,19 +13,14 @@ RATE_TOLERANCE = 0.01
 
 def agreement_problems(file: DetectorFile) -> list[str]:
     """One line for each contradiction, with its path."""
-    problems = _clutter_problems(file) + _dropout_problems(file) + _threshold_problems(file)
+    problems = _clutter_problems(file) + _dropout_problems(file)
+    least, asked = file.confidence_threshold, file.operating_threshold
+    if asked is not None and asked < least:
+        problems.append(f"operating_threshold: is {asked:g}, must be at least {least:g}, the confidence_threshold")
     for name, state in file.states.items():
         path = f"states.{name}"
         problems += _extra_problems(path, state, file) + _curve_problems(path, state, file)
     return problems
-
-
-def _threshold_problems(file: DetectorFile) -> list[str]:
-    """Nothing is known of what the detector puts out below the confidence from which on it was measured."""
-    measured, asked = file.confidence_threshold, file.operating_threshold
-    if asked is None or asked >= measured:
-        return []
-    return [f"operating_threshold: is {asked:g}, must be at least {measured:g}, the confidence_threshold"]
 
 
 def _dropout_problems(file: DetectorFile) -> list[str]:

@@ -78,26 +78,21 @@ def _is_within(path: str, other: str) -> bool:
 def _unread_keys(file: DetectorFile) -> Iterator[UnreadKey]:
     schedule, one = file.performance.schedule, len(file.states) == 1
     forced = bool(schedule) and schedule[0][0] == 0 and all(state is not None for _, state in schedule)
-    entered = {state for _, state in schedule} | (set() if forced else _chain_states(file))
-    states = [name for name in file.states if name in entered]
+    names, steps = [*file.states], np.eye(len(file.states)) + np.array(file.transition_matrix, dtype=np.float64)
+    reached = np.linalg.matrix_power(steps, len(names))[:, names.index(file.initial_state)] > 0
+    entered = {state for _, state in schedule}
+    states = [name for name, chain in zip(names, reached, strict=True) if name in entered or (chain and not forced)]
     measured = "drops nothing, for it is the confidence from which on the detector was measured"
     yield UnreadKey("confidence_threshold", f"{measured}: set detector.operating_threshold")
     for name in _CHAIN if one or forced else ():
         why = "the detector has one state" if one else "a state is forced at every step"
         yield UnreadKey(name, f"{why}: set detector.performance.schedule", is_dead=one and name in _CHAIN[2:])
-    for name in file.states.keys() - entered:
+    for name in (name for name in names if name not in states):
         never = f"the detector is never in state {name}, but in {', '.join(states)}"
         yield UnreadKey(f"states.{name}", f"{never}: set keys of that, or detector.performance.schedule")
     yield from _unread_rates(file, states)
     yield from _unread_effects(file, states)
     yield from _switched_off(file)
-
-
-def _chain_states(file: DetectorFile) -> set[str]:
-    """The states that the chain can come to."""
-    names, matrix = [*file.states], np.array(file.transition_matrix, dtype=np.float64)
-    paths = np.linalg.matrix_power(np.eye(len(names)) + matrix, len(names))[:, names.index(file.initial_state)]
-    return {name for name, path in zip(names, paths, strict=True) if path > 0}
 
 
 def _unread_rates(file: DetectorFile, states: list[str]) -> Iterator[UnreadKey]:
