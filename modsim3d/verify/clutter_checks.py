@@ -177,7 +177,7 @@ def second_box_candidates(model: DetectorModel, evidence: Evidence) -> tuple[Ind
     placed = sizes(true_detections.boxes_px[single])[:, 0]
     pieces = np.flatnonzero(clutter.kind == FRAGMENT)
     of = {int(chance): int(row) for row, chance in zip(pieces, clutter.instance[pieces], strict=True)}
-    split = np.flatnonzero(true_detections.kind[single] == SPLIT)
+    split = np.flatnonzero((true_detections.kind[single] == SPLIT) & np.isin(instances, [*of]))  # both were put out
     other = np.array([of[int(chance)] for chance in instances[split]], dtype=np.int64)
     placed[split] += sizes(clutter.boxes_px[other])[:, 0]  # both parts together
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])

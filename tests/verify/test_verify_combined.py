@@ -98,6 +98,15 @@ def test_what_an_operating_threshold_drops_is_not_tested_and_the_rest_is(
     assert least.wrong > 0
 
 
+@pytest.mark.parametrize("limit", [{"operating_threshold": 0.7}, {"gates": {"max_detections": 2}}])
+def test_parts_of_vessels_of_which_one_was_dropped_are_no_fault(many: ManyDetections, limit: Data) -> None:
+    clutter = {"model": "per_image", "rate": 0.1, "splits": 0.5, "split_aspect": 0.2, "duplicates": 0.1}
+    model = parse_detector(thesis_data() | {"false_positives": clutter} | limit)
+    found = clutter_checks(model, many.detect(model, 0))
+    assert any(p.name.endswith("false_positives_per_image") and p.measure is None for p in found)
+    assert min([p.measure.p_value() for p in found if p.measure is not None], default=1.0) > 1e-5
+
+
 def test_box_errors_are_not_tested_where_the_largest_boxes_were_kept(many: ManyDetections, table: MomentTable) -> None:
     data = thesis_data() | {"gates": {"max_detections": 2}}
     data["states"]["good"]["confidence"]["size_slope"] = 0.1
