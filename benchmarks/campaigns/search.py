@@ -66,7 +66,7 @@ PROBLEMS: dict[str, dict[str, Any]] = {
         "scene": "harbour",
         "steps": 30,
         "seeds": 500,
-        "over": {"detector.confidence_threshold": [0.2, 0.25]},
+        "over": {"detector.operating_threshold": [0.2, 0.25]},
     },
     "waves": {
         "about": "strait, the sea, with 20 seeds",

@@ -93,6 +93,7 @@ def campaign_command(
     from modsim3d.campaign.campaign import engine_of
     from modsim3d.campaign.file.reading import read_campaign
     from modsim3d.campaign.results.deaths import killed_sentence
+    from modsim3d.campaign.results.same_detections import same_detections
     from modsim3d.campaign.running import run_plan
     from modsim3d.campaign.work.checking import checked
     from modsim3d.commands.campaign_progress import campaign_progress
@@ -129,7 +130,9 @@ def campaign_command(
     if killed := killed_sentence(result.folder):
         warn(killed)
         warnings.append(killed)
-    say_json(_json(found, folder, warnings) | _result_json(result))
+    for text in (same := same_detections(result.folder.plan, result.table)):
+        warn(text)
+    say_json(_json(found, folder, [*warnings, *same]) | _result_json(result))
     if status := exit_status(result.verdicts):
         raise typer.Exit(status)
 

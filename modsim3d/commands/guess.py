@@ -103,6 +103,11 @@ def _rows(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, 
         now, unit = after["states"][name], was["box_error"]["unit"]
         for label, old, new in zip(before["labels"], was["confusion"][-1], now["confusion"][-1], strict=True):
             yield name, f"{label} missed", f"{old:.1%} → {new:.1%}"
-        yield name, "false detections", f"{was['false_discovery_rate']:.1%} → {now['false_discovery_rate']:.1%}"
+        if "false_discovery_rate" in was:
+            yield name, "false detections", f"{was['false_discovery_rate']:.1%} → {now['false_discovery_rate']:.1%}"
+        else:
+            key, rates = "false_positives_per_image", [each["false_positives"].get("rate") for each in (before, after)]
+            old, new = (state.get(key, rate) for state, rate in zip((was, now), rates, strict=True))
+            yield name, "false detections in an image", f"{old:.3g} → {new:.3g}"
         old, new = (state["box_error"]["covariance"][2][2] ** 0.5 for state in (was, now))
         yield name, "width error, standard deviation", f"{old:.3g} → {new:.3g} {'' if unit == 'relative' else 'px'}"

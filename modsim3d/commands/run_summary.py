@@ -55,16 +55,18 @@ def traffic_in_words(scene: Scene) -> str:
     return f"{scene.traffic}; another seed is another look at it"
 
 
-def traffic_warnings(scene: Scene) -> list[str]:
-    """Vessels that were asked for and are not there, because there was no room for them."""
+def scene_warnings(scene: Scene) -> list[str]:
+    """Vessels that found no room, and lines of the detector file that change nothing."""
+    from modsim3d.detector.file.unread import dead_lines
     from modsim3d.motion.poses.traffic import DrawnTraffic
 
     left_out = scene.poses.left_out if isinstance(scene.poses, DrawnTraffic) else {}
+    dead = dead_lines(scene.detector)
     if not left_out:
-        return []
+        return dead
     missing = ", ".join(f"{count} of {section}" for section, count in left_out.items())
     total = sum(left_out.values())
-    return [f"poses.traffic: {total} of the vessels that were drawn found no room and are left out: {missing}"]
+    return [f"poses.traffic: {total} of the vessels that were drawn found no room and are left out: {missing}", *dead]
 
 
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
@@ -167,7 +169,7 @@ def run_warnings(scene: Scene, result: RunResult) -> list[str]:
     warnings = blind_cameras(scene, result.steps, result.camera_counts)
     if len(warnings) == len(scene.cameras) > 1:
         warnings.insert(0, "no camera sees a vessel in this run")
-    warnings += traffic_warnings(scene)
+    warnings += scene_warnings(scene)
     warnings += [
         f"the boxes of {' and '.join(pair)} intersect, so who hides whom is undefined; only the rendered source decides"
         for pair in result.intersecting

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from modsim3d.commands.run_summary import traffic_in_words, traffic_warnings
+from modsim3d.commands.run_summary import scene_warnings, traffic_in_words
 from modsim3d.commands.shared import (
     FromOption,
     JsonOption,
@@ -35,7 +35,7 @@ def check_command(
     """Read a scene and every file that it names, and list everything that is wrong.
 
     Warns of cameras that see no vessel in their first frames, nor in some others over the whole scene, and of
-    vessels for which drawn traffic has no room.
+    vessels for which drawn traffic has no room, and of keys of the detector file that nothing reads.
 
     Example: modsim3d check strait
     """
@@ -47,7 +47,7 @@ def check_command(
         loaded = load_scene(scene, settings=read_settings(settings or ()), state=state, state_from=state_from)
     tell_files(loaded.copy.read)
     console = open_console()
-    warnings = [*traffic_warnings(loaded), *blind_at_first(loaded)]
+    warnings = [*scene_warnings(loaded), *blind_at_first(loaded)]
     found = f"no errors, {len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else "no problems found"
     print_line(console, f"{loaded.path}: {found}")
     print_rows(console, "", _rows(loaded))

@@ -250,6 +250,8 @@ class Detector:
             states[every.frame], false, every.visible_fraction, np.sqrt(width * height), uniforms
         )
         output = self.model.gates.most_confident(every.frame, confidence, ties)
+        if self.model.operating_threshold is not None:
+            output &= confidence >= self.model.operating_threshold
         order = np.lexsort((ties, every.frame))
         order = order[output[order]]
         gated = ~passed

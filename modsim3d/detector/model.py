@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, field
 
 from modsim3d.arrays import Array, read_only
@@ -31,7 +32,7 @@ class PerformanceState:
         confusion: Pr(detected as i | label j), rows labels then background, shape (k + 1, k), columns sum
             to one (Jessen & Mohr (2023), eq. 5.25).
         false_positive_labels: Pr(label i | false positive), shape (k,), sums to one (eq. 5.26).
-        false_discovery_rate: False positives over all detections, in [0, 1).
+        false_discovery_rate: False positives over all detections, in [0, 1); NaN if the file has another rate.
         box_error: Law of the box errors.
         confidence: Laws of the confidence of true and of false detections.
         false_positives_per_image: Rate for the model of false positives that has such a one.
@@ -46,8 +47,15 @@ class PerformanceState:
     false_positives_per_image: float = 0.0
 
     def __repr__(self) -> str:
-        """Its name and its share of false detections."""
-        return f"<PerformanceState {self.name}: false discovery rate {self.false_discovery_rate:.1%}>"
+        """Its name and its rate of false detections."""
+        return f"<PerformanceState {self.name}: {self.false_rate}>"
+
+    @property
+    def false_rate(self) -> str:
+        """Its rate of false detections in words."""
+        if math.isnan(self.false_discovery_rate):
+            return f"{self.false_positives_per_image:g} false positives an image"
+        return f"false discovery rate {self.false_discovery_rate:.1%}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,6 +65,7 @@ class DetectorModel:
     Attributes:
         labels: Names of the classes; arrays give a class as an index into them.
         confidence_threshold: Least confidence of a detection.
+        operating_threshold: Detections below it are dropped when all is drawn; None drops none.
         states: The performance states.
         initial_state: Index of the state at the first step.
         transition_matrix: Pr(next is i | now is j), shape (states, states), columns sum to one (Jessen & Mohr (2023),
@@ -76,6 +85,7 @@ class DetectorModel:
     clutter: ClutterOptions = field(default_factory=ClutterOptions)
     merges_and_splits: MergesAndSplits = field(default_factory=MergesAndSplits)
     performance: Performance = field(default_factory=Performance)
+    operating_threshold: float | None = None
 
     def __repr__(self) -> str:
         """States and labels in a line."""
@@ -84,10 +94,9 @@ class DetectorModel:
     def _repr_html_(self) -> str:
         """A notebook's table: for each state, how often each label is missed, and the share of false detections."""
         rows = [
-            [state.name, *(f"{miss:.1%}" for miss in state.confusion[-1]), f"{state.false_discovery_rate:.1%}"]
-            for state in self.states
+            [state.name, *(f"{miss:.1%}" for miss in state.confusion[-1]), state.false_rate] for state in self.states
         ]
-        header = ["state", *(f"{label}: missed" for label in self.labels), "false discovery rate"]
+        header = ["state", *(f"{label}: missed" for label in self.labels), "false detections"]
         return column_table(f"Detector: {self.in_words()}", header, rows)
 
     def in_words(self) -> str:

@@ -117,10 +117,11 @@ def _state(state: Mapping[str, Any], change: ConditionChange, where: str) -> dic
     result = {
         **state,
         "confusion": columns_of_one(np.vstack([confusion[:-1] * found, missed])),
-        "false_discovery_rate": digits(_with_odds(state["false_discovery_rate"], change.false_odds)),
         "box_error": _box_error(state["box_error"], change.spread),
         "confidence": _confidence(state["confidence"], change.confidence, where),
     }
+    if state.get("false_discovery_rate") is not None:
+        result["false_discovery_rate"] = digits(_with_odds(state["false_discovery_rate"], change.false_odds))
     if state.get("false_positives_per_image") is not None:
         result["false_positives_per_image"] = digits(state["false_positives_per_image"] * change.false_per_image)
     return result

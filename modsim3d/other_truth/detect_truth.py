@@ -16,6 +16,7 @@ import orjson
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.file.reading import content_of
+from modsim3d.detector.file.unread import dead_lines
 from modsim3d.detector.model import DetectorModel
 from modsim3d.display import key_table
 from modsim3d.errors import InputError, ModsimError, OutputError
@@ -209,7 +210,7 @@ class _Work:
         sought = sought_in(labelled, to_label, ids.identities, source)
         sea = None if horizon is None else half_plane(horizon, {video.size_px for video in videos})
         left_out = check_needs(model, detector, sought.depth_m[sought.visible], sea)
-        notes = (*labelled.notes, *taken, *sought.notes, *left_out)
+        notes = (*labelled.notes, *taken, *sought.notes, *left_out, *dead_lines(model))
         return cls(kind, model, ids, classes, to_label, videos, sought, sea, notes)
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -110,6 +111,13 @@ class RunRows:
     def detection_boxes_px(self) -> Array:
         """The detections' boxes as x_min, y_min, x_max, y_max, shape (m, 4)."""
         return detection_boxes_px(self.detections)
+
+    @cached_property
+    def detections_sha256(self) -> str:
+        """Checksum of what a tracker sees: frames, boxes, labels and confidence of the detections."""
+        scores = (indices(self.detections, "label", self.scene.detector.labels), numbers(self.detections, "confidence"))
+        columns = (self.frames, self.detection_frame, self.detection_boxes_px(), *scores)
+        return hashlib.sha256(b"".join(column.tobytes() for column in columns)).hexdigest()
 
     @cached_property
     def annotated_boxes_px(self) -> Array:

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from modsim3d.detector.file.finding import find_detector
-from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.inputs.conditions import find_condition
-from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.paths import StrPath, as_path
 from modsim3d.scene.settings import Setting, Settings, settings_of
 
@@ -44,6 +42,7 @@ def choose_detector(
     settings: Mapping[str, object] | None = None,
     state: str | None = None,
     state_from: StrPath | None = None,
+    may_be_unread: bool = False,
 ) -> tuple[DetectorModel, Path]:
     """A detector without a scene, and its file; see `load_scene` for what the arguments mean.
 
@@ -55,14 +54,13 @@ def choose_detector(
     for key in settings or {}:
         if key.partition(".")[0] != "detector" or "." not in key:
             raise InputError(f"--set {key}", ["there is no scene: set keys below detector only"])
-    whole = Settings([*state_settings(state, state_from, detector), *settings_of(settings or {})])
+    given = settings_of(settings or {}, may_be_unread=may_be_unread)
+    whole = Settings([*state_settings(state, state_from, detector), *given])
     named = NO_DETECTOR if detector is None else str(find_detector(detector).absolute())
     file = Path(whole.in_scene({"detector": named})["detector"])
-    content, source = load_yaml(file, "detector"), f"detector {file}"
-    if whole.changes_file("detector") and isinstance(content, dict):
-        content = whole.in_file("detector", content, source)
+    source = f"detector {file}"
     try:
-        model = parse_detector(content, source)
+        _, model = whole.detector_of(file)
     except InputError as error:
         known = whole.named(f"{source}: {problem}" for problem in error.problems)
         raise InputError(

@@ -14,11 +14,9 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from modsim3d.detector.file.finding import shipped_detectors
-from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.inputs.plugins import Plugin
-from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import MOST_PROBLEMS, describe, join_path, nearest
 from modsim3d.motion.poses import LivePoses, NamedSource, PoseRequest, PoseSource, SourceKeys, read_source
 from modsim3d.motion.waves.levels import Axes, find_level
@@ -206,10 +204,8 @@ class SceneParts:
         return shipped_detectors().get(entry, file) if not os.path.lexists(file) else file
 
     def _read_detector(self, file: Path) -> DetectorModel:
-        content, source = load_yaml(file, "detector"), f"detector {file}"
-        if self.settings.changes_file("detector") and isinstance(content, dict):
-            content = self.changed_detector = self.settings.in_file("detector", content, source)
-        return parse_detector(content, source)
+        self.changed_detector, model = self.settings.detector_of(file)
+        return model
 
     def _source(self) -> NamedSource | None:
         """The keys of the pose source; None for one that needs the scene's times, where the scene gives none."""

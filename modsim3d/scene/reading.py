@@ -84,6 +84,7 @@ def load_scene(
     settings: Mapping[str, object] | None = None,
     state: str | None = None,
     state_from: StrPath | None = None,
+    may_be_unread: bool = False,
 ) -> Scene:
     """Read and validate a scene and every file that it names.
 
@@ -101,11 +102,13 @@ def load_scene(
         detector: A detector file, relative to the working directory, or the name of a shipped detector.
         detector_seed: Seed of the detector.
         settings: Any keys of the scene, and below `detector` of the detector file, such as
-            `{"waves.level": "large", "detector.states.clear.false_discovery_rate": 0.2}`; a list's items have their
-            index as key. Files in the values are relative to the scene.
+            `{"waves.level": "large", "detector.operating_threshold": 0.5}`; a list's items have their index as key.
+            Files in the values are relative to the scene.
         state: The performance state that the detector is in for the whole scene.
         state_from: A folder of detector files, of which `state` names one that replaces the scene's detector;
             `conditions` is the shipped folder. Or a detector file, which replaces it and has the state.
+        may_be_unread: Take settings that change nothing, since the models that the detector chooses do not read them;
+            they are problems otherwise.
 
     Raises:
         InputError: With every problem found, each with its path in the file.
@@ -128,7 +131,7 @@ def load_scene(
         "detector_seed": detector_seed,
     }
     wanted = [*replacing(given), *state_settings(state, state_from, detector)]
-    return assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
+    return assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {}, may_be_unread=may_be_unread)]))
 
 
 def assembled(parts: SceneParts) -> Scene:

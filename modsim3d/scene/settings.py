@@ -5,15 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
 from modsim3d.detector.file.miss_rate import is_miss_rate, with_miss_rate
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.schema import DetectorFile
+from modsim3d.detector.file.unread import unread_settings
+from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
-from modsim3d.inputs.strict_yaml import parse_yaml
+from modsim3d.inputs.strict_yaml import load_yaml, parse_yaml
 from modsim3d.inputs.validation import join_path, kind_of, model_at, nearest
 from modsim3d.scene.keys import SceneKeys
 
@@ -31,11 +35,13 @@ class Setting:
         key: The keys that lead to it, with dots between them; those of the detector file are below `detector`.
         value: What stands there from now on, as a YAML file would have it.
         option: What messages call it in place of the key, such as `--set waves.level`; empty: the key.
+        may_be_unread: Whether a detector may have no use for it.
     """
 
     key: str
     value: Any
     option: str = ""
+    may_be_unread: bool = True
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -102,20 +108,20 @@ class Settings:
         return data
 
     def in_file(self, section: str, content: Any, source: str) -> Any:
-        """The content of a file that a section of the scene names, with the settings.
-
-        Args:
-            section: The section.
-            content: The file's content.
-            source: What errors call the file.
-        """
+        """The content of a file that a section of the scene names, with the settings; `source` names it in errors."""
         for setting in self._of_files[section]:
             content = self._changed(content, setting, source, section)
         return content
 
-    def changes_file(self, section: str) -> bool:
-        """Whether a file that a section names is changed."""
-        return bool(self._of_files[section])
+    def detector_of(self, file: Path) -> tuple[dict[str, Any] | None, DetectorModel]:
+        """The content of a detector file with the settings, None if there are none for it, and the detector."""
+        content, source, settings = load_yaml(file, "detector"), f"detector {file}", self._of_files["detector"]
+        changed = self.in_file("detector", content, source) if settings and isinstance(content, dict) else None
+        model = parse_detector(content if changed is None else changed, source)
+        paths = {".".join(setting.parts[1:]): setting for setting in settings if not setting.may_be_unread}
+        unread = unread_settings(model, paths) if paths else {}
+        self.problems += [f"{paths[path].name}: {reason}" for path, reason in unread.items()]
+        return changed, model
 
     def option_of(self, key: str) -> str:
         """The option that sets a key of the scene; empty if none does."""
@@ -148,15 +154,15 @@ def replacing(values: Mapping[str, object]) -> list[Setting]:
     return [Setting(key, plain(value)) for key, value in values.items() if value is not None]
 
 
-def settings_of(values: Mapping[str, object]) -> list[Setting]:
-    """The settings that the option `--set` gives, from keys with dots to values.
+def settings_of(values: Mapping[str, object], *, may_be_unread: bool = False) -> list[Setting]:
+    """The settings that the option `--set` gives, from keys with dots to values; see `Setting` for the other argument.
 
     Raises:
         TypeError: It is no mapping.
     """
     if not isinstance(values, Mapping):
         raise TypeError(f"settings: a mapping of keys to values is needed (got {type(values).__name__})")
-    return [Setting(str(key), plain(value), f"--set {key}") for key, value in values.items()]
+    return [Setting(str(key), plain(value), f"--set {key}", may_be_unread) for key, value in values.items()]
 
 
 def plain(value: Any) -> Any:

@@ -19,7 +19,7 @@ from modsim3d.verify.class_checks import correlation_note
 from modsim3d.verify.error_fit import ErrorSample, FitStep, MomentTable, StateFit, fit_step, fitted_law
 from modsim3d.verify.error_likelihoods import LIKELIHOODS
 from modsim3d.verify.error_parameters import ErrorParameters
-from modsim3d.verify.evidence import Evidence, max_detections_note
+from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import Estimate, Exact
 from modsim3d.verify.parameters import Parameter
 
@@ -88,7 +88,7 @@ def _rows(model: DetectorModel, evidence: Evidence, s: int) -> Indices:
 
 def _limited(model: DetectorModel, evidence: Evidence, s: int) -> str:
     """Why a state cannot be tested: too many of the most confident detections have boxes that came out large."""
-    return max_detections_note(model, evidence) if model.states[s].confidence.size_slope else ""
+    return unknown_rest_note(model, evidence) if model.states[s].confidence.size_slope else ""
 
 
 def with_known_errors(model: DetectorModel, evidence: Evidence) -> Mask:

@@ -14,7 +14,7 @@ from modsim3d.detector.draws import cumulative, log2
 from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Effect, Slope, Table
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part, model_name
-from modsim3d.verify.evidence import Evidence, max_detections_note
+from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import Estimate, Exact, Measure
 from modsim3d.verify.pairs import inflation, lag_pairs, turn_before
 from modsim3d.verify.parameters import Parameter
@@ -66,7 +66,7 @@ def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutco
 def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """Every free entry of every state's confusion matrix; of a column with two entries only the dropout."""
     expected = expected_outcomes(model, evidence)
-    note = max_detections_note(model, evidence)
+    note = unknown_rest_note(model, evidence)
     parameters = _gate_checks(evidence, expected)
     for s, state in enumerate(model.states):
         for column, label in enumerate(model.labels):

@@ -16,7 +16,7 @@ from modsim3d.detector.persistent_clutter import persistent_clutter
 from modsim3d.detector.placement import DRAWS
 from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, CameraFrames, Targets
 from modsim3d.random_streams import Streams
-from modsim3d.verify.evidence import CameraEvidence, Evidence, max_detections_note
+from modsim3d.verify.evidence import CameraEvidence, Evidence, unknown_rest_note
 from modsim3d.verify.law_measures import Law
 from modsim3d.verify.measures import Estimate
 from modsim3d.verify.parameters import Parameter
@@ -34,7 +34,7 @@ def clutter_box_checks(model: DetectorModel, evidence: Evidence, persistent: Arr
 
     `persistent` is the expected number of persistent ones in each frame, shape (s,).
     """
-    note = max_detections_note(model, evidence)
+    note = unknown_rest_note(model, evidence)
     names = ("placement[below the horizon]", "placement[along the horizon]", "size[width]", "size[height]")
     laws = [None] * len(names) if note else _laws(model, evidence)
     parameters = [

@@ -17,7 +17,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part
 from modsim3d.detector.records import DUPLICATE, FALSE_POSITIVE, FRAGMENT, MERGED, PERSISTENT, SPLIT, TRUE
 from modsim3d.verify.clutter_box_checks import clutter_box_checks
-from modsim3d.verify.evidence import Evidence, frames_above_max, max_detections_note
+from modsim3d.verify.evidence import Evidence, frames_above_max, unknown_rest_note
 from modsim3d.verify.measures import Exact
 from modsim3d.verify.pairs import lag_pairs
 from modsim3d.verify.parameters import Parameter
@@ -177,7 +177,7 @@ def second_box_candidates(model: DetectorModel, evidence: Evidence) -> tuple[Ind
     placed = sizes(true_detections.boxes_px[single])[:, 0]
     pieces = np.flatnonzero(clutter.kind == FRAGMENT)
     of = {int(chance): int(row) for row, chance in zip(pieces, clutter.instance[pieces], strict=True)}
-    split = np.flatnonzero(true_detections.kind[single] == SPLIT)
+    split = np.flatnonzero((true_detections.kind[single] == SPLIT) & np.isin(instances, [*of]))  # both were put out
     other = np.array([of[int(chance)] for chance in instances[split]], dtype=np.int64)
     placed[split] += sizes(clutter.boxes_px[other])[:, 0]  # both parts together
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
@@ -200,7 +200,7 @@ def _extras(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
 
 def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """The rate of each state and of all, the kinds, and the labels of false positives."""
-    note = max_detections_note(model, evidence)
+    note = unknown_rest_note(model, evidence)
     seen = ClutterEvidence(model, evidence, expected_clutter(model, evidence))
     check = RATE_CHECKS.get(model.clutter.model)
     parameters = []

@@ -14,7 +14,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part, model_name
 from modsim3d.verify.class_checks import correlation_note
 from modsim3d.verify.clipped_checks import LEAST_DETECTIONS, Clipped
-from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, max_detections_note
+from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, unknown_rest_note
 from modsim3d.verify.kept_scores import KeptScores, score_persistence
 from modsim3d.verify.law_measures import Law
 from modsim3d.verify.measures import Exact, Measure
@@ -44,7 +44,7 @@ class Scored:
 
 def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """The confidence of every state, true and false detections together where the file has one law for both."""
-    note = max_detections_note(model, evidence)
+    note = unknown_rest_note(model, evidence)
     threshold = model.confidence_threshold
     parameters = []
     for s, state in enumerate(model.states):
@@ -63,8 +63,10 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
     about = note or correlation_note(persistence)
     parameters.append(Parameter("persistence.confidence_s", Part.CONFIDENCE, persistence, note=about))
     every = np.concatenate([evidence.true_detections.confidence, evidence.false_detections.confidence])
-    outside = int(((every < threshold) | (every > 1)).sum())
-    return [*parameters, Parameter("confidence_threshold", Part.CONFIDENCE, Exact(outside, len(every)))]
+    asked = model.operating_threshold
+    least, key = (threshold, "confidence_threshold") if asked is None else (asked, "operating_threshold")
+    outside = int(((every < least) | (every > 1)).sum())
+    return [*parameters, Parameter(key, Part.CONFIDENCE, Exact(outside, len(every)))]
 
 
 def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Scored]:

@@ -212,9 +212,11 @@ def _rows_before(targets: Targets) -> Indices:
     return before
 
 
-def max_detections_note(model: DetectorModel, evidence: Evidence) -> str:
+def unknown_rest_note(model: DetectorModel, evidence: Evidence) -> str:
     """Why rates and confidence cannot be tested; empty if they can."""
-    limit = model.gates.max_detections
+    limit, threshold = model.gates.max_detections, model.operating_threshold
+    if threshold is not None and threshold > model.confidence_threshold:
+        return f"operating_threshold is {threshold:g}: what was dropped below it is not known"
     if limit is None:
         return ""
     reached = int((evidence.frames.n_kept + evidence.frames.n_false >= limit).sum())

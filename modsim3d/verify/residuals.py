@@ -24,7 +24,7 @@ from modsim3d.verify.class_checks import expected_outcomes
 from modsim3d.verify.clutter_checks import RATE_CHECKS, expected_clutter
 from modsim3d.verify.confidence_checks import scored
 from modsim3d.verify.error_fit import StateFit
-from modsim3d.verify.evidence import Evidence, max_detections_note
+from modsim3d.verify.evidence import Evidence, unknown_rest_note
 
 NO_VESSEL = -1
 _LEAST_OF_STATE = 30
@@ -110,7 +110,7 @@ def box_error_residuals(model: DetectorModel, evidence: Evidence, fits: Sequence
 
 def miss_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
     """Whether a vessel was missed less its probability, of each chance that could have gone either way."""
-    note = max_detections_note(model, evidence)
+    note = unknown_rest_note(model, evidence)
     if note:
         return none_of(Draw.MISS, note)
     expected, instances = expected_outcomes(model, evidence), evidence.instances
@@ -131,7 +131,7 @@ def miss_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
 
 def clutter_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
     """Number of transient false positives of each image, small numbers capped, less its expectation."""
-    note = max_detections_note(model, evidence)
+    note = unknown_rest_note(model, evidence)
     if note or model.clutter.model not in RATE_CHECKS:
         return none_of(Draw.FALSE_POSITIVES, note)
     expected, images = expected_clutter(model, evidence), evidence.frames
@@ -168,7 +168,7 @@ def n_transient(evidence: Evidence) -> Indices:
 
 def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
     """Normal numbers at the levels that confidences have in their laws; at the ends of the range they are drawn."""
-    note = max_detections_note(model, evidence)
+    note = unknown_rest_note(model, evidence)
     if note:
         return none_of(Draw.CONFIDENCE, note)
     rng, true, false = np.random.default_rng(0), evidence.true_detections, evidence.false_detections

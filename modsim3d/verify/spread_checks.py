@@ -7,7 +7,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.model import DetectorModel
 from modsim3d.verify.clutter_checks import RATE_CHECKS, ExpectedClutter, expected_clutter
-from modsim3d.verify.evidence import Evidence, max_detections_note
+from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import Estimate
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.residuals import Draw, n_transient
@@ -18,7 +18,7 @@ LEAST_STRETCHES = 20
 
 def spread_checks(model: DetectorModel, evidence: Evidence, group: str) -> list[Parameter]:
     """Variance over mean of the number of transient false positives of an image, and of a stretch of images."""
-    note = max_detections_note(model, evidence)
+    note = unknown_rest_note(model, evidence)
     if model.clutter.model not in RATE_CHECKS or model.clutter.persistent_share == 1:
         return []
     expected, found = expected_clutter(model, evidence), n_transient(evidence)

@@ -79,7 +79,7 @@ def test_both_ends_of_a_range_are_tried(tmp_path: Path) -> None:
 
 def test_ranges_whose_ends_are_possible_are_taken(tmp_path: Path) -> None:
     path = tmp_path / "campaign.yaml"
-    path.write_text(HARBOUR + "vary: [{uniform: {detector.confidence_threshold: [0.1, 0.4]}}]\n")
+    path.write_text(HARBOUR + "vary: [{uniform: {detector.operating_threshold: [0.2, 0.4]}}]\n")
     assert len(checked(read_campaign(path)).plan) == 1
 
 
@@ -119,3 +119,57 @@ def test_the_example_has_24_runs() -> None:
 def test_a_name_that_is_no_campaign_has_a_hint() -> None:
     with pytest.raises(InputError, match=r"no shipped campaign has this name .*example"):
         read_campaign("exmple")
+
+
+# ---- keys that nothing reads -------------------------------------------------------------------------------------
+
+STRAIT = "scene: strait\nsteps: 3\ntrackers: [reference]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "vary: [{grid: {detector.states.clear.false_discovery_rate: [0.1, 0.6]}}]\n",
+            "vary: detector.states.clear.false_discovery_rate 0.1: model per_image does not read it: set "
+            "detector.false_positives.rate",
+        ),
+        (
+            "set: {detector.states.haze.false_discovery_rate: 0.6}\n",
+            "set: detector.states.haze.false_discovery_rate 0.6: model per_image does not read it: set "
+            "detector.states.haze.false_positives_per_image",
+        ),
+        (
+            "vary: [{uniform: {detector.confidence_threshold: [0.3, 0.4]}}]\n",
+            "set detector.operating_threshold",
+        ),
+        (
+            "vary: [{grid: {detector.false_positives.merge_overlap: [0.1, 0.4]}}]\n",
+            "vary: detector.false_positives.merge_overlap 0.1: merges is 0: set detector.false_positives.merges",
+        ),
+        (
+            "vary: [{grid: {state: [haze], detector.false_positives.rate: [0.1, 0.4]}}]\n",
+            "each state has a rate of its own: set detector.states.haze.false_positives_per_image",
+        ),
+    ],
+)
+def test_a_key_that_no_condition_reads_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    (found,) = problems(tmp_path, STRAIT + text)
+    assert said in found
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "vary: [{grid: {state: [clear, haze], detector.states.haze.confidence.visibility_slope: [0.1, 0.2]}}]\n",
+        "vary: [{grid: {detector.false_positives.merges: [0, 0.5], "
+        "detector.false_positives.merge_overlap: [0.2, 0.5]}}]\n",
+        "vary: [{uniform: {detector.operating_threshold: [0.2, 0.6]}}]\n",
+        "search: {minimise: hota, budget: 4, over: {detector.false_positives.merges: [0, 1], "
+        "detector.false_positives.merge_overlap: [0.1, 0.9]}}\n",
+    ],
+)
+def test_a_key_that_a_condition_reads_is_taken(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "campaign.yaml"
+    path.write_text(STRAIT + text)
+    assert len(checked(read_campaign(path)).plan) > 0

@@ -42,7 +42,7 @@ scene: harbour
 steps: 20
 seeds: {traffic: 2, detector: 2}
 vary:
-  - grid: {state: [good, terrible], detector.confidence_threshold: [0.2]}
+  - grid: {state: [good, terrible], detector.operating_threshold: [0.2]}
 trackers:
   - sort
   - {tracker: sort, name: hasty, set: {minimum_consecutive_frames: 1}}
@@ -181,7 +181,7 @@ def test_the_command_makes_the_run_that_the_options_of_run_make(
     assert said.status == 0 and "Every column is as in the campaign." in said.out
     assert f"modsim3d score {out} {out}_tracks --similarity centre --scale 200.0" in said.out
     planned = campaign.folder.plan.run(15)
-    settings = {"detector.confidence_threshold": 0.2}
+    settings = {"detector.operating_threshold": 0.2}
     seeds = {"seed": planned.traffic_seed, "detector_seed": planned.detector_seed}
     run_scene(load_scene("harbour", steps=20, state="terrible", settings=settings, **seeds), tmp_path / "plain")
     names = sorted(path.relative_to(out) for path in out.rglob("*") if path.is_file() and path.name != "run.log")

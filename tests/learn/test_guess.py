@@ -11,7 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from modsim3d.commands.guess import _rows
 from modsim3d.detector import DetectorModel, load_detector, parse_detector
+from modsim3d.detector.file.finding import shipped_detectors
 from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.errors import InputError
 from modsim3d.inputs.conditions import conditions_in
@@ -129,6 +131,15 @@ def test_rates_per_image_follow_the_number_of_false_positives() -> None:
     found = guessed(content, by)
     assert found["false_positives"]["rate"] == pytest.approx(0.4 * by.false_per_image, rel=1e-5)
     assert found["states"]["haze"]["false_positives_per_image"] == pytest.approx(2 * by.false_per_image, rel=1e-5)
+
+
+def test_a_detector_without_false_discovery_rates_is_guessed_and_told_by_its_rates_per_image() -> None:
+    content = load_yaml(shipped_detectors()["coastal"], "detector")
+    by = change("noon_clear", "foggy_cloudy")
+    found = guessed(content, by)
+    assert "false_discovery_rate" not in found["states"]["clear"]
+    rows = {row[0]: row[2] for row in _rows(content, found) if row[1] == "false detections in an image"}
+    assert rows == {"clear": f"0.1 → {0.1 * by.false_per_image:.3g}", "haze": f"0.25 → {0.25 * by.false_per_image:.3g}"}
 
 
 def test_confidence_is_shifted_by_its_log_odds() -> None:

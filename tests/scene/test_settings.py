@@ -23,12 +23,14 @@ from modsim3d.runs.detect_run import detect_run
 from modsim3d.runs.repeat_run import repeat_run
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run, read_finished
+from modsim3d.scene.detector_choice import choose_detector
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.settings import Setting, changed, read_settings
 from tests.commands.bad_input.builders import GOOD, Inputs
 
 RICH = data_folder("scenes") / "detectors" / "rich.yaml"
 DETECTOR_RATE = "detector.states.clear.false_discovery_rate"
+FOG_RATE = "detector.states.fog.false_discovery_rate"
 
 
 def inputs_in(folder: Path) -> Inputs:
@@ -182,6 +184,30 @@ def test_every_wrong_setting_is_told_beside_the_problems_of_the_files(tmp_path: 
     ]
 
 
+@pytest.mark.parametrize(
+    ("setting", "works"),
+    [
+        ({"detector.states.clear.false_discovery_rate": 0.6}, "set detector.false_positives.rate"),
+        ({"detector.confidence_threshold": 0.5}, "set detector.operating_threshold"),
+        ({"detector.false_positives.merge_overlap": 0.5}, "set detector.false_positives.merges"),
+    ],
+)
+def test_a_setting_that_nothing_reads_is_refused_with_the_key_that_works(setting: dict[str, Any], works: str) -> None:
+    (key,) = setting
+    found = problems("strait", settings=setting)
+    assert found[0].startswith(f"--set {key}")
+    assert works in found[0]
+    with pytest.raises(InputError, match=works):
+        choose_detector("coastal", settings=setting)
+    assert load_scene("strait", steps=2, settings=setting, may_be_unread=True).steps == 2
+
+
+def test_a_setting_of_a_state_that_is_not_forced_is_refused() -> None:
+    key = "detector.states.clear.confidence.visibility_slope"
+    (found,) = problems("strait", settings={key: 0.1}, state="haze")
+    assert found.startswith(f"--set {key}: states.clear: the detector is never in state clear, but in haze")
+
+
 # ---- states and conditions ---------------------------------------------------------------------------------------
 
 
@@ -228,8 +254,8 @@ def test_a_condition_with_other_labels_is_refused_once(tmp_path: Path) -> None:
 CHANGES: dict[str, Any] = {
     "waves.level": "small",
     "vessels.vehicle1.beam_m": 3.5,
-    DETECTOR_RATE: 0.25,
-    "detector.transition_interval_s": 1e-06,
+    FOG_RATE: 0.25,
+    "detector.persistence.box_s": 1e-06,
 }
 
 
@@ -237,7 +263,7 @@ def test_the_copy_in_a_run_has_the_settings_and_gives_the_same_bytes(scene: Path
     loaded = load_scene(scene, source="analytic", settings=CHANGES, state="fog")
     run_scene(loaded, tmp_path / "run")
     stored = yaml.safe_load((tmp_path / "run" / "scene" / "detector.yaml").read_text())
-    assert stored["states"]["clear"]["false_discovery_rate"] == 0.25
+    assert stored["states"]["fog"]["false_discovery_rate"] == 0.25
     assert stored["performance"] == {"schedule": [[0, "fog"]]}
     again = load_scene(open_run(tmp_path / "run").scene.path)
     assert again.sha256 == loaded.sha256
@@ -258,9 +284,9 @@ def test_a_detector_file_that_settings_change_is_an_input_that_no_run_replaces(s
 def test_the_detector_of_a_finished_run_can_be_changed_and_its_truth_not(scene: Path, tmp_path: Path) -> None:
     run_scene(load_scene(scene, source="analytic"), tmp_path / "run")
     stored = open_run(tmp_path / "run")
-    detect_run(stored, tmp_path / "again", settings={DETECTOR_RATE: 0.25}, state="fog")
+    detect_run(stored, tmp_path / "again", settings={FOG_RATE: 0.25}, state="fog")
     detector = open_run(tmp_path / "again").scene.detector
-    assert (detector.states[0].false_discovery_rate, detector.performance.schedule) == (0.25, ((0.0, 1),))
+    assert (detector.states[1].false_discovery_rate, detector.performance.schedule) == (0.25, ((0.0, 1),))
     with pytest.raises(InputError, match=r"--set waves.level:\n  a finished run keeps its truth"):
         detect_run(stored, tmp_path / "other", settings={"waves.level": "small"})
     assert not (tmp_path / "other").exists()

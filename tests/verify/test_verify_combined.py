@@ -14,6 +14,7 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.verify.box_error_checks import LEAST_DETECTIONS, box_error_checks, with_known_errors
 from modsim3d.verify.class_checks import class_checks
 from modsim3d.verify.clutter_checks import clutter_checks
+from modsim3d.verify.confidence_checks import confidence_checks
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.many_seeds import ManyDetections
@@ -79,6 +80,31 @@ def test_splits_leave_the_law_of_box_errors_as_it_is(many: ManyDetections) -> No
     assert abs(deviation) < 4 * every.std() / np.sqrt(len(some))
     share = every_narrow.mean()
     assert abs(some_narrow.mean() - share) < 4 * np.sqrt(share * (1 - share) / len(some))
+
+
+def test_what_an_operating_threshold_drops_is_not_tested_and_the_rest_is(
+    many: ManyDetections, table: MomentTable
+) -> None:
+    model = parse_detector(thesis_data() | {"operating_threshold": 0.7})
+    evidence = many.detect(model, 0)
+    rates = [*class_checks(model, evidence), *clutter_checks(model, evidence), *confidence_checks(model, evidence)]
+    untested = [p for p in rates if p.name.startswith("states.") and "false_positive_labels" not in p.name]
+    assert untested and all(p.measure is None and p.note.startswith("operating_threshold is 0.7") for p in untested)
+    (least,) = [p.measure for p in rates if p.name == "operating_threshold"]
+    assert least.wrong == 0
+    assert any(p.measure is not None for p in box_error_checks(model, evidence, table) if p.name.startswith("states."))
+    other = parse_detector(thesis_data() | {"operating_threshold": 0.8})
+    (least,) = [p.measure for p in confidence_checks(other, evidence) if p.name == "operating_threshold"]
+    assert least.wrong > 0
+
+
+@pytest.mark.parametrize("limit", [{"operating_threshold": 0.7}, {"gates": {"max_detections": 2}}])
+def test_parts_of_vessels_of_which_one_was_dropped_are_no_fault(many: ManyDetections, limit: Data) -> None:
+    clutter = {"model": "per_image", "rate": 0.1, "splits": 0.5, "split_aspect": 0.2, "duplicates": 0.1}
+    model = parse_detector(thesis_data() | {"false_positives": clutter} | limit)
+    found = clutter_checks(model, many.detect(model, 0))
+    assert any(p.name.endswith("false_positives_per_image") and p.measure is None for p in found)
+    assert min([p.measure.p_value() for p in found if p.measure is not None], default=1.0) > 1e-5
 
 
 def test_box_errors_are_not_tested_where_the_largest_boxes_were_kept(many: ManyDetections, table: MomentTable) -> None:

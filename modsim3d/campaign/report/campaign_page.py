@@ -19,6 +19,7 @@ from modsim3d.campaign.report.words import constant
 from modsim3d.campaign.results.deaths import killed_sentence
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.results.gather import results_table
+from modsim3d.campaign.results.same_detections import same_detections
 from modsim3d.campaign.verdicts.judging import judged
 from modsim3d.campaign.verdicts.levels import levels_of
 from modsim3d.campaign.verdicts.verdict import Verdict
@@ -106,6 +107,7 @@ def cautions(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
         found.append((f"{counted(crashed, 'run')} of {len(table):,} crashed: see below.", "bad"))
     if killed := killed_sentence(folder):
         found.append((killed, ""))
+    found += [(f"{text[0].upper()}{text[1:]}.", "bad") for text in same_detections(plan, table)]
     fixed = dict.fromkeys(each["scene"] for each in folder.facts["conditions"] if not each["traffic_has_seed"])
     if fixed:
         said = f"This traffic only: vessels in {listed(list(fixed))} move the same way with every seed. "

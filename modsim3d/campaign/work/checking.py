@@ -14,7 +14,7 @@ from modsim3d.campaign.plan.drawn import value_at
 from modsim3d.campaign.plan.plan import Plan, PlannedRun
 from modsim3d.campaign.work.digests import detector_digest, digest, plan_digest, versions
 from modsim3d.campaign.work.files import checksums
-from modsim3d.campaign.work.refusals import condition_problems, tracker_problems
+from modsim3d.campaign.work.refusals import condition_problems, key_readings, tracker_problems
 from modsim3d.campaign.work.requirement_problems import judging_problems, where_problems
 from modsim3d.campaign.work.row import SCORES, rules_of
 from modsim3d.campaign.work.scenes import Scenes
@@ -179,6 +179,7 @@ def _facts_of_all(
         for place, scene in enumerate(plan.keys.scenes)
         if any(p.startswith(f"scenes[{place}]:") for p in problems)
     }
+    named, readings = plan.keys.search.over if plan.keys.search else (), dict[str, list[str]]()
     for place, run in enumerate((*first, *ends)):
         if run.condition.scene in missing:
             continue
@@ -187,8 +188,12 @@ def _facts_of_all(
         except ModsimError as error:
             problems += condition_problems(run.condition, error, "search.over" if plan.keys.search else "vary")
         else:
+            detector = scenes.of(run.condition, run.traffic_seed, run.detector_seed).detector
+            for key, problem in key_readings(run.condition, detector, named):
+                readings.setdefault(key, []).append(problem)
             if place < len(first):
                 yield facts
+    problems += [found[0] for found in readings.values() if all(found)]
 
 
 def _ends(keys: CampaignKeys) -> Iterator[dict[str, Any]]:

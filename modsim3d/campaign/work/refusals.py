@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from modsim3d.campaign.plan.conditions import TRACKER, Condition, layer_of
+from modsim3d.detector.file.unread import unread_settings
+from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.inputs.validation import shown
 
@@ -33,6 +35,16 @@ def condition_problems(condition: Condition, error: ModsimError, section: str = 
             source = f" ({error.source})" if layer_of(key) == "tracks" else ""
             place = section if key in condition.values else "set"
             yield f"{place}: {key} {shown(condition.all_values[key])}: {_without(problem, _option_of(key))}{source}"
+
+
+def key_readings(condition: Condition, detector: DetectorModel, searched: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Each key of a condition's detector, and why that does not read it; empty if it does."""
+    values = condition.all_values
+    paths = {key.removeprefix("detector."): key for key in values if key.startswith("detector.")}
+    found = unread_settings(detector, paths, [key.removeprefix("detector.") for key in searched]) if paths else {}
+    for path, key in paths.items():
+        place = "set" if key in condition.fixed else "search.over" if key in searched else "vary"
+        yield key, f"{place}: {key} {shown(values[key])}: {found[path]}" if path in found else ""
 
 
 def tracker_problems(place: int, error: ModsimError) -> Iterator[str]:

@@ -154,6 +154,7 @@ class Scenes:
             settings={**condition.of_truth(), **choice.settings},
             state=choice.state,
             state_from=choice.state_from,
+            may_be_unread=True,
         )
 
 
@@ -162,7 +163,9 @@ def _detector(choice: DetectorChoice, scene_file: Path) -> DetectorModel:
     named = choice.detector
     if named is None and choice.state_from is None:
         named = str(detector_file(scene_file))
-    return choose_detector(named, settings=choice.settings, state=choice.state, state_from=choice.state_from)[0]
+    return choose_detector(
+        named, settings=choice.settings, state=choice.state, state_from=choice.state_from, may_be_unread=True
+    )[0]
 
 
 def _is_within(key: str, other: str) -> bool:

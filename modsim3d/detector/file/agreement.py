@@ -14,6 +14,9 @@ RATE_TOLERANCE = 0.01
 def agreement_problems(file: DetectorFile) -> list[str]:
     """One line for each contradiction, with its path."""
     problems = _clutter_problems(file) + _dropout_problems(file)
+    least, asked = file.confidence_threshold, file.operating_threshold
+    if asked is not None and asked < least:
+        problems.append(f"operating_threshold: is {asked:g}, must be at least {least:g}, the confidence_threshold")
     for name, state in file.states.items():
         path = f"states.{name}"
         problems += _extra_problems(path, state, file) + _curve_problems(path, state, file)
@@ -55,7 +58,7 @@ def _clutter_problems(file: DetectorFile) -> list[str]:
 
 
 def _rate_problems(file: DetectorFile) -> list[str]:
-    """The rate is where the model looks for it, and nowhere else."""
+    """The rate is where the model looks for it; one of each image is nowhere else."""
     keys = file.false_positives
     given = {name: state.false_positives_per_image is not None for name, state in file.states.items()}
     if CLUTTER_MODELS[keys.model].rate_key == "false_positives_per_image":
@@ -68,14 +71,19 @@ def _rate_problems(file: DetectorFile) -> list[str]:
         ]
     unused = [] if keys.rate is None else ["false_positives.rate"]
     unused += [f"states.{name}.false_positives_per_image" for name, there in given.items() if there]
-    return [f"{path}: model {keys.model} has none: choose per_image" for path in unused]
+    works = "set false_discovery_rate of the states, or choose per_image"
+    return [f"{path}: model {keys.model} has none: {works}" for path in unused] + [
+        f"states.{name}.false_discovery_rate: missing: model {keys.model} reads it"
+        for name, state in file.states.items()
+        if state.false_discovery_rate is None
+    ]
 
 
 def _extra_problems(path: str, state: StateSection, file: DetectorFile) -> list[str]:
     """Second boxes are false positives too, so the false discovery rate must leave room for them."""
     keys = file.false_positives
     rate, extra = state.false_discovery_rate, keys.duplicates + keys.splits
-    if not CLUTTER_MODELS[keys.model].counts_second_boxes or rate / (1 - rate) >= extra - 1e-12:
+    if rate is None or not CLUTTER_MODELS[keys.model].counts_second_boxes or rate / (1 - rate) >= extra - 1e-12:
         return []
     return [
         f"{path}.false_discovery_rate: {rate:g} leaves room for {rate / (1 - rate):.3g} false detections for each true "
@@ -97,10 +105,10 @@ def _curve_problems(path: str, state: StateSection, file: DetectorFile) -> list[
             + " to ".join(f"{rate:g}" for rate in dict.fromkeys((min(found), max(found))))
             + " of the vessels: a curve ends at the recall that the detector has"
         )
-    asked = 1 - state.false_discovery_rate
-    if CLUTTER_MODELS[file.false_positives.model].counts_second_boxes and abs(precision - asked) > RATE_TOLERANCE:
+    rate = state.false_discovery_rate if CLUTTER_MODELS[file.false_positives.model].counts_second_boxes else None
+    if rate is not None and abs(precision - (1 - rate)) > RATE_TOLERANCE:
         problems.append(
-            f"{path}.confidence.precision_recall: ends at precision {precision:g}, but false_discovery_rate "
-            f"{state.false_discovery_rate:g} makes it {asked:g}"
+            f"{path}.confidence.precision_recall: ends at precision {precision:g}, but false_discovery_rate {rate:g} "
+            f"makes it {1 - rate:g}"
         )
     return problems

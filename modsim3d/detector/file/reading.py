@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -93,6 +94,12 @@ def content_of(model: DetectorModel) -> dict[str, Any] | None:
     return loaded
 
 
+def file_of(model: DetectorModel) -> DetectorFile | None:
+    """The validated file that gives this detector, see `content_of`."""
+    content = content_of(model)
+    return None if content is None else DetectorFile.model_validate(content, context=_names(content))
+
+
 def _names(data: Mapping[str, Any]) -> dict[str, list[str]]:
     """The labels and states that shapes are checked against, as far as they can be made out."""
     labels, states = data.get("labels"), data.get("states")
@@ -112,6 +119,7 @@ def _model(content: DetectorFile) -> DetectorModel:
     return DetectorModel(
         labels=tuple(content.labels),
         confidence_threshold=content.confidence_threshold,
+        operating_threshold=content.operating_threshold,
         initial_state=list(content.states).index(content.initial_state),
         transition_matrix=_normalised(content.transition_matrix),
         states=tuple(_state(name, section, content) for name, section in content.states.items()),
@@ -133,7 +141,7 @@ def _state(name: str, section: StateSection, content: DetectorFile) -> Performan
         name=name,
         confusion=_normalised(section.confusion),
         false_positive_labels=_normalised(section.false_positive_labels),
-        false_discovery_rate=section.false_discovery_rate,
+        false_discovery_rate=math.nan if section.false_discovery_rate is None else section.false_discovery_rate,
         box_error=_box_error(section.box_error),
         confidence=_confidence(section.confidence, content.confidence_threshold),
         false_positives_per_image=(content.false_positives.rate or 0.0) if per_image is None else per_image,

@@ -155,7 +155,7 @@ class StateSection(Strict):
 
     confusion: Confusion
     false_positive_labels: LabelDistribution
-    false_discovery_rate: FalseDiscoveryRate
+    false_discovery_rate: FalseDiscoveryRate | None = None
     box_error: BoxErrorSection
     confidence: ConfidenceSection
     false_positives_per_image: PerImage | None = None
@@ -173,6 +173,7 @@ class DetectorFile(Strict):
 
     labels: Labels
     confidence_threshold: Probability
+    operating_threshold: Probability | None = None
     initial_state: StateName
     transition_matrix: Transition
     transition_interval_s: Positive | None = None

@@ -142,13 +142,10 @@ class LearnedFalsePositives:
     def state_section(self, state: int) -> dict[str, Any]:
         """Labels and rates."""
         learned = self.states[state]
-        section: dict[str, Any] = {
-            "false_positive_labels": columns_of_one(learned.labels.estimate),
-            "false_discovery_rate": digits(min(float(learned.discovery_rate.estimate), 0.99)),
-        }
+        section: dict[str, Any] = {"false_positive_labels": columns_of_one(learned.labels.estimate)}
         if self.form.model == "per_image":
-            section["false_positives_per_image"] = digits(learned.per_image.estimate)
-        return section
+            return section | {"false_positives_per_image": digits(learned.per_image.estimate)}
+        return section | {"false_discovery_rate": digits(min(float(learned.discovery_rate.estimate), 0.99))}
 
 
 def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePositiveForm:
@@ -271,7 +268,7 @@ def _of_states(
         table = np.where(np.isfinite(table), table, overall)
         share = np.nan_to_num(ratio(number, number + true[:, index]))
         rate = np.nan_to_num(ratio(lonely, images[:, index]))
-        remark = "" if model == "per_image" else NOT_WRITTEN
+        share_remark, rate_remark = (NOT_WRITTEN, "") if model == "per_image" else ("", NOT_WRITTEN)
         learned.append(
             StateFalsePositives(
                 Entry(
@@ -279,10 +276,11 @@ def _of_states(
                     Column(table, "share", np.full(k, lonely[0]), inflation),
                 ),
                 Entry(
-                    Key(("false_discovery_rate",), name), Column(share, "share", number[0] + true[0, index], inflation)
+                    Key(("false_discovery_rate",), name, remark=share_remark),
+                    Column(share, "share", number[0] + true[0, index], inflation),
                 ),
                 Entry(
-                    Key(("false_positives_per_image",), name, remark=remark),
+                    Key(("false_positives_per_image",), name, remark=rate_remark),
                     Column(rate, "rate", images[0, index], inflation),
                 ),
             )

@@ -61,7 +61,7 @@ class Transitions:
     def sections(self, states: tuple[str, ...]) -> dict[str, Any]:
         """What the detector file says of the chain, whose states have these names."""
         sections = {"initial_state": states[self.initial], "transition_matrix": columns_of_one(self.matrix)}
-        if self.interval_s is not None:
+        if self.interval_s is not None and len(states) > 1:
             sections["transition_interval_s"] = digits(self.interval_s)
         return sections
 

@@ -55,7 +55,7 @@ def detections_of(
     """The detections of a camera in a run, whose detector was given these targets.
 
     The tables do not say which box errors were resampled, so `redrawn` is false. They do not say which vessels the
-    limit on the number of detections removed either, so `gated` knows only the other gates.
+    limit on the number of detections or the operating threshold removed either, so `gated` knows only the other gates.
 
     Args:
         tables: Rows of `frames`, `truth` and `detections` of the same steps as the camera's frames.

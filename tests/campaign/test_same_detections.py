@@ -1,0 +1,46 @@
+"""Conditions whose detections are the same in all runs are told: in print, in JSON and on the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import modsim3d
+from modsim3d.campaign.report.writing import write_page
+from modsim3d.campaign.results.folder import opened_campaign
+from modsim3d.campaign.results.same_detections import same_detections
+from tests.commands.conftest import Modsim3d
+
+SCENE = "scene: harbour\nsteps: 3\nseeds: {traffic: 2}\ntrackers: [reference]\n"
+SAID = "the detections are the same in all runs"
+
+
+def text_of(values: str) -> str:
+    return SCENE + f"vary: [{{grid: {{{values}}}}}]\n"
+
+
+def test_conditions_with_the_same_detections_are_told_everywhere(tmp_path: Path, modsim3d: Modsim3d) -> None:
+    file = tmp_path / "campaign.yaml"
+    file.write_text(text_of("detector.operating_threshold: [0.2, 0.21]"))  # nothing is as low
+    said = modsim3d("campaign", file, "--out", tmp_path / "out", "--workers", "1")
+    assert said.status == 0
+    assert SAID in " ".join(said.err.split())
+    again = modsim3d("campaign", file, "--out", tmp_path / "out", "--json")
+    (warning,) = [text for text in json.loads(again.out)["warnings"] if SAID in text]
+    assert "runs with detector.operating_threshold 0.2, detector.operating_threshold 0.21: what differs" in warning
+    page = tmp_path / "page.html"
+    write_page(opened_campaign(tmp_path / "out"), page)
+    assert SAID.capitalize() in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "values",
+    ["detector.operating_threshold: [0.2, 0.65]", "tracker.lost_s: [1, 2]", "state: [excellent, bad]"],
+)
+def test_conditions_that_differ_and_settings_of_trackers_are_not_told(tmp_path: Path, values: str) -> None:
+    file = tmp_path / "campaign.yaml"
+    file.write_text(text_of(values))
+    found = modsim3d.run_campaign(file, tmp_path / "out", workers=1)
+    assert same_detections(opened_campaign(tmp_path / "out").plan, found.table) == []

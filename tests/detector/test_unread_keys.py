@@ -1,0 +1,300 @@
+"""A key of a detector file changes the detections, or nothing reads it and that is said."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.detector import Detections, Detector, DetectorModel, Targets, load_detector, parse_detector, take_census
+from modsim3d.detector.file.finding import shipped_detectors
+from modsim3d.detector.file.reading import file_of
+from modsim3d.detector.file.schema import DetectorFile
+from modsim3d.detector.file.unread import dead_lines, unread_settings
+from modsim3d.errors import InputError
+from modsim3d.inputs.strict_yaml import load_yaml
+from modsim3d.scene.settings import Setting, changed
+from tests.detector.detector_builders import all_bytes, clock, detector_data, state_data
+from tests.detector.test_docs import sections
+from tests.detector.test_rich import STEP_S, rich_frames, rich_targets
+from tests.detector_variants import CHANGES, variant
+
+SKEWED = [[0.002, 0, 0, 0], [0, 0.001, 0, 0], [0, 0, 0.003, 0], [0, 0, 0, 0.001]]
+OTHERS: dict[str, list[Any]] = {
+    "labels": [["x"], ["x", "y"], ["x", "y", "z"]],
+    "confidence_threshold": [0.25],
+    "operating_threshold": [0.65],
+    "initial_state": ["haze", "fog", "terrible"],
+    "transition_matrix": [[[0.5, 0.5], [0.5, 0.5]], [[0.25] * 4] * 4, [[1]]],
+    "transition_interval_s": [0.7],
+    "scope": ["per_camera"],
+    "schedule": [[[1, "haze"]], [[1, "terrible"]]],
+    "anchor": ["none", "state_rate"],
+    "visible_fraction": [{"per_unit": -3, "reference": 0.5}, {"edges": [0.5], "odds": [1, 5]}],
+    "size_px": [{"per_doubling": -0.9, "reference": 20}, {"edges": [50], "odds": [1, 5]}],
+    "distance_m": [{"per_doubling": 0.9, "reference": 20}, {"edges": [900], "odds": [1, 5]}],
+    "per_unit": [-2.5],
+    "per_doubling": [-0.4],
+    "reference": [0.3],
+    "edges": [[700, 2000]],
+    "odds": [[2.0, 0.5, 1.0]],
+    "max_range_m": [500],
+    "min_box_px": [30],
+    "max_occlusion": [0.5],
+    "update_interval_s": [0.5],
+    "max_detections": [2],
+    "class_s": [2.5],
+    "box_s": [2.5],
+    "confidence_s": [2.5],
+    "merge_s": [2.5],
+    "class_vessel_share": [0.4],
+    "box_vessel_share": [0.4],
+    "rate": [0.9],
+    "placement": ["uniform", "horizon_band", "density"],
+    "band_px": [50],
+    "density": [[[1, 0], [0, 1]]],
+    "far_half_px": [30],
+    "size": [{"model": "fixed", "px": [30, 40]}],
+    "px": [[30, 40]],
+    "log_std": [0.9],
+    "persistence": [{"lifetime_s": 3, "share": 0.9}],
+    "lifetime_s": [9.5],
+    "drift_px_s": [99],
+    "share": [0.3],
+    "duplicates": [0.04],
+    "merges": [0.95],
+    "merge_overlap": [0.01],
+    "splits": [0.04],
+    "split_aspect": [1.1],
+    "confusion": [
+        [[0.5], [0.5]],
+        [[0.5, 0.1, 0.1], [0.1, 0.5, 0.1], [0.1, 0.1, 0.5], [0.3, 0.3, 0.3]],
+    ],
+    "false_positive_labels": [[0.1, 0.2, 0.7]],
+    "false_discovery_rate": [0.5],
+    "false_positives_per_image": [3.5],
+    "box_error": [{"unit": "relative", "mean": [0, 0, 0, 0], "covariance": SKEWED}],
+    "unit": ["px", "relative"],
+    "mean": [0.51, [0.1, 0.1, 0.1, 0.1]],
+    "std": [0.2],
+    "covariance": [SKEWED],
+    "degrees_of_freedom": [3],
+    "law": ["normal"],
+    "growth": [[0.1, 0.1, 0.1, 0.1]],
+    "true": [{"mean": 0.5, "std": 0.2}],
+    "false": [{"mean": 0.5, "std": 0.2}],
+    "quantiles": [[0.3, 0.5, 0.9]],
+    "precision_recall": [[[0.4, 0.99], [0.7, 0.8]]],
+    "visibility_slope": [0.15],
+    "size_slope": [0.15],
+    "size_reference_px": [500.0],
+}
+"""Name of a key → values of which at least one is another one than the file's and fits it."""
+MODELS = {
+    "dropout": ["logistic", "table", "confusion"],
+    "false_positives": ["per_image", "thesis", "calibrated"],
+    "size": ["fixed", "lognormal", "truth"],
+}
+FRAMES, TARGETS = rich_frames(), rich_targets()
+LAST_S = float(FRAMES.times_s[-1])
+
+
+def data_of(name: str) -> dict[str, Any]:
+    if name in CHANGES:
+        return variant(name)
+    return load_yaml(shipped_detectors()[name], "detector")
+
+
+def paths(model: Any, data: dict[str, Any], *before: str) -> Iterator[tuple[str, ...]]:
+    """Every key that a file may have, of sections that are not there too."""
+    for name, field in model.model_fields.items():
+        if (*before, name) == ("states",):
+            for state in data["states"]:
+                yield from paths(next(sections(field.annotation)), data, "states", state)
+            continue
+        inner = next(iter(sections(field.annotation)), None)
+        if inner is None:
+            yield (*before, name)
+        elif name in OTHERS:
+            yield (*before, name)
+            yield from paths(inner, data, *before, name)
+        else:
+            yield from paths(inner, data, *before, name)
+
+
+def meaning(model: DetectorModel) -> dict[str, Any]:
+    """The file with all defaults."""
+    content = file_of(model).model_dump()
+    if (content["false_positives"]["size"] or {}).get("model") == "truth":
+        content["false_positives"]["size"] = None
+    return content
+
+
+def output(data: dict[str, Any]) -> object:
+    model = parse_detector(copy.deepcopy(data))
+    targets = TARGETS if len(model.labels) == 3 else small_labels(len(model.labels))
+    return model.labels, all_bytes(run(model, targets))
+
+
+def run(model: DetectorModel, targets: Targets) -> Detections:
+    return Detector(model, 1, take_census(model, [(FRAMES, targets)]), clock(STEP_S)).detect(FRAMES, targets)
+
+
+def small_labels(count: int) -> Targets:
+    return replace(TARGETS, label=TARGETS.label % count)
+
+
+def in_every_state(data: dict[str, Any]) -> dict[str, Any]:
+    """The file with each state forced for a while, so that a run comes to all of them."""
+    schedule = [[LAST_S * place / len(data["states"]), name] for place, name in enumerate(data["states"])]
+    return {**data, "performance": {**data.get("performance", {}), "schedule": [*schedule, [0.98 * LAST_S, None]]}}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(name for name in shipped_detectors() if not name.startswith("conditions/")),
+        "conditions/foggy_cloudy",
+        "dropout by a table of distance",
+        "Student's t box errors",
+        "confidence from a precision-recall curve",
+    ],
+)
+def test_a_key_changes_the_detections_or_is_refused(name: str) -> None:
+    plain = data_of(name)
+    moving = in_every_state(plain)
+    unchanged = {id(plain): output(plain), id(moving): output(moving)}
+    silent, read = [], 0
+    for path in paths(DetectorFile, plain):
+        base = moving if path[0] == "states" else plain
+        values = MODELS[path[-2]] if path[-1] == "model" else OTHERS[path[-1]]
+        for value in values:
+            key = ".".join(path)
+            try:
+                data, _ = changed(base, path, Setting(f"detector.{key}", value), ("detector",))
+                model = parse_detector(copy.deepcopy(data))
+            except InputError:
+                continue
+            if meaning(model) == meaning(parse_detector(base)) or unread_settings(model, [key]):
+                continue
+            read += 1
+            if output(data) == unchanged[id(base)]:
+                silent.append(f"{key}={value}")
+    assert not silent
+    assert read > 20
+
+
+CONFIDENCE = {"true": {"mean": 0.7, "std": 0.1}, "false": {"mean": 0.4, "std": 0.1}}
+PER_IMAGE = {"false_positives": {"model": "per_image", "rate": 0.4}}
+
+
+def two_states(**changes: Any) -> dict[str, Any]:
+    data = detector_data(**copy.deepcopy(changes))
+    if data["false_positives"]["model"] == "per_image":
+        for state in data["states"].values():
+            del state["false_discovery_rate"]
+    return data
+
+
+def own_rates() -> dict[str, Any]:
+    data = two_states(**PER_IMAGE)
+    for state in data["states"].values():
+        state["false_positives_per_image"] = 0.5
+    del data["false_positives"]["rate"]
+    return data
+
+
+@pytest.mark.parametrize(
+    ("data", "key", "value", "works"),
+    [
+        (two_states(), "confidence_threshold", 0.4, "detector.operating_threshold"),
+        (two_states(**PER_IMAGE), "states.clear.false_discovery_rate", 0.6, "detector.false_positives.rate"),
+        (own_rates(), "states.fog.false_discovery_rate", 0.6, "detector.states.fog.false_positives_per_image"),
+        (own_rates(), "false_positives.rate", 0.6, "detector.states.clear.false_positives_per_image"),
+        (two_states(), "false_positives.merge_overlap", 0.5, "detector.false_positives.merges"),
+        (two_states(), "persistence.merge_s", 0.5, "detector.false_positives.merges"),
+        (two_states(), "false_positives.split_aspect", 2, "detector.false_positives.splits"),
+        (two_states(), "dropout.anchor", "state_rate", "detector.dropout.model"),
+        (two_states(), "states.fog.confidence.size_reference_px", 9, "detector.states.fog.confidence.size_slope"),
+        (two_states(performance={"schedule": [[0, "fog"]]}), "states.clear.confidence.mean", 0.5, "in fog: set keys"),
+        (two_states(performance={"schedule": [[0, "fog"]]}), "initial_state", "fog", "detector.performance.schedule"),
+        (two_states(transition_matrix=[[1, 0], [0, 1]]), "states.fog.box_error.unit", "relative", "in clear"),
+    ],
+)
+def test_an_unread_key_is_told_with_the_one_that_works(data: Any, key: str, value: Any, works: str) -> None:
+    data, _ = changed(data, key.split("."), Setting(f"detector.{key}", value), ("detector",))
+    (reason,) = unread_settings(parse_detector(data), [key]).values()
+    assert works in reason
+
+
+def test_a_key_is_not_refused_beside_the_one_that_switches_it_on_or_off() -> None:
+    data = two_states(false_positives={"model": "calibrated", "merges": 0.0, "merge_overlap": 0.5})
+    assert unread_settings(parse_detector(data), ["false_positives.merge_overlap"])
+    assert not unread_settings(parse_detector(data), ["false_positives.merge_overlap", "false_positives.merges"])
+    assert not unread_settings(parse_detector(data), ["false_positives.merge_overlap"], ["false_positives.merges"])
+
+
+def test_a_section_with_a_dead_line_is_refused() -> None:
+    data = own_rates()
+    data["false_positives"]["rate"] = 0.3
+    (reason,) = unread_settings(parse_detector(data), ["false_positives"]).values()
+    assert reason.startswith("false_positives.rate: each state has a rate of its own")
+
+
+def test_no_shipped_file_has_a_dead_line() -> None:
+    assert [line for path in shipped_detectors().values() for line in dead_lines(load_detector(path))] == []
+
+
+def test_a_dead_line_of_a_file_is_told() -> None:
+    data = two_states(**PER_IMAGE)
+    data["states"]["fog"] |= {"false_discovery_rate": 0.3}
+    data["persistence"] = {"merge_s": 2}
+    assert [line.split(" in the")[0] for line in dead_lines(parse_detector(data))] == [
+        "nothing reads states.fog.false_discovery_rate",
+        "nothing reads persistence.merge_s",
+    ]
+
+
+def test_a_model_that_reads_the_false_discovery_rate_needs_it() -> None:
+    data = detector_data()
+    del data["states"]["fog"]["false_discovery_rate"]
+    with pytest.raises(InputError, match=r"states\.fog\.false_discovery_rate: missing: model calibrated reads it"):
+        parse_detector(data)
+    model = parse_detector(two_states(**PER_IMAGE))
+    assert np.isnan(model.states[0].false_discovery_rate)
+    assert repr(model.states[0]) == "<PerformanceState clear: 0.4 false positives an image>"
+
+
+# ---- the operating threshold -------------------------------------------------------------------------------------
+
+
+def test_the_operating_threshold_drops_what_is_below_it_and_moves_nothing_else() -> None:
+    data = load_yaml(shipped_detectors()["rich"], "detector")
+    whole = run(parse_detector(data), TARGETS)
+    above = run(parse_detector(data | {"operating_threshold": 0.5}), TARGETS)
+    kept = whole.confidence >= 0.5
+    assert 0 < kept.sum() < len(whole)
+    assert (~kept & whole.false()).any() and (~kept & ~whole.false()).any()
+    for column in ("frame", "target", "kind", "label", "boxes_px", "confidence"):
+        np.testing.assert_array_equal(getattr(above, column), getattr(whole, column)[kept])
+    dropped = whole.target[~kept & ~whole.false()]
+    assert above.gated[dropped].all()
+    np.testing.assert_array_equal(above.states, whole.states)
+
+
+def test_at_the_confidence_threshold_it_drops_nothing() -> None:
+    data = detector_data(states={"clear": state_data(), "fog": state_data(confidence={"mean": 0.2, "std": 0.2})})
+    found = run(parse_detector(data), small_labels(2))
+    assert (found.confidence == 0.2).any()
+    assert all_bytes(found) == all_bytes(run(parse_detector(data | {"operating_threshold": 0.2}), small_labels(2)))
+
+
+def test_it_is_not_below_what_the_detector_was_measured_at() -> None:
+    with pytest.raises(
+        InputError, match=r"operating_threshold: is 0\.1, must be at least 0\.2, the confidence_threshold"
+    ):
+        parse_detector(detector_data(operating_threshold=0.1))
