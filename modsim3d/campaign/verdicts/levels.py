@@ -54,7 +54,7 @@ class Levels:
             ]
         if self.measured:
             found.append(
-                "Of means this is no proof: it was measured on campaigns that were drawn from real scores of three "
+                "Of means this is no proof: it was measured on campaigns that were drawn from real scores of four "
                 "traffics (docs/campaigns/sequences.md), and other traffics may be worse."
             )
         return found

@@ -61,12 +61,14 @@ def too_few(requirement: Requirement, seeds: int, state: bool) -> str:
     needed = seeds_needed(_column(requirement, state), LOW if at_least else HIGH, requirement.confidence)
     if needed <= seeds:
         return ""
-    mean = f"a mean of {requirement.score}, {'at least' if at_least else 'at most'}"
+    bound = (
+        f"the {'lower' if at_least else 'upper'} bound of a mean of {requirement.score}{' in a state' if state else ''}"
+    )
     if math.isfinite(needed):
-        why = "with fewer its bound errs too often; a share of seeds with `in` is exact"
-        return f"{mean}, needs {needed:.0f} traffic seeds with a value, and has {seeds}: {why}"
+        why = "with fewer it errs too often; a share of seeds with `in` is exact"
+        return f"{bound} needs {needed:.0f} traffic seeds with a value, and has {seeds}: {why}"
     sure = percent(requirement.confidence)
-    return f"{mean}, has no bound that was measured to hold with {sure} confidence: ask for a share of seeds with `in`"
+    return f"{bound} was not measured to hold with {sure} confidence: ask for a share of seeds with `in`"
 
 
 def _column(requirement: Requirement, state: bool) -> str:
