@@ -280,15 +280,15 @@ of Student's t as it is, which errs more. Of the tracker with the least:
 
 {powers}
 Over all scores, both bounds, states, and confidences of {confidences}, {judged:,} cells of the roads and the basin
-were judged that `fairway` and the bay had let pass: {failing:,} fail{failing_list}. A bound is given from the number
-of seeds on from which the cells of **all four** traffics hold (`modsim3d/campaign/verdicts/{offers}`). At 95 % these
-are:
+were judged that `fairway` and the bay had let pass. {failing:,} of them fail, the worst of each score:
+
+{failing_table}
+A bound is given from the number of seeds on from which the cells of **all four** traffics hold
+(`modsim3d/campaign/verdicts/{offers}`). Between numbers that were tried it is taken to hold. At 95 %:
 
 {offered}
-Nobody has measured it on another traffic. A share of seeds, with `in`, is exact on every traffic, and `stop:
-sequential` holds for every score with a least and a greatest value.
-
-
+Nobody has measured it on another traffic. A share of seeds, with `in`, is exact on every traffic, and
+`stop: sequential` holds for every score with a least and a greatest value.
 
 ## Seeds until the verdict
 
@@ -346,7 +346,7 @@ def text(found: dict[str, Any]) -> str:
         confidences=", ".join(f"{100 * each:g} %" for each in real["confidences"]),
         judged=real["judged"],
         failing=len(real["misjudged"]),
-        failing_list=failing_scores(real["misjudged"]),
+        failing_table=failing_table(real["misjudged"]),
         offers=OFFERS,
         offered=offered_table(real),
         power_shares=power_table(found["power, shares"], "share"),
@@ -426,19 +426,25 @@ def power_shares_table(real: dict[str, Any]) -> str:
     )
 
 
-def failing_scores(cells: list[dict[str, Any]]) -> str:
-    """The scores of failing cells, with the worst of each."""
-    worst: dict[str, dict[str, Any]] = {}
-    for cell in cells:
-        name = f"{cell['score']} {'at least' if cell['bound'] == LOW else 'at most'}"
-        if name not in worst or cell["wrong"] / (1 - cell["confidence"]) > worst[name]["over"]:
-            worst[name] = {**cell, "over": cell["wrong"] / (1 - cell["confidence"])}
-    texts = [
-        f"{name} ({percent(cell['wrong'])} in place of {100 * (1 - cell['confidence']):.0f} %, {cell['traffic']}, "
-        f"{cell['seeds']} seeds)"
-        for name, cell in worst.items()
-    ]
-    return f", at worst {'; '.join(texts)}" if texts else ""
+def failing_table(cells: list[dict[str, Any]]) -> str:
+    """The cells that fail, the worst of each score and bound."""
+    worst: dict[tuple[str, str], dict[str, Any]] = {}
+    for cell in sorted(cells, key=lambda cell: cell["wrong"] / (1 - cell["confidence"])):
+        worst[cell["score"], cell["bound"]] = cell
+    return table(
+        ["mean of", "part", "wrong", "in place of", "traffic", "seeds"],
+        [
+            [
+                f"{score} at {'least' if bound == LOW else 'most'}",
+                cell["part"],
+                percent(cell["wrong"]),
+                f"{100 * (1 - cell['confidence']):.0f} %",
+                cell["traffic"],
+                str(cell["seeds"]),
+            ]
+            for (score, bound), cell in sorted(worst.items())
+        ],
+    )
 
 
 def offered_table(real: dict[str, Any]) -> str:

@@ -56,18 +56,16 @@ def skewed_bounds(values: Array, alpha: float, greatest: float = math.inf) -> Ar
     """Lower bounds of means of values that may be skewed towards low ones, see `corrected_bounds`.
 
     Args:
-        values: Shape (…, n).
+        values: Shape (…, n); those of each row have a mean.
         alpha: The probability of error that is aimed at.
         greatest: The greatest possible value.
-
-    Returns:
-        Shape (…).
     """
     count, mean = values.shape[-1], values.mean(axis=-1)
     falls = mean[..., None] - values
     variance, cubed = (falls**2).mean(axis=-1), (falls**3).mean(axis=-1)
     deviation = np.sqrt(variance * count / max(count - 1, 1))
-    skewness = np.divide(cubed, variance**1.5, out=np.zeros_like(cubed), where=variance > 0)
+    scale = variance**1.5
+    skewness = np.divide(cubed, scale, out=np.zeros_like(cubed), where=scale > 0)
     return corrected_bounds(mean, deviation, skewness, count, alpha, greatest)
 
 
