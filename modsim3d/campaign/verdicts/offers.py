@@ -61,9 +61,8 @@ def too_few(requirement: Requirement, seeds: int, state: bool) -> str:
     needed = seeds_needed(_column(requirement, state), LOW if at_least else HIGH, requirement.confidence)
     if needed <= seeds:
         return ""
-    bound = (
-        f"the {'lower' if at_least else 'upper'} bound of a mean of {requirement.score}{' in a state' if state else ''}"
-    )
+    side, where = "lower" if at_least else "upper", " in a state" if state else ""
+    bound = f"the {side} bound of a mean of {requirement.score}{where}"
     if math.isfinite(needed):
         why = "with fewer it errs too often; a share of seeds with `in` is exact"
         return f"{bound} needs {needed:.0f} traffic seeds with a value, and has {seeds}: {why}"
