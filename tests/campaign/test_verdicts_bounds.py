@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import optimize, stats
 
 from modsim3d.campaign.verdicts.betting import STAKES, betting_bounds, log_capital, perfect_seeds_needed
 from modsim3d.campaign.verdicts.bounds import mean_bounds, share_bounds
-from modsim3d.campaign.verdicts.means import t_bounds
+from modsim3d.campaign.verdicts.means import SKEWNESS, VARIATION, skewed_bounds, t_bounds
 from modsim3d.campaign.verdicts.proportions import (
     clean_seeds_needed,
     clean_seeds_needed_sequential,
@@ -114,6 +114,42 @@ def test_t_bounds_are_those_of_a_textbook_and_say_nothing_of_equal_values():
     assert t_bounds(hours, 0.05) == pytest.approx((1.169, 3.491), abs=0.001)
     assert t_bounds(np.full(10, 0.1), 0.05) is None
     assert t_bounds(np.array([1.0]), 0.05) is None
+
+
+@given(st.lists(st.floats(0, 0.9), min_size=3, max_size=40), st.floats(0.01, 0.3), st.sampled_from([1.0, math.inf]))
+def test_a_bound_of_skewed_values_is_the_lesser_of_those_of_halls_cubic_and_of_a_skewness_by_the_spread(
+    values, alpha, greatest
+):
+    values = np.array(values)
+    mean, deviation, count = values.mean(), values.std(ddof=1), len(values)
+    if deviation < 1e-6:
+        return
+    wanted = stats.t.ppf(1 - alpha, count - 1) / math.sqrt(count)
+    skewness = min(stats.skew(values), -SKEWNESS)
+
+    def of_cubic(low):  # Hall (1992), equation for T = (mean − low)/deviation
+        error = (mean - low) / deviation
+        return error + skewness * error**2 / 3 + skewness**2 * error**3 / 27 + skewness / (6 * count) - wanted
+
+    error = wanted * (
+        1 + VARIATION * wanted * deviation / (greatest - mean)
+    )  # of values as skewed as the inverse Gaussian law
+    expected = [mean - error * deviation, optimize.brentq(of_cubic, -1e4, 1e4)]
+    assert float(skewed_bounds(values, alpha, greatest)) == pytest.approx(min(expected), rel=1e-5, abs=1e-5)
+
+
+def test_a_bound_of_skewed_values_errs_as_often_as_it_may_where_t_errs_twice_as_often():
+    values = np.random.default_rng(5).gamma(2.0, 0.5, (20_000, 20))
+    high = -skewed_bounds(-values, ALPHA, 0.0)
+    half = stats.t.ppf(1 - ALPHA, 19) * values.std(axis=1, ddof=1) / math.sqrt(20)
+    assert np.mean(values.mean(axis=1) + half <= 1) > 0.08
+    assert np.mean(high <= 1) <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(values))
+
+
+def test_a_bound_of_skewed_values_says_nothing_of_equal_values_or_one_and_does_not_depend_on_the_unit():
+    assert skewed_bounds(np.full(10, 0.1), ALPHA) == skewed_bounds(np.array([1.0]), ALPHA) == -math.inf
+    values = np.array([[0.2, 0.3, 0.9], [0.5, 0.4, 0.1]])
+    assert skewed_bounds(1e6 * values, ALPHA, 1e6) == pytest.approx(1e6 * skewed_bounds(values, ALPHA, 1.0))
 
 
 def test_bounds_that_contradict_each_other_stay_where_they_were_before():

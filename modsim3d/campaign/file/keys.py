@@ -177,7 +177,8 @@ class Requirement(Strict):
         at_least: The least value that is right.
         at_most: The greatest.
         share: The least share of traffic seeds all of whose runs must have such a value; None: the mean must.
-        confidence: The least probability that a verdict is right when the truth is at the threshold.
+        confidence: The least probability that a verdict is right when the truth is at the threshold; of a mean that is
+            looked at once it is measured and not proved.
     """
 
     score: Text

@@ -10,7 +10,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.campaign.verdicts.betting import betting_bounds
-from modsim3d.campaign.verdicts.means import t_bounds
+from modsim3d.campaign.verdicts.means import skewed_bounds
 from modsim3d.campaign.verdicts.proportions import exact_bounds, mixture_bounds
 
 
@@ -60,10 +60,9 @@ def mean_bounds(worst: Array, best: Array, confidence: float, stop: str, limits:
         stop: How often the campaign is looked at, as in its file.
         limits: The least and the greatest possible value; both finite if the campaign is looked at more than once.
     """
-    alpha = 1 - confidence
+    alpha, (least, greatest) = 1 - confidence, limits
     if stop == "once":
-        return Bounds(_t(worst, alpha, limits).low, _t(best, alpha, limits).high)
-    least, greatest = limits
+        return Bounds(_low(worst, alpha, limits), -_low(-best, alpha, (-greatest, -least)))
 
     def after(count: int) -> Bounds:
         low, _ = betting_bounds(_scaled(worst[:count], limits), alpha)
@@ -73,9 +72,9 @@ def mean_bounds(worst: Array, best: Array, confidence: float, stop: str, limits:
     return _consistent(after, len(worst))
 
 
-def _t(values: Array, alpha: float, limits: tuple[float, float]) -> Bounds:
-    found = t_bounds(values, alpha) if np.all(np.isfinite(values)) else None
-    return UNKNOWN if found is None else Bounds(max(found[0], limits[0]), min(found[1], limits[1]))
+def _low(values: Array, alpha: float, limits: tuple[float, float]) -> float:
+    found = float(skewed_bounds(values, alpha, limits[1])) if np.all(np.isfinite(values)) else -math.inf
+    return max(found, limits[0]) if math.isfinite(found) else found
 
 
 def _scaled(values: Array, limits: tuple[float, float]) -> Array:

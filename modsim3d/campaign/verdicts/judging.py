@@ -16,6 +16,7 @@ from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.plan.seeds import traffic_seed
 from modsim3d.campaign.plan.selection import SCENE, STATE, Case, cases_of
 from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds, share_bounds
+from modsim3d.campaign.verdicts.offers import offered
 from modsim3d.campaign.verdicts.plan_warnings import never_met
 from modsim3d.campaign.verdicts.proportions import clean_seeds_needed
 from modsim3d.campaign.verdicts.seed_values import Rows, Runs
@@ -58,11 +59,13 @@ def _verdict(plan: Plan, place: int, case: Case, rows: Rows) -> Verdict:
     requirement, keys = plan.keys.require[place], plan.keys
     runs = rows.runs_of(case, requirement.score)
     crashed, undefined = int(runs.crashed.sum()), np.flatnonzero(runs.undefined)
-    found = (_of_mean if requirement.share is None else _of_share)(requirement, runs, keys)
+    state = case.state is not None
+    of_mean = requirement.share is None
+    found = _of_mean(requirement, runs, keys, state) if of_mean else _of_share(requirement, runs, keys)
     why = [found.why]
     if keys.stop == "once" and rows.seeds < keys.seeds.traffic:
         found, why = _not_yet(found, requirement, runs, keys.seeds.traffic)
-    elif found.outcome == "undecided" and (reason := never_met(keys, requirement)):
+    elif found.outcome == "undecided" and (reason := never_met(keys, requirement, state, len(undefined))):
         why.append(f"This plan can never meet it: {reason}.")
     if crashed:
         why.append(_of_crashed(crashed, requirement, score_bounds(requirement.score, keys.score)))
@@ -124,16 +127,21 @@ def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Foun
     if outcome == "undecided" and keys.stop == "once" and good > requirement.share * len(right):
         needed = clean_seeds_needed(requirement.share, requirement.confidence, len(right) - good)
         most = f"no more than {len(right) - good:,}" if good < len(right) else "none"
-        why += f" It takes {needed:,} seeds with {most} wrong, in a campaign with another `seed`: these were looked at."
+        why += (
+            f" It would have taken {needed:,} seeds with {most} wrong. A second campaign, with another `seed`, may err "
+            "too, and errors add up: plan both beforehand with half the error each "
+            f"(`confidence: {(1 + requirement.confidence) / 2:g}`), or use `stop: sequential`."
+        )
     return _Found(outcome, float(right.mean()), bounds, why)
 
 
-def _of_mean(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Found:
+def _of_mean(requirement: Requirement, runs: Runs, keys: CampaignKeys, state: bool) -> _Found:
     limits = least, greatest = score_bounds(requirement.score, keys.score)
     worst, best, seen = runs.means(least), runs.means(greatest), runs.means(math.nan)
     if not len(worst):
         return _Found("undecided", None, UNKNOWN, "No traffic seed has a value.")
-    bounds = mean_bounds(worst, best, requirement.confidence, keys.stop, limits)
+    every = mean_bounds(worst, best, requirement.confidence, keys.stop, limits)
+    bounds = offered(every, requirement, len(worst), state) if keys.stop == "once" else every
     if requirement.at_least is not None:
         outcome = _outcome(bounds.low >= requirement.threshold, bounds.high < requirement.threshold)
     else:
@@ -146,7 +154,7 @@ def _of_mean(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Found
         why += f"; {_between(bounds, requirement)}."
     elif len(worst) < 2:
         why += "; one seed says nothing of how much seeds differ."
-    elif not runs.crashed.any():
+    elif not runs.crashed.any() and not every.known:
         why += (
             ", the same in each, which says nothing of how much others may differ: ask for a share of seeds with `in`."
         )

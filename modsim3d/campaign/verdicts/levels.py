@@ -21,7 +21,7 @@ class Levels:
         any_wrong: That one verdict or more is wrong: at most the sum of all (union bound).
         mean_wrong: The sum itself: so many verdicts are wrong at most, in the mean of many such campaigns.
         sequential: Whether this holds however often the campaign is looked at; else it is looked at once.
-        by_t: Whether a mean is judged by Student's t, for which the numbers are approximate.
+        measured: Whether a mean is judged by a bound whose errors were measured and not proved.
     """
 
     verdicts: int
@@ -31,7 +31,7 @@ class Levels:
     any_wrong: float
     mean_wrong: float
     sequential: bool
-    by_t: bool
+    measured: bool
 
     def sentences(self) -> list[str]:
         """The levels in words."""
@@ -52,8 +52,11 @@ class Levels:
                 else f"Of the {count} up to {self.mean_wrong:.3g} are wrong on average: raise the confidence if each "
                 "one matters.",
             ]
-        if self.by_t:
-            found.append("Means are judged by Student's t: exact for normal values, approximate for others.")
+        if self.measured:
+            found.append(
+                "Of means this is no proof: it was measured on campaigns that were drawn from real scores of four "
+                "traffics (docs/campaigns/sequences.md), and other traffics may be worse."
+            )
         return found
 
 
@@ -61,8 +64,8 @@ def levels_of(plan: Plan) -> Levels:
     """The levels of a campaign."""
     errors = [1 - each.confidence for each in plan.keys.require for _ in cases_of(plan, each)]
     greatest, sequential = max(errors, default=0.0), plan.keys.stop == "sequential"
-    by_t = not sequential and any(each.share is None for each in plan.keys.require)
-    return Levels(len(errors), greatest, greatest, greatest, min(1.0, sum(errors)), sum(errors), sequential, by_t)
+    measured = not sequential and any(each.share is None for each in plan.keys.require)
+    return Levels(len(errors), greatest, greatest, greatest, min(1.0, sum(errors)), sum(errors), sequential, measured)
 
 
 def _percent(probability: float) -> str:

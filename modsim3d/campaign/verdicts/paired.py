@@ -12,7 +12,7 @@ import pyarrow as pa
 from modsim3d.arrays import Array
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.plan.selection import Case
-from modsim3d.campaign.verdicts.bounds import UNKNOWN, mean_bounds
+from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds
 from modsim3d.campaign.verdicts.means import t_bounds
 from modsim3d.campaign.verdicts.seed_values import Rows, Runs
 from modsim3d.campaign.work.score_bounds import is_bounded, score_bounds
@@ -96,13 +96,13 @@ def _difference(plan: Plan, rows: Rows, score: str, condition: int, first: int, 
 
 def _interval(plan: Plan, rows: Rows, runs: Runs, score: str) -> tuple[float | None, float | None]:
     least, greatest = score_bounds(score, plan.keys.score)
-    stop, span = plan.keys.stop, greatest - least
-    if stop == "sequential":
-        possible = is_bounded(score, plan.keys.score) and rows.seeds > 0
-    else:
-        possible = rows.seeds == plan.keys.seeds.traffic
-    each_side = (1 + CONFIDENCE) / 2
-    bounds = mean_bounds(runs.means(-span), runs.means(span), each_side, stop, (-span, span)) if possible else UNKNOWN
+    stop, span, each_side = plan.keys.stop, greatest - least, (1 + CONFIDENCE) / 2
+    worst, best, bounds = runs.means(-span), runs.means(span), UNKNOWN
+    if stop == "once" and rows.seeds == plan.keys.seeds.traffic:
+        ends = t_bounds(worst, 1 - each_side), t_bounds(best, 1 - each_side)
+        bounds = Bounds(max(ends[0][0], -span), min(ends[1][1], span)) if ends[0] and ends[1] else UNKNOWN
+    elif stop == "sequential" and rows.seeds > 0 and is_bounded(score, plan.keys.score):
+        bounds = mean_bounds(worst, best, each_side, stop, (-span, span))
     return (bounds.low, bounds.high) if math.isfinite(bounds.low) and math.isfinite(bounds.high) else (None, None)
 
 

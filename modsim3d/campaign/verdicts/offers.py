@@ -1,0 +1,74 @@
+"""From how many traffic seeds on a mean is judged: those from which on its bounds were measured to hold."""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from modsim3d.campaign.file.keys import Requirement
+from modsim3d.campaign.verdicts.bounds import Bounds
+from modsim3d.campaign.verdicts.wording import percent
+from modsim3d.campaign.work.row import BY_STATE
+
+LOW, HIGH = "low", "high"
+OFFERS = "mean_offers.json"
+"""Beside this file; written by `script/campaign sequences`."""
+
+
+@cache
+def measured_offers() -> dict[str, Any]:
+    """The confidences that were measured, and for each score, bound and confidence the least seeds; None: never."""
+    found: dict[str, Any] = json.loads(files(__package__).joinpath(OFFERS).read_text(encoding="utf-8"))
+    return found
+
+
+def seeds_needed(column: str, bound: str, confidence: float) -> float:
+    """The least number of traffic seeds with a value from which on a bound of their mean is given; infinite: never.
+
+    Args:
+        column: A key of the scores; with `state.` before it for a state within the runs.
+        bound: `LOW` or `HIGH`.
+        confidence: The confidence; between two that were measured, both must hold, and beyond them nothing is given.
+    """
+    offers = measured_offers()
+    levels, seeds = offers["confidences"], offers["seeds"].get(column, {}).get(bound)
+    if seeds is None or not levels[0] <= confidence <= levels[-1]:
+        return math.inf
+    above = next(place for place, level in enumerate(levels) if level >= confidence)
+    around = seeds[above : above + 1] if levels[above] == confidence else seeds[above - 1 : above + 1]
+    return max(math.inf if each is None else each for each in around)
+
+
+def offered(bounds: Bounds, requirement: Requirement, seeds: int, state: bool) -> Bounds:
+    """Bounds of a mean over so many seeds, without those that are not given."""
+    column = _column(requirement, state)
+    low, high = (seeds_needed(column, bound, requirement.confidence) <= seeds for bound in (LOW, HIGH))
+    return Bounds(bounds.low if low else -math.inf, bounds.high if high else math.inf)
+
+
+def too_few(requirement: Requirement, seeds: int, state: bool) -> str:
+    """Why a mean over so many seeds, looked at once, cannot be met; empty if it can.
+
+    Args:
+        requirement: The requirement.
+        seeds: The seeds with a value.
+        state: Whether it is about a state within the runs.
+    """
+    at_least = requirement.at_least is not None
+    needed = seeds_needed(_column(requirement, state), LOW if at_least else HIGH, requirement.confidence)
+    if needed <= seeds:
+        return ""
+    side, where = "lower" if at_least else "upper", " in a state" if state else ""
+    bound = f"the {side} bound of a mean of {requirement.score}{where}"
+    if math.isfinite(needed):
+        why = "with fewer it errs too often; a share of seeds with `in` is exact"
+        return f"{bound} needs {needed:.0f} traffic seeds with a value, and has {seeds}: {why}"
+    sure = percent(requirement.confidence)
+    return f"{bound} was not measured to hold with {sure} confidence: ask for a share of seeds with `in`"
+
+
+def _column(requirement: Requirement, state: bool) -> str:
+    return f"{BY_STATE}.{requirement.score}" if state else requirement.score

@@ -1,0 +1,96 @@
+"""The committed page of errors of verdicts, the seeds from which means are judged, and a small sample of both."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from scipy import stats
+
+from benchmarks.campaigns import sequences
+from benchmarks.resampled_means import (
+    JUDGED_ON,
+    RULE,
+    SEEDS,
+    STORED,
+    TRACKERS,
+    TRAFFICS,
+    T,
+    holds,
+    measured,
+    moments,
+    offers,
+    threshold_distance,
+)
+from modsim3d.campaign.verdicts.means import corrected_bounds, skewed_bounds
+from modsim3d.campaign.verdicts.offers import measured_offers
+
+CAMPAIGNS = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
+REQUIRED = {"hota": "low", "mota": "low", "idf1": "low", "id_switches": "high", "false_track_s": "high"}
+
+
+@pytest.fixture(scope="module")
+def figures():
+    return json.loads((CAMPAIGNS / "sequences.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def scores():
+    return pq.read_table(STORED)
+
+
+def test_the_committed_page_is_what_the_command_makes_of_its_figures(figures):
+    assert (CAMPAIGNS / "sequences.md").read_text(encoding="utf-8") == sequences.text(figures)
+
+
+def test_means_are_judged_from_the_seeds_on_that_the_command_found(figures):
+    found = figures["resampled"]
+    assert measured_offers() == {"confidences": found["confidences"], "seeds": found["offers"]}
+
+
+def test_no_mean_is_judged_on_two_seeds_and_the_usual_scores_are_from_ten():
+    seeds, place = measured_offers()["seeds"], measured_offers()["confidences"].index(0.95)
+    assert all(each is None or each >= 3 for offer in seeds.values() for bound in offer.values() for each in bound)
+    assert all(seeds[score][bound][place] <= 10 for score, bound in REQUIRED.items())
+
+
+def test_each_traffic_has_the_same_seeds_with_each_tracker(scores):
+    assert len(scores) == len(TRAFFICS) * SEEDS * len(TRACKERS)
+    numbers = np.array(scores["traffic_seed"]).reshape(len(TRAFFICS), SEEDS, len(TRACKERS))
+    assert np.all(numbers == numbers[0, :, :1])
+
+
+def test_bounds_of_resampled_campaigns_hold_where_students_t_does_not(scores):
+    few = scores.select([*scores.column_names[:3], "hota", "false_track_s"])
+    cells = [cell for cell in measured(2_000, few, (10,)) if REQUIRED[cell["score"]] == cell["bound"]]
+    assert len(cells) == 2 * len(TRAFFICS) * len(TRACKERS)
+    assert all(holds(cell, 0.95, 2_000, RULE) for cell in cells)
+    assert sum(not holds(cell, 0.95, 2_000, T) for cell in cells) > len(cells) / 3
+    assert all(cell["power"][RULE] > 0.7 * cell["strict"] for cell in cells)
+
+
+def test_an_offer_begins_behind_the_last_number_of_seeds_that_fails():
+    def cell(seeds, wrong, traffic="basin"):
+        rates = {RULE: dict.fromkeys((0.8, 0.9, 0.95, 0.99), wrong)}
+        return {"score": "hota", "part": "whole", "bound": "low", "seeds": seeds, "wrong": rates, "traffic": traffic}
+
+    cells = [cell(3, 0.0), cell(5, 0.15), cell(10, 0.0), cell(20, 0.04), cell(30, 0.0), cell(50, 0.0)]
+    cells += [{**each, "bound": "high"} for each in cells]
+    assert offers(cells, 20_000, JUDGED_ON)["hota"]["low"] == [3, 10, 10, 30]
+    assert offers([*cells, cell(50, 0.5, "roads")], 20_000, JUDGED_ON)["hota"]["low"] == [None] * 4
+    assert offers([*cells, cell(50, 0.5, "bay")], 20_000, JUDGED_ON)["hota"]["low"] == [3, 10, 10, 30]
+
+
+def test_resampled_bounds_are_those_of_verdicts():
+    drawn = np.random.default_rng(1).gamma(1.0, 1.0, (50, 8))
+    mean, deviation, skewness = moments(drawn)
+    high = -corrected_bounds(-mean, deviation, skewness, 8, 0.05, 0.0)
+    assert high == pytest.approx([-float(skewed_bounds(-each, 0.05, 0.0)) for each in drawn])
+
+
+def test_powers_are_compared_where_students_t_has_ninety_percent():
+    off = threshold_distance(10)
+    values = np.random.default_rng(2).normal(off, 1.0, (20_000, 10))
+    met = stats.ttest_1samp(values, 0.0, axis=1, alternative="greater").pvalue <= 0.05
+    assert met.mean() == pytest.approx(0.9, abs=0.007)
