@@ -17,3 +17,10 @@ def test_half_an_interval_is_the_quantile_of_students_t_times_the_standard_error
 def test_one_value_has_no_interval() -> None:
     assert half_interval(np.array([3.0])) is None
     assert half_interval(np.array([])) is None
+
+
+def test_equal_and_infinite_values_have_no_interval() -> None:
+    """A share of 1 in ten runs says nothing of how far the next one may be off."""
+    assert half_interval(np.ones(19)) is None
+    assert half_interval(np.array([0.1 + 0.2, 0.3, 0.3])) is None
+    assert half_interval(np.array([1.0, np.inf])) is None
