@@ -210,11 +210,11 @@ def interval_text(low: float | None, high: float | None) -> str:
     return f"[{ends[0]}, {ends[1]}]".replace("-", "−")
 
 
-def mean_text(mean: Mean) -> str:
-    """A mean with its interval."""
+def mean_text(mean: Mean, most: int) -> str:
+    """A mean with its interval, and its number of seeds if that is not the one of most."""
     if mean.value is None:
         return UNKNOWN
-    value = number_text(mean.value).replace("-", "−")
+    value = number_text(mean.value).replace("-", "−") + (f" of {counted(mean.seeds, 'seed')}" * (mean.seeds < most))
     return value if mean.low is None else f"{value} {interval_text(mean.low, mean.high)}"
 
 
@@ -242,6 +242,7 @@ def print_means(console: Console, title: str, rows: Sequence[MeanRow], most: int
     if not rows:
         return
     keys, scores = list(rows[0].values), list(rows[0].means)
+    most_seeds = max((mean.seeds for row in rows for mean in row.means.values()), default=0)
     crashed = any(row.crashed for row in rows)
     header = (*keys, "runs", *(["crashed"] if crashed else []), *scores)
     cells = [
@@ -249,7 +250,7 @@ def print_means(console: Console, title: str, rows: Sequence[MeanRow], most: int
             *(UNKNOWN if row.values[key] is None else _cell(row.values[key]) for key in keys),
             f"{row.runs:,}",
             *([f"{row.crashed:,}"] if crashed else []),
-            *(mean_text(row.means[score]) for score in scores),
+            *(mean_text(row.means[score], most_seeds) for score in scores),
         )
         for row in rows[:most]
     ]
