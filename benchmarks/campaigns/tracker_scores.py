@@ -280,8 +280,9 @@ def page(data: dict[str, Any]) -> str:
         "settings were chosen.",
         "",
         "Truth is `full`. HOTA compares boxes by IoU; *by centre* by 1 − distance / 150 px, as do the columns of "
-        "states and occlusions. ± is half the 95 % interval of the mean; there is none where all values are the same. *Survives*: share of the occlusions of that "
-        "length (less than half of the vessel visible) after which the same track follows the vessel, of those that "
+        "states and occlusions. ± is half the 95 % interval of the mean; there is none where all values are the same. "
+        "*Survives*: share of the occlusions of that length (less than half of the vessel visible) after which the "
+        "same track follows the vessel, of those that "
         "it followed before. The oracle-association references have the same detections; a tracker that smooths "
         "better may exceed them.",
     ]

@@ -234,6 +234,6 @@ def _of_lost(runs: Runs, requirement: Requirement, keys: CampaignKeys) -> Iterat
         yield f"{said}: the bounds take the worst and the best possible score in their place."
     else:
         yield (
-            f"{said}, and {requirement.score} has no worst possible value to take in their place: it cannot be met. With "
-            "`in` such runs are wrong, and others can be right."
+            f"{said}, and {requirement.score} has no worst possible value to take in their place: it cannot be met. "
+            "With `in` such runs are wrong, and others can be right."
         )
