@@ -97,6 +97,14 @@ def test_a_mean_fails_if_every_run_crashed(requirement, seeds):
     assert f"no run has {requirement['score']}" in verdict.why
 
 
+def test_seeds_in_which_nothing_went_wrong_are_left_out_and_fail_nothing():
+    plan = plan_of(4, [{"score": "mean_track_break_s", "at_most": 3, "resting_on": 0.5}])
+    rows = [{"run": run, "status": "done", "appearances": 2, "established": 2 * (run > 0)} for run in range(4)]
+    (verdict,) = judged(plan, table_of(rows))
+    assert (verdict.outcome, verdict.nothing, verdict.undefined) == ("undecided", 1, 3)
+    assert "nothing of that kind went wrong" in verdict.why
+
+
 @pytest.mark.parametrize(("requirement", "outcome"), [({"at_most": 3}, "failed"), ({"at_least": 0.5}, "undecided")])
 def test_an_infinite_value_makes_a_mean_infinite_and_is_not_dropped(requirement, outcome):
     values = [1.1, np.inf, 1.2, np.inf, 1.0, 1.3]
