@@ -140,7 +140,8 @@ def repetition(problem: dict[str, Any], seed: int, budget: int) -> dict[str, lis
 
 
 def tidied(value: dict[str, Any]) -> str:
-    return f"{value['mean']:.3f} ± {value['half']:.3f}"
+    half = "" if value["half"] is None else f" ± {value['half']:.3f}"
+    return f"{value['mean']:.3f}{half}"
 
 
 def table(name: str, problem: dict[str, Any], found: list[dict[str, list[float]]]) -> list[str]:
@@ -160,12 +161,13 @@ def table(name: str, problem: dict[str, Any], found: list[dict[str, list[float]]
 def verdict(found: list[dict[str, list[float]]]) -> str:
     """What a problem's figures support, in a sentence."""
     last = mean_and_interval([each["search"][-1] - each["random"][-1] for each in found])
-    if last["mean"] + last["half"] < 0:
+    half = math.inf if last["half"] is None else last["half"]
+    if last["mean"] + half < 0:
         caught = [1 + int(np.argmax(np.array(each["search"]) <= each["random"][-1])) for each in found
                   if each["search"][-1] <= each["random"][-1]]  # fmt: skip
         lead = f"In {len(caught)} of {len(found)} repetitions it reached what all random trials had reached"
         return f"The search found lower scores. {lead}, in the median after {np.median(caught):.0f} trials."
-    if last["mean"] - last["half"] > 0:
+    if last["mean"] - half > 0:
         return "The random trials found lower scores."
     return "At the end the interval of the difference holds 0: no advantage is shown."
 

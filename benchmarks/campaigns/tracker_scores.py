@@ -215,7 +215,7 @@ def problems(data: dict[str, Any]) -> list[str]:
     found = [f"{name}: HOTA of reference behind a perfect detector is below {PERFECT_LEAST}" for name in _below(data)]
     for row in data["miss_rates"]:
         change = row["change"]
-        if change is not None and not change["mean"] + change["half"] < 0:
+        if change is not None and (change["half"] is None or not change["mean"] + change["half"] < 0):
             found.append(f"{row['tracker']}: HOTA does not fall to miss rate {row['miss_rate']}: {change}")
     return found
 
@@ -223,8 +223,10 @@ def problems(data: dict[str, Any]) -> list[str]:
 def cell(value: dict[str, Any], digits: int = 2) -> str:
     if value["mean"] is None:
         return "–"
-    half = "" if value["half"] is None else f" ± {value['half']:.{digits}f}"
-    return f"{value['mean']:.{digits}f}{half}"
+    half = "" if value["half"] is None else f"{value['half']:.{digits}f}"
+    if half and not half.strip("0."):
+        half = f"{value['half']:.1g}"  # no interval is of no width
+    return f"{value['mean']:.{digits}f}{half and f' ± {half}'}"
 
 
 def scene_table(lines: Sequence[dict[str, Any]]) -> list[str]:
@@ -278,8 +280,9 @@ def page(data: dict[str, Any]) -> str:
         "settings were chosen.",
         "",
         "Truth is `full`. HOTA compares boxes by IoU; *by centre* by 1 − distance / 150 px, as do the columns of "
-        "states and occlusions. ± is half the 95 % interval of the mean. *Survives*: share of the occlusions of that "
-        "length (less than half of the vessel visible) after which the same track follows the vessel, of those that "
+        "states and occlusions. ± is half the 95 % interval of the mean; there is none where all values are the same. "
+        "*Survives*: share of the occlusions of that length (less than half of the vessel visible) after which the "
+        "same track follows the vessel, of those that "
         "it followed before. The oracle-association references have the same detections; a tracker that smooths "
         "better may exceed them.",
     ]

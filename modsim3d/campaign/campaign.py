@@ -53,7 +53,8 @@ class Campaign:
             (*(str(row.values[key]) for key in keys), f"{row.runs:,}", *(_text(row.means[score]) for score in scores))
             for row in self.means()
         ]
-        return column_table(f"Campaign {self.folder}: {self.conclusion}", [*keys, "runs", *scores], rows)
+        title = f"Campaign {self.folder}: {self.conclusion}; means [95 % interval over traffic seeds]"
+        return column_table(title, [*keys, "runs", *scores], rows)
 
     @property
     def conclusion(self) -> str:

@@ -172,14 +172,16 @@ def _introduced(campaign: CheckedCampaign) -> list[str]:
 def _print_result(result: CampaignResult) -> None:
     from modsim3d.campaign.results.means import mean_rows, usual_keys, usual_scores
     from modsim3d.campaign.verdicts.levels import levels_of
-    from modsim3d.commands.campaign_text import print_crashed, print_means, print_verdicts
+    from modsim3d.commands.campaign_text import print_crashed, print_means, print_verdicts, without_judged
 
     console, plan, folder = open_console(), result.folder.plan, result.folder.path
     print_verdicts(console, "requirements", result.verdicts, reasons=True)
     for sentence in levels_of(plan).sentences():
         print_prose(console, sentence, "dim")
     rows = mean_rows(result.table, usual_keys(plan), usual_scores(plan))
-    print_means(console, "mean scores [95 % interval over traffic seeds]", rows)
+    shown_rows = without_judged(plan, rows, result.verdicts)
+    above = "" if shown_rows == rows else "; those of requirements are above"
+    print_means(console, f"mean scores [95 % interval over traffic seeds{above}]", shown_rows)
     print_crashed(console, result.table, folder)
     print_line(console, "")
     print_prose(console, _conclusion(result), "bold")

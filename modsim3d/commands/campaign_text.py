@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from modsim3d.campaign.file.keys import CampaignKeys, Factor, Range, Requirement
+    from modsim3d.campaign.plan.plan import Plan
     from modsim3d.campaign.results.means import Mean, MeanRow
     from modsim3d.campaign.verdicts.verdict import Verdict
     from modsim3d.campaign.work.checking import CheckedCampaign
@@ -144,7 +146,7 @@ def print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict], re
         console: Where to.
         title: Above them.
         verdicts: The verdicts.
-        reasons: Whether to say why some are undecided.
+        reasons: Whether to say why some are undecided, and on which runs and seeds the others do not rest.
     """
     ordered = sorted(verdicts, key=lambda verdict: FIRST.index(verdict.outcome))
     shown_ones = ordered[:MOST_ROWS]
@@ -152,14 +154,15 @@ def print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict], re
         console,
         title,
         [verdict_row(verdict) for verdict in shown_ones],
-        header=("requirement", "tracker", "condition", "outcome", "estimate", "interval", "seeds"),
+        header=("requirement", "tracker", "condition", "outcome", "estimate", "interval, level of each end", "seeds"),
         right=(4, 6),
         row_styles=[STYLES[verdict.outcome] for verdict in shown_ones],
     )
     _print_rest(console, len(ordered))
     if reasons:
-        undecided = [verdict for verdict in shown_ones if verdict.outcome == "undecided"]
-        for verdict in undecided[:MOST_ERRORS]:
+        undecided = [verdict for verdict in shown_ones if verdict.outcome == "undecided"][:MOST_ERRORS]
+        qualified = [verdict for verdict in shown_ones if verdict.qualified and verdict not in undecided]
+        for verdict in (*undecided, *qualified):
             print_prose(console, f"{about_text(verdict)}: {verdict.why}", "dim")
 
 
@@ -170,8 +173,14 @@ def about_text(verdict: Verdict) -> str:
 
 
 def verdict_row(verdict: Verdict) -> tuple[str, ...]:
-    """A verdict as cells."""
-    interval = UNKNOWN if verdict.low is None and verdict.high is None else interval_text(verdict.low, verdict.high)
+    """A verdict as cells; the ends of its interval are rounded as in its sentence."""
+    from modsim3d.campaign.verdicts.wording import percent, rounded_down, rounded_up
+
+    interval = UNKNOWN
+    if verdict.low is not None or verdict.high is not None:
+        low = UNKNOWN if verdict.low is None else rounded_down(verdict.low)
+        high = UNKNOWN if verdict.high is None else rounded_up(verdict.high)
+        interval = f"[{low}, {high}] {percent(verdict.confidence)}".replace("-", "−")
     return (
         verdict.text,
         verdict.tracker,
@@ -190,6 +199,8 @@ def values_text(values: Mapping[str, Any]) -> str:
 
 def number_text(value: float) -> str:
     """A score with four digits or so."""
+    if abs(value) == float("inf"):
+        return f"{value:g}".replace("inf", "∞")
     return f"{value:,.0f}" if abs(value) >= 10_000 else f"{value:.4g}" if abs(value) >= 1 else f"{value:.3f}"
 
 
@@ -199,12 +210,31 @@ def interval_text(low: float | None, high: float | None) -> str:
     return f"[{ends[0]}, {ends[1]}]".replace("-", "−")
 
 
-def mean_text(mean: Mean) -> str:
-    """A mean with its interval."""
+def mean_text(mean: Mean, most: int) -> str:
+    """A mean with its interval, and its number of seeds if that is not the one of most."""
     if mean.value is None:
         return UNKNOWN
-    value = number_text(mean.value).replace("-", "−")
+    value = number_text(mean.value).replace("-", "−") + (f" of {counted(mean.seeds, 'seed')}" * (mean.seeds < most))
     return value if mean.low is None else f"{value} {interval_text(mean.low, mean.high)}"
+
+
+def without_judged(plan: Plan, rows: Sequence[MeanRow], verdicts: Sequence[Verdict]) -> list[MeanRow]:
+    """Means without the intervals of those that have a verdict, which are printed with it."""
+    said = [
+        (plan.keys.require[each.requirement].score, {**each.values, "tracker": each.tracker})
+        for each in verdicts
+        if plan.keys.require[each.requirement].share is None
+    ]
+    return [
+        replace(
+            row,
+            means={
+                score: replace(mean, low=None, high=None) if (score, row.values) in said else mean
+                for score, mean in row.means.items()
+            },
+        )
+        for row in rows
+    ]
 
 
 def print_means(console: Console, title: str, rows: Sequence[MeanRow], most: int | None = MOST_ROWS) -> None:
@@ -212,6 +242,7 @@ def print_means(console: Console, title: str, rows: Sequence[MeanRow], most: int
     if not rows:
         return
     keys, scores = list(rows[0].values), list(rows[0].means)
+    most_seeds = max((mean.seeds for row in rows for mean in row.means.values()), default=0)
     crashed = any(row.crashed for row in rows)
     header = (*keys, "runs", *(["crashed"] if crashed else []), *scores)
     cells = [
@@ -219,7 +250,7 @@ def print_means(console: Console, title: str, rows: Sequence[MeanRow], most: int
             *(UNKNOWN if row.values[key] is None else _cell(row.values[key]) for key in keys),
             f"{row.runs:,}",
             *([f"{row.crashed:,}"] if crashed else []),
-            *(mean_text(row.means[score]) for score in scores),
+            *(mean_text(row.means[score], most_seeds) for score in scores),
         )
         for row in rows[:most]
     ]

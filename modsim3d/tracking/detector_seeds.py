@@ -55,12 +55,12 @@ class Spread:
 
     @property
     def deviation(self) -> float | None:
-        """The standard deviation of one seed's value, with n − 1."""
-        return float(self.known.std(ddof=1)) if len(self.known) > 1 else None
+        """The standard deviation of one seed's value, with n − 1; None if one is infinite."""
+        return float(self.known.std(ddof=1)) if len(self.known) > 1 and np.isfinite(self.known).all() else None
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """The 95 % interval of the mean, by Student's t."""
+        """The 95 % interval of the mean, by Student's t; None if all values are the same."""
         mean, half = self.mean, half_interval(self.known)
         return None if mean is None or half is None else (mean - half, mean + half)
 

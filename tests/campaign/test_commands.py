@@ -317,3 +317,69 @@ def test_python_refuses_what_the_command_refuses(file: Path, finished: Path, tmp
     with pytest.raises(TypeError, match="folder of the campaign"):
         package.run_campaign(file, 3)  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()
+
+
+NEEDY = """\
+scene: harbour
+steps: 20
+seeds: {traffic: 3}
+trackers: [sort, {tracker: sort, name: late, set: {minimum_consecutive_frames: 19}}]
+require:
+  - {score: hota, at_least: 0.01}
+  - {score: assa, at_least: 0.01, resting_on: 0.01}
+  - {score: rmse_px, at_most: 500}
+  - {score: false_positives, at_most: 1000}
+"""
+
+
+@pytest.fixture(scope="module")
+def needy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign in which one tracker reports nothing at all."""
+    file = tmp_path_factory.mktemp("needy") / "needy.yaml"
+    file.write_text(NEEDY)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("modsim3d.campaign.campaign.engine_of", lambda *_: ThisProcess)
+        package.run_campaign(file, file.parent / "out")
+    return file
+
+
+def test_a_tracker_that_reports_nothing_meets_nothing_that_it_is_scored_on(needy: Path) -> None:
+    content = json.loads((needy.parent / "out" / "verdicts.json").read_text())["verdicts"]
+    found = {(each["text"].split()[0], each["tracker"]): each for each in content}
+    outcomes = {key: each["outcome"] for key, each in found.items()}
+    assert [outcomes[score, "sort"] for score in ("hota", "assa", "rmse_px")] == ["met", "met", "undecided"]
+    assert [outcomes[score, "late"] for score in ("assa", "rmse_px")] == ["failed", "failed"]
+    assert (found["assa", "late"]["nothing"], found["assa", "late"]["seeds"]) == (3, 3)
+    assert all(each["this_traffic_only"] for each in content)
+    assert found["false_positives", "sort"]["met_without_tracks"] and not found["hota", "sort"]["met_without_tracks"]
+
+
+def test_the_terminal_says_what_a_verdict_leaves_out_and_a_mean_has_one_interval(
+    modsim3d: Modsim3d, needy: Path
+) -> None:
+    said = modsim3d("campaign", needy, "--out", needy.parent / "out")
+    assert said.status == 1
+    text = " ".join(said.out.split())
+    assert "false_positives at most 1000 (sort): Over 3 traffic seeds" in text
+    assert "No tracks at all would meet it too" in text
+    assert (
+        "assa at least 0.01 resting on 1 % (late): Over 3 traffic seeds no run has assa. In 3 runs the tracker" in text
+    )
+    assert "interval, level of each end" in text and "those of requirements are above" in text
+    _, _, means = said.out.partition("mean scores")
+    (line,) = [line for line in means.splitlines() if line.startswith("sort")]
+    with_interval = dict(zip(("hota", "assa", "rmse_px", "false_positives"), line.split()[2:], strict=False))
+    assert not any(cell.startswith("[") for cell in with_interval.values())
+    assert "can never be met by this plan: rmse_px is a mean over what the tracker manages" in " ".join(
+        said.err.split()
+    )
+    verdict = json.loads((needy.parent / "out" / "verdicts.json").read_text())["verdicts"][0]
+    assert said.out.count(f"{verdict['estimate']:.3f}") >= 2  # with the verdict, and among the means
+
+
+def test_the_page_has_one_interval_of_a_mean_with_its_level(modsim3d: Modsim3d, needy: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert modsim3d("campaign-report", needy.parent / "out", "--out", page).status == 0
+    text = page.read_text(encoding="utf-8")
+    assert "mean [interval, each end 95 %]" in text and "those of the requirements, above" in text
+    assert "runs with nothing to score" in text and "No tracks at all would meet it too" in text

@@ -90,6 +90,67 @@ def test_a_mean_fails_only_if_it_does_with_the_best_value_in_place_of_crashed_ru
     assert one(plan_of(100, [HOTA]), "hota", values, crashed=range(30)).outcome == "undecided"
 
 
+@pytest.mark.parametrize("requirement", [HOTA, {"score": "gospa", "at_most": 50}, {**HOTA, "at_least": 0.0001}])
+@pytest.mark.parametrize("seeds", [1, 12])
+def test_a_mean_fails_if_every_run_crashed(requirement, seeds):
+    plan = plan_of(seeds, [requirement])
+    verdict = one(plan, requirement["score"], [np.nan] * seeds, crashed=range(seeds))
+    assert (verdict.outcome, verdict.estimate) == ("failed", None)
+    assert f"no run has {requirement['score']}" in verdict.why
+
+
+def test_seeds_in_which_nothing_went_wrong_are_left_out_and_fail_nothing():
+    plan = plan_of(4, [{"score": "mean_track_break_s", "at_most": 3, "resting_on": 0.5}])
+    rows = [{"run": run, "status": "done", "appearances": 2, "established": 2 * (run > 0)} for run in range(4)]
+    (verdict,) = judged(plan, table_of(rows))
+    assert (verdict.outcome, verdict.nothing, verdict.undefined) == ("undecided", 1, 3)
+    assert "nothing of that kind went wrong" in verdict.why
+
+
+@pytest.mark.parametrize(("requirement", "outcome"), [({"at_most": 3}, "failed"), ({"at_least": 0.5}, "undecided")])
+def test_an_infinite_value_makes_a_mean_infinite_and_is_not_dropped(requirement, outcome):
+    values = [1.1, np.inf, 1.2, np.inf, 1.0, 1.3]
+    verdict = one(plan_of(6, [{"score": "gospa", **requirement}]), "gospa", values)
+    assert (verdict.outcome, verdict.estimate, verdict.seeds, verdict.high) == (outcome, np.inf, 6, None)
+    assert "the mean is ∞" in verdict.why
+
+
+def test_an_infinite_value_is_wrong_where_it_may_be_no_more_than_something():
+    verdict = one(plan_of(6, [{"score": "gospa", "at_most": 3, "in": 0.5}]), "gospa", [1, np.inf, 1, np.inf, 1, 1])
+    assert verdict.estimate == pytest.approx(4 / 6)
+
+
+def test_a_run_without_a_value_is_no_right_one_and_is_named_if_it_is_left_out():
+    """Seeds of two detector seeds: right, wrong, right by one run, and without a value."""
+    values = [[0.7, 0.7], [0.7, 0.1], [np.nan, 0.7], [np.nan, np.nan]]
+    verdict = one(plan_of(4, [{**HOTA, "in": 0.5}], detector=2), "hota", values)
+    assert (verdict.estimate, verdict.seeds, verdict.undefined) == (pytest.approx(2 / 3), 3, 1)
+    assert "1 run of other traffic seeds without hota left out: 1000002." in verdict.why
+
+
+def test_a_run_whose_tracker_gave_nothing_makes_its_seed_wrong_beside_one_that_is_right():
+    plan = plan_of(2, [{"score": "detpr", "at_least": 0.6, "in": 0.5}], detector=2)
+    rows = [{"run": run, "status": "done", "appearances": 3, "detpr": None if run == 1 else 0.9} for run in range(4)]
+    (verdict,) = judged(plan, table_of(rows))
+    assert (verdict.estimate, verdict.nothing, verdict.undefined, verdict.left_out) == (0.5, 1, 0, 0)
+
+
+@pytest.mark.parametrize(("requirement", "said"), [
+    ({"score": "id_switches", "at_most": 0, "in": 0.5}, True), ({"score": "false_track_s", "at_most": 3}, True),
+    ({"score": "mota", "at_least": -1}, True), ({"score": "mota", "at_least": 0.5}, False),
+    ({"score": "gospa", "at_most": 50}, True), ({"score": "gospa", "at_most": 49}, False),
+    ({"score": "misses", "at_most": 10}, True), ({"score": "misses", "at_most": 9}, False),
+    ({"score": "assa", "at_least": 0.1}, False),
+    ({"score": "id_switches", "at_most": 0, "in": 0.5, "resting_on": 0.5}, False),
+])  # fmt: skip
+def test_a_requirement_that_no_tracks_at_all_would_meet_says_so(requirement, said):
+    """In each run there are 10 vessel-frames in 10 frames: without tracks GOSPA is half of its cutoff, 100 px."""
+    row = {"status": "done", "frames": 10, "true_positives": 8, "misses": 2, "appearances": 2, "id_switches": 0}
+    rows = [{**row, "run": run, "gospa": 9.0 + run, "mota": 0.7 + run / 100, "false_track_s": 1.0} for run in range(6)]
+    (verdict,) = judged(plan_of(6, [requirement]), table_of(rows))
+    assert verdict.met_without_tracks == said == ("No tracks at all would meet it too" in verdict.why)
+
+
 def test_a_crashed_run_leaves_a_mean_without_worst_value_undecided():
     verdict = one(plan_of(10, [{"score": "gospa", "at_most": 50}]), "gospa", np.arange(10.0), crashed={3})
     assert verdict.outcome == "undecided" and verdict.high is None
@@ -234,7 +295,8 @@ def test_seeds_that_never_reach_a_state_are_left_out_and_the_state_is_named():
     rows = [{"run": run, "status": "done", "hota": 0.1, "state.haze.hota": hota[run]} for run in range(6)]
     (verdict,) = judged(plan, table_of(rows))
     assert (verdict.outcome, verdict.seeds, verdict.undefined) == ("met", 5, 1)
-    assert "1 traffic seed without hota in state haze left out: 1000001." in verdict.why
+    said = "1 traffic seed without hota in state haze left out: 1000001. The truth has nothing to score there."
+    assert said in verdict.why
 
 
 def test_pairing_takes_off_what_both_trackers_share():
@@ -258,6 +320,16 @@ def test_a_sequential_difference_has_an_interval_only_if_the_score_has_bounds():
     assert found.low < 0.5 < found.high and found.low > 0.3
     (unbounded,) = paired(plan, table_of_scores(plan, "gospa", values), "gospa")
     assert unbounded.low is unbounded.high is None and unbounded.mean == pytest.approx(0.5)
+
+
+def test_a_run_with_nothing_to_score_widens_a_paired_difference_as_a_crash_does():
+    plan = plan_of(50, [], ("bytetrack", "sort"))
+    rows = [
+        {"run": run, "status": "done", "appearances": 2, "assa": None if run == 7 else 0.7 + run % 4 / 100}
+        for run in range(100)
+    ]
+    (found,) = paired(plan, table_of(rows), "assa")
+    assert (found.crashed, found.undefined, found.seeds) == (1, 0, 49)
 
 
 def test_a_crashed_run_widens_a_paired_difference_and_does_not_drop_out():

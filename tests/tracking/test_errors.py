@@ -39,10 +39,10 @@ def test_nees_is_over_the_pairs_with_a_covariance_and_anees_is_half_of_it() -> N
 
 
 @pytest.mark.parametrize("singular", [((0, 0), (0, 0)), ((4, 2), (2, 1)), ((1, 0), (0, -1)), ((1e13, 0), (0, 1))])
-def test_a_singular_covariance_leaves_no_nees_and_is_counted(singular: tuple) -> None:
+def test_a_singular_covariance_makes_nees_infinite_and_is_counted(singular: tuple) -> None:
     tracks = [(0, 7, box(1), -1, singular), (1, 7, box(1), -1, TEN_PX)]
     found = errors(hand_made([(0, 0, box()), (1, 0, box())], tracks, 2, rules=RULES))
-    assert (found.nees, found.anees, found.nees_pairs, found.singular_covariances) == (None, None, 2, 1)
+    assert (found.nees, found.anees, found.nees_pairs, found.singular_covariances) == (np.inf, np.inf, 2, 1)
     assert found.rmse_px == 1
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from modsim3d.tracking.detector_seeds import Spread
 from modsim3d.tracking.intervals import half_interval
+from modsim3d.tracking.report.numbers import number
 
 
 def test_half_an_interval_is_the_quantile_of_students_t_times_the_standard_error() -> None:
@@ -17,3 +19,17 @@ def test_half_an_interval_is_the_quantile_of_students_t_times_the_standard_error
 def test_one_value_has_no_interval() -> None:
     assert half_interval(np.array([3.0])) is None
     assert half_interval(np.array([])) is None
+
+
+def test_equal_and_infinite_values_have_no_interval() -> None:
+    """A share of 1 in ten runs says nothing of how far the next one may be off."""
+    assert half_interval(np.ones(19)) is None
+    assert half_interval(np.array([0.1 + 0.2, 0.3, 0.3])) is None
+    assert half_interval(np.array([1.0, np.inf])) is None
+
+
+def test_a_spread_with_an_infinite_value_is_infinite_and_has_no_interval() -> None:
+    spread = Spread((1.0, np.inf, None))
+    assert (spread.mean, spread.deviation, spread.interval) == (np.inf, None, None)
+    assert number(spread.mean, 1) == "∞"
+    assert Spread((0.5, 0.5)).interval is None

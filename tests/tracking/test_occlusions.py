@@ -66,7 +66,7 @@ def test_the_track_after_an_occlusion_is_the_one_before_or_not(tracks, before, a
 def test_no_track_is_judged_by_an_occlusion_after_which_the_vessel_is_gone() -> None:
     scored = seen([(3, 1)], VISIBLE[:7])
     assert occlusions(scored)[0].survived is None
-    assert survival(scored) == Survival(1, 0, None)
+    assert survival(scored) == Survival(1, 0, None, 0)
 
 
 def test_a_frame_in_which_the_vessel_has_no_pixel_neither_ends_an_occlusion_nor_shows_the_vessel() -> None:
@@ -74,7 +74,7 @@ def test_a_frame_in_which_the_vessel_has_no_pixel_neither_ends_an_occlusion_nor_
     (found,) = occlusions(seen([(k, 1) for k in (*range(4), *range(8, 14))], through))
     assert (found.start_s, found.end_s, found.least_visible_fraction, found.survived) == (2, 3.5, 0, True)
     never_again = (1, 1, 1, 1, 0.2, *(None,) * 9)
-    assert survival(seen([(k, 1) for k in range(4)], never_again)) == Survival(1, 0, None)
+    assert survival(seen([(k, 1) for k in range(4)], never_again)) == Survival(1, 0, None, 0)
 
 
 def test_occlusions_of_two_vessels_in_two_cameras_are_apart() -> None:
@@ -87,8 +87,8 @@ def test_occlusions_of_two_vessels_in_two_cameras_are_apart() -> None:
         ("C0", "v0", True),
         ("C1", "v1", False),
     ]
-    assert survival(scored) == Survival(2, 2, 0.5)
-    assert survival(scored.in_frames(np.array([4]))) == Survival(1, 1, 1)
+    assert survival(scored) == Survival(2, 2, 0.5, 2)
+    assert survival(scored.in_frames(np.array([4]))) == Survival(1, 1, 1, 1)
 
 
 def test_two_occlusions_of_a_vessel_are_two_and_one_at_the_end_lasts_as_long_as_a_frame() -> None:
@@ -96,7 +96,7 @@ def test_two_occlusions_of_a_vessel_are_two_and_one_at_the_end_lasts_as_long_as_
     found = occlusions(seen([(k, 1) for k in range(14)], visible))
     assert [(each.start_s, each.end_s, each.survived) for each in found] == [(0.5, 1, True), (6.5, 7, None)]
     assert occlusions(seen([], (1,) * 14)) == ()
-    assert survival(hand_made([], [], 2)) == Survival(0, 0, None)
+    assert survival(hand_made([], [], 2)) == Survival(0, 0, None, 0)
 
 
 def test_the_last_bits_of_times_decide_nothing() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -77,3 +78,10 @@ def test_detector_seeds_of_one_traffic_count_as_one() -> None:
 def test_detector_seeds_of_the_only_traffic_give_the_interval_of_this_traffic() -> None:
     found = tracker_scores.nested([{"traffic_seed": 0, "hota": value} for value in (0.2, 0.4, 0.6)], "hota")
     assert found["n"] == 3 and found["half"] is not None
+
+
+def test_no_committed_interval_has_no_width(data: dict) -> None:
+    page = (CAMPAIGNS / "tracker_scores.md").read_text(encoding="utf-8")
+    assert not re.search(r"± 0\.0*[^0-9.]", page)
+    assert tracker_scores.cell(mean_and_interval([1.0] * 19)) == "1.00"
+    assert tracker_scores.cell({"mean": 0.98, "half": 0.0012}) == "0.98 ± 0.001"

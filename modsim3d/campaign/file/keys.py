@@ -177,6 +177,7 @@ class Requirement(Strict):
         at_least: The least value that is right.
         at_most: The greatest.
         share: The least share of traffic seeds all of whose runs must have such a value; None: the mean must.
+        resting_on: The least share of what is to be followed that the score of each run must rest on.
         confidence: The least probability that a verdict is right when the truth is at the threshold; of a mean that is
             looked at once it is measured and not proved.
     """
@@ -186,6 +187,7 @@ class Requirement(Strict):
     at_least: Number | None = None
     at_most: Number | None = None
     share: Share | None = Field(default=None, alias="in")
+    resting_on: Annotated[float, Field(strict=True, gt=0, le=1)] | None = None
     confidence: Confidence = 0.95
 
     @model_validator(mode="after")

@@ -58,7 +58,7 @@ def seed_cells(plan: Plan, table: pa.Table, column: str) -> Array:
 
 def mean_of(values: Array, axis: int | tuple[int, ...]) -> Array:
     """The mean over axes of what is no NaN; NaN where there is nothing."""
-    known = np.isfinite(values)
+    known = ~np.isnan(values)
     count = known.sum(axis=axis)
     total = np.where(known, values, 0.0).sum(axis=axis)
     found: Array = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
@@ -67,12 +67,13 @@ def mean_of(values: Array, axis: int | tuple[int, ...]) -> Array:
 
 def over_seeds(values: Array) -> Estimates:
     """Means over the first axis, which is that of traffic seeds; NaN is no value."""
-    known = np.isfinite(values)
+    known = ~np.isnan(values)
     count = known.sum(axis=0)
     mean = mean_of(values, 0)
-    square = np.where(known, values - mean, 0.0) ** 2
-    deviation = np.sqrt(square.sum(axis=0) / np.maximum(count - 1, 1))
-    half = half_widths(mean, deviation, count, (1 - LEVEL) / 2)
+    with np.errstate(invalid="ignore"):  # an infinite mean has no interval
+        square = np.where(known, values - mean, 0.0) ** 2
+        deviation = np.sqrt(square.sum(axis=0) / np.maximum(count - 1, 1))
+        half = half_widths(mean, deviation, count, (1 - LEVEL) / 2)
     return Estimates(mean, mean - half, mean + half, count)
 
 

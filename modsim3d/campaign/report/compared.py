@@ -8,6 +8,7 @@ import pyarrow.compute as pc
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.plan.selection import cases_of
 from modsim3d.campaign.report.cells import over_seeds, seed_cells
 from modsim3d.campaign.report.tables import without_empty
 from modsim3d.campaign.report.words import (
@@ -22,6 +23,7 @@ from modsim3d.campaign.report.words import (
 )
 from modsim3d.campaign.results.means import LEVEL
 from modsim3d.campaign.verdicts.paired import PairedDifference, paired
+from modsim3d.campaign.verdicts.seed_values import column_of
 from modsim3d.campaign.work.row import DONE
 from modsim3d.view.pages import page
 from modsim3d.view.pages.intervals import Interval, span_of, strip
@@ -45,12 +47,18 @@ def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
             f" The {MOST_ROWS} rows of {worst.size:,} with the worst {scores[0].name} are shown; "
             "modsim3d campaign-table has all."
         )
-    keys = varying(plan)
+    keys, judged = varying(plan), _judged(plan)
+    remark += " Intervals of means that are required are those of the requirements, above." * bool(judged)
     rows = [
         (
             *condition_cells(plan, c, keys),
             plan.keys.trackers[t].label,
-            *(with_interval(each.mean[c, t], each.low[c, t], each.high[c, t]) for each in found),
+            *(
+                number(each.mean[c, t])
+                if (score.column, c, t) in judged
+                else with_interval(each.mean[c, t], each.low[c, t], each.high[c, t])
+                for score, each in zip(scores, found, strict=True)
+            ),
             f"{found[0].seeds[c, t]:,}",
             f"{crashed[c, t]:,}",
         )
@@ -68,6 +76,16 @@ def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
         ),
         page.table(*without_empty(rows, header, (CRASHED_RUNS,)), bad=bad),
     ]
+
+
+def _judged(plan: Plan) -> set[tuple[str, int, int]]:
+    """Column, condition and tracker of the means that requirements are about."""
+    return {
+        (column_of(requirement.score, case), case.condition, case.tracker)
+        for requirement in plan.keys.require
+        if requirement.share is None
+        for case in cases_of(plan, requirement)
+    }
 
 
 def _stopped(plan: Plan) -> str:

@@ -13,13 +13,14 @@ from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.report.tables import without_empty
 from modsim3d.campaign.report.words import MOST_KEYS, condition_cells, number, shown, varying, with_interval
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
+from modsim3d.campaign.verdicts.wording import percent
 from modsim3d.display import counted
 from modsim3d.view.pages import page
 from modsim3d.view.pages.intervals import Interval, span_of, strip
 
 SIGNS: dict[Outcome, str] = {"met": "✓ met", "failed": "✗ failed", "undecided": "? undecided"}
 ORDER: tuple[Outcome, ...] = ("failed", "undecided", "met")
-OFTEN_EMPTY = ("crashed runs", "seeds without a value")
+OFTEN_EMPTY = ("crashed runs", "runs with nothing to score", "seeds without a value")
 """Columns that are left out where they say nothing."""
 MOST_OPEN, MOST_ROWS = 12, 200
 """Verdicts on a requirement that are shown at once, and at all."""
@@ -89,7 +90,8 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
         what, span = "share of seeds", (max(0.0, span[0]), min(1.0, span[1]))
     keys = varying(plan)
     columns = keys if len(keys) <= MOST_KEYS else ["condition"]
-    header = ("tracker", *columns, "outcome", f"{what} [interval]", _axis(limit, least, span), *OFTEN_EMPTY, "seeds")
+    interval = f"{what} [interval, each end {percent(requirement.confidence)}]"
+    header = ("tracker", *columns, "outcome", interval, _axis(limit, least, span), *OFTEN_EMPTY, "seeds")
     rows = [_row(each, plan, keys, limit, least, span) for each in shown]
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
     bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
@@ -111,7 +113,7 @@ def _row(
     each: Verdict, plan: Plan, keys: Sequence[str], limit: float, least: bool, span: tuple[float, float]
 ) -> tuple[str, ...]:
     values = (_or_nan(each.estimate), _or_nan(each.low), _or_nan(each.high))
-    said = with_interval(*values)
+    said = with_interval(each.estimate, *values[1:])
     return (
         each.tracker,
         *condition_cells(plan, each.condition, keys),
@@ -119,6 +121,7 @@ def _row(
         said,
         strip(Interval(*values), limit, least, span, f"{said} against {number(limit)}"),
         f"{each.crashed:,}",
+        f"{each.nothing:,}",
         f"{each.undefined:,}",
         f"{each.seeds:,}",
     )
@@ -126,7 +129,7 @@ def _row(
 
 def _note(each: Verdict, limit: float) -> str:
     """Why a verdict is what it is, where that is more than its interval says as printed."""
-    if each.crashed or each.undefined or each.low is None or each.high is None:
+    if each.qualified or each.low is None or each.high is None:
         return each.why
     return each.why if number(limit) in with_interval(each.estimate, each.low, each.high) else ""
 
@@ -162,4 +165,4 @@ def _told(count: int, outcome: Outcome) -> str:
 
 
 def _or_nan(value: float | None) -> float:
-    return np.nan if value is None else value
+    return np.nan if value is None or np.isinf(value) else value

@@ -156,8 +156,10 @@ def condition_cells(plan: Plan, place: int, keys: Sequence[str]) -> list[str]:
 
 def number(value: float | None) -> str:
     """A number with three digits or three decimals, a whole one as it is; a dash where there is none."""
-    if value is None or not np.isfinite(value):
+    if value is None or np.isnan(value):
         return UNKNOWN
+    if np.isinf(value):
+        return "∞" if value > 0 else "−∞"
     if float(value).is_integer():
         return f"{value:,.0f}".replace("-", "−")
     return _with_decimals(value, _decimals(value))

@@ -96,7 +96,12 @@ def write_verdicts(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> None:
 
 
 def _content_of(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> bytes:
-    content = {"format": FORMAT, "sha256": folder.facts["sha256"], "verdicts": [asdict(each) for each in verdicts]}
+    fixed = [not each["traffic_has_seed"] for each in folder.facts["conditions"]]
+    content = {
+        "format": FORMAT,
+        "sha256": folder.facts["sha256"],
+        "verdicts": [{**asdict(each), "this_traffic_only": fixed[each.condition]} for each in verdicts],
+    }
     return orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,9 @@ from modsim3d.campaign.verdicts.proportions import clean_seeds_needed
 from modsim3d.campaign.verdicts.seed_values import Rows, Runs
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.campaign.verdicts.wording import counted, percent, requirement_text, rounded, rounded_down, rounded_up
-from modsim3d.campaign.work.score_bounds import score_bounds
+from modsim3d.campaign.work.score_bounds import IN_STATE, Columns, facts_of, score_bounds, without_tracks
 
+NO_TRACKS = "No tracks at all would meet it too: `resting_on` asks for a share of vessel-frames to be followed."
 _NAMED = 5
 """Most seeds without a value that are named."""
 
@@ -57,21 +59,27 @@ class _Found:
 
 def _verdict(plan: Plan, place: int, case: Case, rows: Rows) -> Verdict:
     requirement, keys = plan.keys.require[place], plan.keys
-    runs = rows.runs_of(case, requirement.score)
-    crashed, undefined = int(runs.crashed.sum()), np.flatnonzero(runs.undefined)
-    state = case.state is not None
+    runs = rows.runs_of(case, requirement.score, requirement.resting_on)
+    state, undefined = case.state is not None, int(runs.undefined.sum())
     of_mean = requirement.share is None
     found = _of_mean(requirement, runs, keys, state) if of_mean else _of_share(requirement, runs, keys)
+    impossible = never_met(keys, requirement, state, undefined)
+    if found.outcome == "met" and impossible:
+        found = replace(found, outcome="undecided")
     why = [found.why]
     if keys.stop == "once" and rows.seeds < keys.seeds.traffic:
         found, why = _not_yet(found, requirement, runs, keys.seeds.traffic)
-    elif found.outcome == "undecided" and (reason := never_met(keys, requirement, state, len(undefined))):
-        why.append(f"This plan can never meet it: {reason}.")
-    if crashed:
-        why.append(_of_crashed(crashed, requirement, score_bounds(requirement.score, keys.score)))
-    if len(undefined):
-        name = requirement.score if case.state is None else f"{requirement.score} in state {case.state}"
-        why.append(_of_undefined(undefined, name, keys.seed))
+    elif found.outcome == "undecided" and impossible:
+        why.append(f"This plan can never meet it: {impossible}.")
+    why += _of_lost(runs, requirement, keys)
+    name = requirement.score if case.state is None else f"{requirement.score} in state {case.state}"
+    why += _of_left_out(runs, requirement, name, keys.seed)
+    facts, rests_on = facts_of(requirement.score), runs.rests_on
+    if rests_on is not None and (facts.managed or requirement.resting_on is not None):
+        basis = facts.basis if case.state is None else IN_STATE
+        why.append(f"It rests on {rounded(100 * rests_on)} % of {basis.of}, mean over runs.")
+    if met_without_tracks := _met_without_tracks(requirement, keys, runs, rows.columns(case)):
+        why.append(NO_TRACKS)
     low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
     return Verdict(
         place,
@@ -84,9 +92,13 @@ def _verdict(plan: Plan, place: int, case: Case, rows: Rows) -> Verdict:
         found.estimate,
         low,
         high,
-        len(runs.values) - len(undefined),
-        crashed,
-        len(undefined),
+        int(np.count_nonzero(~runs.undefined)),
+        int(runs.crashed.sum()),
+        int(runs.nothing.sum()),
+        undefined,
+        int(runs.left_out.sum()),
+        rests_on,
+        met_without_tracks,
         _values(plan, case),
     )
 
@@ -101,10 +113,37 @@ def _not_yet(found: _Found, requirement: Requirement, runs: Runs, planned: int) 
     return _Found("undecided", found.estimate, UNKNOWN, why), [why]
 
 
-def _of_undefined(seeds: Indices, name: str, base: int) -> str:
+def _of_left_out(runs: Runs, requirement: Requirement, name: str, base: int) -> Iterator[str]:
+    """Which seeds and runs the truth leaves without a value, and why."""
+    alone = counted(int(runs.left_out.sum()), "run")
+    whole = counted(int(runs.undefined.sum()), "traffic seed")
+    for seeds, what in ((runs.undefined, whole), (runs.left_out.any(axis=1), f"{alone} of other traffic seeds")):
+        if seeds.any():
+            yield f"{what} without {name} left out: {_named(np.flatnonzero(seeds), base)}."
+    if np.any(runs.undefined) or np.any(runs.left_out):
+        clean = " or nothing of that kind went wrong" if facts_of(requirement.score).of_faults else ""
+        yield f"The truth has nothing to score there{clean}."
+
+
+def _named(seeds: Indices, base: int) -> str:
     named = ", ".join(str(traffic_seed(base, int(index))) for index in seeds[:_NAMED])
-    more = ", …" if len(seeds) > _NAMED else ""
-    return f"{counted(len(seeds), 'traffic seed')} without {name} left out: {named}{more}."
+    return named + (", …" if len(seeds) > _NAMED else "")
+
+
+def _met_without_tracks(requirement: Requirement, keys: CampaignKeys, runs: Runs, column: Columns) -> bool:
+    """Whether the runs would have been right without any track."""
+    values, at_most = without_tracks(requirement.score, keys.score, column), requirement.at_most is not None
+    if values is None or requirement.resting_on is not None:
+        return False
+    if facts_of(requirement.score).without_tracks is None and not at_most:
+        return False  # no more than an upper bound is known
+    without = replace(runs, values=values, nothing=np.zeros_like(runs.nothing))
+    if requirement.share is not None:
+        right = without.right(requirement)
+        return len(right) > 0 and float(right.mean()) >= requirement.share
+    means = without.means(math.nan)
+    means = means[~np.isnan(means)]
+    return len(means) > 0 and requirement.holds(float(means.mean()))
 
 
 def _values(plan: Plan, case: Case) -> dict[str, Any]:
@@ -148,13 +187,18 @@ def _of_mean(requirement: Requirement, runs: Runs, keys: CampaignKeys, state: bo
         outcome = _outcome(bounds.high <= requirement.threshold, bounds.low > requirement.threshold)
     seen = seen[~np.isnan(seen)]
     estimate = float(seen.mean()) if len(seen) else None
-    said = f"the mean is {rounded(estimate)}" if estimate is not None else "there is no mean"
+    clean = facts_of(requirement.score).of_faults and runs.undefined.any()  # in these seeds nothing went wrong
+    if (estimate is None and not clean) or (estimate == math.inf and requirement.at_most is not None):
+        outcome = "failed"
+    said = f"the mean is {rounded(estimate)}" if estimate is not None else f"no run has {requirement.score}"
+    if estimate is not None and runs.lost.any():
+        said = f"the mean of the {len(seen):,} with a value is {rounded(estimate)}"
     why = f"Over {counted(len(worst), 'traffic seed')} {said}"
     if bounds.known:
         why += f"; {_between(bounds, requirement)}."
-    elif len(worst) < 2:
+    elif len(worst) < 2 and estimate is not None:
         why += "; one seed says nothing of how much seeds differ."
-    elif not runs.crashed.any() and not every.known:
+    elif not runs.lost.any() and estimate != math.inf and not every.known:
         why += (
             ", the same in each, which says nothing of how much others may differ: ask for a share of seeds with `in`."
         )
@@ -179,11 +223,27 @@ def _between(bounds: Bounds, requirement: Requirement) -> str:
     return f"{what} is {' and '.join(sides)}, {each}with {percent(requirement.confidence)} confidence"
 
 
-def _of_crashed(crashed: int, requirement: Requirement, limits: tuple[float, float]) -> str:
-    runs = f"{counted(crashed, 'run')} crashed"
-    if requirement.share is not None:
-        return f"{runs} and {'counts' if crashed == 1 else 'count'} as wrong."
-    worst = limits[0] if requirement.at_least is not None else limits[1]
-    if math.isfinite(worst):
-        return f"{runs}: the bounds take the worst and the best possible score in their place."
-    return f"{runs}, and {requirement.score} has no worst possible value to take in their place: it cannot be met."
+def _of_lost(runs: Runs, requirement: Requirement, keys: CampaignKeys) -> Iterator[str]:
+    """What is done about runs that crashed, and those whose tracker gave nothing to score."""
+    least, greatest = score_bounds(requirement.score, keys.score)
+    worst = least if requirement.at_least is not None else greatest
+    crashed, nothing = int(runs.crashed.sum()), int(runs.nothing.sum())
+    parts = [f"{counted(crashed, 'run')} crashed"] if crashed else []
+    if nothing:
+        too_little = "" if requirement.resting_on is None else " or too little"
+        parts.append(f"in {counted(nothing, 'run')} the tracker gave nothing{too_little} to score")
+    if not parts:
+        return
+    said = " and ".join(parts)
+    said = said[0].upper() + said[1:]
+    if runs.lost[~runs.undefined].all():
+        yield f"{said}."
+    elif requirement.share is not None:
+        yield f"{said}: {'this counts' if crashed + nothing == 1 else 'these count'} as wrong."
+    elif math.isfinite(worst):
+        yield f"{said}: the bounds take the worst and the best possible score in their place."
+    else:
+        yield (
+            f"{said}, and {requirement.score} has no worst possible value to take in their place: it cannot be met. "
+            "With `in` such runs are wrong, and others can be right."
+        )

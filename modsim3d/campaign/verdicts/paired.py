@@ -33,8 +33,8 @@ class PairedDifference:
         low: Lower end of its two-sided interval at `CONFIDENCE`; None if unknown.
         high: Upper end.
         seeds: Number of traffic seeds in which both have the score.
-        crashed: Number of seeds in which a run of either crashed; the interval takes the least and the greatest
-            possible difference for them, and there is none if the score has no bounds.
+        crashed: Number of seeds in which a run of either crashed or gave nothing to score; the interval takes the least
+            and the greatest possible difference for them, and there is none if the score has no bounds.
         undefined: Number of seeds in which either has no score.
         variance_ratio: Variance of a difference between seeds that are not shared over that of the paired one: so many
             times the seeds would be needed without pairing; None if unknown.
@@ -73,9 +73,10 @@ def paired(plan: Plan, table: pa.Table, score: str) -> tuple[PairedDifference, .
 
 def _difference(plan: Plan, rows: Rows, score: str, condition: int, first: int, second: int) -> PairedDifference:
     one, other = (rows.runs_of(Case(tracker, condition), score) for tracker in (first, second))
-    runs = Runs(one.values - other.values, one.crashed | other.crashed)
+    lost, share = one.nothing | other.nothing, np.minimum(one.share, other.share)
+    runs = Runs(one.values - other.values, one.crashed | other.crashed, lost, share)
     differences = runs.means(math.nan)
-    whole = ~np.any(runs.crashed, axis=1)
+    whole = ~np.any(runs.lost, axis=1)
     differences = differences[whole[~runs.undefined]]
     low, high = _interval(plan, rows, runs, score)
     labels = [each.label for each in plan.keys.trackers]

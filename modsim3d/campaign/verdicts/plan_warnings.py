@@ -9,7 +9,7 @@ from modsim3d.campaign.verdicts.betting import perfect_seeds_needed
 from modsim3d.campaign.verdicts.offers import too_few
 from modsim3d.campaign.verdicts.proportions import clean_seeds_needed, clean_seeds_needed_sequential
 from modsim3d.campaign.verdicts.wording import requirement_text
-from modsim3d.campaign.work.score_bounds import score_bounds
+from modsim3d.campaign.work.score_bounds import facts_of, score_bounds
 
 
 def warnings_of(plan: Plan) -> list[str]:
@@ -44,7 +44,12 @@ def never_met(keys: CampaignKeys, requirement: Requirement, state: bool, undefin
     """
     seeds = keys.seeds.traffic - undefined
     least, greatest = score_bounds(requirement.score, keys.score)
-    at_least = requirement.at_least is not None
+    at_least, facts = requirement.at_least is not None, facts_of(requirement.score)
+    if facts.managed and requirement.resting_on is None:
+        return (
+            f"{requirement.score} is a mean over what the tracker manages, and one that gives up improves it: "
+            f"`resting_on`, as in `resting_on: 0.8`, says on which share of {facts.basis.of} each run must rest"
+        )
     if requirement.threshold > greatest if at_least else requirement.threshold < least:
         return f"{requirement.score} is never {f'above {greatest:g}' if at_least else f'below {least:g}'}"
     if requirement.share is not None:

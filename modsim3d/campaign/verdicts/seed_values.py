@@ -13,42 +13,69 @@ from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.plan.selection import Case, cases_of
 from modsim3d.campaign.work.row import BY_STATE, CRASHED
+from modsim3d.campaign.work.score_bounds import IN_STATE, Columns, facts_of
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
     """A score in the runs of a tracker in a condition, by traffic seed and detector seed.
 
+    A run without a value is the tracker's fault or not. It is where the tracker gave nothing to score, or too little:
+    that counts as a crash does. Otherwise the truth has nothing to score, or nothing of what is counted went wrong.
+
     Attributes:
         values: The scores, NaN where there is none, shape (s, d).
         crashed: Which runs crashed, shape (s, d).
+        nothing: In which ones the tracker gave nothing to score, or less than the requirement asks for, shape (s, d).
+        share: The share of what is to be followed that the score rests on, NaN where there is nothing, shape (s, d).
     """
 
     values: Array
     crashed: Mask
+    nothing: Mask
+    share: Array
+
+    @property
+    def lost(self) -> Mask:
+        """Runs that crashed, or whose tracker gave nothing to score, shape (s, d)."""
+        lost: Mask = self.crashed | self.nothing
+        return lost
 
     @property
     def undefined(self) -> Mask:
-        """Seeds in which no run crashed and none has a value, shape (s,)."""
-        nothing: Mask = np.all(np.isnan(self.values) & ~self.crashed, axis=1)
+        """Seeds in which no run is lost and none has a value, shape (s,)."""
+        nothing: Mask = np.all(np.isnan(self.values) & ~self.lost, axis=1)
         return nothing
 
+    @property
+    def left_out(self) -> Mask:
+        """Runs without a value that are not lost, in seeds that have others, shape (s, d)."""
+        alone: Mask = np.isnan(self.values) & ~self.lost & ~self.undefined[:, None]
+        return alone
+
+    @property
+    def rests_on(self) -> float | None:
+        """The share that the score rests on, mean over the runs with something to follow."""
+        known = self.share[~np.isnan(self.share)]
+        return float(known.mean()) if len(known) else None
+
     def means(self, instead: float) -> Array:
-        """The mean of each seed that is not undefined, with a value in place of crashed runs, shape (m,).
+        """The mean of each seed that is not undefined, with a value in place of lost runs, shape (m,).
 
         NaN stands for leaving them out, and is the mean of a seed that has no others.
         """
-        values = np.where(self.crashed, instead, self.values)[~self.undefined]
+        values = np.where(self.lost, instead, self.values)[~self.undefined]
         defined = ~np.isnan(values)
         sums, counts = np.where(defined, values, 0).sum(axis=1), defined.sum(axis=1)
         means: Array = np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
         return means
 
     def right(self, requirement: Requirement) -> Mask:
-        """Whether all runs of a seed are right, of each seed that is not undefined; no crashed run is, shape (m,)."""
-        at_least, threshold = requirement.at_least is not None, requirement.threshold
-        wrong = (self.values < threshold if at_least else self.values > threshold) | self.crashed
-        right: Mask = ~np.any(wrong, axis=1)[~self.undefined]
+        """Whether all runs of a seed are right, of each seed that is not undefined; no lost run is, shape (m,)."""
+        good = self.values >= requirement.threshold
+        if requirement.at_least is None:
+            good = self.values <= requirement.threshold
+        right: Mask = np.all((good & ~self.lost) | self.left_out, axis=1)[~self.undefined]
         return right
 
 
@@ -74,11 +101,35 @@ class Rows:
         self._shape = (self.seeds, len(plan.conditions), plan.keys.seeds.detector, len(plan.keys.trackers))
         self._crashed = pc.equal(self._table["status"], CRASHED).to_numpy().astype(bool).reshape(self._shape)
 
-    def runs_of(self, case: Case, score: str) -> Runs:
-        """The runs of a case."""
-        name = column_of(score, case)
-        values = np.full(self._shape, np.nan)
-        if name in self._table.column_names:
-            values = self._table[name].to_numpy().astype(float).reshape(self._shape)
-        place = np.s_[:, case.condition, :, case.tracker]
-        return Runs(values[place], self._crashed[place])
+    def runs_of(self, case: Case, score: str, resting_on: float | None = None) -> Runs:
+        """The runs of a case.
+
+        Args:
+            case: A tracker in a condition, or in a state of it.
+            score: A key of the scores.
+            resting_on: The least share that the score of a run must rest on.
+        """
+        facts, column = facts_of(score), self.columns(case)
+        values, crashed = column(score), self._crashed[self._place(case)]
+        there = column(facts.expected if case.state is None else "vessel_frames") > 0
+        if facts.of_faults:
+            there &= column("established") == 0
+        share = (facts.basis if case.state is None else IN_STATE).share(column)
+        nothing = np.isnan(values) & there & facts.managed & ~crashed
+        if resting_on is not None:
+            nothing |= share < resting_on
+        return Runs(np.where(nothing, np.nan, values), crashed, nothing, share)
+
+    def columns(self, case: Case) -> Columns:
+        """The columns of the runs of a case, each of the shape (s, d): those of a state, if it is about one."""
+
+        def column(name: str) -> Array:
+            name = column_of(name, case)
+            if name not in self._table.column_names:
+                return np.full(self._shape, np.nan)[self._place(case)]
+            return np.asarray(self._table[name].to_numpy(), dtype=np.float64).reshape(self._shape)[self._place(case)]
+
+        return column
+
+    def _place(self, case: Case) -> tuple[slice | int, ...]:
+        return (slice(None), case.condition, slice(None), case.tracker)

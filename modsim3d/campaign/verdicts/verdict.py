@@ -26,7 +26,11 @@ class Verdict:
         high: The upper end.
         seeds: Number of traffic seeds that it rests on.
         crashed: Number of runs that crashed.
-        undefined: Number of seeds without a value: nothing to be scored in any of their runs.
+        nothing: Number of those in which the tracker gave nothing to score, or too little: they count as crashes do.
+        undefined: Number of seeds without a value that are left out: their truth has nothing to score.
+        left_out: Number of runs without a value that are left out for the same reason, in seeds that have others.
+        rests_on: The share of what is to be followed that the score rests on, mean over runs; None if unknown.
+        met_without_tracks: Whether a tracker without any track would have met it too.
     """
 
     requirement: int
@@ -41,5 +45,14 @@ class Verdict:
     high: float | None
     seeds: int
     crashed: int = 0
+    nothing: int = 0
     undefined: int = 0
+    left_out: int = 0
+    rests_on: float | None = None
+    met_without_tracks: bool = False
     values: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def qualified(self) -> bool:
+        """Whether there is more to say than its interval does: runs that are missing, or nothing that it takes."""
+        return bool(self.crashed or self.nothing or self.undefined or self.left_out or self.met_without_tracks)

@@ -13,6 +13,8 @@ def requirement_text(requirement: Requirement, state: str | None = None) -> str:
     """A requirement in words, such as `hota at least 0.6 in state haze`."""
     side = "at least" if requirement.at_least is not None else "at most"
     text = f"{requirement.score} {side} {requirement.threshold:.10g}"
+    if requirement.resting_on is not None:
+        text += f" resting on {percent(requirement.resting_on)}"
     if state is not None:
         text += f" in state {state}"
     return text if requirement.share is None else f"{text}, in {percent(requirement.share)} of traffic seeds"
@@ -46,7 +48,7 @@ def counted(number: int, noun: str) -> str:
 def _rounded(value: float, whole: object) -> str:
     assert callable(whole)
     if not math.isfinite(value) or value == 0:
-        return f"{value:g}"
+        return f"{value:g}".replace("inf", "∞")
     size = min(abs(value), abs(1 - value) or 1.0) if 0 < value < 1 else abs(value)
     decimals = max(0, _DIGITS - 1 - math.floor(math.log10(size)))
     scale = 10.0**decimals

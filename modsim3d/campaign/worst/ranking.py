@@ -118,7 +118,7 @@ def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: b
         return _Ranking(np.empty(0, dtype=np.int64), USUAL_SCORE)
     values = np.column_stack([_numbers(table, name) for name in there])
     badness = np.where(np.isnan(values), -np.inf, -values if lowest else values).max(axis=1)
-    rows = np.flatnonzero(chosen & np.isfinite(badness))
+    rows = np.flatnonzero(chosen & (badness > -np.inf))
     return _Ranking(rows[np.argsort(-badness[rows], kind="stable")], there[0])
 
 

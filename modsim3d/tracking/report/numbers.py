@@ -27,7 +27,7 @@ def keys_of(scores: Scores) -> Keys:
 
 def number(value: float | None, decimals: int = 3) -> str:
     """A score with its decimals; a dash where it is undefined."""
-    return UNKNOWN if value is None else f"{value:,.{decimals}f}".replace("-", "−")
+    return UNKNOWN if value is None else f"{value:,.{decimals}f}".replace("-", "−").replace("inf", "∞")
 
 
 def percent(share: float | None) -> str:

@@ -115,7 +115,8 @@ def seed_rows(scores: RunScores) -> list[tuple[str, ...]]:
             interval = UNKNOWN
             if spread.interval is not None:
                 interval = " … ".join(number(value, decimals + 1) for value in spread.interval)
-            shown = number(spread.mean, decimals + 1), number(spread.deviation, decimals + 1)
+            few = "" if len(spread.known) == len(spread.values) else f" of {counted(len(spread.known), 'seed')}"
+            shown = number(spread.mean, decimals + 1) + few, number(spread.deviation, decimals + 1)
             rows.append((REFERENCES.get(name, name), title, *shown, interval))
     return rows
 

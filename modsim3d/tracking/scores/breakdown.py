@@ -86,7 +86,7 @@ class _Followed:
             len(found),
             float(np.mean(found)) if len(found) else None,
             float(np.mean(association)) if len(association) else None,
-            *(astuple(survival) if survival else ()),
+            *(astuple(survival)[:3] if survival else ()),
         )
 
     def bins(self, names: Sequence[str], index: Indices) -> tuple[Bin, ...]:

@@ -24,7 +24,7 @@ class Errors:
         rmse_width_px: Root of the mean squared error of the width.
         rmse_height_px: That of the height.
         nees: Mean of the normalised estimation error squared of the centre; 2 is expected. None without covariances,
-            and where one is singular, because it would be infinite.
+            infinite where one is singular.
         anees: NEES / 2, the number of its dimensions; 1 is expected.
         nees_pairs: Number of pairs with a covariance.
         singular_covariances: Number of those whose covariance is not positive definite.
@@ -52,7 +52,7 @@ def errors(scored: Scored) -> Errors:
         return Errors(0, None, None, None, None, None, None, 0, 0)
     distance = np.hypot(error_px[:, 0], error_px[:, 1])
     given = squares[~np.isnan(squares)]
-    mean = float(given.mean()) if len(given) and np.isfinite(given).all() else None
+    mean = float(given.mean()) if len(given) else None
     return Errors(
         len(error_px),
         _root_mean_square(distance),
@@ -85,10 +85,10 @@ def nees(errors: Array, covariances: Array) -> Array:
 def nees_or_infinity(error: Array, covariance: Array) -> Array:
     """NEES of k errors whose covariances may be singular: infinite where they are not positive definite, shape (k,).
 
-    The smallest eigenvalue must be above 10⁻¹² of the largest. Where the covariance is unknown, so is NEES: NaN.
+    The smallest eigenvalue must be above 10⁻¹² of the largest. Where error or covariance is unknown, so is NEES: NaN.
     """
     squares = np.full(len(error), np.nan)
-    given = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
+    given = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(error).all(axis=1))
     spread = np.linalg.eigvalsh(covariance[given])
     regular = (spread[:, 0] > 0) & (spread[:, 0] >= _LEAST_CONDITION * spread[:, -1])
     squares[given[~regular]] = np.inf

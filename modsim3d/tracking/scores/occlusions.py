@@ -35,11 +35,14 @@ class Survival:
         occlusions_judged: Number of those that a track could survive: one followed the vessel in the last second
             before, and the vessel is scored in the two seconds after.
         occlusions_survived: Share of these after which the same track is the first to follow the vessel.
+        occlusions_to_survive: Number of those that a tracker which misses nothing could survive: the vessel is scored
+            in the last second before, or a track followed it there all the same, and in the two seconds after.
     """
 
     occlusions: int
     occlusions_judged: int
     occlusions_survived: float | None
+    occlusions_to_survive: int
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ class Spans:
         before: Place at which the track before last followed the vessel, `NOBODY` for none, shape (m,).
         after: Place at which the track after first follows it, `NOBODY` for none, shape (m,).
         stays: Whether the vessel is scored within two seconds after, shape (m,).
+        expected: Whether it is scored within the second before, shape (m,).
     """
 
     histories: Histories
@@ -97,6 +101,7 @@ class Spans:
     before: Indices
     after: Indices
     stays: Mask
+    expected: Mask
 
     @classmethod
     def of(cls, scored: Scored) -> Spans:
@@ -110,7 +115,8 @@ class Spans:
         start_s = each.time_s[first]
         end_s = each.time_s[last] + frame_lengths_s(scored, each.frame[last])
         before, after = each.last_before(each.followed)[first], each.first_after(each.followed)[last]
-        next_one = each.first_after(scored.following.truth.scored[each.row])[last]
+        wanted = scored.following.truth.scored[each.row]
+        last_one, next_one = each.last_before(wanted)[first], each.first_after(wanted)[last]
         times_s = np.append(each.time_s, np.nan)  # the last is that of NOBODY, which no comparison finds
         return cls(
             each,
@@ -121,6 +127,7 @@ class Spans:
             np.where(within(start_s - times_s[before], BEFORE_S), before, NOBODY),
             np.where(within(times_s[after] - end_s, AFTER_S), after, NOBODY),
             within(times_s[next_one] - end_s, AFTER_S),
+            within(start_s - times_s[last_one], BEFORE_S),
         )
 
     @property
@@ -147,7 +154,8 @@ class Spans:
         judged = chosen & self.judged
         count = int(np.count_nonzero(judged))
         survived = float(np.mean(self.survived[judged])) if count else None
-        return Survival(int(np.count_nonzero(chosen)), count, survived)
+        to_survive = chosen & self.stays & (self.expected | (self.before != NOBODY))
+        return Survival(int(np.count_nonzero(chosen)), count, survived, int(np.count_nonzero(to_survive)))
 
 
 def within(times_s: Array, limit_s: float) -> Mask:

@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.tracking.intervals import half_interval
-from modsim3d.tracking.scores.errors import nees
+from modsim3d.tracking.scores.errors import nees_or_infinity
 from modsim3d.tracking.world.following import WorldFollowing
 
 
@@ -19,7 +19,7 @@ class OverVessels:
 
     Attributes:
         mean: None without vessels.
-        low: Lower end of the 95 % t-interval of the mean; None with fewer than two vessels.
+        low: Lower end of the 95 % t-interval of the mean; None with fewer than two vessels, or if all have one value.
         high: Upper end.
         vessels: Number of vessels.
     """
@@ -32,7 +32,7 @@ class OverVessels:
     @classmethod
     def of(cls, values: Array) -> Self:
         """The mean of the values of n vessels, shape (n,); NaN for a vessel that has none."""
-        values = values[np.isfinite(values)]
+        values = values[~np.isnan(values)]
         mean, half = float(values.mean()) if len(values) else None, half_interval(values)
         if mean is None or half is None:
             return cls(mean, None, None, len(values))
@@ -73,12 +73,12 @@ def world_errors(following: WorldFollowing) -> WorldErrors:
     def by_vessel(values: Array) -> Array:
         return mean_by(vessel, values, len(truth.names))
 
-    whole = nees(np.concatenate([position, velocity], axis=1), covariance)
+    whole = nees_or_infinity(np.concatenate([position, velocity], axis=1), covariance)
     return WorldErrors(
         rmse_m=OverVessels.of(np.sqrt(by_vessel((position**2).sum(axis=1)))),
         rmse_m_s=OverVessels.of(np.sqrt(by_vessel((velocity**2).sum(axis=1)))),
-        nees=OverVessels.of(by_vessel(nees(position, covariance[:, :2, :2]))),
-        nees_velocity=OverVessels.of(by_vessel(nees(velocity, covariance[:, 2:, 2:]))),
+        nees=OverVessels.of(by_vessel(nees_or_infinity(position, covariance[:, :2, :2]))),
+        nees_velocity=OverVessels.of(by_vessel(nees_or_infinity(velocity, covariance[:, 2:, 2:]))),
         nees_state=OverVessels.of(by_vessel(whole)),
         pairs=len(row),
     )
@@ -86,7 +86,7 @@ def world_errors(following: WorldFollowing) -> WorldErrors:
 
 def mean_by(group: Indices, values: Array, groups: int) -> Array:
     """Mean of the values of each group that are not NaN, NaN for none, shape (groups,)."""
-    known = np.isfinite(values)
+    known = ~np.isnan(values)
     count = np.bincount(group[known], minlength=groups)
     total = np.bincount(group[known], values[known], minlength=groups)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
