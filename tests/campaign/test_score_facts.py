@@ -138,14 +138,14 @@ def test_a_tracker_that_gives_nothing_in_4_of_12_seeds_meets_nothing(score, shar
 
 
 @pytest.mark.parametrize("score", MANAGED)
-def test_a_mean_over_what_the_tracker_manages_is_met_only_with_the_share_that_it_must_rest_on(score):
+def test_what_the_tracker_manages_is_met_only_with_the_share_that_it_must_rest_on(score):
     high = facts_of(score).greatest == 1 and score != "siap_spuriousness"
     good, side = (0.95, {"at_least": 0.8}) if high else (0.05, {"at_most": 0.3})
     values = [good + 0.001 * run for run in range(12)]
     parts = {"true_positives": 90, "misses": 10, "nees_pairs": 90, "established_share": 0.9, "occlusions_judged": 9}
     table = rows_with(score, values, **parts, **({"occlusions_to_survive": 10}))
     without, some, more = (
-        judged(plan_of(12, [{"score": score, **side, **share}]), table)[0]
+        judged(plan_of(12, [{"score": score, **side, "in": 0.5, **share}]), table)[0]
         for share in ({}, {"resting_on": 0.85}, {"resting_on": 0.95})
     )
     assert (without.outcome, some.outcome, more.outcome) == ("undecided", "met", "failed")
