@@ -144,7 +144,7 @@ def test_sequences_have_the_names_of_the_export(small_run):
         ("bow,0,1,1,2,inf,4", "x_max_px must be a number (got 'inf')"),
         ("bow,0,1,5,2,3,4", "the box has width -2 and height 2, must be above 0"),
         ("bow,0,1,1,2,3,2", "the box has width 2 and height 0, must be above 0"),
-        ("bow,0,1,9000,2,9010,4", "lies more than an image away from the image, which has 1920 x 1080 px"),
+        ("bow,0,1,9000,2,9010,4", "lies more than an image away from the image, as does all of its track; the image has"),
         ("bow,0,1,1,2,3", "has 6 cells, must have 7"),
         ("bow", "has 1 cell, must have 7"),
         ("bow,0,1,1,2,3,4,5", "has 8 cells, must have 7"),
@@ -176,6 +176,14 @@ def test_a_wrong_attribute_is_named(read, cells, what):
 def test_a_track_has_one_box_in_a_frame(read):
     message = said(read, f"{HEADER}\nquay,1,3,1,2,3,4\nbow,0,3,1,2,3,4\nbow,2,3,1,2,3,4\nbow,0,3,1,2,3,5\n")
     assert "line 5: track 3 is at step 0 of camera 'bow' already (line 3)" in message
+
+
+def test_a_track_may_coast_out_of_the_image_as_far_as_it_likes(read):
+    lines = ["bow,0,1,10,20,30,40", "bow,1,1,9000,20,9030,40", "bow,2,1,-99000,20,-98000,40"]
+    assert len(read("\n".join([HEADER, *lines])).tracks) == 3
+    message = said(read, "\n".join([HEADER, *lines, "quay,1,1,9000,20,9030,40"]))
+    assert "line 5: the box lies more than an image away" in message  # another camera's track 1
+    assert len(message.splitlines()) == 2
 
 
 def test_only_some_of_many_wrong_lines_are_shown(read):
