@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from modsim3d.errors import InputError
+from modsim3d.runs.files.columns import NOBODY, positions
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracks.files.csv_tracks import read_csv_tracks
-from modsim3d.tracks.files.diagnosis import check_reading
+from modsim3d.tracks.files.diagnosis import BoxRows, KnownBoxes, misreading
 from modsim3d.tracks.files.file_rows import FileRows, tracks_of
 from modsim3d.tracks.files.mot_tracks import read_mot_tracks
 from modsim3d.tracks.files.text_table import name_of, source_of
@@ -39,7 +43,8 @@ def read_tracks(path: Path, run: StoredRun, rows: RunRows) -> TrackSet:
     if path.is_dir() and any((path / name).exists() for name in TRACK_FILES):
         return read_stored_tracks(path, run, rows)
     files = _files(path, rows)
-    check_reading(source_of(path), files, rows)
+    if problem := misreading(_box_rows(files, rows), _known(rows)):
+        raise InputError(source_of(path), [problem.told])
     for file in files:
         file.check(rows)
     return TrackSet(_name(path), tracks_of(files, len(rows.scene.cameras)), None)
@@ -54,6 +59,23 @@ def _files(path: Path, rows: RunRows) -> list[FileRows]:
     if path.name in TRACK_FILES:
         raise InputError(source_of(path), [f"this is one of the files {' and '.join(TRACK_FILES)}: give their folder"])
     raise InputError(source_of(path), [f"is none of what tracks may be: {_FORMS}"])
+
+
+def _known(rows: RunRows) -> KnownBoxes:
+    order = np.argsort(rows.detection_frame, kind="stable")
+    return KnownBoxes("a detection", rows.detection_frame[order], rows.detection_boxes_px()[order])
+
+
+def _box_rows(files: Sequence[FileRows], rows: RunRows) -> BoxRows:
+    cameras, frame = rows.scene.cameras, np.concatenate([file.frame for file in files])
+    before, after = np.full(len(frame), NOBODY), np.full(len(frame), NOBODY)
+    for index in range(len(cameras)):
+        taken, here = rows.frames[rows.frames % len(cameras) == index], frame % len(cameras) == index
+        place = positions(taken, frame[here])
+        before[here], after[here] = np.append(NOBODY, taken)[place], np.append(taken, NOBODY)[place + 1]
+    image_px = np.array([camera.intrinsics.image_size_px for camera in cameras])[frame % len(cameras)]
+    numbers = np.concatenate([file.numbers for file in files])
+    return BoxRows(numbers, files[0].form, image_px, frame, before, after)
 
 
 def _name(path: Path) -> str:
