@@ -22,7 +22,7 @@ from modsim3d.tracks.track_set import TrackSet
 _FORMS = "a folder of `modsim3d track`, a .csv file, a MOT .txt file or a folder of such"
 
 
-def read_tracks(path: Path, run: StoredRun, rows: RunRows) -> TrackSet:
+def read_tracks(path: Path, run: StoredRun, rows: RunRows, cameras: Sequence[int] = ()) -> TrackSet:
     """Read the tracks of a tracker in a run.
 
     Args:
@@ -30,6 +30,7 @@ def read_tracks(path: Path, run: StoredRun, rows: RunRows) -> TrackSet:
             MOT file for each camera, in it or in its folder `data`.
         run: The run.
         rows: Its rows.
+        cameras: Indices of the cameras whose tracks are wanted; all if there are none. No others need a MOT file.
 
     Raises:
         InputError: There are no such tracks, or they are wrong; each problem names its line.
@@ -42,18 +43,21 @@ def read_tracks(path: Path, run: StoredRun, rows: RunRows) -> TrackSet:
         raise InputError(source_of(path), [f"{problem}; tracks are {_FORMS}"]) from None
     if path.is_dir() and any((path / name).exists() for name in TRACK_FILES):
         return read_stored_tracks(path, run, rows)
-    files = _files(path, rows)
+    files = _files(path, rows, cameras)
     if problem := misreading(_box_rows(files, rows), _known(rows)):
         raise InputError(source_of(path), [problem.told])
     for file in files:
         file.check(rows)
-    return TrackSet(_name(path), tracks_of(files, len(rows.scene.cameras)), None)
+    tracks = tracks_of(files, len(rows.scene.cameras))
+    named = set(tracks.camera.tolist()) if len(files) == 1 and path.is_file() else set()
+    unnamed = (camera.name for index, camera in enumerate(rows.scene.cameras) if named and index not in named)
+    return TrackSet(_name(path), tracks, None, tuple(unnamed))
 
 
-def _files(path: Path, rows: RunRows) -> list[FileRows]:
+def _files(path: Path, rows: RunRows, cameras: Sequence[int]) -> list[FileRows]:
     suffix = Path(path.name.removesuffix(".gz")).suffix.lower()
     if path.is_dir() or suffix == ".txt":
-        return read_mot_tracks(path, rows)
+        return read_mot_tracks(path, rows, cameras)
     if suffix == ".csv":
         return [read_csv_tracks(path, rows)]
     if path.name in TRACK_FILES:
