@@ -40,9 +40,8 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
     if problem := misreading(*_compared(labelled, kinds[0])):
         if not problem.slight:
             raise InputError(f"detections {detections}", [problem.told])
-        labelled = replace(
-            labelled, notes=(*labelled.notes, f"{condition}: {problem.told}, or the detector has a bias")
-        )
+        note = f"{condition}: {problem.told}, or the detector has such a bias, which is learned"
+        labelled = replace(labelled, notes=(*labelled.notes, note))
     return with_horizon(labelled, options.horizon)
 
 
