@@ -44,8 +44,10 @@ def read_tracks(path: Path, run: StoredRun, rows: RunRows, cameras: Sequence[int
     if path.is_dir() and any((path / name).exists() for name in TRACK_FILES):
         return read_stored_tracks(path, run, rows)
     files = _files(path, rows, cameras)
-    if problem := misreading(_box_rows(files, rows), _known(rows)):
-        raise InputError(source_of(path), [problem.told])
+    known = _known(rows)
+    for file in files:
+        if problem := misreading(_box_rows(file, rows), known):
+            raise InputError(file.problems.source, [problem.told])
     for file in files:
         file.check(rows)
     tracks = tracks_of(files, len(rows.scene.cameras))
@@ -70,16 +72,15 @@ def _known(rows: RunRows) -> KnownBoxes:
     return KnownBoxes("a detection", rows.detection_frame[order], rows.detection_boxes_px()[order])
 
 
-def _box_rows(files: Sequence[FileRows], rows: RunRows) -> BoxRows:
-    cameras, frame = rows.scene.cameras, np.concatenate([file.frame for file in files])
+def _box_rows(file: FileRows, rows: RunRows) -> BoxRows:
+    cameras, frame = rows.scene.cameras, file.frame
     before, after = np.full(len(frame), NOBODY), np.full(len(frame), NOBODY)
     for index in range(len(cameras)):
         taken, here = rows.frames[rows.frames % len(cameras) == index], frame % len(cameras) == index
         place = positions(taken, frame[here])
         before[here], after[here] = np.append(NOBODY, taken)[place], np.append(taken, NOBODY)[place + 1]
     image_px = np.array([camera.intrinsics.image_size_px for camera in cameras])[frame % len(cameras)]
-    numbers = np.concatenate([file.numbers for file in files])
-    return BoxRows(numbers, files[0].form, image_px, frame, before, after)
+    return BoxRows(file.numbers, file.form, image_px, frame, before, after)
 
 
 def _name(path: Path) -> str:

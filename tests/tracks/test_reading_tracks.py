@@ -347,6 +347,15 @@ def test_mot_boxes_in_another_form_are_recognised(read_mot, small_rows, small_tr
     assert what in said(read_mot, mot_texts(small_rows, small_tracks, numbers(small_tracks.boxes_px)))
 
 
+def test_one_file_of_several_may_be_wrong(small_run, small_rows, small_tracks, tmp_path):
+    right = mot_texts(small_rows, small_tracks)
+    wrong = mot_texts(small_rows, small_tracks, exchanged(top_left(small_tracks.boxes_px)))
+    assert wrong["quay.txt"].count("\n") < wrong["bow.txt"].count("\n")
+    folder = write_mot(tmp_path / "mine", {"bow.txt": right["bow.txt"], "quay.txt": wrong["quay.txt"]})
+    message = said(read_tracks, folder, small_run, small_rows)
+    assert "quay.txt" in message.splitlines()[0] and "x and y of the boxes are exchanged" in message
+
+
 def test_frames_that_count_from_zero_are_recognised(one_camera_run, tmp_path):
     """Also where no line has frame 0, as with trackers that report a track from its second detection on."""
     rows = RunRows.of(one_camera_run)
