@@ -8,10 +8,11 @@ intervals are over detector seeds: they hold for this traffic only. No seed here
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import multiprocessing
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from importlib.metadata import version
 from itertools import pairwise
@@ -19,6 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from scipy.special import stdtrit
 
 from benchmarks.tracker_trials import (
     OCCLUSION_EDGES_S,
@@ -70,6 +74,8 @@ PERFECT_IN: dict[str, dict[str, float]] = {
 }
 """How fast boxes change their velocity in each scene, and what else is its own; found on that scene."""
 MAIN = ("hota", "hota_centre", "deta", "assa", "idf1", "id_switches", "false_tracks")
+CENTRE_DIFFERENCES = "differences_centre"
+ROWS = "tracker_scores.parquet"
 Row = dict[str, Any]
 
 
@@ -120,17 +126,37 @@ def nested(rows: Iterable[Row], key: str) -> dict[str, Any]:
     return mean_and_interval(means if len(means) > 1 else traffics[0] if traffics else [])
 
 
+def pooled(counts: Sequence[tuple[int, int]]) -> dict[str, Any]:
+    """Share of all occlusions that are survived, and half its 95 % interval over seeds.
+
+    Occlusions of one seed belong together, so the interval is that of a ratio of sums over seeds (Cochran (1977),
+    "Sampling Techniques", equation 2.39, with Student's t). There is none where all seeds have the same share.
+
+    Args:
+        counts: How many occlusions there are in each seed, and how many of them are survived.
+    """
+    each = np.array([count for count in counts if count[0]], dtype=float).reshape(-1, 2)
+    many, survived = each.sum(axis=0)
+    found: dict[str, Any] = {"all": int(many), "survived": int(survived), "n": len(each), "mean": None, "half": None}
+    if len(each):
+        found["mean"] = float(survived / many)
+        residual = each[:, 1] - found["mean"] * each[:, 0]
+        if len(each) > 1 and not np.allclose(residual, 0):
+            deviation = np.sqrt(len(each) / (len(each) - 1) * np.sum(residual**2)) / many
+            found["half"] = float(stdtrit(len(each) - 1, 0.975) * deviation)
+    return found
+
+
 def shares(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Share of occlusions of each length that are survived, with an interval over traffics or looks."""
+    seed = "traffic_seed" if len({row["traffic_seed"] for row in rows}) > 1 else "detector_seed"
     found = []
     for k in range(len(OCCLUSION_EDGES_S) - 1):
-        counts = {"all": sum(row["occlusions"][k][0] for row in rows)}
-        with_some = [
-            row | {"share": row["occlusions"][k][1] / row["occlusions"][k][0]}
-            for row in rows
-            if row["occlusions"][k][0]
-        ]
-        found.append(counts | nested(with_some, "share"))
+        counts: dict[int, tuple[int, int]] = {}
+        for row in rows:
+            before = counts.get(row[seed], (0, 0))
+            counts[row[seed]] = (before[0] + row["occlusions"][k][0], before[1] + row["occlusions"][k][1])
+        found.append(pooled(list(counts.values())))
     return found
 
 
@@ -254,19 +280,57 @@ def scene_table(lines: Sequence[dict[str, Any]]) -> list[str]:
     return text
 
 
+def difference_table(found: Sequence[dict[str, Any]], score: str) -> list[str]:
+    """Paired differences of a score, in Markdown."""
+    lines = [f"| {each['a']} − {each['b']} | {cell(each, 3)} |" for each in found]
+    return [f"| Difference | {score} |", "|---|---|", *lines]
+
+
 def readme_table(data: dict[str, Any]) -> list[str]:
-    """HOTA by centre of all trackers in all scenes, in Markdown, as the README has it."""
+    """HOTA by centre of all trackers in all scenes, in Markdown, as the README has it; and its paired differences."""
     scenes = list(data["scenes"])
     lines = [f"| Tracker | {' | '.join(f'`{name}`' for name in scenes)} |", "|---|" + "---|" * len(scenes)]
     for k, line in enumerate(data["scenes"][scenes[0]]):
         cells = [cell(data["scenes"][name][k]["hota_centre"]) for name in scenes]
         lines.append(f"| {line['tracker']} | {' | '.join(cells)} |")
+    if CENTRE_DIFFERENCES in data:
+        lines += difference_table(data[CENTRE_DIFFERENCES], f"HOTA by centre on `{DRAWN}`")
     return lines
 
 
 def _below(data: dict[str, Any]) -> list[str]:
     """The scenes in which `reference` behind a perfect detector has less than is asked for."""
     return [name for name, each in data["perfect"].items() if each["reference"]["hota"]["mean"] < PERFECT_LEAST]
+
+
+def _survival(data: dict[str, Any]) -> str:
+    """The kind of share that a table has: figures from before rows were kept have no number of those survived."""
+    if "survived" in data["scenes"][DRAWN][0]["occlusions"][0]:
+        return "share"
+    return "mean over the seeds of the share (a seed with few counts as much as one with many; N is of all seeds)"
+
+
+def rows_table(rows: Sequence[Row], alone: Sequence[Row], missed: Sequence[Row]) -> pa.Table:
+    """All runs as rows: what was run, its seeds and its scores; states, and occlusions by length, as JSON."""
+    parts = {"detector": rows, "perfect": alone, "misses": missed}
+    flat = [
+        {"part": part} | row | {key: json.dumps(row[key]) for key in ("states", "occlusions")}
+        for part, of_part in parts.items()
+        for row in of_part
+    ]
+    names = dict.fromkeys(key for row in flat for key in row)
+    versions = {name: version(name) for name in ("modsim3d", "trackers", "trackeval")}
+    columns = {name: [row.get(name) for row in flat] for name in names}
+    return pa.table(columns).replace_schema_metadata({"versions": json.dumps(versions)})
+
+
+def stored_rows(path: Path) -> tuple[list[Row], list[Row], list[Row]]:
+    """The rows of a table as they were: of the shipped detectors, of perfect ones, and of those that miss."""
+    parts: dict[str, list[Row]] = {"detector": [], "perfect": [], "misses": []}
+    for row in pq.read_table(path).to_pylist():
+        unpacked = row | {key: json.loads(row[key]) for key in ("states", "occlusions")}
+        parts[unpacked.pop("part")].append(unpacked)
+    return parts["detector"], parts["perfect"], parts["misses"]
 
 
 def page(data: dict[str, Any]) -> str:
@@ -281,10 +345,10 @@ def page(data: dict[str, Any]) -> str:
         "",
         "Truth is `full`. HOTA compares boxes by IoU; *by centre* by 1 − distance / 150 px, as do the columns of "
         "states and occlusions. ± is half the 95 % interval of the mean; there is none where all values are the same. "
-        "*Survives*: share of the occlusions of that length (less than half of the vessel visible) after which the "
-        "same track follows the vessel, of those that "
-        "it followed before. The oracle-association references have the same detections; a tracker that smooths "
-        "better may exceed them.",
+        f"*Survives*: {_survival(data)} of the "
+        "occlusions of that length (less than half of the vessel visible) after which the same track follows the "
+        "vessel, of those that it followed before. The oracle-association references have the same detections; a "
+        "tracker that smooths better may exceed them.",
     ]
     for scene in data["scenes"]:
         over = (
@@ -293,14 +357,11 @@ def page(data: dict[str, Any]) -> str:
             else f"{data['other_looks']} detector seeds; intervals are over these, and hold for this traffic only."
         )
         lines += ["", f"## {scene}", "", over, "", *scene_table(data["scenes"][scene])]
-    lines += [
-        "",
-        f"Paired differences of HOTA on `{DRAWN}`, over traffic seeds:",
-        "",
-        "| Difference | HOTA |",
-        "|---|---|",
-    ]
-    lines += [f"| {each['a']} − {each['b']} | {cell(each, 3)} |" for each in data["differences"]]
+    by_both = [("HOTA", data["differences"])]
+    by_both += [("HOTA by centre", data[CENTRE_DIFFERENCES])] if CENTRE_DIFFERENCES in data else []
+    for score, found in by_both:
+        lines += ["", f"Paired differences of {score} on `{DRAWN}`, over traffic seeds:", ""]
+        lines += difference_table(found, score)
     lines += [
         "",
         "## A perfect detector",
@@ -335,6 +396,8 @@ def page(data: dict[str, Any]) -> str:
     for row in data["miss_rates"]:
         change = "" if row["change"] is None else cell(row["change"], 3)
         lines.append(f"| {row['tracker']} | {row['miss_rate']:.0%} | {cell(row['hota'], 3)} | {change} |")
+    if "rows" in data:
+        lines += ["", f"Each run is a row of `{ROWS}` (SHA-256 {data['rows']}), for tests of other pairs and scores."]
     lines += ["", "With " + ", ".join(f"{name} {number}" for name, number in data["versions"].items()) + "."]
     return "\n".join(lines) + "\n"
 
@@ -347,8 +410,24 @@ def main() -> int:
     parser.add_argument("--miss-seeds", type=int, default=MISS_SEEDS, help="traffic seeds of the miss rates")
     parser.add_argument("--steps", type=int, help="steps of each scene, in place of its own: a trial of the campaign")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=OUT, help="folder for tracker_scores.md and tracker_scores.json")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for tracker_scores.md, .json and .parquet")
+    parser.add_argument("--stored", action="store_true", help=f"make the page out of {ROWS} there, and run nothing")
     asked = parser.parse_args()
+    asked.out.mkdir(parents=True, exist_ok=True)
+    if not asked.stored:
+        pq.write_table(rows_table(*run(asked)), asked.out / ROWS, compression="zstd")
+    data = figures(*stored_rows(asked.out / ROWS))
+    data["versions"] = json.loads(pq.read_schema(asked.out / ROWS).metadata[b"versions"])
+    data["rows"] = hashlib.sha256((asked.out / ROWS).read_bytes()).hexdigest()
+    (asked.out / "tracker_scores.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    (asked.out / "tracker_scores.md").write_text(page(data), encoding="utf-8")
+    for problem in problems(data):
+        print(problem, file=sys.stderr)
+    return int(bool(problems(data)))
+
+
+def run(asked: argparse.Namespace) -> Iterator[list[Row]]:
+    """The rows of the shipped detectors, of perfect ones, and of those that miss."""
     drawn = [(DRAWN, seed, asked.looks, asked.steps) for seed in range(1, asked.seeds + 1)]
     others = [(name, 0, asked.other_looks, asked.steps) for name in SCENES if name != DRAWN]
     miss_seeds = range(1, asked.miss_seeds + 1)
@@ -356,29 +435,28 @@ def main() -> int:
     misses = [(DRAWN, seed, rate, asked.steps or MISS_STEPS) for seed in miss_seeds for rate in MISS_RATES]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(asked.workers, mp_context=context) as pool:
-        rows, alone, missed = (
-            [row for part in pool.map(work, jobs) for row in told(part)]
-            for work, jobs in ((trial, drawn + others), (perfect_trial, perfect), (miss_trial, misses))
-        )
-    packages = ("modsim3d", "trackers", "trackeval")
-    data = {
+        for work, jobs in ((trial, drawn + others), (perfect_trial, perfect), (miss_trial, misses)):
+            yield [row for part in pool.map(work, jobs) for row in told(part)]
+
+
+def figures(rows: Sequence[Row], alone: Sequence[Row], missed: Sequence[Row]) -> dict[str, Any]:
+    """The figures of the page."""
+    seeds = {
+        name: {(row["traffic_seed"], row["detector_seed"]) for row in rows if row["scene"] == name} for name in SCENES
+    }
+    traffics = len({traffic for traffic, _ in seeds[DRAWN]})
+    return {
         "format": 1,
-        "versions": {name: version(name) for name in packages},
-        "seeds": asked.seeds,
-        "looks": asked.looks,
-        "other_looks": asked.other_looks,
-        "miss_seeds": asked.miss_seeds,
+        "seeds": traffics,
+        "looks": len(seeds[DRAWN]) // traffics,
+        "other_looks": max(len(seeds[name]) for name in SCENES if name != DRAWN),
+        "miss_seeds": len({row["traffic_seed"] for row in missed}),
         "scenes": {name: table(rows, name) for name in SCENES},
         "differences": differences(rows),
+        CENTRE_DIFFERENCES: differences(rows, "hota_centre"),
         "perfect": {name: perfect_lines(alone, name) for name in SCENES},
         "miss_rates": falls(missed),
     }
-    asked.out.mkdir(parents=True, exist_ok=True)
-    (asked.out / "tracker_scores.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    (asked.out / "tracker_scores.md").write_text(page(data), encoding="utf-8")
-    for problem in problems(data):
-        print(problem, file=sys.stderr)
-    return int(bool(problems(data)))
 
 
 def told(part: list[Row]) -> list[Row]:

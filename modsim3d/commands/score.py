@@ -57,6 +57,10 @@ def score_command(
         float | None,
         typer.Option(metavar="M", help="Farthest that a track in the world follows a vessel.", show_default="50 m"),
     ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Camera to score; repeatable.", show_default="all"),
+    ] = None,
     seeds: Annotated[
         int | None,
         typer.Option(metavar="N", help="Run detector, tracker and scores again with N seeds of the detector."),
@@ -100,6 +104,7 @@ def score_command(
                 gospa_c=gospa_c,
                 gospa_p=gospa_p,
                 gate_m=gate,
+                cameras=camera,
                 seeds=seeds,
                 progress=advance,
             )

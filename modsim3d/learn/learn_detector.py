@@ -53,14 +53,21 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
     """Learn and report.
 
     Raises:
-        ModsimError: There are no annotations, the states do not fit the conditions, or some conditions have confidences
-            and others have none.
+        ModsimError: There are no annotations, no detection matches any, the states do not fit the conditions, or some
+            conditions have confidences and others have none.
     """
     _check_scores(labelled)
     check_size(len(labelled.labels), 1, settings.replicates)  # before boxes are matched, which takes longer
     matched = match(labelled, settings.rule, settings.threshold)
     if not matched.sought.any():
         raise ModsimError("no annotation is there to be detected: nothing can be learned")
+    if len(labelled.results) and not len(matched.pairs[0]):
+        sought, counted = np.count_nonzero(matched.sought), np.count_nonzero(matched.counts)
+        raise ModsimError(
+            f"none of {len(labelled.results):,} detections matches any of {sought:,} annotations ({settings.rule}), "
+            f"and {counted:,} of them have a confidence of at least {settings.threshold:g}: they may be of other "
+            "images, have boxes in other pixels, or need another rule"
+        )
     curve_rule = settings.rule.for_average_precision
     by_label = match(labelled, curve_rule) if labelled.scored else None
     state_map = _state_map(labelled, matched, options)

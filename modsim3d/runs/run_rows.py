@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import pyarrow as pa
@@ -84,6 +85,25 @@ class RunRows:
             detections=detections,
             detection_frame=frame_of(detections),
             detection_vessel=indices(detections, "vessel", scene.vessel_names),
+        )
+
+    def in_cameras(self, cameras: Sequence[int]) -> Self:
+        """The rows of some cameras, by their indices; frames keep their numbers."""
+        count = len(self.scene.cameras)
+        frames, truth, found = (
+            np.isin(each % count, cameras) for each in (self.frames, self.truth_frame, self.detection_frame)
+        )
+        return replace(
+            self,
+            frames=self.frames[frames],
+            frame_state=self.frame_state[frames],
+            frames_table=self.frames_table.filter(pa.array(frames)),
+            truth=self.truth.filter(pa.array(truth)),
+            truth_frame=self.truth_frame[truth],
+            truth_vessel=self.truth_vessel[truth],
+            detections=self.detections.filter(pa.array(found)),
+            detection_frame=self.detection_frame[found],
+            detection_vessel=self.detection_vessel[found],
         )
 
     def states_of(self, frames: Indices) -> Indices:

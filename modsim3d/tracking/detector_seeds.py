@@ -134,10 +134,12 @@ def spread_over_seeds(
         rules: By which tracks are scored.
         progress: Called with the number of seeds done since its last call.
     """
-    cameras = tuple(range(len(run.scene.cameras)))
+    names = [camera.name for camera in run.scene.cameras]
+    cameras = tuple(index for index, name in enumerate(names) if not rules.cameras or name in rules.cameras)
     found: dict[str, list[Keys]] = {}
     seeds = []
-    for seed, rows in detector_runs(run, count):
+    for seed, whole in detector_runs(run, count):
+        rows = whole.in_cameras(cameras)
         sequences = sequences_of(rows, cameras)
         for each in track_sets:
             assert each.origin is not None  # check_seeds has seen it

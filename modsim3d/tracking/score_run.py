@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from modsim3d.display import column_table
 from modsim3d.errors import ModsimError
+from modsim3d.inputs.validation import nearest, shown
 from modsim3d.outputs.claims import claimed
 from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.files.replacing import read_of_run
@@ -141,6 +142,7 @@ def score_run(
     gospa_c: float | None = None,
     gospa_p: float = 1.0,
     gate_m: float | None = None,
+    cameras: str | Sequence[str] | None = None,
     seeds: int | None = None,
     progress: Callable[[int], None] = lambda seeds: None,
 ) -> RunScores:
@@ -160,6 +162,7 @@ def score_run(
         gospa_c: Cutoff of GOSPA and OSPA: 100 px in the images and 50 m in the world if None.
         gospa_p: Power of GOSPA and OSPA.
         gate_m: Farthest that a track in the world follows a vessel; 50 m if None.
+        cameras: Names of the cameras to score; all if None, and then no file may lack lines of one.
         seeds: Number of detector seeds to run detector, tracker and scores with as well; for tracks that `track_run`
             wrote.
         progress: Called with the number of seeds done since its last call.
@@ -171,9 +174,15 @@ def score_run(
     cutoff = SetDistance().cutoff if gospa_c is None else gospa_c
     rules = Rules(truth, gap_s, Similarity(similarity, scale_px, threshold), by_class, SetDistance(cutoff, gospa_p))
     run = opened_run(run)
+    chosen = _chosen(run, cameras)
     run.finished_tables.check_checksums()
     rows = RunRows.of(run)
-    in_images, in_world = _read(run, rows, tracks)
+    in_images, in_world = _read(run, rows, tracks, chosen)
+    if chosen and in_world:
+        raise ModsimError("--camera is for tracks in the images: those in the world are of all cameras together")
+    if chosen and len(chosen) < len(run.scene.cameras):
+        rules = replace(rules, cameras=tuple(run.scene.cameras[index].name for index in chosen))
+        rows = rows.in_cameras(chosen)
     if gate_m is not None and not in_world:
         raise ModsimError("--gate is for tracks in the world, and none are given: leave it out")
     if seeds is not None:
@@ -197,8 +206,36 @@ def score_run(
     )
 
 
+def _chosen(run: StoredRun, cameras: str | Sequence[str] | None) -> tuple[int, ...]:
+    """Indices of the cameras that are asked for; none if none are.
+
+    Raises:
+        ModsimError: The run has no such camera.
+    """
+    names = [camera.name for camera in run.scene.cameras]
+    asked = [cameras] if isinstance(cameras, str) else list(cameras or ())
+    for name in asked:
+        if name not in names:
+            raise ModsimError(f"--camera: there is no camera {shown(name)} in this run ({nearest(name, names)})")
+    return tuple(index for index, name in enumerate(names) if name in asked)
+
+
+def _one_sided(each: TrackSet, run: StoredRun) -> ModsimError:
+    """The error of tracks whose file has no line of a camera."""
+    every = [f"--camera {camera.name}" for camera in run.scene.cameras]
+    some = [f"--camera {camera.name}" for camera in run.scene.cameras if camera.name not in each.unnamed]
+    return ModsimError(
+        f"the tracks '{each.name}' have no line of camera {' and '.join(map(shown, each.unnamed))}, where every vessel "
+        f"would count as missed: score the others with {' '.join(some)}; if the tracker found nothing there, give "
+        f"{' '.join(every)}"
+    )
+
+
 def _read(
-    run: StoredRun, rows: RunRows, tracks: StrPath | TrackSet | Sequence[StrPath | TrackSet]
+    run: StoredRun,
+    rows: RunRows,
+    tracks: StrPath | TrackSet | Sequence[StrPath | TrackSet],
+    cameras: Sequence[int],
 ) -> tuple[list[tuple[Path | None, TrackSet]], list[tuple[Path, WorldTracks]]]:
     """The tracks in the images and those in the world, each with its path.
 
@@ -222,7 +259,11 @@ def _read(
         if is_world(path):
             in_world.append((path, read_world_tracks(path, run)))
         else:
-            in_images.append((path, read_tracks(path, run, rows)))
+            in_images.append((path, read_tracks(path, run, rows, cameras)))
+    if wrong := [each for _, each in in_images if each.unnamed and not cameras]:
+        raise _one_sided(wrong[0], run)
+    if cameras:
+        in_images = [(path, each.in_cameras(cameras)) for path, each in in_images]
     return (
         [(path, replace(each, name=name)) for (path, each), name in zip(in_images, _names(in_images), strict=True)],
         [(path, replace(each, name=name)) for (path, each), name in zip(in_world, _names(in_world), strict=True)],

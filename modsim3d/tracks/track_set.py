@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
 
 from modsim3d.tracks.tracks import Tracks
 
@@ -35,8 +38,14 @@ class TrackSet:
         name: What tables call it.
         tracks: The tracks.
         origin: How they were made; None for somebody's own file.
+        unnamed: Cameras of the run of which the file has no line, though it has lines of others and could say so.
     """
 
     name: str
     tracks: Tracks
     origin: Origin | None
+    unnamed: tuple[str, ...] = ()
+
+    def in_cameras(self, cameras: Sequence[int]) -> Self:
+        """The tracks in some cameras, by their indices."""
+        return replace(self, tracks=self.tracks.take(np.isin(self.tracks.camera, cameras)))

@@ -352,10 +352,8 @@ TRUTH = {
     [
         [],
         [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.9}],
-        [{"image_id": 1, "category_id": 9, "bbox": [300, 100, 50, 40], "score": 0.9}] * 3,
-        [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.1}],
     ],
-    ids=["nothing", "one", "only false ones", "below the threshold"],
+    ids=["nothing", "one"],
 )
 def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(results, tmp_path):
     for name, content in (("gt", TRUTH), ("dt", results)):
@@ -367,6 +365,23 @@ def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(results, tmp_p
     model = load_detector(tmp_path / "d.yaml")
     np.testing.assert_allclose(model.states[0].confusion.sum(axis=0), 1)
     assert "confusion, column buoy: found as often as the other labels" in (tmp_path / "d.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    "results",
+    [
+        [{"image_id": 1, "category_id": 9, "bbox": [300, 100, 50, 40], "score": 0.9}] * 3,
+        [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.1}],
+    ],
+    ids=["only false ones", "below the threshold"],
+)
+def test_detections_of_which_none_matches_write_nothing(results, tmp_path):
+    for name, content in (("gt", TRUTH), ("dt", results)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    files = ["--truth", tmp_path / "gt.json", "--detections", tmp_path / "dt.json", "--out", tmp_path / "d.yaml"]
+    result = CliRunner().invoke(app, ["learn", *map(str, files)])
+    assert isinstance(result.exception, ModsimError) and "matches any of 1 annotations" in str(result.exception)
+    assert not (tmp_path / "d.yaml").exists()
 
 
 @pytest.mark.parametrize("width", [80, 130, 300])

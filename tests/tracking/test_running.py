@@ -165,6 +165,7 @@ WRONG: dict[str, tuple[Follow, str]] = {
     "a negative variance": (answer(covariance_px2=[[[-1.0, 0], [0, 1]]]), "this is no covariance of x and y"),
     "too much covariance": (answer(covariance_px2=[[[1.0, 2], [2, 1]]]), "this is no covariance of x and y"),
     "unequal covariances": (answer(covariance_px2=[[[1.0, 0.1], [0.2, 1]]]), "this is no covariance of x and y"),
+    "a track that is never near": (answer(boxes_px=[[9000.0, 20, 9010, 40]]), "more than an image away from the image"),
     "half a covariance": (answer(covariance_px2=NAN_COVARIANCE), "this is no covariance of x and y"),
 }
 

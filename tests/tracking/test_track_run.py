@@ -63,6 +63,36 @@ def test_the_tracks_of_a_tracker_that_repeats_detections_are_the_detections(run:
     np.testing.assert_array_equal(result.tracks.confidence, told.confidence)
 
 
+class Coasting(Tracker):
+    """A track that begins where a detection is and leaves the image at a thousand pixels a frame, barely certain."""
+
+    xy: float = 0.5
+    yx: float = 0.5
+
+    def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+        for place, _ in enumerate(frames):
+            box = np.array([[10.0, 20.0, 30.0, 40.0]]) - 1000.0 * place
+            yield TrackedFrame(np.array([7]), box, covariance_px2=np.array([[[1.0, self.xy], [self.yx, 1.0]]]))
+
+
+def test_what_is_written_is_read_also_where_a_track_coasts_far_out_of_the_image(
+    run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "Coasting"))
+    modsim3d.track_run(run, tmp_path / "tracks", tracker="sort")
+    (one,) = modsim3d.score_run(run, tmp_path / "tracks").trackers
+    assert len(one.track_set.tracks) == STEPS
+
+
+def test_a_covariance_that_could_not_be_read_is_not_written(
+    run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its two covariances differ by rounding; with the one that is written it is none."""
+    monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "Coasting"))
+    with pytest.raises(ModsimError, match="this is no covariance of x and y"):
+        modsim3d.track_run(run, tmp_path / "tracks", tracker="sort", settings={"xy": 1 + 4e-7, "yx": 1 - 5e-7})
+
+
 def test_counts_are_those_of_the_tracks(run: StoredRun, tmp_path: Path) -> None:
     told: list[int] = []
     result = modsim3d.track_run(

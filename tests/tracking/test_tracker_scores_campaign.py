@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from scipy.special import stdtrit
 
@@ -47,6 +48,82 @@ def test_the_spread_that_a_score_warns_of_is_the_largest_in_the_campaign(data: d
     halves = [line[key] for lines in data["scenes"].values() for line in lines for key in ("hota", "hota_centre")]
     spread = [each["half"] * np.sqrt(each["n"]) / stdtrit(each["n"] - 1, 0.975) for each in halves]
     assert f"up to {max(spread):.1g}, so" in ONE_RUN
+
+
+def rows_of(scene: str, traffic_seed: int, detector_seed: int, tracker: str, hota: float, survived: list) -> dict:
+    keys = ("hota", "hota_centre", "deta", "assa", "idf1", "id_switches", "false_tracks")
+    scores = dict.fromkeys(keys, hota) | {"hota_centre": hota / 2, "states": {"clear": hota}, "occlusions": survived}
+    seeds = {"scene": scene, "traffic_seed": traffic_seed, "detector_seed": detector_seed}
+    return seeds | {"tracker": tracker} | scores
+
+
+@pytest.fixture(scope="module")
+def rows() -> tuple[list[dict], list[dict], list[dict]]:
+    """Three traffics of the fairway, and another scene's detector seeds; the first tracker is 0.1 better on each."""
+    every = (*tracker_scores.TRACKERS, *tracker_scores.ORACLES)
+    drawn, others, misses = [], [], []
+    for k, tracker in enumerate(every):
+        for seed in (1, 2, 3):
+            better = 0.1 * (k == 0)
+            survived = [[seed, seed - 1], [10 * seed, 5], [4, 4], [0, 0]]
+            drawn += [
+                rows_of("fairway", seed, look, tracker, 0.2 * seed + better, survived) for look in (seed, seed + 1)
+            ]
+        for name in tracker_scores.SCENES[1:]:
+            others += [rows_of(name, 0, look, tracker, 0.5 + look / 10, [[2, 1]] * 4) for look in (0, 1)]
+    alone = [
+        rows_of(name, seed, seed, tracker, 0.95, [[0, 0]] * 4)
+        for name in tracker_scores.SCENES
+        for seed in ((1, 2) if name == "fairway" else (0,))
+        for tracker in ("reference", "lost when hidden")
+    ]
+    for tracker in tracker_scores.TRACKERS:
+        for rate in tracker_scores.MISS_RATES:
+            misses += [
+                rows_of("fairway", seed, seed, tracker, 0.9 - rate + seed / 100, [[0, 0]] * 4) | {"miss_rate": rate}
+                for seed in (1, 2)
+            ]
+    return drawn + others, alone, misses
+
+
+def test_rows_are_stored_as_they_were(rows: tuple, tmp_path: Path) -> None:
+    pq.write_table(tracker_scores.rows_table(*rows), tmp_path / "rows.parquet")
+    back = tracker_scores.stored_rows(tmp_path / "rows.parquet")
+    for part, again in zip(rows, back, strict=True):
+        assert [{key: row[key] for key in given} for given, row in zip(part, again, strict=True)] == part
+
+
+def test_the_page_is_made_of_the_stored_rows_alone(
+    rows: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pq.write_table(tracker_scores.rows_table(*rows), tmp_path / tracker_scores.ROWS)
+    monkeypatch.setattr("sys.argv", ["tracker_scores", "--stored", "--out", str(tmp_path)])
+    assert tracker_scores.main() == 0
+    data = json.loads((tmp_path / "tracker_scores.json").read_text())
+    text = (tmp_path / "tracker_scores.md").read_text()
+    assert (data["seeds"], data["looks"], data["other_looks"], data["miss_seeds"]) == (3, 2, 2, 2)
+    assert f"SHA-256 {data['rows']}" in text and tracker_scores.ROWS in text
+    assert "| reference − sort | 0.100 |" in text  # the same difference on all seeds has no interval
+    readme = tracker_scores.readme_table(data)
+    assert "| Difference | HOTA by centre on `fairway` |" in readme and "| reference − sort | 0.050 |" in readme
+
+
+def test_survives_is_the_share_of_all_occlusions_that_stand_beside_it(rows: tuple) -> None:
+    """Of 1, 2 and 3 occlusions in two looks each 0, 1 and 2 are survived: 6 of 12, and no mean of 0, 1/2 and 2/3."""
+    line = tracker_scores.table(rows[0], "fairway")[0]
+    first, second, third, none = line["occlusions"]
+    assert (first["survived"], first["all"], first["mean"], first["n"]) == (6, 12, 0.5, 3)
+    # By hand: sums of seeds (0, 2), (2, 4), (4, 6); residuals -1, 0, 1; √(3/2 · 2) / 12 · t(2).
+    assert first["half"] == pytest.approx(stdtrit(2, 0.975) * np.sqrt(3) / 12)
+    assert (second["survived"], second["all"]) == (30, 120)
+    assert (third["mean"], third["half"]) == (1, None) and none["mean"] is None
+    assert tracker_scores.cell(third) == "1.00"
+
+
+def test_an_interval_is_never_shown_without_width(data: dict) -> None:
+    assert tracker_scores.cell({"mean": 1.0, "half": 0.0}) == "1.00"
+    assert tracker_scores.cell({"mean": 0.98, "half": 0.0031}) == "0.98 ± 0.003"
+    assert "± 0.00 " not in tracker_scores.page(data)
 
 
 def test_scores_fall_with_the_miss_rate() -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import modsim3d
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.writing.mot import files as mot_files
 from modsim3d.formats.writing.request import ExportRequest
@@ -144,7 +147,7 @@ def test_sequences_have_the_names_of_the_export(small_run):
         ("bow,0,1,1,2,inf,4", "x_max_px must be a number (got 'inf')"),
         ("bow,0,1,5,2,3,4", "the box has width -2 and height 2, must be above 0"),
         ("bow,0,1,1,2,3,2", "the box has width 2 and height 0, must be above 0"),
-        ("bow,0,1,9000,2,9010,4", "lies more than an image away from the image, which has 1920 x 1080 px"),
+        ("bow,0,1,9000,2,9010,4", "lies more than an image away from the image, as does all of its track; the image"),
         ("bow,0,1,1,2,3", "has 6 cells, must have 7"),
         ("bow", "has 1 cell, must have 7"),
         ("bow,0,1,1,2,3,4,5", "has 8 cells, must have 7"),
@@ -176,6 +179,14 @@ def test_a_wrong_attribute_is_named(read, cells, what):
 def test_a_track_has_one_box_in_a_frame(read):
     message = said(read, f"{HEADER}\nquay,1,3,1,2,3,4\nbow,0,3,1,2,3,4\nbow,2,3,1,2,3,4\nbow,0,3,1,2,3,5\n")
     assert "line 5: track 3 is at step 0 of camera 'bow' already (line 3)" in message
+
+
+def test_a_track_may_coast_out_of_the_image_as_far_as_it_likes(read):
+    lines = ["bow,0,1,10,20,30,40", "bow,1,1,9000,20,9030,40", "bow,2,1,-99000,20,-98000,40"]
+    assert len(read("\n".join([HEADER, *lines])).tracks) == 3
+    message = said(read, "\n".join([HEADER, *lines, "quay,1,1,9000,20,9030,40"]))
+    assert "line 5: the box lies more than an image away" in message  # another camera's track 1
+    assert len(message.splitlines()) == 2
 
 
 def test_only_some_of_many_wrong_lines_are_shown(read):
@@ -268,6 +279,19 @@ def test_a_path_that_is_no_tracks_is_refused(small_run, small_rows, tmp_path):
             read_tracks(tmp_path / name, small_run, small_rows)
 
 
+def half_a_box_off(boxes_px, by):
+    return boxes_px + by * np.tile(boxes_px[:, 2:] - boxes_px[:, :2], 2)
+
+
+def exchanged(boxes_px):
+    return boxes_px[:, [1, 0, 3, 2]]
+
+
+def from_below(boxes_px):
+    x_min, y_min, x_max, y_max = boxes_px.T
+    return np.column_stack([x_min, IMAGE_PX[1] - y_max, x_max, IMAGE_PX[1] - y_min])
+
+
 def shares(boxes_px):
     return boxes_px / np.tile(IMAGE_PX, 2)
 
@@ -288,6 +312,17 @@ def shares(boxes_px):
         (None, lambda boxes: boxes / 1.5, "are those of an image of 1280 x 720 px"),
         (None, lambda boxes: boxes * 2, "are those of an image of 3840 x 2160 px"),
         (None, lambda boxes: shares(boxes) * 640, "are those of an image of 640 x 640 px"),
+        (
+            None,
+            lambda boxes: boxes + 1,
+            "pixels are counted from 1, must be counted from 0 (then half of",
+        ),
+        (None, lambda boxes: half_a_box_off(boxes, 0.5), "half a box too far right and down"),
+        (None, lambda boxes: half_a_box_off(boxes, -0.5), "half a box too far left and up"),
+        (None, exchanged, "x and y of the boxes are exchanged"),
+        (None, from_below, "y is counted from the lower edge of the image"),
+        (CENTRES, lambda boxes: exchanged(centred(boxes)), "x and y of the boxes are exchanged"),
+        (CENTRES, lambda boxes: centred(from_below(boxes)), "y is counted from the lower edge of the image"),
     ],
 )
 def test_boxes_in_another_form_are_recognised(read, small_rows, small_tracks, names, numbers, what):
@@ -303,10 +338,22 @@ def test_boxes_in_another_form_are_recognised(read, small_rows, small_tracks, na
         (centred, "but are centre x"),
         (lambda boxes: shares(top_left(boxes)), "the boxes are shares of the image (the corner x, y"),
         (lambda boxes: top_left(boxes) / 4, "are those of an image of 480 x 270 px"),
+        (top_left, "pixels are counted from 0, must be counted from 1 (then half of them lie within 0.00%"),
+        (lambda boxes: exchanged(top_left(boxes)), "x and y of the boxes are exchanged"),
+        (lambda boxes: top_left(from_below(boxes)), "y is counted from the lower edge of the image"),
     ],
 )
 def test_mot_boxes_in_another_form_are_recognised(read_mot, small_rows, small_tracks, numbers, what):
     assert what in said(read_mot, mot_texts(small_rows, small_tracks, numbers(small_tracks.boxes_px)))
+
+
+def test_one_file_of_several_may_be_wrong(small_run, small_rows, small_tracks, tmp_path):
+    right = mot_texts(small_rows, small_tracks)
+    wrong = mot_texts(small_rows, small_tracks, exchanged(top_left(small_tracks.boxes_px)))
+    assert wrong["quay.txt"].count("\n") < wrong["bow.txt"].count("\n")
+    folder = write_mot(tmp_path / "mine", {"bow.txt": right["bow.txt"], "quay.txt": wrong["quay.txt"]})
+    message = said(read_tracks, folder, small_run, small_rows)
+    assert "quay.txt" in message.splitlines()[0] and "x and y of the boxes are exchanged" in message
 
 
 def test_frames_that_count_from_zero_are_recognised(one_camera_run, tmp_path):
@@ -318,6 +365,54 @@ def test_frames_that_count_from_zero_are_recognised(one_camera_run, tmp_path):
     (tmp_path / "any.txt").write_text(text)
     message = said(read_tracks, tmp_path / "any.txt", one_camera_run, rows)
     assert "frames count from 0, must count from 1" in message
+
+
+def test_frames_and_pixels_that_both_count_from_zero_are_recognised_together(one_camera_run, tmp_path):
+    rows = RunRows.of(one_camera_run)
+    tracks = detected_tracks(rows)
+    late = tracks.take(tracks.step > 0)
+    (text,) = mot_texts(rows, late, top_left(late.boxes_px), first_frame=0).values()
+    (tmp_path / "any.txt").write_text(text)
+    message = said(read_tracks, tmp_path / "any.txt", one_camera_run, rows)
+    assert "frames count from 0, must count from 1, and pixels are counted from 0, must be counted from 1" in message
+
+
+@pytest.mark.parametrize(("steps", "what"), [(1, "frames are one too high"), (-1, "frames are one too low")])
+def test_steps_that_are_one_off_are_recognised(one_camera_run, tmp_path, steps, what):
+    rows = RunRows.of(one_camera_run)
+    tracks = detected_tracks(rows)
+    there = tracks.take(np.isin(tracks.step + steps, rows.frames))
+    moved = replace(there, frame=there.frame + steps)
+    (tmp_path / "any.csv").write_text(csv_text(rows, moved))
+    assert what in said(read_tracks, tmp_path / "any.csv", one_camera_run, rows)
+
+
+@pytest.mark.parametrize("scene", ["strait", "fairway", "simulation_1"])
+def test_no_tracker_s_own_tracks_are_taken_for_a_misreading(scene, tmp_path):
+    """As corners and as MOT, with all digits and in whole pixels, as many trackers round."""
+    modsim3d.run_scene(modsim3d.load_scene(scene, steps=60, source="analytic", seed=3), tmp_path / "run")
+    run = modsim3d.open_run(tmp_path / "run")
+    rows = RunRows.of(run)
+    for tracker in ("reference", "sort", "bytetrack", "ocsort"):
+        tracks = modsim3d.track_run(run, tmp_path / tracker, tracker=tracker).tracks
+        whole = replace(tracks, boxes_px=np.round(tracks.boxes_px))
+        whole = whole.take((whole.boxes_px[:, 2:] > whole.boxes_px[:, :2]).all(axis=1))
+        assert len(whole) > 100
+        for k, each in enumerate((tracks, whole)):
+            (tmp_path / f"{tracker}_{k}.csv").write_text(csv_text(rows, each))
+            assert len(read_tracks(tmp_path / f"{tracker}_{k}.csv", run, rows).tracks) == len(each)
+            folder = write_mot(tmp_path / f"{tracker}_{k}", mot_texts(rows, each))
+            assert len(read_tracks(folder, run, rows).tracks) == len(each)
+
+
+def test_a_smoothing_tracker_s_pixels_from_zero_are_recognised(tmp_path):
+    """Its boxes are no detections, but four of five would lie nearer one pixel further."""
+    modsim3d.run_scene(modsim3d.load_scene("fairway", steps=60, source="analytic", seed=3), tmp_path / "run")
+    run = modsim3d.open_run(tmp_path / "run")
+    rows = RunRows.of(run)
+    tracks = modsim3d.track_run(run, tmp_path / "reference").tracks
+    folder = write_mot(tmp_path / "mot", mot_texts(rows, tracks, top_left(tracks.boxes_px)))
+    assert "pixels are counted from 0" in said(read_tracks, folder, run, rows)
 
 
 def test_tracks_that_fit_no_detection_are_read_as_they_are(read, small_rows, small_tracks):

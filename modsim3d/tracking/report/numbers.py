@@ -50,7 +50,9 @@ def rules_in_words(rules: Rules) -> list[tuple[str, str]]:
         "full": "all vessels in the image with the box of the whole vessel; wholly hidden ones count neither way",
     }
     classes = "a track may follow a vessel of any class"
+    cameras = [("cameras", f"only {', '.join(rules.cameras)}")] if rules.cameras else []
     return [
+        *cameras,
         ("similarity", f"{similarity}; a track follows a vessel from {similarity.least:g} on"),
         ("truth", f"{rules.truth}: {truth[rules.truth]}"),
         (

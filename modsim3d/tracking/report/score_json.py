@@ -35,6 +35,7 @@ def _rules(rules: Rules) -> dict[str, Any]:
         "scale_px": similarity.scale_px,
         "threshold": similarity.least,
         "by_class": rules.by_class,
+        "cameras": rules.cameras or None,
         "gospa_c_px": distance.cutoff,
         "gospa_p": distance.power,
     }

@@ -48,6 +48,7 @@ class Rules:
         similarity: How boxes are compared.
         by_class: Whether only tracks of a vessel's class count for it.
         set_distance: Of GOSPA and OSPA, in pixels.
+        cameras: Names of the cameras that are scored, in the order of the scene; all if there are none.
     """
 
     truth: TruthName = "annotated"
@@ -55,6 +56,7 @@ class Rules:
     similarity: Similarity = field(default_factory=Similarity)
     by_class: bool = False
     set_distance: SetDistance = field(default_factory=SetDistance)
+    cameras: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the values.

@@ -146,7 +146,11 @@ def _scores(scored: Scored, by_class: dict[str, Scores] | None = None) -> Scores
         occlusions(scored),
         breakdown(scored),
         {state.name: _subset(scored, frames, whole) for state, frames in zip(states, state_frames, strict=True)},
-        {camera.name: _subset(scored, frames, whole) for camera, frames in zip(cameras, camera_frames, strict=True)},
+        {
+            camera.name: _subset(scored, frames, whole)
+            for camera, frames in zip(cameras, camera_frames, strict=True)
+            if not scored.rules.cameras or camera.name in scored.rules.cameras
+        },
         by_class or {},
     )
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import ModsimError
-from modsim3d.tracking.trackers.interface import TrackedFrame
+from modsim3d.tracking.trackers.interface import CameraFacts, TrackedFrame
+from modsim3d.tracks.credibility import FAR, covariances, far_tracks
 
 Named = Callable[[int, str], ModsimError]
 """The error of a problem in a frame, by the frame's place in the sequence."""
@@ -30,12 +31,12 @@ class Answers:
         covariance_px2: NaN for none, shape (k, 2, 2).
     """
 
-    def __init__(self, answers: Sequence[TrackedFrame], labels: int, problem: Named) -> None:
+    def __init__(self, answers: Sequence[TrackedFrame], facts: CameraFacts, problem: Named) -> None:
         """Join answers, one for each frame, and check them.
 
         Args:
             answers: The answers.
-            labels: Number of labels.
+            facts: The camera.
             problem: Makes the error.
 
         Raises:
@@ -48,9 +49,9 @@ class Answers:
         self.track, self.boxes_px, self.label, self.confidence, self.covariance_px2 = (
             np.concatenate(parts) for parts in zip(empty, *columns, strict=True)
         )
-        self._refuse(problem, labels)
+        self._refuse(problem, len(facts.labels), np.array(facts.image_size_px))
 
-    def _refuse(self, problem: Named, labels: int) -> None:
+    def _refuse(self, problem: Named, labels: int, image_px: Array) -> None:
         """Refuse values that cannot be."""
         x_min, y_min, x_max, y_max = self.boxes_px.T
         order = np.lexsort((self.track, self.frame))
@@ -75,6 +76,7 @@ class Answers:
                 "a confidence is from 0 to 1, not",
                 confidence,
             ),
+            (far_tracks(self.boxes_px, self.track, image_px), f"{FAR}:", self.boxes_px),
             (~_possible(self.covariance_px2), "this is no covariance of x and y:", self.covariance_px2),
         )
         for wrong, text, column in checks:
@@ -136,8 +138,7 @@ def _possible(covariance: Array) -> Mask:
     """Whether each matrix is a covariance, or NaN throughout, shape (k,)."""
     xx, xy, yx, yy = covariance.reshape(-1, 4).T
     alike = np.abs(xy - yx) <= _SYMMETRIC * (xx + yy)
-    possible: Mask = (xx > 0) & (yy > 0) & alike & (xx * yy - xy * yx > 0) & np.isfinite(xx + yy)
-    return possible | np.isnan(covariance).all(axis=(1, 2))
+    return (alike & covariances(xx, xy, yy)) | np.isnan(covariance).all(axis=(1, 2))
 
 
 def _shown(value: Any) -> str:

@@ -43,11 +43,11 @@ def tracked(
         ModsimError: The tracker fails, or answers otherwise than it should.
     """
     count, labels = len(scene.cameras), scene.detector.labels
-    found = [Answers([], 0, lambda at, text: ModsimError(text))]
+    found = [Answers([], CameraFacts("", (1, 1), 0.0, ()), lambda at, text: ModsimError(text))]
     frames = [np.empty(0, dtype=np.int64)]
     for sequence, camera in zip(sequences, cameras, strict=True):
         feed = _CameraFeed(named, sequence, tuple(labels))
-        answers = Answers(list(feed.answers(progress)), len(labels), feed.problem)
+        answers = Answers(list(feed.answers(progress)), feed.facts, feed.problem)
         found.append(answers.numbered())
         frames.append(sequence.steps[answers.frame] * count + camera)
     columns = ("track", "boxes_px", "label", "confidence", "covariance_px2")
@@ -61,7 +61,7 @@ class _CameraFeed:
 
     def __init__(self, named: NamedTracker, sequence: CameraSequence, labels: tuple[str, ...]) -> None:
         self._named, self._sequence = named, sequence
-        self._facts = CameraFacts(sequence.camera.name, sequence.size_px, sequence.rate_hz, labels)
+        self.facts = CameraFacts(sequence.camera.name, sequence.size_px, sequence.rate_hz, labels)
         self._read = 0
 
     def problem(self, at: int, text: str) -> ModsimError:
@@ -102,7 +102,7 @@ class _CameraFeed:
 
     def _started(self) -> Iterator[TrackedFrame]:
         try:
-            answers = self._named.tracker.follow(self._frames(), self._facts)
+            answers = self._named.tracker.follow(self._frames(), self.facts)
         except Exception as error:
             raise self._failed(error, 0) from error
         if not hasattr(answers, "__iter__"):
@@ -121,7 +121,7 @@ class _CameraFeed:
         """The error of a plug-in with the camera and the time; that of a built-in tracker as it is."""
         if self._named.plugin is None:
             return error
-        return ModsimError(f"{failed(self._named.plugin, error)}, camera '{self._facts.name}'{self._when(at)}")
+        return ModsimError(f"{failed(self._named.plugin, error)}, camera '{self.facts.name}'{self._when(at)}")
 
     def _frames(self) -> Iterator[SensedFrame]:
         """The frames of the camera, with arrays of their own, which a tracker may write to."""

@@ -1,35 +1,91 @@
-"""Files of tracks that are wrong as a whole: read in another way they fit the run's detections."""
+"""Files of boxes that are wrong as a whole: read in another way they fit boxes that are known.
+
+Tracks are held against the detections of their run, detections against the annotations of their images.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, extents, ranges
-from modsim3d.errors import InputError
-from modsim3d.runs.files.columns import NOBODY, positions
-from modsim3d.runs.run_rows import RunRows
+from modsim3d.boxes import sizes
 from modsim3d.tracks.files.box_forms import CENTRE, CORNERS, MOT, TOP_LEFT, BoxForm
-from modsim3d.tracks.files.file_rows import FileRows
 
 _LOOKED_AT = 2000
 """Rows, spread over the file."""
-_LEAST_ROWS = 8
-"""Fewer rows may be false tracks, which fit nothing, or anything by chance."""
-_FITS, _TIMES_BETTER = 0.1, 2.0
-"""Another reading is meant if its boxes are at most this share of the image's diagonal away from detections, and nearer
-by this factor than those of the file as it is. Tracks that are right lie nearer as they are than in any other reading.
+_LEAST_ROWS, _LEAST_CLOSE_ROWS = 8, 30
+"""Fewer rows may be false tracks, which fit nothing, or anything by chance; more are needed where little changes."""
+_FITS, _NEARER = 0.1, 0.6
+"""Another reading is meant if half of its boxes are at most this share of the image's diagonal from known ones, and
+this share of them is nearer than as the file is. Of four trackers on four scenes at most 0.51 are, by a factor of 1.02.
 """
-_NEAR = 0.001
-"""So near, two pixels of a large image, are no boxes that are read in a wrong way."""
+_MUCH, _CLOSE, _AHEAD, _BEHIND = 2.0, 1.25, 1.5, 10.0
+"""By what factor boxes must be nearer. Trackers lag, as if their frames were too high: only exact boxes tell that."""
+_NEAR, _EXACT = 0.001, 0.0001
+"""So near, two pixels of a large image, are no boxes that are read in a very different way, or in any."""
 _SIZES_PX = (
     *((320, 320), (416, 416), (512, 512), (640, 360), (640, 480), (640, 640), (800, 600), (960, 540)),
     *((1024, 768), (1280, 720), (1280, 1280), (1920, 1080), (2560, 1440), (3840, 2160)),
 )
-"""Sizes to which images are often scaled for a detector or a tracker; halves and doubles of the run's are tried too."""
+"""Sizes to which images are often scaled for a detector or a tracker; halves and doubles of their own are tried too."""
 _MOST_NORMALISED = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class KnownBoxes:
+    """The m boxes that others should lie near, in order of frame.
+
+    Attributes:
+        word: What one is called.
+        frame: Number of the frame, shape (m,).
+        boxes_px: Shape (m, 4).
+    """
+
+    word: str
+    frame: Indices
+    boxes_px: Array
+
+    def distances(self, frame: Indices, boxes_px: Array) -> Array:
+        """How far boxes are from the nearest one of their frame, in pixels; infinite without one, shape (k,).
+
+        The distance of two boxes is the largest of their four edges. Unlike the IoU it tells boxes that are near from
+        others also where boats are smaller than the errors of their boxes.
+        """
+        first, many = extents(self.frame, frame)
+        row, other = np.repeat(np.arange(len(frame)), many), ranges(first, many)
+        nearest = np.full(len(frame), np.inf)
+        np.minimum.at(nearest, row, np.abs(boxes_px[row] - self.boxes_px[other]).max(axis=1))
+        return nearest
+
+
+@dataclass(frozen=True, eq=False)
+class BoxRows:
+    """The k boxes of a file.
+
+    Attributes:
+        numbers: Four numbers of each as the file has them, shape (k, 4).
+        form: What these are read as.
+        image_px: Width and height of the image, shape (k, 2).
+        frame: Number of the frame, shape (k,).
+        frame_before: Number of the frame before it, one that does not exist for the first, shape (k,).
+        frame_after: The same for the frame after it, shape (k,).
+    """
+
+    numbers: Array
+    form: BoxForm
+    image_px: Array
+    frame: Indices
+    frame_before: Indices
+    frame_after: Indices
+
+    def spread(self) -> BoxRows:
+        """Some of the rows, spread over the file."""
+        chosen = np.unique(np.linspace(0, len(self.frame) - 1, _LOOKED_AT).astype(np.int64))
+        frames = (each[chosen] for each in (self.frame, self.frame_before, self.frame_after))
+        return BoxRows(self.numbers[chosen], self.form, self.image_px[chosen], *frames)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,104 +94,95 @@ class _Reading:
 
     Attributes:
         told: What is wrong then, and what would be right.
-        frame: Number of the frame, shape (k,).
         boxes_px: Shape (k, 4).
+        frame: Number of the frame, shape (k,).
+        factor: By which boxes must be nearer.
     """
 
     told: str
-    frame: Indices
     boxes_px: Array
-
-
-def check_reading(source: str, files: Sequence[FileRows], rows: RunRows) -> None:
-    """Refuse files that lie far from the run's detections as they are, and near if they are read in another way.
-
-    Raises:
-        InputError: They are such files; the message says which reading fits.
-    """
-    frame = np.concatenate([file.frame for file in files])
-    if len(frame) < _LEAST_ROWS:
-        return
-    chosen = np.unique(np.linspace(0, len(frame) - 1, _LOOKED_AT).astype(np.int64))
-    frame, numbers = frame[chosen], np.concatenate([file.numbers for file in files])[chosen]
-    form, detections = files[0].form, _Detections.of(rows)
-    as_it_is = detections.distance(frame, form.boxes_px(numbers))
-    best, found = _FITS, None
-    for reading in _readings(frame, numbers, form, rows):
-        away = detections.distance(reading.frame, reading.boxes_px)
-        if away < best:
-            best, found = away, reading
-    if found is not None and max(_TIMES_BETTER * best, _NEAR) < as_it_is:
-        fits = f"{best:.2%} of the image's diagonal from a detection instead of {as_it_is:.2%}"
-        raise InputError(source, [f"{found.told} (then half of them lie within {fits})"])
-
-
-@dataclass(frozen=True, eq=False)
-class _Detections:
-    """The m detections of a run in order of frame.
-
-    Attributes:
-        frame: Number of the frame, shape (m,).
-        boxes_px: Shape (m, 4).
-        diagonal_px: Of the images of each camera, shape (C,).
-    """
-
     frame: Indices
-    boxes_px: Array
-    diagonal_px: Array
-
-    @classmethod
-    def of(cls, rows: RunRows) -> _Detections:
-        order = np.argsort(rows.detection_frame, kind="stable")
-        diagonal = np.array([np.hypot(*camera.intrinsics.image_size_px) for camera in rows.scene.cameras])
-        return cls(rows.detection_frame[order], rows.detection_boxes_px()[order], diagonal)
-
-    def distance(self, frame: Indices, boxes_px: Array) -> float:
-        """How far boxes are from the nearest detection of their frame: the median of those that have one there.
-
-        The distance of two boxes is the largest of their four edges, as a share of the image's diagonal. Unlike the
-        IoU it tells boxes that are near from others also where boats are smaller than the errors of their boxes.
-        """
-        first, many = extents(self.frame, frame)
-        row, other = np.repeat(np.arange(len(frame)), many), ranges(first, many)
-        nearest = np.full(len(frame), np.inf)
-        np.minimum.at(nearest, row, np.abs(boxes_px[row] - self.boxes_px[other]).max(axis=1))
-        share = (nearest / self.diagonal_px[frame % len(self.diagonal_px)])[many > 0]
-        return float(np.median(share)) if len(share) else np.inf
+    factor: float = _MUCH
 
 
-def _readings(frame: Indices, numbers: Array, form: BoxForm, rows: RunRows) -> Iterator[_Reading]:
+@dataclass(frozen=True)
+class Misreading:
+    """What is wrong with a file: a sentence, and whether boxes lie so near that their maker may err by as much."""
+
+    told: str
+    slight: bool
+
+
+def misreading(rows: BoxRows, known: KnownBoxes) -> Misreading | None:
+    """What is wrong with boxes that are far from known ones as they are, and near if they are read in another way."""
+    if len(rows.frame) < _LEAST_ROWS:
+        return None
+    rows = rows.spread()
+    diagonal_px = np.hypot(*rows.image_px.T)
+    as_it_is = known.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / diagonal_px
+    now, best, meant = _median(as_it_is), _FITS, None
+    for reading in _readings(rows):
+        away = known.distances(reading.frame, reading.boxes_px) / diagonal_px
+        both, half = np.isfinite(away) & np.isfinite(as_it_is), _median(away)
+        least = _NEAR if reading.factor == _MUCH else _EXACT
+        many = _LEAST_ROWS if now > _MUCH * half and reading.factor != _CLOSE else _LEAST_CLOSE_ROWS
+        nearer = np.count_nonzero(away[both] < as_it_is[both]) >= _NEARER * np.count_nonzero(both)
+        if half < best and now > max(reading.factor * half, least) and nearer and len(away) >= many:
+            best, meant = half, reading
+    if meant is None:
+        return None
+    fits = f"{best:.2%} of the image's diagonal from {known.word} instead of {now:.2%}"
+    return Misreading(f"{meant.told} (then half of them lie within {fits})", meant.factor == _CLOSE)
+
+
+def _median(away: Array) -> float:
+    """Of those that have a known box in their frame."""
+    there = away[np.isfinite(away)]
+    return float(np.median(there)) if len(there) else np.inf
+
+
+def _readings(rows: BoxRows) -> Iterator[_Reading]:
     """All other readings, the likeliest first: of equally good ones the first counts."""
-    cameras = rows.scene.cameras
-    size = np.array([camera.intrinsics.image_size_px for camera in cameras])[frame % len(cameras)]
+    numbers, form, frame = rows.numbers, rows.form, rows.frame
+    as_it_is = form.boxes_px(numbers)
+    yield from _close_readings(rows, as_it_is)
     others = [each for each in (CORNERS, CENTRE, TOP_LEFT) if each.meaning != form.meaning and not _like(each, form)]
     plain = TOP_LEFT if form is MOT else form
     for other in others:
-        yield _Reading(f"the boxes are read as {form.meaning}, but are {other.meaning}", frame, other.boxes_px(numbers))
+        yield _Reading(f"the boxes are read as {form.meaning}, but are {other.meaning}", other.boxes_px(numbers), frame)
+    yield _Reading("x and y of the boxes are exchanged", form.boxes_px(numbers[:, [1, 0, 3, 2]]), frame)
+    x_min, y_min, x_max, y_max = as_it_is.T
+    height = rows.image_px[:, 1]
+    below = np.column_stack([x_min, height - y_max, x_max, height - y_min])
+    yield _Reading("y is counted from the lower edge of the image, must be from the upper", below, frame)
     if np.abs(numbers).max() <= _MOST_NORMALISED:
-        scaled = numbers * np.tile(size, 2)
+        scaled = numbers * np.tile(rows.image_px, 2)
         for other in (plain, *others):
             told = f"the boxes are shares of the image ({other.meaning}), must be in pixels: {form.meaning}"
-            yield _Reading(told, frame, other.boxes_px(scaled))
-    own = {camera.intrinsics.image_size_px for camera in cameras}
-    near = [(round(width * by), round(height * by)) for width, height in sorted(own) for by in (0.25, 0.5, 2, 4)]
-    for image in dict.fromkeys((*near, *_SIZES_PX)):
+            yield _Reading(told, other.boxes_px(scaled), frame)
+    own = sorted({(width, height) for width, height in np.unique(rows.image_px, axis=0).tolist()})
+    near = [(round(width * by), round(height * by)) for width, height in own for by in (0.25, 0.5, 2, 4)]
+    sizes_told = ", ".join(f"{width:g} x {height:g}" for width, height in own[:4])
+    for image in dict.fromkeys((*near[:16], *_SIZES_PX)):
         told = f"the boxes are those of an image of {image[0]} x {image[1]} px, must be in pixels of the camera's image"
-        sizes_told = ", ".join(f"{width} x {height}" for width, height in sorted(own))
-        yield _Reading(f"{told} ({sizes_told})", frame, form.boxes_px(numbers) * np.tile(size / image, 2))
-    if form is MOT:
-        yield _Reading("frames count from 0, must count from 1", _next_frames(frame, rows), form.boxes_px(numbers))
+        yield _Reading(f"{told} ({sizes_told})", as_it_is * np.tile(rows.image_px / image, 2), frame)
+
+
+def _close_readings(rows: BoxRows, as_it_is: Array) -> Iterator[_Reading]:
+    """Those in which boxes lie a pixel, a frame or half a box elsewhere."""
+    first, right, step = (0, 1, 1.0) if rows.form is MOT else (1, 0, -1.0)
+    pixels = f"pixels are counted from {first}, must be counted from {right}"
+    frames = "frames count from 0, must count from 1" if rows.form is MOT else "frames are one too low"
+    yield _Reading(pixels, as_it_is + step, rows.frame, _CLOSE)
+    yield _Reading(frames, as_it_is, rows.frame_after, _AHEAD)
+    yield _Reading(f"{frames}, and {pixels}", as_it_is + step, rows.frame_after, _AHEAD)
+    yield _Reading("frames are one too high", as_it_is, rows.frame_before, _BEHIND)
+    if rows.form is CORNERS:  # in the other forms these are the other forms
+        half, told = np.tile(sizes(as_it_is) / 2, 2), "the corners lie half a box too far"
+        yield _Reading(f"{told} right and down: is x_min, y_min the centre?", as_it_is - half, rows.frame, _CLOSE)
+        yield _Reading(f"{told} left and up: is x_max, y_max the centre?", as_it_is + half, rows.frame, _CLOSE)
 
 
 def _like(one: BoxForm, other: BoxForm) -> bool:
     """Whether two forms differ by the number of the first pixel alone."""
     return one.to_corners is other.to_corners
-
-
-def _next_frames(frame: Indices, rows: RunRows) -> Indices:
-    """The camera's next frame after each, `NOBODY` after the last, shape (k,)."""
-    count, found = len(rows.scene.cameras), np.full(len(frame), NOBODY)
-    for camera in range(count):
-        taken, here = rows.frames[rows.frames % count == camera], frame % count == camera
-        found[here] = np.append(taken, NOBODY)[positions(taken, frame[here]) + 1]
-    return found

@@ -11,6 +11,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import sizes
 from modsim3d.runs.files.columns import NOBODY, positions
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.tracks.credibility import FAR, covariances, far_tracks
 from modsim3d.tracks.files.box_forms import BoxForm
 from modsim3d.tracks.files.row_problems import RowProblems
 from modsim3d.tracks.tracks import Tracks
@@ -69,13 +70,9 @@ class FileRows:
         cameras = rows.scene.cameras
         images = np.array([camera.intrinsics.image_size_px for camera in cameras])
         size = images[self.frame % len(cameras)]
-        far = ((boxes[:, 2:] < -size) | (boxes[:, :2] > 2 * size)).any(axis=1)
         self.problems.refuse(
-            far,
-            lambda row: (
-                f"the box lies more than an image away from the image, which has {size[row, 0]} x {size[row, 1]} px "
-                f"({self._numbers(row)})"
-            ),
+            far_tracks(boxes, np.column_stack([self.frame % len(cameras), self.track]), size),
+            lambda row: f"{FAR}; the image has {size[row, 0]} x {size[row, 1]} px ({self._numbers(row)})",
         )
 
     def _check_attributes(self) -> None:
@@ -89,7 +86,7 @@ class FileRows:
             known.any(axis=1) & ~known.all(axis=1), lambda row: "the covariance needs all three numbers, or none"
         )
         self.problems.refuse(
-            known.all(axis=1) & ~((a > 0) & (d > 0) & (a * d > b * b)),
+            known.all(axis=1) & ~covariances(a, b, d),
             lambda row: (
                 f"var_x_px2 {a[row]:g}, cov_xy_px2 {b[row]:g} and var_y_px2 {d[row]:g} are no covariance: both "
                 "variances must be above 0, and their product above the square of cov_xy_px2"

@@ -6,7 +6,7 @@ over the frames of the camera, and pixels from 1 (Milan et al. (2016), "MOT16", 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,34 +29,35 @@ _DATA = "data"
 """The folder inside that of a tracker in which evaluators look for its files."""
 
 
-def read_mot_tracks(path: Path, rows: RunRows) -> list[FileRows]:
-    """Read the files of all cameras: a folder of them, or the only one.
+def read_mot_tracks(path: Path, rows: RunRows, cameras: Sequence[int] = ()) -> list[FileRows]:
+    """Read the files of some cameras, all if there are none: a folder of them, or the only one.
 
     Raises:
         InputError: A file is missing, is of no camera, cannot be read, or has a line that cannot be right.
     """
-    return [_read(file, camera, rows) for camera, file in sorted(_files(path, rows).items())]
+    return [_read(file, camera, rows) for camera, file in sorted(_files(path, rows, cameras).items())]
 
 
-def _files(path: Path, rows: RunRows) -> Mapping[int, Path]:
+def _files(path: Path, rows: RunRows, cameras: Sequence[int]) -> Mapping[int, Path]:
     """The file of each camera, by the camera's index."""
     names = camera_sequence_names([camera.name for camera in rows.scene.cameras])
-    wanted, source = ", ".join(f"{name}.txt" for name in names), source_of(path)
+    needed = [names[index] for index in cameras or range(len(names))]
+    wanted, source = ", ".join(f"{name}.txt" for name in needed), source_of(path)
     if path.is_file():
-        if len(names) > 1:
+        if len(needed) > 1:
             problem = f"this is one file, and the run has {len(names)} cameras: give the folder with {wanted}"
             raise InputError(source, [problem])
-        return {0: path}
+        return {names.index(needed[0]): path}
     folder = path if any(path.glob("*.txt")) or not (path / _DATA).is_dir() else path / _DATA
     there = {file.stem: file for file in sorted(folder.glob("*.txt"))}
     if not there:
         raise InputError(source, [f"holds no tracks: neither tracks.json nor {wanted}"])
     problems = [_unknown(stem, names, rows) for stem in there if stem not in names]
-    missing = [name for name in names if name not in there]
+    missing = [name for name in needed if name not in there]
     problems += [f"{name}.txt is missing: a tracker that found nothing leaves an empty file" for name in missing]
     if problems:
         raise InputError(source_of(folder), problems)
-    return {names.index(stem): file for stem, file in there.items()}
+    return {names.index(stem): file for stem, file in there.items() if stem in needed}
 
 
 def _unknown(stem: str, names: tuple[str, ...], rows: RunRows) -> str:

@@ -1,0 +1,105 @@
+"""Scores of some cameras of a run, and tracks that say nothing of others."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import modsim3d
+from modsim3d.cli import app
+from modsim3d.errors import ModsimError
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun
+from tests.tracks.track_files import csv_text, detected_tracks, mot_texts, write_mot
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    folder = tmp_path_factory.mktemp("cameras") / "strait"
+    modsim3d.run_scene(modsim3d.load_scene("strait", steps=12, source="analytic", seed=3), folder)
+    return modsim3d.open_run(folder)
+
+
+@pytest.fixture(scope="module")
+def of_bow(run: StoredRun) -> Path:
+    """Tracks of the bow alone, as a program that was given one camera writes them."""
+    rows = RunRows.of(run)
+    tracks = detected_tracks(rows)
+    path = run.folder.parent / "bow_only.csv"
+    path.write_text(csv_text(rows, tracks.take(tracks.camera == 0)))
+    return path
+
+
+def test_a_file_without_a_line_of_one_camera_is_refused_by_the_camera_s_name(run: StoredRun, of_bow: Path) -> None:
+    with pytest.raises(ModsimError) as error:
+        modsim3d.score_run(run, of_bow)
+    assert "have no line of camera 'quay'" in str(error.value)
+    assert "--camera bow" in str(error.value) and "--camera bow --camera quay" in str(error.value)
+
+
+def test_the_camera_that_is_asked_for_is_scored_alone(run: StoredRun, of_bow: Path) -> None:
+    both = modsim3d.score_run(run, of_bow, cameras=["bow", "quay"])
+    one = modsim3d.score_run(run, of_bow, cameras="bow")
+    flat, whole = one.trackers[0].scores.flat(), both.trackers[0].scores.flat()
+    assert list(one.trackers[0].scores.by_camera) == ["bow"]
+    of_one, of_both = (each.trackers[0].scores.by_camera["bow"] for each in (one, both))
+    assert (of_one.hota, of_one.frames, of_one.vessel_frames) == (of_both.hota, of_both.frames, of_both.vessel_frames)
+    assert flat["hota"] == pytest.approx(of_one.hota)
+    assert flat["misses"] < whole["misses"] and flat["true_positives"] == whole["true_positives"]  # type: ignore[operator]
+    assert {each.camera for each in one.trackers[0].scores.occlusions} <= {"bow"}
+
+
+def test_tracks_of_other_cameras_are_left_out(run: StoredRun, of_bow: Path, tmp_path: Path) -> None:
+    rows = RunRows.of(run)
+    (tmp_path / "all.csv").write_text(csv_text(rows, detected_tracks(rows)))
+    alone, among = (
+        modsim3d.score_run(run, path, cameras=("bow",)).trackers[0] for path in (of_bow, tmp_path / "all.csv")
+    )
+    assert among.scores.flat() == alone.scores.flat()
+
+
+def test_detector_seeds_are_of_the_same_camera(run: StoredRun, tmp_path: Path) -> None:
+    modsim3d.track_run(run, tmp_path / "tracks")
+    found = modsim3d.score_run(run, tmp_path / "tracks", cameras="quay", seeds=2)
+    assert found.seeds is not None
+    first = found.seeds.spreads["reference"]["hota"].values[0]
+    assert first == pytest.approx(found.trackers[0].scores.flat()["hota"])
+
+
+def test_one_mot_file_is_enough_for_one_camera(run: StoredRun, of_bow: Path, tmp_path: Path) -> None:
+    rows = RunRows.of(run)
+    folder = write_mot(tmp_path / "mot", {"bow.txt": mot_texts(rows, detected_tracks(rows))["bow.txt"]})
+    wanted = modsim3d.score_run(run, of_bow, cameras="bow").trackers[0].scores.flat()
+    for path in (folder, folder / "bow.txt"):
+        found = modsim3d.score_run(run, path, cameras="bow").trackers[0].scores.flat()
+        assert found["hota"] == pytest.approx(wanted["hota"], abs=1e-4)
+    with pytest.raises(ModsimError, match=r"quay\.txt is missing"):
+        modsim3d.score_run(run, folder)
+
+
+def test_an_empty_file_is_a_tracker_that_found_nothing(run: StoredRun, of_bow: Path, tmp_path: Path) -> None:
+    (tmp_path / "none.csv").write_text(of_bow.read_text().splitlines()[0] + "\n")
+    assert modsim3d.score_run(run, tmp_path / "none.csv").trackers[0].scores.flat()["hota"] == 0
+
+
+def test_what_cannot_be_is_refused(run: StoredRun, of_bow: Path, tmp_path: Path) -> None:
+    with pytest.raises(ModsimError, match=r"no camera 'bov' in this run \(did you mean 'bow'\?\)"):
+        modsim3d.score_run(run, of_bow, cameras="bov")
+    (tmp_path / "world.csv").write_text("time_s,track,w1_m,w2_m\n0,1,5000,5000\n")
+    with pytest.raises(ModsimError, match="--camera is for tracks in the images"):
+        modsim3d.score_run(run, tmp_path / "world.csv", cameras="bow")
+
+
+def test_the_command_says_which_cameras_it_scored(run: StoredRun, of_bow: Path) -> None:
+    def scored(*options: str) -> tuple[int, str]:
+        arguments = ["score", str(run.folder), str(of_bow), *options]
+        result = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"})
+        return result.exit_code, result.stdout
+
+    code, text = scored("--camera", "bow")
+    assert code == 0 and "only bow" in text
+    assert json.loads(scored("--camera", "bow", "--json")[1])["rules"]["cameras"] == ["bow"]
+    assert json.loads(scored("--camera", "quay", "--camera", "bow", "--json")[1])["rules"]["cameras"] is None
