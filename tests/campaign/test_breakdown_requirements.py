@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from modsim3d.campaign.engines.interface import ThisProcess
 from modsim3d.campaign.file.keys import CampaignKeys
@@ -22,6 +23,7 @@ from modsim3d.tracking.scores.breakdown import BINS
 from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracking.scores.scoring import scores_of
 from tests.campaign.hand_made_tables import plan_of
+from tests.commands.conftest import Modsim3d
 
 RECALL = {"score": "recall", "at_least": 0.8, "in": 0.5}
 SURVIVED = {"score": "occlusions_survived", "at_least": 0.6, "in": 0.5, "where": {"occlusion": "3 to 10"}}
@@ -150,6 +152,29 @@ def test_the_only_camera_is_no_part(tmp_path) -> None:
         checked(campaign_of(tmp_path, requirement, scene="harbour"))
     whole = {**RECALL, "where": {"visible_fraction": 1}}  # the bin is called "1", and YAML reads a number
     assert checked(campaign_of(tmp_path, whole, scene="harbour")).plan.keys.require[0].score == "recall"
+
+
+def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(modsim3d: Modsim3d, tmp_path) -> None:
+    require = [
+        {"score": "recall", "at_least": 0.1, "where": {"range": ["100 to 200", "400 to 800"]}},
+        {"score": "hota", "at_least": 0.1, "where": {"state": ["excellent", "terrible"]}},
+    ]
+    keys = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 2}, "trackers": ["reference"], "require": require}
+    file = tmp_path / "c.yaml"
+    file.write_text(yaml.safe_dump(keys), encoding="utf-8")
+    said = modsim3d("campaign", file, "--out", tmp_path / "out", "--workers", "1")
+    assert said.status in (1, 3), said.err
+    _, _, means = said.out.partition("mean scores")
+    assert "those of requirements are above" in means
+    for column in ("range.100 to 200.recall", "range.400 to 800.recall", "state.excellent.hota"):
+        assert column in means
+    (line,) = [line for line in means.splitlines() if line.startswith("reference")]
+    assert line.split()[2:4] == ["–", "0.500"] and not line.split()[4].startswith("[")  # nothing is in the first range
+    assert modsim3d("campaign-report", tmp_path / "out").status == 0
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "recall at least 0.1, range 100 to 200 or 400 to 800" in page
+    assert "hota at least 0.1, state excellent or terrible" in page
+    assert all(f'data-label="range">{name}</td>' in page for name in ("100 to 200", "400 to 800"))
 
 
 def test_rows_of_a_campaign_have_the_bins_of_the_scores_and_are_judged_by_them(tmp_path) -> None:
