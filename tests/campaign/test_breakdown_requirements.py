@@ -36,7 +36,7 @@ def rows_with(*columns: dict[str, Any]) -> Any:
 
 
 def test_recall_is_judged_in_each_bin_that_is_named() -> None:
-    require = [{**RECALL, "where": {"visible_fraction": ["0.5 to 0.75", "1"]}}]
+    require = [{**RECALL, "where": {"visible_fraction": ["0.5 to 0.75", "1", 1]}}]
     rows = [
         {f"{HALF}.recall": 0.5, f"{HALF}.vessel_frames": 9, "visible_fraction.1.recall": 0.9 + run / 100}
         for run in range(5)
@@ -122,7 +122,7 @@ def campaign_of(folder: Path, *require: dict[str, Any], **keys: Any) -> Campaign
         ({**RECALL, "score": "hota", "where": {"camera": "bow"}}, "camera: there is no 'bow' (known: "),
         (
             {**RECALL, "where": {"range": "0 to 100", "size": "0 to 16"}},
-            "where: a requirement is about one part of the runs, and range and size are 2",
+            "where: range and size each divide the runs, and only one may: leave all but one out",
         ),
         (
             RECALL,

@@ -61,9 +61,8 @@ def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
     """
     wanted = wanted_of(requirement)
     labels = wanted.pop(TRACKER, None)
-    parts: list[RunPart | None] = [
-        RunPart(key, str(name)) for key in groups_of(plan, requirement) for name in wanted.pop(key)
-    ]
+    named = [RunPart(key, str(name)) for key in groups_of(plan, requirement) for name in wanted.pop(key)]
+    parts: list[RunPart | None] = [*dict.fromkeys(named)]
     chosen = [index for index, each in enumerate(plan.conditions) if selects(wanted, each)]
     trackers = [index for index, each in enumerate(plan.keys.trackers) if labels is None or each.label in labels]
     return [Case(tracker, condition, part) for tracker in trackers for condition in chosen for part in parts or [None]]

@@ -31,7 +31,7 @@ def where_problems(requirement: Requirement, where: str, plan: Plan, parts: Mapp
     known, found = [TRACKER, SCENE, *SCORES_BY, *plan.parameters], []
     if len(groups := groups_of(plan, requirement)) > 1:
         named = " and ".join(groups)
-        found.append(f"{where}.where: a requirement is about one part of the runs, and {named} are {len(groups)}")
+        found.append(f"{where}.where: {named} each divide the runs, and only one may: leave all but one out")
     for key, values in wanted_of(requirement).items():
         if key not in known:
             found.append(f"{where}.where.{key}: is not varied in this campaign ({nearest(key, known)})")

@@ -109,7 +109,7 @@ def _subset(group: str, parts: Mapping[str, SubsetScores]) -> dict[str, Any]:
 
 
 def _bins(group: Group) -> dict[str, Any]:
-    """The columns of the bins that every run has, of none vessel-frames too; nothing of other groups."""
+    """The columns of a group whose bins are the same in every run, also of bins without vessel-frames."""
     keys = _BIN_KEYS if group.name == "occlusion" else _BIN_KEYS[:2]
     none = dict.fromkeys((name for _, name in keys), 0) | {"recall": None, "survived": None}
     found = {each.bin: vars(each) for each in group.rows}
