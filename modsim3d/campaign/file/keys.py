@@ -172,8 +172,8 @@ class Requirement(Strict):
 
     Attributes:
         score: A key of the scores.
-        where: Keys of the campaign → the value, or several, of the runs that it is about. `tracker` too. A `state` that
-            is no key of the campaign is a performance state within the runs.
+        where: Keys of the campaign → the value, or several, of the runs that it is about. `tracker` too. A `state`, a
+            `camera` and the groups of the breakdown that are no keys of the campaign are parts of the runs.
         at_least: The least value that is right.
         at_most: The greatest.
         share: The least share of traffic seeds all of whose runs must have such a value; None: the mean must.

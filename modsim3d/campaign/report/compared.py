@@ -116,7 +116,7 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
     """The differences between trackers over the same seeds, and what the pairing gained."""
     if len(plan.keys.trackers) < 2 or not len(table):
         return []
-    scores = dict.fromkeys(score.key for score in required_scores(plan))
+    scores = dict.fromkeys(each.key for each in required_scores(plan) if each.key in table.column_names)
     found = [each for score in scores for each in paired(plan, table, score)]
     if not found:
         return []
