@@ -21,11 +21,13 @@ class Case:
         tracker: Place of the tracker in the file, from 0.
         condition: Number of the condition.
         state: The performance state whose frames count; None: all frames.
+        minus: Place of the tracker whose score is taken off; None: of none.
     """
 
     tracker: int
     condition: int
     state: str | None = None
+    minus: int | None = None
 
 
 def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
@@ -34,13 +36,14 @@ def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
     A key that is drawn for each traffic seed selects nothing and does not split.
     """
     wanted = wanted_of(requirement)
-    labels = wanted.pop(TRACKER, None)
+    labels = wanted.pop(TRACKER, None) if requirement.of is None else [requirement.of]
     states: list[Any] = [None]
     if STATE not in plan.parameters:
         states = wanted.pop(STATE, states)
     chosen = [index for index, each in enumerate(plan.conditions) if selects(wanted, each)]
     trackers = [index for index, each in enumerate(plan.keys.trackers) if labels is None or each.label in labels]
-    return [Case(tracker, condition, state) for tracker in trackers for condition in chosen for state in states]
+    minus = next((index for index, each in enumerate(plan.keys.trackers) if each.label == requirement.minus), None)
+    return [Case(tracker, condition, state, minus) for tracker in trackers for condition in chosen for state in states]
 
 
 def wanted_of(requirement: Requirement) -> dict[str, list[Any]]:

@@ -12,8 +12,11 @@ from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.verdicts.bounds import Bounds
 from modsim3d.campaign.verdicts.wording import percent
 from modsim3d.campaign.work.row import BY_STATE
+from modsim3d.campaign.work.score_bounds import SHARES
 
 LOW, HIGH = "low", "high"
+DIFFERENCE = "difference"
+"""Before the key of a score, with a point: of differences between two trackers."""
 OFFERS = "mean_offers.json"
 """Beside this file; written by `script/campaign sequences`."""
 
@@ -62,13 +65,15 @@ def too_few(requirement: Requirement, seeds: int, state: bool) -> str:
     if needed <= seeds:
         return ""
     side, where = "lower" if at_least else "upper", " in a state" if state else ""
-    bound = f"the {side} bound of a mean of {requirement.score}{where}"
+    bound = f"the {side} bound of a mean of {requirement.what}{where}"
     if math.isfinite(needed):
         why = "with fewer it errs too often; a share of seeds with `in` is exact"
         return f"{bound} needs {needed:.0f} traffic seeds with a value, and has {seeds}: {why}"
     sure = percent(requirement.confidence)
-    return f"{bound} was not measured to hold with {sure} confidence: ask for a share of seeds with `in`"
+    instead = " or use `stop: sequential`" if requirement.of is not None and requirement.score in SHARES else ""
+    return f"{bound} was not measured to hold with {sure} confidence: ask for a share of seeds with `in`{instead}"
 
 
 def _column(requirement: Requirement, state: bool) -> str:
-    return f"{BY_STATE}.{requirement.score}" if state else requirement.score
+    parts = ([] if requirement.of is None else [DIFFERENCE]) + [BY_STATE] * state
+    return ".".join([*parts, requirement.score])

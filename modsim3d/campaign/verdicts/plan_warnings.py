@@ -9,7 +9,7 @@ from modsim3d.campaign.verdicts.betting import perfect_seeds_needed
 from modsim3d.campaign.verdicts.offers import too_few
 from modsim3d.campaign.verdicts.proportions import clean_seeds_needed, clean_seeds_needed_sequential
 from modsim3d.campaign.verdicts.wording import requirement_text
-from modsim3d.campaign.work.score_bounds import facts_of, score_bounds
+from modsim3d.campaign.work.score_bounds import facts_of, limits_of
 
 
 def warnings_of(plan: Plan) -> list[str]:
@@ -43,7 +43,7 @@ def never_met(keys: CampaignKeys, requirement: Requirement, state: bool, undefin
         undefined: How many traffic seeds are known to have no value.
     """
     seeds = keys.seeds.traffic - undefined
-    least, greatest = score_bounds(requirement.score, keys.score)
+    least, greatest = limits_of(requirement, keys.score)
     at_least, facts = requirement.at_least is not None, facts_of(requirement.score)
     if facts.managed and requirement.resting_on is None:
         return (
@@ -51,7 +51,7 @@ def never_met(keys: CampaignKeys, requirement: Requirement, state: bool, undefin
             f"`resting_on`, as in `resting_on: 0.8`, says on which share of {facts.basis.of} each run must rest"
         )
     if requirement.threshold > greatest if at_least else requirement.threshold < least:
-        return f"{requirement.score} is never {f'above {greatest:g}' if at_least else f'below {least:g}'}"
+        return f"{requirement.what} is never {f'above {greatest:g}' if at_least else f'below {least:g}'}"
     if requirement.share is not None:
         return _share_never_met(requirement.share, requirement.confidence, keys.stop, seeds)
     if requirement.threshold == (greatest if at_least else least):

@@ -26,7 +26,12 @@ def where_problems(requirement: Requirement, where: str, plan: Plan, states: set
         plan: The plan.
         states: Names of the performance states of all detectors.
     """
-    known, found = [TRACKER, SCENE, STATE, *plan.parameters], []
+    known, labels = [TRACKER, SCENE, STATE, *plan.parameters], [each.label for each in plan.keys.trackers]
+    found = [
+        f"{where}.{key}: there is no tracker '{label}' ({nearest(label, labels)})"
+        for key, label in (("of", requirement.of), ("minus", requirement.minus))
+        if label is not None and label not in labels
+    ]
     for key, values in wanted_of(requirement).items():
         if key not in known:
             found.append(f"{where}.where.{key}: is not varied in this campaign ({nearest(key, known)})")
