@@ -45,6 +45,12 @@ def seeds_needed(column: str, bound: str, confidence: float) -> float:
     return max(math.inf if each is None else each for each in around)
 
 
+def offered_from(requirement: Requirement, state: bool) -> float:
+    """From how many seeds on the bound that a requirement on a mean is held against is given."""
+    bound = LOW if requirement.at_least is not None else HIGH
+    return seeds_needed(_column(requirement, state), bound, requirement.confidence)
+
+
 def offered(bounds: Bounds, requirement: Requirement, seeds: int, state: bool) -> Bounds:
     """Bounds of a mean over so many seeds, without those that are not given."""
     column = _column(requirement, state)
@@ -60,11 +66,10 @@ def too_few(requirement: Requirement, seeds: int, state: bool) -> str:
         seeds: The seeds with a value.
         state: Whether it is about a state within the runs.
     """
-    at_least = requirement.at_least is not None
-    needed = seeds_needed(_column(requirement, state), LOW if at_least else HIGH, requirement.confidence)
+    needed = offered_from(requirement, state)
     if needed <= seeds:
         return ""
-    side, where = "lower" if at_least else "upper", " in a state" if state else ""
+    side, where = "lower" if requirement.at_least is not None else "upper", " in a state" if state else ""
     bound = f"the {side} bound of a mean of {requirement.what}{where}"
     if math.isfinite(needed):
         why = "with fewer it errs too often; a share of seeds with `in` is exact"
