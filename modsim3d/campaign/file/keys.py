@@ -263,6 +263,7 @@ class CampaignKeys(Strict):
         trackers: The trackers, all over the same detections.
         score: How tracks are scored.
         require: What must hold.
+        level: `each`: a confidence is that of each verdict; `family`: of all verdicts together, by Holm's step-down.
         stop: `once`: judged when all runs are done; `sequential`: judged after each batch, and ended when decided.
         batch: Traffic seeds between two looks of `sequential`.
         uncertainty: `learned`: draw the detector's parameters from the intervals that `learn` wrote.
@@ -279,6 +280,7 @@ class CampaignKeys(Strict):
     trackers: Annotated[list[TrackerKeys], Field(min_length=1)]
     score: ScoreKeys = Field(default_factory=ScoreKeys)
     require: list[Requirement] = Field(default_factory=list)
+    level: Literal["each", "family"] = "each"
     stop: Literal["once", "sequential"] = "once"
     batch: Annotated[int, Field(strict=True, ge=1)] = 20
     uncertainty: Literal["learned"] | None = None

@@ -16,6 +16,7 @@ from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.results.gather import results_table
 from modsim3d.campaign.verdicts.betting import log_capital
 from modsim3d.campaign.verdicts.bisection import least_whole
+from modsim3d.campaign.verdicts.family import at_step, cases_of_all
 from modsim3d.campaign.verdicts.means import corrected_bounds
 from modsim3d.campaign.verdicts.offers import offered_from
 from modsim3d.campaign.verdicts.plan_warnings import never_met
@@ -94,8 +95,9 @@ def needed_seeds(plan: Plan, expected: Mapping[str, Expected], like: CampaignFol
     """
     rows = None if like is None else Rows(like.plan, results_table(like))
     found = []
-    for place, requirement in enumerate(plan.keys.require):
-        each = []
+    verdicts = len(cases_of_all(plan))
+    for place in range(len(plan.keys.require)):
+        requirement, each = at_step(plan, place, verdicts, 0), []
         for case in cases_of(plan, requirement):
             known = expected.get(requirement.what)
             if known is None and like is not None and rows is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,9 @@ from modsim3d.arrays import Indices
 from modsim3d.campaign.file.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.plan.seeds import traffic_seed
-from modsim3d.campaign.plan.selection import SCENE, STATE, Case, cases_of
+from modsim3d.campaign.plan.selection import SCENE, STATE, Case
 from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds, share_bounds
+from modsim3d.campaign.verdicts.family import at_step, cases_of_all, stepped
 from modsim3d.campaign.verdicts.offers import offered
 from modsim3d.campaign.verdicts.plan_warnings import never_met
 from modsim3d.campaign.verdicts.proportions import clean_seeds_needed
@@ -39,11 +41,21 @@ def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
         plan: The plan.
         table: The rows so far, see `results_table`; those before the first traffic seed that is not whole count.
     """
-    rows = Rows(plan, table)
+    rows, cases = Rows(plan, table), cases_of_all(plan)
+
+    @cache
+    def verdict(index: int, taken: int) -> Verdict:
+        place, case = cases[index]
+        return _verdict(plan, place, at_step(plan, place, len(cases), taken), case, rows)
+
+    if plan.keys.level == "each":
+        return tuple(verdict(index, 0) for index in range(len(cases)))
+    met = stepped(len(cases), lambda index, taken: verdict(index, taken).outcome == "met")
+    failed = stepped(len(cases), lambda index, taken: verdict(index, taken).outcome == "failed")
+    decided, rest = met | failed, min(len(met), len(failed))
     return tuple(
-        _verdict(plan, place, case, rows)
-        for place, requirement in enumerate(plan.keys.require)
-        for case in cases_of(plan, requirement)
+        verdict(index, decided[index]) if index in decided else replace(verdict(index, rest), outcome="undecided")
+        for index in range(len(cases))
     )
 
 
@@ -57,8 +69,8 @@ class _Found:
     why: str
 
 
-def _verdict(plan: Plan, place: int, case: Case, rows: Rows) -> Verdict:
-    requirement, keys = plan.keys.require[place], plan.keys
+def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows: Rows) -> Verdict:
+    keys = plan.keys
     runs = rows.runs_of(case, requirement.score, requirement.resting_on)
     state, undefined = case.state is not None, int(runs.undefined.sum())
     of_mean = requirement.share is None
@@ -82,6 +94,8 @@ def _verdict(plan: Plan, place: int, case: Case, rows: Rows) -> Verdict:
         why.append(f"It rests on {rounded(100 * rests_on)} % of {basis.of}{less}, mean over runs.")
     if met_without_tracks := _met_without_tracks(requirement, keys, runs, rows, case):
         why.append(NO_TRACKS)
+    if keys.level == "family":
+        why.append(f"Judged at {percent(requirement.confidence)}, by Holm for all verdicts together.")
     low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
     return Verdict(
         place,

@@ -6,6 +6,7 @@ from modsim3d.campaign.file.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.plan.selection import cases_of
 from modsim3d.campaign.verdicts.betting import perfect_seeds_needed
+from modsim3d.campaign.verdicts.family import at_step, cases_of_all, stepped
 from modsim3d.campaign.verdicts.offers import too_few
 from modsim3d.campaign.verdicts.proportions import clean_seeds_needed, clean_seeds_needed_sequential
 from modsim3d.campaign.verdicts.wording import requirement_text
@@ -14,9 +15,16 @@ from modsim3d.campaign.work.score_bounds import facts_of, limits_of
 
 def warnings_of(plan: Plan) -> list[str]:
     """What should be said of the requirements of a plan before it is run, a sentence each."""
-    found = []
+    found, cases = [], cases_of_all(plan)
+
+    def reason_at(place: int, taken: int, state: bool) -> str:
+        return never_met(plan.keys, at_step(plan, place, len(cases), taken), state)
+
+    states = [case.state is not None for _, case in cases]
+    family = len(cases) * (plan.keys.level == "family")
+    reached = stepped(family, lambda each, taken: not reason_at(cases[each][0], taken, states[each]))
     for place, requirement in enumerate(plan.keys.require):
-        if reason := never_met(plan.keys, requirement, any(case.state for case in cases_of(plan, requirement))):
+        if reason := reason_at(place, len(reached), any(case.state for case in cases_of(plan, requirement))):
             text = requirement_text(requirement)
             found.append(f"require[{place}] ({text}) can never be met by this plan: {reason}")
     if plan.keys.require and any(factor.latin_hypercube for factor in plan.keys.vary):
