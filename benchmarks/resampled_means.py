@@ -23,11 +23,12 @@ from scipy import stats
 
 import modsim3d
 from modsim3d.campaign.file.keys import ScoreKeys
+from modsim3d.campaign.plan.selection import STATE
 from modsim3d.campaign.verdicts.means import corrected_bounds, half_widths
 from modsim3d.campaign.verdicts.offers import DIFFERENCE, HIGH, LOW
 from modsim3d.campaign.verdicts.proportions import exact_bounds
-from modsim3d.campaign.work.row import BY_STATE, SCORES
-from modsim3d.campaign.work.score_bounds import OF_STATES, score_bounds
+from modsim3d.campaign.work.row import SCORES
+from modsim3d.campaign.work.score_bounds import SCORES_BY, score_bounds
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "campaigns"
 STORED = OUT / "sequences_scores.parquet"
@@ -82,7 +83,7 @@ def make_scores() -> None:
 
 def kept(traffic: str, table: pa.Table) -> pa.Table:
     """The columns of a campaign's rows that are drawn from."""
-    states = [f"{BY_STATE}.{state}.{score}" for state in ("clear", "haze") for score in OF_STATES]
+    states = [f"{STATE}.{state}.{score}" for state in ("clear", "haze") for score in SCORES_BY[STATE]]
     table = table.select(["tracker", "traffic_seed", *SCORES, *states])
     return table.add_column(0, "traffic", pa.array([traffic] * len(table)))
 
@@ -120,7 +121,7 @@ def populations(table: pa.Table) -> Iterator[Population]:
                 values = of_all[(labels[0] == traffic) & (labels[1] == tracker)]
                 values = values[np.isfinite(values)]
                 if len(np.unique(values)) > 1:
-                    part = head.removeprefix(f"{BY_STATE}.") or WHOLE
+                    part = head.removeprefix(f"{STATE}.") or WHOLE
                     yield Population(score, part, traffic, tracker, values, score_bounds(score, keys))
 
 
@@ -242,7 +243,7 @@ def lower_rate(rate: float, campaigns: int) -> float:
 def offer_of(cell: Mapping[str, Any]) -> str:
     """The key of a cell's offer: scores of states, and differences, have their own."""
     score: str = cell["score"]
-    kind = {WHOLE: "", DIFFERENCE: f"{DIFFERENCE}."}.get(cell["part"], f"{BY_STATE}.")
+    kind = {WHOLE: "", DIFFERENCE: f"{DIFFERENCE}."}.get(cell["part"], f"{STATE}.")
     return kind + score
 
 

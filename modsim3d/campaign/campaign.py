@@ -48,7 +48,7 @@ class Campaign:
 
     def _repr_html_(self) -> str:
         """The outcome, and the mean scores of each tracker in each condition."""
-        keys, scores = [*usual_keys(self._opened.plan), "tracker"], usual_scores(self._opened.plan)
+        keys, scores = [*usual_keys(self._opened.plan), "tracker"], usual_scores(self._opened.plan, self.table)
         rows = [
             (*(str(row.values[key]) for key in keys), f"{row.runs:,}", *(_text(row.means[score]) for score in scores))
             for row in self.means()
@@ -80,9 +80,8 @@ class Campaign:
             ModsimError: There is no such key or score.
         """
         plan = self._opened.plan
-        return mean_rows(
-            self.table, usual_keys(plan) if by is None else by, usual_scores(plan) if scores is None else scores
-        )
+        keys, columns = usual_keys(plan) if by is None else by, scores
+        return mean_rows(self.table, keys, usual_scores(plan, self.table) if columns is None else columns)
 
     @cached_property
     def _opened(self) -> CampaignFolder:

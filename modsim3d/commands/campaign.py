@@ -212,7 +212,7 @@ def _print_result(result: CampaignResult) -> None:
     print_verdicts(console, "requirements", result.verdicts, reasons=True)
     for sentence in levels_of(plan).sentences():
         print_prose(console, sentence, "dim")
-    rows = mean_rows(result.table, usual_keys(plan), usual_scores(plan))
+    rows = mean_rows(result.table, usual_keys(plan), usual_scores(plan, result.table))
     shown_rows = without_judged(plan, rows, result.verdicts)
     above = "" if shown_rows == rows else "; those of requirements are above"
     print_means(console, f"mean scores [95 % interval over traffic seeds{above}]", shown_rows)
@@ -276,5 +276,5 @@ def _result_json(result: CampaignResult) -> dict[str, Any]:
         "done": len(result.table),
         "crashed": crashed_runs(result.table),
         "verdicts": [asdict(verdict) for verdict in result.verdicts],
-        "means": [asdict(row) for row in mean_rows(result.table, usual_keys(plan), usual_scores(plan))],
+        "means": [asdict(row) for row in mean_rows(result.table, usual_keys(plan), usual_scores(plan, result.table))],
     }

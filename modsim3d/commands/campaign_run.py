@@ -151,11 +151,14 @@ def _sentences(again: RunAgain) -> list[str]:
 
 
 def _score_rows(campaign: CampaignFolder, again: RunAgain) -> list[tuple[str, ...]]:
+    from modsim3d.campaign.verdicts.seed_values import columns_of
     from modsim3d.tracking.report.numbers import COLUMNS, number
 
     row, before = again.row or {}, again.before or {}
     known = {key: (name, decimals) for name, key, decimals in COLUMNS}
-    keys = dict.fromkeys([*(each.score for each in campaign.keys.require), *known])
+    keys = dict.fromkeys(
+        [*(column for each in campaign.keys.require for column in columns_of(campaign.plan, each)), *known]
+    )
     rows = [
         (known.get(key, (key, 3))[0], *(number(each.get(key), known.get(key, (key, 3))[1]) for each in (before, row)))
         for key in keys

@@ -72,7 +72,7 @@ def campaign_table_command(
         with timed("reading the rows"):
             table = rows_of(opened)
         keys = list(by or usual_keys(opened.plan))
-        rows = [] if runs else mean_rows(table, keys, list(score or usual_scores(opened.plan)))
+        rows = [] if runs else mean_rows(table, keys, list(score or usual_scores(opened.plan, table)))
         if out is not None:
             _write(out, table if runs else flat_table(rows))
     if not runs:

@@ -220,11 +220,14 @@ def mean_text(mean: Mean, most: int) -> str:
 
 def without_judged(plan: Plan, rows: Sequence[MeanRow], verdicts: Sequence[Verdict]) -> list[MeanRow]:
     """Means without the intervals of those that have a verdict, which are printed with it."""
-    said = [
-        (plan.keys.require[each.requirement].score, {**each.values, "tracker": each.tracker})
-        for each in verdicts
-        if plan.keys.require[each.requirement].share is None
-    ]
+    from modsim3d.campaign.plan.selection import groups_of
+
+    said = []
+    for each in verdicts:
+        requirement, values = plan.keys.require[each.requirement], {**each.values, "tracker": each.tracker}
+        part = [f"{key}.{values.pop(key)}." for key in groups_of(plan, requirement)]
+        if requirement.share is None:
+            said.append(("".join([*part, requirement.score]), values))
     return [
         replace(
             row,

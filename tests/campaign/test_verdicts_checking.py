@@ -19,7 +19,7 @@ DRAWN = {"vary": [{"uniform": {"state": {"choices": ["good", "bad"]}}}]}
     ("keys", "requirement", "said"),
     [
         ({"stop": "sequential"}, GOSPA, "require[0]: with stop: sequential a mean needs"),
-        ({}, {**GOSPA, "where": {"state": "bad"}}, "require[0].score: gospa is not known of a state"),
+        ({}, {**GOSPA, "where": {"state": "bad"}}, "require[0].score: gospa is not known by state (known: hota, "),
         (DETECTORS, {**HOTA, "where": {"state": "bad"}}, "the detector of condition 1 has no state 'bad'"),
         (
             GRID,

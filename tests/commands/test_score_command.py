@@ -63,7 +63,7 @@ def test_detector_seeds_are_a_table_at_80_columns(
 
 
 def test_tracks_are_named_once_in_the_help(modsim3d: Modsim3d) -> None:
-    usage = modsim3d("score", "-h").out.split("Options")[0]
+    usage = modsim3d("score", "-h").out.split("Example")[0]
     assert usage.count("RUN") == usage.count("TRACKS") == 1
 
 

@@ -40,7 +40,7 @@ EXPECTED = {
         *(Bin("before", 2, 1, FIRST), Bin("during", 2, 0.5, SECOND), Bin("after", 2, 0.5, FIRST)),
         Bin("elsewhere", 1, 1, FIRST),
     ],
-    "occlusion": [Bin("3 to 10", 2, 0.5, SECOND, occlusions=1, judged=1, survived=1)],
+    "occlusion": [Bin("3 to 10", 2, 0.5, SECOND, occlusions=1, judged=1, survived=1, to_survive=1)],
     "range": [
         *(Bin("0 to 100", 1, 1, FIRST), Bin("100 to 200", 2, 1, FIRST), Bin("200 to 400", 1, 1, SECOND)),
         *(Bin("400 to 800", 1, 0, None), Bin("800 and more", 2, 0.5, FIRST)),

@@ -172,8 +172,8 @@ class Requirement(Strict):
 
     Attributes:
         score: A key of the scores.
-        where: Keys of the campaign → the value, or several, of the runs that it is about. `tracker` too. A `state` that
-            is no key of the campaign is a performance state within the runs.
+        where: Keys of the campaign → the value, or several, of the runs that it is about. `tracker` too. A `state`, a
+            `camera` and the groups of the breakdown that are no keys of the campaign are parts of the runs.
         of: Label of a tracker: it is about the score of that one less that of `minus`, with the same seeds; None: about
             the score of each tracker.
         minus: Label of the other.

@@ -1,4 +1,4 @@
-"""What a requirement is about: which trackers, conditions and performance states."""
+"""What a requirement is about: which trackers, conditions and parts of the runs."""
 
 from __future__ import annotations
 
@@ -9,8 +9,24 @@ from typing import Any
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.conditions import TRACKER, Condition
 from modsim3d.campaign.plan.plan import Plan
+from modsim3d.tracking.scores.breakdown import BINS
 
-STATE, SCENE = "state", "scene"
+STATE, CAMERA, SCENE = "state", "camera", "scene"
+GROUPS = (STATE, CAMERA, *BINS)
+"""What divides each run into parts that have scores of their own."""
+
+
+@dataclass(frozen=True)
+class RunPart:
+    """A part of each run.
+
+    Attributes:
+        group: What divides the runs, one of `GROUPS`.
+        name: Of a performance state, a camera, or a bin of the breakdown.
+    """
+
+    group: str
+    name: str
 
 
 @dataclass(frozen=True)
@@ -20,30 +36,45 @@ class Case:
     Attributes:
         tracker: Place of the tracker in the file, from 0.
         condition: Number of the condition.
-        state: The performance state whose frames count; None: all frames.
+        part: The part of the runs that counts; None: all of them.
         minus: Place of the tracker whose score is taken off; None: of none.
     """
 
     tracker: int
     condition: int
-    state: str | None = None
+    part: RunPart | None = None
     minus: int | None = None
+
+    @property
+    def group(self) -> str:
+        """What divides the runs; empty if all of them count."""
+        return self.part.group if self.part else ""
+
+    @property
+    def within(self) -> str:
+        """The part of the runs in words, such as ` in state haze`; empty if all of them count."""
+        return f" in {self.part.group} {self.part.name}" if self.part else ""
 
 
 def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
-    """The cases of a requirement, by tracker, condition and state.
+    """The cases of a requirement, by tracker, condition and part of the runs.
 
     A key that is drawn for each traffic seed selects nothing and does not split.
     """
     wanted = wanted_of(requirement)
     labels = wanted.pop(TRACKER, None) if requirement.of is None else [requirement.of]
-    states: list[Any] = [None]
-    if STATE not in plan.parameters:
-        states = wanted.pop(STATE, states)
+    named = [RunPart(key, str(name)) for key in groups_of(plan, requirement) for name in wanted.pop(key)]
+    parts: list[RunPart | None] = [*dict.fromkeys(named)]
     chosen = [index for index, each in enumerate(plan.conditions) if selects(wanted, each)]
     trackers = [index for index, each in enumerate(plan.keys.trackers) if labels is None or each.label in labels]
     minus = next((index for index, each in enumerate(plan.keys.trackers) if each.label == requirement.minus), None)
-    return [Case(tracker, condition, state, minus) for tracker in trackers for condition in chosen for state in states]
+    cases = ((tracker, condition) for tracker in trackers for condition in chosen)
+    return [Case(*each, part, minus) for each in cases for part in parts or [None]]
+
+
+def groups_of(plan: Plan, requirement: Requirement) -> list[str]:
+    """The keys of `where` that name parts of the runs; a key that is varied selects conditions."""
+    return [key for key in GROUPS if key in requirement.where and key not in plan.parameters]
 
 
 def wanted_of(requirement: Requirement) -> dict[str, list[Any]]:

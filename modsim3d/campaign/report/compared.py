@@ -118,7 +118,7 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
     """The differences between trackers over the same seeds, and what the pairing gained."""
     if len(plan.keys.trackers) < 2 or not len(table):
         return []
-    scores = dict.fromkeys(score.key for score in required_scores(plan))
+    scores = dict.fromkeys(each.key for each in required_scores(plan) if each.key in table.column_names)
     found = [each for score in scores for each in paired(plan, table, score)]
     if not found:
         return []
@@ -127,7 +127,7 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
         for requirement in plan.keys.require
         if requirement.share is None
         for case in cases_of(plan, requirement)
-        if case.state is None
+        if case.part is None
     }
     said = [(each.score, each.condition, frozenset((each.first, each.second))) in judged for each in found]
     found = [replace(each, low=None, high=None) if here else each for each, here in zip(found, said, strict=True)]

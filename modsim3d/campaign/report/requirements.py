@@ -10,10 +10,11 @@ import numpy as np
 
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.plan.selection import groups_of
 from modsim3d.campaign.report.tables import without_empty
 from modsim3d.campaign.report.words import MOST_KEYS, condition_cells, number, shown, varying, with_interval
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
-from modsim3d.campaign.verdicts.wording import percent
+from modsim3d.campaign.verdicts.wording import percent, requirement_text
 from modsim3d.display import counted
 from modsim3d.view.pages import page
 from modsim3d.view.pages.intervals import Interval, span_of, strip
@@ -67,7 +68,7 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> list[str]:
     for place in sorted(range(len(by_requirement)), key=lambda each: ORDER.index(outcome_of(by_requirement[each]))):
         found = by_requirement[place]
         requirement = plan.keys.require[place]
-        text = ", ".join([found[0].text if found else requirement.score, *_where(plan, requirement)])
+        text = ", ".join([requirement_text(requirement), *_where(plan, requirement)])
         count = Counter(each.outcome for each in found)
         said = SIGNS[outcome_of(found)]
         if len(count) > 1:
@@ -89,11 +90,12 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
     if requirement.share is not None:
         what, span = "share of seeds", (max(0.0, span[0]), min(1.0, span[1]))
     keys = varying(plan)
-    columns = keys if len(keys) <= MOST_KEYS else ["condition"]
+    groups = groups_of(plan, requirement)
+    columns = [*(keys if len(keys) <= MOST_KEYS else ["condition"]), *groups]
     levels = ", ".join(dict.fromkeys(percent(each.confidence) for each in shown)) or percent(requirement.confidence)
     interval = f"{what} [interval, each end {levels}]"
     header = ("tracker", *columns, "outcome", interval, _axis(limit, least, span), *OFTEN_EMPTY, "seeds")
-    rows = [_row(each, plan, keys, limit, least, span) for each in shown]
+    rows = [_row(each, plan, keys, groups, limit, least, span) for each in shown]
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
     bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
     notes = {place: _note(each, limit) for place, each in enumerate(shown)}
@@ -111,13 +113,20 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
 
 
 def _row(
-    each: Verdict, plan: Plan, keys: Sequence[str], limit: float, least: bool, span: tuple[float, float]
+    each: Verdict,
+    plan: Plan,
+    keys: Sequence[str],
+    groups: Sequence[str],
+    limit: float,
+    least: bool,
+    span: tuple[float, float],
 ) -> tuple[str, ...]:
     values = (_or_nan(each.estimate), _or_nan(each.low), _or_nan(each.high))
     said = with_interval(each.estimate, *values[1:])
     return (
         each.tracker,
         *condition_cells(plan, each.condition, keys),
+        *(str(each.values[group]) for group in groups),
         SIGNS[each.outcome],
         said,
         strip(Interval(*values), limit, least, span, f"{said} against {number(limit)}"),
@@ -136,10 +145,9 @@ def _note(each: Verdict, limit: float) -> str:
 
 
 def _where(plan: Plan, requirement: Requirement) -> list[str]:
-    """The trackers and conditions that a requirement is about, if not all; a state within the runs is in its text."""
-    known = ("tracker", "scene", *plan.parameters)
+    """The trackers, conditions and parts of the runs that a requirement is about, if not all."""
     given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
-    return [f"{key} {' or '.join(map(shown, values))}" for key, values in given.items() if key in known]
+    return [f"{key} {' or '.join(map(shown, values))}" for key, values in given.items()]
 
 
 def _limit(requirement: Requirement) -> tuple[float, bool]:

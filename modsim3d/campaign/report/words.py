@@ -13,7 +13,6 @@ from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.results.done_rows import text_of
 from modsim3d.campaign.verdicts.seed_values import columns_of
-from modsim3d.campaign.work.row import BY_STATE
 from modsim3d.campaign.work.score_bounds import SHARES
 from modsim3d.tracking.report.numbers import COLUMNS, UNKNOWN
 
@@ -51,14 +50,14 @@ class Score:
 
     @property
     def key(self) -> str:
-        """Its key, without the state that it is of."""
+        """Its key, without the part of the runs that it is of."""
         return self.column.rpartition(".")[2]
 
     @property
     def name(self) -> str:
         """Its name in a table."""
-        state = self.column.split(".")[1] if self.column.startswith(f"{BY_STATE}.") else ""
-        return _NAMES.get(self.key, self.key) + (f" in state {state}" if state else "")
+        group, _, name = self.column.rpartition(".")[0].partition(".")
+        return _NAMES.get(self.key, self.key) + (f" in {group} {name}" if group else "")
 
     @property
     def label(self) -> str:

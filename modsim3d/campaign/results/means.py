@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.verdicts.means import half_widths
+from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.work.row import CRASHED
 from modsim3d.errors import ModsimError
 from modsim3d.inputs.validation import nearest
@@ -62,9 +63,10 @@ def usual_keys(plan: Plan) -> tuple[str, ...]:
     return tuple(key for key in plan.parameters if key not in plan.drawn)
 
 
-def usual_scores(plan: Plan) -> tuple[str, ...]:
-    """The scores that requirements are about, and some others."""
-    return tuple(dict.fromkeys([*(each.score for each in plan.keys.require), *USUAL]))
+def usual_scores(plan: Plan, table: pa.Table) -> tuple[str, ...]:
+    """The columns that requirements are about, as far as there are rows with them, and those of some other scores."""
+    required = [column for each in plan.keys.require for column in columns_of(plan, each)]
+    return tuple(dict.fromkeys(each for each in (*required, *USUAL) if each in table.column_names))
 
 
 def mean_rows(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> list[MeanRow]:

@@ -103,7 +103,7 @@ def needed_seeds(plan: Plan, expected: Mapping[str, Expected], like: CampaignFol
             if known is None and like is not None and rows is not None:
                 known = _seen(plan, case, requirement, like.plan, rows)
             label = " − ".join(_labels(plan, case))
-            empty = NeededSeeds(place, requirement_text(requirement, case.state), label, case.condition)
+            empty = NeededSeeds(place, requirement_text(requirement, case.within), label, case.condition)
             each.append(_with_seeds(empty, plan, requirement, case, known if requirement.share is None else None))
         if len(each) > 1 and len({(one.seeds, one.why) for one in each}) == 1:
             each = [replace(each[0], tracker=None, condition=None)]
@@ -120,14 +120,14 @@ def _with_seeds(
 ) -> NeededSeeds:
     share, sure, once = requirement.share, requirement.confidence, plan.keys.stop == "once"
     endless = plan.keys.model_copy(update={"seeds": Seeds(traffic=MOST_SEEDS)})
-    if reason := never_met(endless, requirement, case.state is not None):
+    if reason := never_met(endless, requirement, case.group):
         return replace(empty, why=f"never: {reason}")
     if share is not None and not once:
         return replace(empty, seeds=clean_seeds_needed_sequential(share, sure), why="if all are right")
     if share is not None:
         clean, more = (clean_seeds_needed(share, sure, wrong) for wrong in (0, 1))
         return replace(empty, seeds=clean, why=f"if all are right; {more:,} if one is not")
-    least = int(offered_from(requirement, case.state is not None)) if once else 1
+    least = int(offered_from(requirement, case.group)) if once else 1
     if expected is None:
         why = f"unknown, {least} or more: it needs --expect '{requirement.what}=MEAN:SPREAD', or --like DIR that has it"
         return replace(empty, why=why)
@@ -155,7 +155,7 @@ def _seen(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: Ro
     if not same or not set(_labels(plan, case)) <= set(labels):
         return None
     tracker, *minus = (labels.index(each) for each in _labels(plan, case))
-    there = Case(tracker, same[0], case.state, *minus)
+    there = Case(tracker, same[0], case.part, *minus)
     runs = rows.runs_of(there, requirement.score, requirement.resting_on)
     means = runs.means(math.nan)
     means = means[np.isfinite(means)]

@@ -16,7 +16,7 @@ from modsim3d.arrays import Indices
 from modsim3d.campaign.file.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.plan.seeds import traffic_seed
-from modsim3d.campaign.plan.selection import SCENE, STATE, Case
+from modsim3d.campaign.plan.selection import SCENE, Case
 from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds, share_bounds
 from modsim3d.campaign.verdicts.family import at_step, cases_of_all, stepped
 from modsim3d.campaign.verdicts.offers import offered
@@ -25,7 +25,7 @@ from modsim3d.campaign.verdicts.proportions import clean_seeds_needed
 from modsim3d.campaign.verdicts.seed_values import Rows, Runs
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.campaign.verdicts.wording import counted, percent, requirement_text, rounded, rounded_down, rounded_up
-from modsim3d.campaign.work.score_bounds import IN_STATE, facts_of, limits_of, without_tracks
+from modsim3d.campaign.work.score_bounds import facts_of, limits_of, without_tracks
 
 NO_TRACKS = "No tracks at all would meet it too: `resting_on` asks for a share of vessel-frames to be followed."
 _NAMED = 5
@@ -72,11 +72,11 @@ class _Found:
 def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows: Rows) -> Verdict:
     keys = plan.keys
     runs = rows.runs_of(case, requirement.score, requirement.resting_on)
-    state, undefined = case.state is not None, int(runs.undefined.sum())
+    group, undefined = case.group, int(runs.undefined.sum())
     of_mean = requirement.share is None
     own = rows.runs_of(replace(case, minus=None), requirement.score, requirement.resting_on)
-    found = _of_mean(requirement, runs, own, keys, state) if of_mean else _of_share(requirement, runs, keys)
-    impossible = never_met(keys, requirement, state, undefined)
+    found = _of_mean(requirement, runs, own, keys, group) if of_mean else _of_share(requirement, runs, keys)
+    impossible = never_met(keys, requirement, group, undefined)
     if found.outcome == "met" and impossible:
         found = replace(found, outcome="undecided")
     why = [found.why]
@@ -85,13 +85,11 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     elif found.outcome == "undecided" and impossible:
         why.append(f"This plan can never meet it: {impossible}.")
     why += _of_lost(runs, requirement, keys)
-    name = requirement.what if case.state is None else f"{requirement.what} in state {case.state}"
-    why += _of_left_out(runs, requirement, name, keys.seed)
-    facts, rests_on = facts_of(requirement.score), runs.rests_on
+    why += _of_left_out(runs, requirement, requirement.what + case.within, keys.seed)
+    facts, rests_on = facts_of(requirement.score, group), runs.rests_on
     if rests_on is not None and (facts.managed or requirement.resting_on is not None):
-        basis = facts.basis if case.state is None else IN_STATE
         less = "" if case.minus is None else ", the less of both trackers"
-        why.append(f"It rests on {rounded(100 * rests_on)} % of {basis.of}{less}, mean over runs.")
+        why.append(f"It rests on {rounded(100 * rests_on)} % of {facts.basis.of}{less}, mean over runs.")
     if met_without_tracks := _met_without_tracks(requirement, keys, runs, rows, case):
         why.append(NO_TRACKS)
     if keys.level == "family":
@@ -99,7 +97,7 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
     return Verdict(
         place,
-        requirement_text(requirement, case.state),
+        requirement_text(requirement, case.within),
         " − ".join(keys.trackers[place].label for place in (case.tracker, case.minus) if place is not None),
         case.condition,
         found.outcome,
@@ -166,10 +164,10 @@ def _met_without_tracks(requirement: Requirement, keys: CampaignKeys, runs: Runs
 
 
 def _values(plan: Plan, case: Case) -> dict[str, Any]:
-    """The values of the varied keys, and the state if it is none of them."""
+    """The values of the varied keys, and the part of the runs if it names one."""
     condition = plan.conditions[case.condition]
     scene = {SCENE: Path(condition.scene).stem} if SCENE in plan.parameters else {}
-    return {**scene, **condition.values, **({} if case.state is None else {STATE: case.state})}
+    return {**scene, **condition.values, **({} if case.part is None else {case.group: case.part.name})}
 
 
 def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Found:
@@ -193,14 +191,14 @@ def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Foun
     return _Found(outcome, float(right.mean()), bounds, why)
 
 
-def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys, state: bool) -> _Found:
+def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys, group: str) -> _Found:
     """What is found of a mean; `own` are the runs of the tracker itself, if they are not those of a difference."""
     limits = least, greatest = limits_of(requirement, keys.score)
     worst, best, seen = runs.means(least), runs.means(greatest), runs.means(math.nan)
     if not len(worst):
         return _Found("undecided", None, UNKNOWN, "No traffic seed has a value.")
     every = mean_bounds(worst, best, requirement.confidence, keys.stop, limits)
-    bounds = offered(every, requirement, len(worst), state) if keys.stop == "once" else every
+    bounds = offered(every, requirement, len(worst), group) if keys.stop == "once" else every
     if requirement.at_least is not None:
         outcome = _outcome(bounds.low >= requirement.threshold, bounds.high < requirement.threshold)
     else:

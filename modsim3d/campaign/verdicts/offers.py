@@ -11,7 +11,6 @@ from typing import Any
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.verdicts.bounds import Bounds
 from modsim3d.campaign.verdicts.wording import percent
-from modsim3d.campaign.work.row import BY_STATE
 from modsim3d.campaign.work.score_bounds import SHARES
 
 LOW, HIGH = "low", "high"
@@ -32,7 +31,7 @@ def seeds_needed(column: str, bound: str, confidence: float) -> float:
     """The least number of traffic seeds with a value from which on a bound of their mean is given; infinite: never.
 
     Args:
-        column: A key of the scores; with `state.` before it for a state within the runs.
+        column: A key of the scores; with `state.` before it for a state within the runs, and so on.
         bound: `LOW` or `HIGH`.
         confidence: The confidence; between two that were measured, both must hold, and beyond them nothing is given.
     """
@@ -45,31 +44,31 @@ def seeds_needed(column: str, bound: str, confidence: float) -> float:
     return max(math.inf if each is None else each for each in around)
 
 
-def offered_from(requirement: Requirement, state: bool) -> float:
+def offered_from(requirement: Requirement, group: str) -> float:
     """From how many seeds on the bound that a requirement on a mean is held against is given."""
     bound = LOW if requirement.at_least is not None else HIGH
-    return seeds_needed(_column(requirement, state), bound, requirement.confidence)
+    return seeds_needed(_column(requirement, group), bound, requirement.confidence)
 
 
-def offered(bounds: Bounds, requirement: Requirement, seeds: int, state: bool) -> Bounds:
+def offered(bounds: Bounds, requirement: Requirement, seeds: int, group: str) -> Bounds:
     """Bounds of a mean over so many seeds, without those that are not given."""
-    column = _column(requirement, state)
+    column = _column(requirement, group)
     low, high = (seeds_needed(column, bound, requirement.confidence) <= seeds for bound in (LOW, HIGH))
     return Bounds(bounds.low if low else -math.inf, bounds.high if high else math.inf)
 
 
-def too_few(requirement: Requirement, seeds: int, state: bool) -> str:
+def too_few(requirement: Requirement, seeds: int, group: str) -> str:
     """Why a mean over so many seeds, looked at once, cannot be met; empty if it can.
 
     Args:
         requirement: The requirement.
         seeds: The seeds with a value.
-        state: Whether it is about a state within the runs.
+        group: What divides the runs into parts, if it is about one.
     """
-    needed = offered_from(requirement, state)
+    needed = offered_from(requirement, group)
     if needed <= seeds:
         return ""
-    side, where = "lower" if requirement.at_least is not None else "upper", " in a state" if state else ""
+    side, where = "lower" if requirement.at_least is not None else "upper", f" by {group}" if group else ""
     bound = f"the {side} bound of a mean of {requirement.what}{where}"
     if math.isfinite(needed):
         why = "with fewer it errs too often; a share of seeds with `in` is exact"
@@ -79,6 +78,5 @@ def too_few(requirement: Requirement, seeds: int, state: bool) -> str:
     return f"{bound} was not measured to hold with {sure} confidence: ask for a share of seeds with `in`{instead}"
 
 
-def _column(requirement: Requirement, state: bool) -> str:
-    parts = ([] if requirement.of is None else [DIFFERENCE]) + [BY_STATE] * state
-    return ".".join([*parts, requirement.score])
+def _column(requirement: Requirement, group: str) -> str:
+    return ".".join(filter(None, ["" if requirement.of is None else DIFFERENCE, group, requirement.score]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from modsim3d.campaign.file.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.plan.selection import cases_of
+from modsim3d.campaign.plan.selection import groups_of
 from modsim3d.campaign.verdicts.betting import perfect_seeds_needed
 from modsim3d.campaign.verdicts.family import at_step, cases_of_all, stepped
 from modsim3d.campaign.verdicts.offers import too_few
@@ -17,14 +17,13 @@ def warnings_of(plan: Plan) -> list[str]:
     """What should be said of the requirements of a plan before it is run, a sentence each."""
     found, cases = [], cases_of_all(plan)
 
-    def reason_at(place: int, taken: int, state: bool) -> str:
-        return never_met(plan.keys, at_step(plan, place, len(cases), taken), state)
+    def reason_at(place: int, taken: int, group: str) -> str:
+        return never_met(plan.keys, at_step(plan, place, len(cases), taken), group)
 
-    states = [case.state is not None for _, case in cases]
     family = len(cases) * (plan.keys.level == "family")
-    reached = stepped(family, lambda each, taken: not reason_at(cases[each][0], taken, states[each]))
+    reached = stepped(family, lambda each, taken: not reason_at(cases[each][0], taken, cases[each][1].group))
     for place, requirement in enumerate(plan.keys.require):
-        if reason := reason_at(place, len(reached), any(case.state for case in cases_of(plan, requirement))):
+        if reason := reason_at(place, len(reached), next(iter(groups_of(plan, requirement)), "")):
             text = requirement_text(requirement)
             found.append(f"require[{place}] ({text}) can never be met by this plan: {reason}")
     if plan.keys.require and any(factor.latin_hypercube for factor in plan.keys.vary):
@@ -41,13 +40,13 @@ def warnings_of(plan: Plan) -> list[str]:
     return found
 
 
-def never_met(keys: CampaignKeys, requirement: Requirement, state: bool, undefined: int = 0) -> str:
+def never_met(keys: CampaignKeys, requirement: Requirement, group: str, undefined: int = 0) -> str:
     """Why a plan is too small to meet a requirement, whatever its runs give; empty if it is not.
 
     Args:
         keys: The keys of the campaign.
         requirement: The requirement.
-        state: Whether it is about a state within the runs.
+        group: What divides the runs into parts, if it is about one.
         undefined: How many traffic seeds are known to have no value.
     """
     seeds = keys.seeds.traffic - undefined
@@ -66,7 +65,7 @@ def never_met(keys: CampaignKeys, requirement: Requirement, state: bool, undefin
         end = "greatest" if at_least else "least"
         return f"no number of runs shows that a mean is the {end} possible value: ask for a share of seeds with `in`"
     if keys.stop == "once":
-        return too_few(requirement, seeds, state)
+        return too_few(requirement, seeds, group)
     asked = requirement.threshold - least if at_least else greatest - requirement.threshold
     needed = perfect_seeds_needed(asked / (greatest - least), requirement.confidence)
     if needed > seeds:

@@ -12,8 +12,8 @@ from modsim3d.arrays import Array, Mask
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.plan.selection import Case, cases_of
-from modsim3d.campaign.work.row import BY_STATE, CRASHED
-from modsim3d.campaign.work.score_bounds import IN_STATE, Columns, facts_of
+from modsim3d.campaign.work.row import CRASHED
+from modsim3d.campaign.work.score_bounds import Columns, facts_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +87,12 @@ class Runs:
 
 
 def column_of(score: str, case: Case) -> str:
-    """The column of a score: that of the whole run, or of a state within it."""
-    return score if case.state is None else f"{BY_STATE}.{case.state}.{score}"
+    """The column of a score: that of the whole run, or of a part of it."""
+    return score if case.part is None else f"{case.part.group}.{case.part.name}.{score}"
 
 
 def columns_of(plan: Plan, requirement: Requirement) -> list[str]:
-    """The columns that a requirement is about: several if it names several states within the runs."""
+    """The columns that a requirement is about: several if it names several parts of the runs."""
     return list(dict.fromkeys(column_of(requirement.score, case) for case in cases_of(plan, requirement)))
 
 
@@ -112,7 +112,7 @@ class Rows:
         """The runs of a case.
 
         Args:
-            case: A tracker in a condition, or in a state of it.
+            case: A tracker in a condition, or in a part of its runs.
             score: A key of the scores.
             resting_on: The least share that the score of a run must rest on, of both trackers in a difference.
         """
@@ -120,19 +120,19 @@ class Rows:
             both = (replace(case, tracker=tracker, minus=None) for tracker in (case.tracker, case.minus))
             one, other = (self.runs_of(each, score, resting_on) for each in both)
             return one.minus(other)
-        facts, column = facts_of(score), self.columns(case)
+        facts, column = facts_of(score, case.group), self.columns(case)
         values, crashed = column(score), self._crashed[self._place(case)]
-        there = column(facts.expected if case.state is None else "vessel_frames") > 0
+        there = column(facts.expected) > 0
         if facts.of_faults:
             there &= column("established") == 0
-        share = (facts.basis if case.state is None else IN_STATE).share(column)
+        share = facts.basis.share(column)
         nothing = np.isnan(values) & there & facts.managed & ~crashed
         if resting_on is not None:
             nothing |= share < resting_on
         return Runs(np.where(nothing, np.nan, values), crashed, nothing, share)
 
     def columns(self, case: Case) -> Columns:
-        """The columns of the runs of a case, each of the shape (s, d): those of a state, if it is about one."""
+        """The columns of the runs of a case, each of the shape (s, d): those of a part, if it is about one."""
 
         def column(name: str) -> Array:
             name = column_of(name, case)

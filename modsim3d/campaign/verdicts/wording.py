@@ -9,14 +9,13 @@ from modsim3d.campaign.file.keys import Requirement
 _DIGITS = 4
 
 
-def requirement_text(requirement: Requirement, state: str | None = None) -> str:
+def requirement_text(requirement: Requirement, within: str = "") -> str:
     """A requirement in words, such as `hota at least 0.6 in state haze`."""
     side = "at least" if requirement.at_least is not None else "at most"
     text = f"{requirement.what} {side} {requirement.threshold:.10g}"
     if requirement.resting_on is not None:
         text += f" resting on {percent(requirement.resting_on)}"
-    if state is not None:
-        text += f" in state {state}"
+    text += within
     return text if requirement.share is None else f"{text}, in {percent(requirement.share)} of traffic seeds"
 
 

@@ -12,11 +12,12 @@ from modsim3d.campaign.file.reading import CampaignFile
 from modsim3d.campaign.plan.conditions import count_conditions
 from modsim3d.campaign.plan.drawn import value_at
 from modsim3d.campaign.plan.plan import Plan, PlannedRun
+from modsim3d.campaign.plan.selection import CAMERA, STATE
 from modsim3d.campaign.work.digests import detector_digest, digest, plan_digest, versions
 from modsim3d.campaign.work.files import checksums
 from modsim3d.campaign.work.refusals import condition_problems, key_readings, tracker_problems
-from modsim3d.campaign.work.requirement_problems import judging_problems, where_problems
-from modsim3d.campaign.work.row import SCORES, rules_of
+from modsim3d.campaign.work.requirement_problems import judging_problems, score_problems, where_problems
+from modsim3d.campaign.work.row import rules_of
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.search_checks import search_problems, search_versions
 from modsim3d.display import counted
@@ -24,6 +25,7 @@ from modsim3d.errors import InputError, ModsimError
 from modsim3d.inputs.plugins import Plugin, changed_plugins
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.scene.reading import shipped_scenes
+from modsim3d.tracking.scores.breakdown import BINS
 from modsim3d.tracking.trackers.registry import named_tracker
 
 MOST_CONDITIONS = 10_000
@@ -208,9 +210,7 @@ def _ends(keys: CampaignKeys) -> Iterator[dict[str, Any]]:
 def _score_problems(keys: CampaignKeys) -> Iterator[str]:
     """Scores that are not there, where no more can be said of the requirements yet."""
     for place, requirement in enumerate(keys.require):
-        if requirement.score not in SCORES:
-            hint = nearest(requirement.score, SCORES)
-            yield f"require[{place}].score: there is no score '{requirement.score}' ({hint})"
+        yield from score_problems(requirement, f"require[{place}]")
 
 
 def _problems(keys: CampaignKeys) -> Iterator[str]:
@@ -291,10 +291,10 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugin
 
 
 def _requirement_problems(plan: Plan, facts: list[ConditionFacts]) -> Iterator[str]:
-    states = {state for each in facts for state in each.states}
+    states = sorted({state for each in facts for state in each.states})
+    parts = {**BINS, STATE: states, CAMERA: sorted({camera for each in facts for camera in each.cameras})}
     for place, requirement in enumerate(plan.keys.require):
         where = f"require[{place}]"
-        if requirement.score not in SCORES:
-            yield f"{where}.score: there is no score '{requirement.score}' ({nearest(requirement.score, SCORES)})"
-        yield from where_problems(requirement, where, plan, states)
+        yield from score_problems(requirement, where)
+        yield from where_problems(requirement, where, plan, parts)
         yield from judging_problems(requirement, where, plan, facts)

@@ -2,36 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.conditions import TRACKER
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.plan.selection import SCENE, STATE, cases_of, same, value_of, wanted_of
+from modsim3d.campaign.plan.selection import CAMERA, SCENE, STATE, cases_of, groups_of, same, value_of, wanted_of
 from modsim3d.campaign.work.row import SCORES
-from modsim3d.campaign.work.score_bounds import OF_STATES, is_bounded
+from modsim3d.campaign.work.score_bounds import RECALL, SCORES_BY, is_bounded
 from modsim3d.inputs.validation import nearest, shown
+
+Names = Sequence[str]
 
 if TYPE_CHECKING:
     from modsim3d.campaign.work.checking import ConditionFacts
 
 
-def where_problems(requirement: Requirement, where: str, plan: Plan, states: set[str]) -> Iterator[str]:
+def where_problems(requirement: Requirement, where: str, plan: Plan, parts: Mapping[str, Names]) -> Iterator[str]:
     """What `where` names that no run has: a requirement that is about no run would never be judged.
 
     Args:
         requirement: The requirement.
         where: Its place in the file.
         plan: The plan.
-        states: Names of the performance states of all detectors.
+        parts: Names of the parts of all runs, by what divides them.
     """
-    known, labels = [TRACKER, SCENE, STATE, *plan.parameters], [each.label for each in plan.keys.trackers]
+    known, labels = [TRACKER, SCENE, *SCORES_BY, *plan.parameters], [each.label for each in plan.keys.trackers]
     found = [
         f"{where}.{key}: there is no tracker '{label}' ({nearest(label, labels)})"
         for key, label in (("of", requirement.of), ("minus", requirement.minus))
         if label is not None and label not in labels
     ]
+    if len(groups := groups_of(plan, requirement)) > 1:
+        named = " and ".join(groups)
+        found.append(f"{where}.where: {named} each divide the runs, and only one may: leave all but one out")
     for key, values in wanted_of(requirement).items():
         if key not in known:
             found.append(f"{where}.where.{key}: is not varied in this campaign ({nearest(key, known)})")
@@ -40,9 +45,11 @@ def where_problems(requirement: Requirement, where: str, plan: Plan, states: set
         elif not values:
             found.append(f"{where}.where.{key}: names no value")
         else:
-            possible = _possible(key, plan, states)
+            possible = parts[key] if key in groups else _possible(key, plan)
             names = [str(each) for each in possible]
             missing = [each for each in values if not any(same(other, each) for other in possible)]
+            if key in groups:  # YAML reads the name 1 as a number
+                missing = [each for each in values if str(each) not in names]
             found += [
                 f"{where}.where.{key}: there is no {shown(each)} ({nearest(str(each), names)})" for each in missing
             ]
@@ -51,12 +58,10 @@ def where_problems(requirement: Requirement, where: str, plan: Plan, states: set
     yield from found
 
 
-def _possible(key: str, plan: Plan, states: set[str]) -> list[Any]:
+def _possible(key: str, plan: Plan) -> list[Any]:
     """The values that runs of the campaign have of a key, each once."""
     if key == TRACKER:
         return [tracker.label for tracker in plan.keys.trackers]
-    if key == STATE and key not in plan.parameters:
-        return sorted(states)
     found: list[Any] = []
     for value in (value_of(condition, key) for condition in plan.conditions):
         if not any(same(value, each) for each in found):
@@ -64,10 +69,17 @@ def _possible(key: str, plan: Plan, states: set[str]) -> list[Any]:
     return found
 
 
+def score_problems(requirement: Requirement, where: str) -> Iterator[str]:
+    """A score that is not there."""
+    score, known = requirement.score, (*SCORES, RECALL)
+    if score not in known:
+        yield f"{where}.score: there is no score '{score}' ({nearest(score, known)})"
+
+
 def judging_problems(
     requirement: Requirement, where: str, plan: Plan, facts: Sequence[ConditionFacts]
 ) -> Iterator[str]:
-    """Scores that a state does not have, states that a detector does not have, and means without bounds.
+    """Scores that a part of a run does not have, parts that a run does not have, and means without bounds.
 
     Args:
         requirement: The requirement; its score and the keys of `where` are known.
@@ -82,16 +94,22 @@ def judging_problems(
             f"{where}: with stop: sequential a mean needs a score with a least and a greatest value, and {score} has "
             "none: say in which share of traffic seeds it must hold, as in `in: 0.9`, or use stop: once"
         )
-    cases = [case for case in cases_of(plan, requirement) if case.state is not None]
-    if cases and score not in OF_STATES:
-        yield f"{where}.score: {score} is not known of a state within a run, only {', '.join(OF_STATES)} are"
+    groups = groups_of(plan, requirement)
+    for group in groups:
+        if score not in SCORES_BY[group]:
+            yield f"{where}.score: {score} is not known by {group} (known: {', '.join(SCORES_BY[group])})"
+    if score == RECALL and not groups:
+        those = ", ".join(group for group, scores in SCORES_BY.items() if RECALL in scores)
+        yield f"{where}.score: {score} is known of parts of the runs only: `where` needs one of {those}"
     if len(facts) < len(plan.conditions):
         return
-    for state, condition in dict.fromkeys((str(case.state), case.condition) for case in cases):
-        states = facts[condition].states
-        if not any(state in each.states for each in facts):
-            continue  # `where_problems` says so
-        if state not in states:
-            yield f"{where}.where.state: the detector of condition {condition} has no state '{state}'"
-        elif len(states) == 1:
-            yield f"{where}.where.state: the detector of condition {condition} has no other state: leave it out"
+    cases = cases_of(plan, requirement)
+    for part, condition in dict.fromkeys((case.part, case.condition) for case in cases if case.part):
+        every = [{STATE: each.states, CAMERA: each.cameras}.get(part.group, ()) for each in facts]
+        if not any(part.name in names for names in every):
+            continue  # `where_problems` says so, or all runs have it
+        whose = f"{where}.where.{part.group}: the {'detector' if part.group == STATE else 'scene'} of condition"
+        if part.name not in every[condition]:
+            yield f"{whose} {condition} has no {part.group} '{part.name}'"
+        elif len(every[condition]) == 1:
+            yield f"{whose} {condition} has no other {part.group}: leave it out"

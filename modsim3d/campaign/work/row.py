@@ -8,10 +8,12 @@ from typing import Any, get_type_hints
 import pyarrow as pa
 
 from modsim3d.campaign.file.keys import ScoreKeys
+from modsim3d.campaign.plan.selection import CAMERA, STATE
 from modsim3d.campaign.work.coverage import COVERED, MET, coverage_of, coverage_type
 from modsim3d.campaign.work.layers import Made
 from modsim3d.campaign.work.worst_moment import worst_moment_s
 from modsim3d.tracking.report.numbers import keys_of
+from modsim3d.tracking.scores.breakdown import BINS, Group
 from modsim3d.tracking.scores.rules import Rules, SetDistance
 from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracking.scores.scoring import Part, SubsetScores, scores_of
@@ -20,7 +22,6 @@ from modsim3d.tracks.similarity import Similarity
 DONE, CRASHED = "done", "crashed"
 KEY_LENGTH = 16
 """Hexadecimal digits of a layer's checksum in a table."""
-BY_STATE, BY_CAMERA = "state", "camera"
 FACTS: dict[str, pa.DataType] = {
     "run": pa.int64(),
     "status": pa.string(),
@@ -47,6 +48,15 @@ def _score_types() -> dict[str, pa.DataType]:
 SCORES = _score_types()
 """The scores of a whole run, with their types."""
 _WHOLE = {"frames", "vessel_frames"}
+_BIN_KEYS = (
+    ("vessel_frames", "vessel_frames"),
+    ("recall", "recall"),
+    ("occlusions", "occlusions"),
+    ("occlusions_judged", "judged"),
+    ("occlusions_survived", "survived"),
+    ("occlusions_to_survive", "to_survive"),
+)
+"""Columns of a bin, and what the breakdown calls them; all but two only of occlusions."""
 
 
 def rules_of(keys: ScoreKeys) -> Rules:
@@ -81,9 +91,11 @@ def row_of(number: int, made: Made, rules: Rules) -> dict[str, Any]:
         **coverage_of(made.rows),
     }
     if len(scene.detector.states) > 1:
-        row |= _subset(BY_STATE, scores.by_state)
+        row |= _subset(STATE, scores.by_state)
     if len(scene.cameras) > 1:
-        row |= _subset(BY_CAMERA, scores.by_camera)
+        row |= _subset(CAMERA, scores.by_camera)
+    for group in scores.breakdown:
+        row |= _bins(group)
     return row
 
 
@@ -96,6 +108,18 @@ def _subset(group: str, parts: Mapping[str, SubsetScores]) -> dict[str, Any]:
     return {f"{group}.{name}.{key}": getattr(part, key) for name, part in parts.items() for key in SUBSET_KEYS}
 
 
+def _bins(group: Group) -> dict[str, Any]:
+    """The columns of a group whose bins are the same in every run, also of bins without vessel-frames."""
+    keys = _BIN_KEYS if group.name == "occlusion" else _BIN_KEYS[:2]
+    none = dict.fromkeys((name for _, name in keys), 0) | {"recall": None, "survived": None}
+    found = {each.bin: vars(each) for each in group.rows}
+    return {
+        f"{group.name}.{name}.{key}": found.get(name, none)[value]
+        for name in BINS.get(group.name, ())
+        for key, value in keys
+    }
+
+
 def column_type(name: str) -> pa.DataType:
     """The type of a column of a row."""
     if name in FACTS:
@@ -104,7 +128,8 @@ def column_type(name: str) -> pa.DataType:
         return SCORES[name]
     if name.startswith((MET, COVERED)):
         return coverage_type(name)
-    return pa.int64() if name.rpartition(".")[2] in _WHOLE else pa.float64()
+    key = name.rpartition(".")[2]
+    return pa.int64() if key in _WHOLE else SCORES.get(key, pa.float64())
 
 
 def table_of(rows: Iterable[Mapping[str, Any]]) -> pa.Table:

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.campaign.file.keys import Requirement, ScoreKeys
+from modsim3d.campaign.plan.selection import CAMERA, GROUPS, STATE
 from modsim3d.campaign.work.row import SUBSET_KEYS
 
 Columns = Callable[[str], Array]
 """Gives the column of a name, NaN where a row has nothing there."""
-OF_STATES = tuple(name for name in SUBSET_KEYS if "frames" not in name)
-"""Scores that a run has for each performance state too."""
+RECALL, SURVIVED = "recall", "occlusions_survived"
+SCORES_BY = dict.fromkeys(GROUPS, (RECALL,)) | {
+    **dict.fromkeys((STATE, CAMERA), tuple(name for name in SUBSET_KEYS if "frames" not in name)),
+    "occlusion": (RECALL, SURVIVED),
+}
+"""Scores that the parts of a run have too, by what divides it."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,6 @@ class Basis:
 
 
 FOLLOWED = Basis("vessel-frames", "true_positives", ("true_positives", "misses"))
-IN_STATE = Basis("the state, by its deta", "deta")
-"""Of a score of a state, whose rows have no number of matches; `deta` is never above that share."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,8 @@ _FAMILIES = {
     "nees anees": _NEES,
     "time_to_establish_s longest_time_to_establish_s": _WAIT,
     "mean_track_break_s longest_track_break_s mean_false_track_s": _OF_FAULTS,
-    "occlusions_survived": _SURVIVED,
+    SURVIVED: _SURVIVED,
+    RECALL: ScoreFacts(greatest=1.0, expected="vessel_frames", basis=Basis("vessel-frames", RECALL)),
     "misses mostly_lost gospa gospa_missed ospa": _OF_TRUTH,
     "appearances hidden_vessel_frames occlusions occlusions_to_survive": _OF_TRUTH,
     "mota": ScoreFacts(least=-math.inf, greatest=1.0),
@@ -105,9 +109,15 @@ SHARES = frozenset(name for name, facts in _KNOWN.items() if (facts.least, facts
 """Scores from 0 to 1."""
 
 
-def facts_of(score: str) -> ScoreFacts:
-    """What is known of a score; the others are numbers of things, and times, of 0 or more."""
-    return _KNOWN.get(score, ScoreFacts())
+def facts_of(score: str, group: str = "") -> ScoreFacts:
+    """What is known of a score, or of that of a part of a run; others are numbers of things, and times, of 0 or more.
+
+    The rows have no number of matches by state or camera: `deta` is never above the share that is followed.
+    """
+    facts = _KNOWN.get(score, ScoreFacts())
+    if group not in (STATE, CAMERA):
+        return facts
+    return replace(facts, expected="vessel_frames", basis=Basis(f"the {group}, by its deta", "deta"))
 
 
 def without_tracks(score: str, keys: ScoreKeys, column: Columns) -> Array | None:

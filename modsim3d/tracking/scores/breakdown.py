@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,6 +23,21 @@ NEAR_S = 2.0
 """So long before and after an occlusion is a phase of its own."""
 PHASES = ("before", "during", "after", "elsewhere")
 """Of an occlusion."""
+RANGE_EDGES_M, SIZE_EDGES_PX = (100, 200, 400, 800), (16, 32, 64, 128)
+
+
+def _intervals(edges: Sequence[int]) -> tuple[str, ...]:
+    """Names of the intervals between edges, from 0 on."""
+    return (*(f"{low} to {high}" for low, high in pairwise((0, *edges))), f"{edges[-1]} and more")
+
+
+BINS = {
+    "visible_fraction": ("1", "0.75 to 1", "0.5 to 0.75", "0.25 to 0.5", "below 0.25"),
+    "occlusion": _intervals(LENGTH_EDGES_S),
+    "range": _intervals(RANGE_EDGES_M),
+    "size": _intervals(SIZE_EDGES_PX),
+}
+"""Groups whose bins are the same in every run, with the names of the bins."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +52,7 @@ class Bin:
         occlusions: Number of occlusions that they belong to; None outside the group of occlusions.
         judged: Number of these that a track could survive, as in `Survival`.
         survived: Share of the judged ones that a track survived; None if there are none.
+        to_survive: Number of those that a tracker which misses nothing could survive, as in `Survival`.
     """
 
     bin: str
@@ -45,6 +62,7 @@ class Bin:
     occlusions: int | None = None
     judged: int | None = None
     survived: float | None = None
+    to_survive: int | None = None
 
 
 @dataclass(frozen=True)
@@ -86,7 +104,7 @@ class _Followed:
             len(found),
             float(np.mean(found)) if len(found) else None,
             float(np.mean(association)) if len(association) else None,
-            *(astuple(survival)[:3] if survival else ()),
+            *(astuple(survival) if survival else ()),
         )
 
     def bins(self, names: Sequence[str], index: Indices) -> tuple[Bin, ...]:
@@ -108,11 +126,11 @@ def breakdown(scored: Scored) -> Breakdown:
     groups = {
         "visible_fraction": (
             "share of the vessel's silhouette in the image that is visible",
-            ("1", "0.75 to 1", "0.5 to 0.75", "0.25 to 0.5", "below 0.25"),
+            BINS["visible_fraction"],
             _visibility(visible),
         ),
-        "range": ("mean distance along the axis of the camera, m", *_intervals(depth_m, (100, 200, 400, 800))),
-        "size": ("side of a square as large as the true box, px", *_intervals(side_px, (16, 32, 64, 128))),
+        "range": ("mean distance along the axis of the camera, m", BINS["range"], _places(depth_m, RANGE_EDGES_M)),
+        "size": ("side of a square as large as the true box, px", BINS["size"], _places(side_px, SIZE_EDGES_PX)),
         "edge": (
             "whether the edge of the image cuts the vessel",
             ("whole in the image", "cut by the edge"),
@@ -150,21 +168,20 @@ def _visibility(fraction: Array) -> Indices:
     return index
 
 
-def _intervals(values: Array, edges: Sequence[int]) -> tuple[list[str], Indices]:
-    """Names of the intervals between edges, the lower edge included, and the index of each value's interval."""
-    names = [f"{low} to {high}" for low, high in zip((0, *edges), edges, strict=False)]
-    return [*names, f"{edges[-1]} and more"], np.searchsorted(np.array(edges), values, side="right")
+def _places(values: Array, edges: Sequence[int]) -> Indices:
+    """Index of the interval of each value; an edge belongs to the interval above it."""
+    return np.asarray(np.searchsorted(np.array(edges), values, side="right"), dtype=np.int64)
 
 
 def _by_occlusion(scored: Scored, followed: _Followed) -> tuple[Group, Group]:
     """The vessel-frames by phase of an occlusion, and those during one by its length."""
     spans = Spans.of(scored)
     during, phase = _phases(scored, spans)
-    names, length = _intervals(spans.length_s, LENGTH_EDGES_S)
+    length = _places(spans.length_s, LENGTH_EDGES_S)
     of_row = np.append(length, NOBODY)[during]  # the last is that of NOBODY
     bins = (
         followed.bin(name, of_row == index, spans.survival(length == index))
-        for index, name in enumerate(names)
+        for index, name in enumerate(BINS["occlusion"])
         if (length == index).any()
     )
     phases = f"less than half of the vessel is visible, or it is in the {NEAR_S:g} s before or after; after goes first"

@@ -1,0 +1,205 @@
+"""Requirements on a part of the runs that only the simulator can tell: a bin of a breakdown, or a camera."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.file.keys import CampaignKeys
+from modsim3d.campaign.file.reading import CampaignFile
+from modsim3d.campaign.running import run_plan
+from modsim3d.campaign.verdicts.judging import judged
+from modsim3d.campaign.verdicts.plan_warnings import warnings_of
+from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.work.layers import Layers
+from modsim3d.campaign.work.row import rules_of, table_of
+from modsim3d.errors import InputError
+from modsim3d.tracking.scores.breakdown import BINS
+from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.scoring import scores_of
+from tests.campaign.hand_made_tables import plan_of
+from tests.commands.conftest import Modsim3d
+
+RECALL = {"score": "recall", "at_least": 0.8, "in": 0.5}
+SURVIVED = {"score": "occlusions_survived", "at_least": 0.6, "in": 0.5, "where": {"occlusion": "3 to 10"}}
+HALF = "visible_fraction.0.5 to 0.75"
+LONG = "occlusion.3 to 10"
+
+
+def rows_with(*columns: dict[str, Any]) -> Any:
+    return table_of({"run": run, "status": "done", "hota": 0.1, **each} for run, each in enumerate(columns))
+
+
+def test_recall_is_judged_in_each_bin_that_is_named() -> None:
+    require = [{**RECALL, "where": {"visible_fraction": ["0.5 to 0.75", "1", 1]}}]
+    rows = [
+        {f"{HALF}.recall": 0.5, f"{HALF}.vessel_frames": 9, "visible_fraction.1.recall": 0.9 + run / 100}
+        for run in range(5)
+    ]
+    half, whole = judged(plan_of(5, require), rows_with(*rows))
+    assert (half.outcome, whole.outcome) == ("failed", "met")
+    assert half.text == "recall at least 0.8 in visible_fraction 0.5 to 0.75, in 50 % of traffic seeds"
+    assert half.values == {"visible_fraction": "0.5 to 0.75"}
+
+
+def test_a_run_without_vessel_frames_in_the_bin_is_left_out_and_one_without_tracks_has_no_recall() -> None:
+    empty, missed = {f"{HALF}.vessel_frames": 0}, {f"{HALF}.vessel_frames": 4, f"{HALF}.recall": 0.0}
+    good = {f"{HALF}.vessel_frames": 4, f"{HALF}.recall": 1.0}
+    plan = plan_of(7, [{**RECALL, "where": {"visible_fraction": "0.5 to 0.75"}}])
+    (verdict,) = judged(plan, rows_with(empty, missed, *[good] * 5))
+    assert (verdict.seeds, verdict.undefined, verdict.nothing, verdict.estimate) == (6, 1, 0, 5 / 6)
+    said = "1 traffic seed without recall in visible_fraction 0.5 to 0.75 left out: 1000000. The truth has nothing"
+    assert said in verdict.why
+
+
+def test_a_share_of_the_bin_can_be_asked_for() -> None:
+    plan = plan_of(5, [{**RECALL, "resting_on": 0.9, "where": {"range": "0 to 100"}}])
+    rows = [{"range.0 to 100.recall": 0.85, "range.0 to 100.vessel_frames": 9}] * 5
+    (verdict,) = judged(plan, rows_with(*rows))
+    assert (verdict.outcome, verdict.nothing) == ("failed", 5)
+    assert "It rests on 85 % of vessel-frames" in verdict.why
+
+
+def survival(survived: float | None, judged: int, to_survive: int) -> dict[str, Any]:
+    counts = {"occlusions": 4, "occlusions_judged": judged, "occlusions_to_survive": to_survive}
+    return {f"{LONG}.{name}": value for name, value in {**counts, "occlusions_survived": survived}.items()}
+
+
+def test_survival_by_length_is_managed_by_the_tracker_as_survival_of_all_is() -> None:
+    """Where there is an occlusion to survive, a tracker that follows nothing before it is at fault."""
+    rows = rows_with(survival(None, 0, 2), survival(None, 0, 0), *[survival(0.75, 4, 4)] * 8)
+    without, resting = (judged(plan_of(10, [{**SURVIVED, **share}]), rows)[0] for share in ({}, {"resting_on": 0.5}))
+    assert (resting.outcome, resting.seeds, resting.nothing, resting.undefined) == ("met", 9, 1, 1)
+    assert without.outcome == "undecided" and "`resting_on`, as in" in without.why
+    assert "mean over runs" in resting.why and "% of occlusions" in resting.why
+
+
+def test_a_camera_has_the_scores_of_a_state() -> None:
+    plan = plan_of(5, [{"score": "hota", "at_least": 0.4, "in": 0.5, "where": {"camera": ["bow", "stern"]}}])
+    rows = [{"camera.bow.hota": 0.5, "camera.stern.hota": 0.3, "camera.bow.vessel_frames": 3} for _ in range(5)]
+    bow, stern = judged(plan, rows_with(*rows))
+    assert (bow.outcome, stern.outcome) == ("met", "failed")
+    assert bow.text == "hota at least 0.4 in camera bow, in 50 % of traffic seeds"
+
+
+@pytest.mark.parametrize(
+    ("score", "where"), [("recall", {"size": "16 to 32"}), ("hota", {"camera": "bow"}), ("hota", {"state": "haze"})]
+)
+def test_no_mean_of_a_part_of_the_runs_is_met_by_what_was_measured_of_whole_runs(score, where) -> None:
+    (group,), (name,) = where, where.values()
+    plan = plan_of(40, [{"score": score, "at_least": 0.4, "where": where}])
+    column = f"{group}.{name}"
+    rows = [{f"{column}.{score}": 0.8 + run / 1000, f"{column}.vessel_frames": 9} for run in range(40)]
+    (verdict,) = judged(plan, rows_with(*rows))
+    assert verdict.outcome == "undecided" and "ask for a share of seeds with `in`" in verdict.why
+    (warning,) = warnings_of(plan)
+    assert f"a mean of {score} by {group} was not measured to hold" in warning
+
+
+TWO_CAMERAS = {"scene": "simulation_3", "steps": 6, "trackers": ["reference"]}
+
+
+def campaign_of(folder: Path, *require: dict[str, Any], **keys: Any) -> CampaignFile:
+    content = {**TWO_CAMERAS, "require": list(require), **keys}
+    file = CampaignFile(folder / "c.yaml", CampaignKeys.model_validate(content))
+    file.path.write_text("", encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("requirement", "said"),
+    [
+        (
+            {**RECALL, "where": {"visible_fraction": "half"}},
+            "visible_fraction: there is no 'half' (known: 1, 0.75 to 1, 0.5 to 0.75, 0.25 to 0.5, below 0.25)",
+        ),
+        ({**RECALL, "where": {"range": 7}}, "range: there is no 7 (known: 0 to 100, 100 to 200, 200 to 400, 400 to"),
+        ({**RECALL, "score": "hota", "where": {"camera": "bow"}}, "camera: there is no 'bow' (known: "),
+        (
+            {**RECALL, "where": {"range": "0 to 100", "size": "0 to 16"}},
+            "where: range and size each divide the runs, and only one may: leave all but one out",
+        ),
+        (
+            RECALL,
+            "score: recall is known of parts of the runs only: `where` needs one of visible_fraction, occlusion",
+        ),
+        (
+            {**SURVIVED, "where": {"size": "0 to 16"}},
+            "score: occlusions_survived is not known by size (known: recall)",
+        ),
+        (
+            {**RECALL, "where": {"camera": "C1"}},
+            "score: recall is not known by camera (known: hota, deta, assa, mota, idf1)",
+        ),
+        ({**SURVIVED, "score": "hota"}, "hota is not known by occlusion (known: recall, occlusions_survived)"),
+    ],
+)
+def test_a_part_that_no_run_has_and_a_score_that_it_does_not_have_are_one_problem(requirement, said, tmp_path) -> None:
+    with pytest.raises(InputError) as refused:
+        checked(campaign_of(tmp_path, requirement))
+    (problem,) = refused.value.problems
+    assert said in problem
+
+
+def test_the_only_camera_is_no_part(tmp_path) -> None:
+    with pytest.raises(InputError, match="the scene of condition 0 has no other camera: leave it out"):
+        requirement = {"score": "hota", "at_least": 0.4, "where": {"camera": "quay"}}
+        checked(campaign_of(tmp_path, requirement, scene="harbour"))
+    whole = {**RECALL, "where": {"visible_fraction": 1}}  # the bin is called "1", and YAML reads a number
+    assert checked(campaign_of(tmp_path, whole, scene="harbour")).plan.keys.require[0].score == "recall"
+
+
+def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(modsim3d: Modsim3d, tmp_path) -> None:
+    require = [
+        {"score": "recall", "at_least": 0.1, "where": {"range": ["100 to 200", "400 to 800"]}},
+        {"score": "hota", "at_least": 0.1, "where": {"state": ["excellent", "terrible"]}},
+    ]
+    keys = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 2}, "trackers": ["reference"], "require": require}
+    file = tmp_path / "c.yaml"
+    file.write_text(yaml.safe_dump(keys), encoding="utf-8")
+    said = modsim3d("campaign", file, "--out", tmp_path / "out", "--workers", "1")
+    assert said.status in (1, 3), said.err
+    _, _, means = said.out.partition("mean scores")
+    assert "those of requirements are above" in means
+    for column in ("range.100 to 200.recall", "range.400 to 800.recall", "state.excellent.hota"):
+        assert column in means
+    (line,) = [line for line in means.splitlines() if line.startswith("reference")]
+    assert line.split()[2:4] == ["–", "0.500"] and not line.split()[4].startswith("[")  # nothing is in the first range
+    assert modsim3d("campaign-report", tmp_path / "out").status == 0
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "recall at least 0.1, range 100 to 200 or 400 to 800" in page
+    assert "hota at least 0.1, state excellent or terrible" in page
+    assert all(f'data-label="range">{name}</td>' in page for name in ("100 to 200", "400 to 800"))
+
+
+def test_rows_of_a_campaign_have_the_bins_of_the_scores_and_are_judged_by_them(tmp_path) -> None:
+    frames = {**RECALL, "at_least": 0.1, "in": 0.2, "where": {"range": [*BINS["range"]]}}
+    file = campaign_of(tmp_path, frames, {**SURVIVED, "resting_on": 0.5}, scene="fairway", steps=60)
+    result = run_plan(checked(file), tmp_path / "campaign", ThisProcess)
+    assert result is not None
+    (row,) = result.table.to_pylist()
+    with closing(Layers(file.keys, tmp_path, tmp_path / "layers")) as layers:
+        made = layers.made(checked(file).plan.run(0))
+    scores = scores_of(Scored.of(made.rows, made.tracks, rules_of(file.keys.score)))
+    for group in scores.breakdown:
+        for name in BINS.get(group.name, ()):
+            found = next((each for each in group.rows if each.bin == name), None)
+            column = f"{group.name}.{name}"
+            assert row[f"{column}.vessel_frames"] == (found.vessel_frames if found else 0)
+            assert row[f"{column}.recall"] == (found.recall if found else None)
+            if group.name == "occlusion":
+                counts = (0, 0, None, 0)
+                if found is not None:
+                    counts = (found.occlusions, found.judged, found.survived, found.to_survive)
+                keys = ("occlusions", "occlusions_judged", "occlusions_survived", "occlusions_to_survive")
+                assert tuple(row[f"{column}.{key}"] for key in keys) == counts
+    assert sum(row[f"range.{name}.vessel_frames"] for name in BINS["range"]) == row["true_positives"] + row["misses"]
+    assert sum(row[f"occlusion.{name}.occlusions"] for name in BINS["occlusion"]) == row["occlusions"]
+    seen = [bool(row[f"range.{name}.vessel_frames"]) for name in BINS["range"]]
+    verdicts = judged(checked(file).plan, result.table)
+    assert [verdict.seeds for verdict in verdicts[: len(seen)]] == [int(each) for each in seen]
