@@ -32,7 +32,10 @@ def told_plan(campaign: CheckedCampaign, expect: Sequence[str], like: Path | Non
     if plan.keys.search is not None:
         raise ModsimError("--plan: a search has no requirements, and its budget says how many trials there will be")
     expected = dict(parsed_expectation(text, plan) for text in expect)
-    needed = needed_seeds(plan, expected, None if like is None else opened_campaign(like))
+    earlier = None if like is None else opened_campaign(like)
+    if earlier is not None and earlier.keys.search is not None:
+        raise ModsimError(f"--like {like}: holds a search, whose trials were chosen to be bad, and has no mean")
+    needed = needed_seeds(plan, expected, earlier)
     frames, console = frames_of(campaign), open_console()
     print_line(console, f"{len(plan):,} runs of {frames:,} frames together")
     if needed:

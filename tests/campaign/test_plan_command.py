@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.campaign.results.folder import CampaignFolder
+from modsim3d.campaign.results.folder import CampaignFolder, planned
 from modsim3d.campaign.results.needed_seeds import Expected, needed_seeds, parsed_expectation
 from modsim3d.campaign.verdicts.means import skewed_bounds
 from modsim3d.errors import ModsimError
-from tests.campaign.campaigns import run_campaign_file
+from tests.campaign.campaigns import checked_campaign, run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_scores
 
 HOTA = {"score": "hota", "at_least": 0.6}
@@ -121,6 +121,19 @@ def test_the_command_runs_nothing_and_takes_an_earlier_campaign_for_its_spread(m
     assert [each["seeds"] for each in found["needed"] if each["requirement"] == 1] == [299]
     text = modsim3d("campaign", file, "--plan", "--expect", "hota=0.3:0.1")
     assert text.status == 0 and "seeds needed" in text.out and "normal" in text.out and "2,400 frames" in text.out
+
+
+def test_no_spread_is_taken_from_a_search(modsim3d, tmp_path):
+    search = {"minimise": "hota", "over": {"detector.operating_threshold": [0.2, 0.6]}, "budget": 2, "batch": 1}
+    keys = {key: value for key, value in CAMPAIGN.items() if key in ("scene", "steps")}
+    earlier = checked_campaign(tmp_path, "search.yaml", **keys, trackers=["reference"], search=search)
+    planned(earlier, tmp_path / "search")
+    file = tmp_path / "next.yaml"
+    file.write_text(yaml.safe_dump(CAMPAIGN))
+    told = modsim3d("campaign", file, "--plan", "--like", tmp_path / "search")
+    assert told.status == 2 and "holds a search" in told.err
+    told = modsim3d("campaign", tmp_path / "search.yaml", "--plan")
+    assert told.status == 2 and "a search has no requirements" in told.err
 
 
 @pytest.mark.parametrize(("options", "said"), [
