@@ -249,7 +249,7 @@ def problems(data: dict[str, Any]) -> list[str]:
 def cell(value: dict[str, Any], digits: int = 2) -> str:
     if value["mean"] is None:
         return "–"
-    half = "" if value["half"] is None else f"{value['half']:.{digits}f}"
+    half = f"{value['half']:.{digits}f}" if value["half"] else ""
     if half and not half.strip("0."):
         half = f"{value['half']:.1g}"  # no interval is of no width
     return f"{value['mean']:.{digits}f}{half and f' ± {half}'}"

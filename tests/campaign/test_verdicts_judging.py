@@ -10,6 +10,7 @@ from modsim3d.campaign.verdicts.means import skewed_bounds
 from modsim3d.campaign.verdicts.offers import seeds_needed
 from modsim3d.campaign.verdicts.paired import paired
 from modsim3d.campaign.verdicts.plan_warnings import warnings_of
+from modsim3d.campaign.verdicts.seed_values import Runs
 from modsim3d.campaign.work.row import table_of
 from tests.campaign.hand_made_tables import plan_of, table_of_scores
 
@@ -351,3 +352,15 @@ def test_a_difference_that_is_always_the_same_has_no_interval_and_no_gain():
     (found,) = paired(plan_of(3, [], ("bytetrack", "sort")), table_of_scores(plan_of(3, []), "hota", values), "hota")
     assert found.mean == pytest.approx(0.1)
     assert found.low is found.high is found.variance_ratio is None
+
+
+def test_a_crashed_run_rests_on_nothing():
+    values, share = np.array([[1.0], [np.nan], [2.0]]), np.array([[0.8], [np.nan], [0.4]])
+    crashed = np.array([[False], [True], [False]])
+    runs = Runs(values, crashed, np.zeros((3, 1), dtype=bool), share)
+    assert runs.rests_on == pytest.approx(0.4)
+
+
+def test_levels_of_means_are_those_measured():
+    (first, *_, last) = levels_of(plan_of(20, [HOTA])).sentences()
+    assert "as far as it was measured" in first and "`in` is exact there too" in last

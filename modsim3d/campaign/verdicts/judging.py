@@ -178,7 +178,7 @@ def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Foun
     bounds = share_bounds(right, requirement.confidence, keys.stop)
     outcome = _outcome(bounds.low >= requirement.share, bounds.high < requirement.share)
     good = int(right.sum())
-    why = f"{good:,} of {counted(len(right), 'traffic seed')} {'are' if good != 1 else 'is'} right; "
+    why = f"{good:,} of {counted(len(right), 'traffic seed')} {'is' if 1 in (good, len(right)) else 'are'} right; "
     why += f"{_between(bounds, requirement)}."
     if outcome == "undecided" and keys.stop == "once" and good > requirement.share * len(right):
         needed = clean_seeds_needed(requirement.share, requirement.confidence, len(right) - good)

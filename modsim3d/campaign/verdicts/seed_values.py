@@ -62,8 +62,8 @@ class Runs:
 
     @property
     def rests_on(self) -> float | None:
-        """The share that the score rests on, mean over the runs with something to follow."""
-        known = self.share[~np.isnan(self.share)]
+        """The share that the score rests on, mean over the runs with something to follow; none if they crashed."""
+        known = np.where(self.crashed, 0, self.share)[self.crashed | ~np.isnan(self.share)]
         return float(known.mean()) if len(known) else None
 
     def means(self, instead: float) -> Array:
