@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ import modsim3d
 from modsim3d.campaign.file.keys import ScoreKeys
 from modsim3d.campaign.plan.selection import STATE
 from modsim3d.campaign.verdicts.means import corrected_bounds, half_widths
-from modsim3d.campaign.verdicts.offers import HIGH, LOW
+from modsim3d.campaign.verdicts.offers import DIFFERENCE, HIGH, LOW
 from modsim3d.campaign.verdicts.proportions import exact_bounds
 from modsim3d.campaign.work.row import SCORES
 from modsim3d.campaign.work.score_bounds import SCORES_BY, score_bounds
@@ -93,9 +94,9 @@ class Population:
 
     Attributes:
         score: A key of the scores.
-        part: `WHOLE`, or the state within the runs.
+        part: `WHOLE`, or the state within the runs; `DIFFERENCE` of one between two trackers.
         traffic: The traffic.
-        tracker: The tracker.
+        tracker: The tracker, or two.
         values: Those of the seeds that have one.
         limits: The least and the greatest possible value.
     """
@@ -122,6 +123,22 @@ def populations(table: pa.Table) -> Iterator[Population]:
                 if len(np.unique(values)) > 1:
                     part = head.removeprefix(f"{STATE}.") or WHOLE
                     yield Population(score, part, traffic, tracker, values, score_bounds(score, keys))
+
+
+def differences(table: pa.Table) -> Iterator[Population]:
+    """The same of differences between two trackers on the same traffic seeds, of whole runs."""
+    keys = ScoreKeys()
+    labels = [np.array(table[name].to_pylist()) for name in ("traffic", "tracker")]
+    for score in (name for name in table.column_names[3:] if name in SCORES):
+        of_all = table[score].to_numpy().astype(float)
+        span = float(np.subtract(*reversed(score_bounds(score, keys))))
+        for traffic in TRAFFICS:
+            for pair in combinations(TRACKERS, 2):
+                first, second = (of_all[(labels[0] == traffic) & (labels[1] == each)] for each in pair)
+                both = np.isfinite(first) & np.isfinite(second)
+                values = first[both] - second[both]
+                if len(np.unique(values)) > 1:
+                    yield Population(score, DIFFERENCE, traffic, " − ".join(pair), values, (-span, span))
 
 
 @cache
@@ -191,15 +208,26 @@ def strict_t_power(mean: np.ndarray, deviation: np.ndarray, seeds: int, true: fl
     return float(np.mean(differ & (mean - limit * error >= true - distance)))
 
 
-def measured(campaigns: int, table: pa.Table, sizes: Sequence[int] = SIZES) -> list[dict[str, Any]]:
+def measured(
+    campaigns: int,
+    table: pa.Table,
+    sizes: Sequence[int] = SIZES,
+    drawn_from: Callable[[pa.Table], Iterator[Population]] = populations,
+) -> list[dict[str, Any]]:
     """All cells of all populations."""
     rng = np.random.default_rng(20240119)
     uniform = {seeds: rng.random((campaigns, seeds)) for seeds in sizes}
     found = []
-    for each in populations(table):
+    for each in drawn_from(table):
         about = {"score": each.score, "part": each.part, "traffic": each.traffic, "tracker": each.tracker}
         found += [{**about, **cell} for cell in cells(each, uniform)]
     return found
+
+
+def turned(cell: Mapping[str, Any]) -> dict[str, Any]:
+    """The cell of a difference with the other sign: its bounds change places."""
+    other = {LOW: HIGH, HIGH: LOW}
+    return {**cell, "bound": other[cell["bound"]], "tracker": " − ".join(reversed(cell["tracker"].split(" − ")))}
 
 
 def holds(cell: Mapping[str, Any], confidence: float, campaigns: int, rule: str = RULE) -> bool:
@@ -213,9 +241,10 @@ def lower_rate(rate: float, campaigns: int) -> float:
 
 
 def offer_of(cell: Mapping[str, Any]) -> str:
-    """The key of a cell's offer: scores of states have their own."""
+    """The key of a cell's offer: scores of states, and differences, have their own."""
     score: str = cell["score"]
-    return score if cell["part"] == WHOLE else f"{STATE}.{score}"
+    kind = {WHOLE: "", DIFFERENCE: f"{DIFFERENCE}."}.get(cell["part"], f"{STATE}.")
+    return kind + score
 
 
 def offers(found: Sequence[Mapping[str, Any]], campaigns: int, traffics: Collection[str]) -> dict[str, Any]:
@@ -279,4 +308,24 @@ def summary(campaigns: int, table: pa.Table, sizes: Sequence[int] = SIZES) -> di
         "offers": offers(found, campaigns, TRAFFICS),
         "judged": judged,
         "misjudged": failing,
+    }
+
+
+def summary_of_differences(campaigns: int, table: pa.Table, sizes: Sequence[int] = SIZES) -> dict[str, Any]:
+    """The same of differences with both signs; of the cells the worst of all pairs of trackers."""
+    found = measured(campaigns, table, sizes, differences)
+    found += [turned(cell) for cell in found]
+    worst: dict[tuple[str, str, int], dict[str, float]] = {}
+    for cell in found:
+        if SHOWN.get(cell["score"]) == cell["bound"]:
+            rates = worst.setdefault((cell["score"], cell["traffic"], cell["seeds"]), dict.fromkeys(RULES, 0.0))
+            rates.update({rule: max(rates[rule], cell["wrong"][rule][CONFIDENCE]) for rule in RULES})
+    failing, judged = misjudged(found, offers(found, campaigns, CHOSEN_ON), campaigns)
+    return {
+        "campaigns": campaigns,
+        "cells": [dict(zip(("score", "traffic", "seeds"), key, strict=True), wrong=of) for key, of in worst.items()],
+        "confidences": list(LEVELS),
+        "offers": offers(found, campaigns, TRAFFICS),
+        "judged": judged,
+        "failing": len(failing),
     }

@@ -47,6 +47,20 @@ def _shard(text: str) -> tuple[int, int]:
     return part, parts
 
 
+def _check(cluster: bool, shard: bool, plan: bool, expected: bool) -> None:
+    """Refuse options that contradict each other.
+
+    Raises:
+        ModsimError: They do.
+    """
+    if shard and cluster:
+        raise ModsimError("--shard is for jobs without a scheduler: leave out --scheduler and --slurm, or --shard")
+    if plan and (cluster or shard):
+        raise ModsimError("--plan runs nothing: leave out --scheduler, --slurm and --shard")
+    if expected and not plan:
+        raise ModsimError("--expect and --like are for --plan: a campaign that is run has scores of its own")
+
+
 def campaign_command(
     campaign: Annotated[
         str,
@@ -76,6 +90,21 @@ def campaign_command(
             parser=_shard, metavar="K/N", help="Make one part of N only, as a job of an array; gather them without it."
         ),
     ] = None,
+    plan: Annotated[
+        bool, typer.Option("--plan", help="Run nothing: say how many runs there are and how many seeds are needed.")
+    ] = False,
+    expect: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SCORE=MEAN:SPREAD",
+            help="With --plan: what is expected of a score over traffic seeds; may be repeated.",
+            show_default="none",
+        ),
+    ] = None,
+    like: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="With --plan: an earlier campaign of this kind.", show_default="none"),
+    ] = None,
     cache: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Where kept layers are read and written.", show_default="DIR/cache"),
@@ -98,8 +127,7 @@ def campaign_command(
     from modsim3d.campaign.work.checking import checked
     from modsim3d.commands.campaign_progress import campaign_progress
 
-    if shard is not None and (scheduler or slurm):
-        raise ModsimError("--shard is for jobs without a scheduler: leave out --scheduler and --slurm, or --shard")
+    _check(bool(scheduler or slurm), shard is not None, plan, bool(expect or like))
     engine = engine_of(workers, scheduler, slurm)
     with timed("reading and checking the campaign"):
         found = checked(read_campaign(campaign))
@@ -108,6 +136,12 @@ def campaign_command(
     tell_files([found.file.path])
     folder = out if out is not None else Path("runs") / found.file.path.stem
     warnings = _introduced(found)
+    if plan:
+        from modsim3d.commands.campaign_plan import told_plan
+
+        needed = told_plan(found, expect or [], like)
+        say_json({**_json(found, folder, warnings), "folder": None, **needed})
+        return
     with timed("runs"), _interruptible(folder), campaign_progress(folder, found.file.keys.stop == "once") as advance:
         if found.file.keys.search is not None:
             from modsim3d.campaign.search.running import run_search
@@ -220,6 +254,8 @@ def _json(campaign: CheckedCampaign, folder: Path, warnings: list[str]) -> dict[
         "folder": folder,
         "sha256": campaign.sha256,
         "runs": len(campaign.plan),
+        "frames": None,
+        "needed": [],
         "finished": False,
         "done": None,
         "crashed": None,

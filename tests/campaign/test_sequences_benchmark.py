@@ -45,8 +45,9 @@ def test_the_committed_page_is_what_the_command_makes_of_its_figures(figures):
 
 
 def test_means_are_judged_from_the_seeds_on_that_the_command_found(figures):
-    found = figures["resampled"]
-    assert measured_offers() == {"confidences": found["confidences"], "seeds": found["offers"]}
+    found, differences = figures["resampled"], figures["differences"]
+    seeds = found["offers"] | differences["offers"]
+    assert measured_offers() == {"confidences": found["confidences"], "seeds": seeds}
 
 
 def test_no_mean_is_judged_on_two_seeds_and_the_usual_scores_are_from_ten():

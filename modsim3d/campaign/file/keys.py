@@ -174,6 +174,9 @@ class Requirement(Strict):
         score: A key of the scores.
         where: Keys of the campaign → the value, or several, of the runs that it is about. `tracker` too. A `state`, a
             `camera` and the groups of the breakdown that are no keys of the campaign are parts of the runs.
+        of: Label of a tracker: it is about the score of that one less that of `minus`, with the same seeds; None: about
+            the score of each tracker.
+        minus: Label of the other.
         at_least: The least value that is right.
         at_most: The greatest.
         share: The least share of traffic seeds all of whose runs must have such a value; None: the mean must.
@@ -184,6 +187,8 @@ class Requirement(Strict):
 
     score: Text
     where: dict[Text, Scalar | list[Scalar]] = Field(default_factory=dict)
+    of: Text | None = None
+    minus: Text | None = None
     at_least: Number | None = None
     at_most: Number | None = None
     share: Share | None = Field(default=None, alias="in")
@@ -194,7 +199,18 @@ class Requirement(Strict):
     def _check(self) -> Self:
         if (self.at_least is None) == (self.at_most is None):
             raise ValueError("give either at_least or at_most")
+        if (self.of is None) != (self.minus is None):
+            raise ValueError("a difference needs both of and minus, the names of two trackers")
+        if self.of is not None and self.of == self.minus:
+            raise ValueError(f"of and minus are both '{self.of}': a difference needs two trackers")
+        if self.of is not None and "tracker" in self.where:
+            raise ValueError("a difference names its trackers with of and minus: leave tracker out of where")
         return self
+
+    @property
+    def what(self) -> str:
+        """The score, or of which trackers the difference of it is."""
+        return self.score if self.of is None else f"{self.score} of {self.of} minus {self.minus}"
 
     @property
     def threshold(self) -> float:
@@ -247,6 +263,7 @@ class CampaignKeys(Strict):
         trackers: The trackers, all over the same detections.
         score: How tracks are scored.
         require: What must hold.
+        level: `each`: a confidence is that of each verdict; `family`: of all verdicts together, by Holm's step-down.
         stop: `once`: judged when all runs are done; `sequential`: judged after each batch, and ended when decided.
         batch: Traffic seeds between two looks of `sequential`.
         uncertainty: `learned`: draw the detector's parameters from the intervals that `learn` wrote.
@@ -263,6 +280,7 @@ class CampaignKeys(Strict):
     trackers: Annotated[list[TrackerKeys], Field(min_length=1)]
     score: ScoreKeys = Field(default_factory=ScoreKeys)
     require: list[Requirement] = Field(default_factory=list)
+    level: Literal["each", "family"] = "each"
     stop: Literal["once", "sequential"] = "once"
     batch: Annotated[int, Field(strict=True, ge=1)] = 20
     uncertainty: Literal["learned"] | None = None

@@ -37,11 +37,13 @@ class Case:
         tracker: Place of the tracker in the file, from 0.
         condition: Number of the condition.
         part: The part of the runs that counts; None: all of them.
+        minus: Place of the tracker whose score is taken off; None: of none.
     """
 
     tracker: int
     condition: int
     part: RunPart | None = None
+    minus: int | None = None
 
     @property
     def group(self) -> str:
@@ -60,12 +62,14 @@ def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
     A key that is drawn for each traffic seed selects nothing and does not split.
     """
     wanted = wanted_of(requirement)
-    labels = wanted.pop(TRACKER, None)
+    labels = wanted.pop(TRACKER, None) if requirement.of is None else [requirement.of]
     named = [RunPart(key, str(name)) for key in groups_of(plan, requirement) for name in wanted.pop(key)]
     parts: list[RunPart | None] = [*dict.fromkeys(named)]
     chosen = [index for index, each in enumerate(plan.conditions) if selects(wanted, each)]
     trackers = [index for index, each in enumerate(plan.keys.trackers) if labels is None or each.label in labels]
-    return [Case(tracker, condition, part) for tracker in trackers for condition in chosen for part in parts or [None]]
+    minus = next((index for index, each in enumerate(plan.keys.trackers) if each.label == requirement.minus), None)
+    cases = ((tracker, condition) for tracker in trackers for condition in chosen)
+    return [Case(*each, part, minus) for each in cases for part in parts or [None]]
 
 
 def groups_of(plan: Plan, requirement: Requirement) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -83,7 +85,7 @@ def _judged(plan: Plan) -> set[tuple[str, int, int]]:
     return {
         (column_of(requirement.score, case), case.condition, case.tracker)
         for requirement in plan.keys.require
-        if requirement.share is None
+        if requirement.share is None and requirement.of is None
         for case in cases_of(plan, requirement)
     }
 
@@ -120,6 +122,16 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
     found = [each for score in scores for each in paired(plan, table, score)]
     if not found:
         return []
+    judged = {
+        (requirement.score, case.condition, frozenset((requirement.of, requirement.minus)))
+        for requirement in plan.keys.require
+        if requirement.share is None
+        for case in cases_of(plan, requirement)
+        if case.part is None
+    }
+    said = [(each.score, each.condition, frozenset((each.first, each.second))) in judged for each in found]
+    found = [replace(each, low=None, high=None) if here else each for each, here in zip(found, said, strict=True)]
+    remark = " Intervals of differences that are required are those of the requirements, above." * any(said)
     keys, span = varying(plan), {}
     for score in {each.score for each in found}:
         here = [each for each in found if each.score == score]
@@ -144,7 +156,7 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
             "Mean of the difference with the same traffic seeds, with its interval at 95 %: if 0 lies inside, this "
             "campaign does not tell which tracker is better. The variance ratio says how many times as many seeds "
             "would have been needed for this interval with other seeds for each tracker; near 1, pairing gained "
-            "nothing.",
+            f"nothing.{remark}",
             "soft",
         ),
         page.table(rows, header, markup=(len(columns) + 3,)),

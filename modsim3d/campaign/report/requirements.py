@@ -40,7 +40,7 @@ def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
     by_requirement = _by_requirement(plan, verdicts)
     count = Counter(outcome_of(found) for found in by_requirement)
     total = len(by_requirement)
-    how = f"at {confidences(plan)} confidence each"
+    how = f"at {confidences(plan)} confidence {'each' if plan.keys.level == 'each' else 'together'}"
     sign = {"failed": "✗", "undecided": "?", "met": "✓"}[next(each for each in ORDER if count[each])]
     if count["met"] == total:
         one = "The requirement is" if total == 1 else f"All {total} requirements are"
@@ -92,7 +92,8 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
     keys = varying(plan)
     groups = groups_of(plan, requirement)
     columns = [*(keys if len(keys) <= MOST_KEYS else ["condition"]), *groups]
-    interval = f"{what} [interval, each end {percent(requirement.confidence)}]"
+    levels = ", ".join(dict.fromkeys(percent(each.confidence) for each in shown)) or percent(requirement.confidence)
+    interval = f"{what} [interval, each end {levels}]"
     header = ("tracker", *columns, "outcome", interval, _axis(limit, least, span), *OFTEN_EMPTY, "seeds")
     rows = [_row(each, plan, keys, groups, limit, least, span) for each in shown]
     kept, names = without_empty(rows, header, OFTEN_EMPTY)

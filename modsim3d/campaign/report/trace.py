@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.arrays import Indices
+from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.results.done_rows import text_of
 from modsim3d.campaign.results.folder import FILE, VERDICTS, CampaignFolder
 from modsim3d.campaign.verdicts.verdict import Verdict
@@ -35,13 +36,13 @@ def trace_sections(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[V
     """
     return [
         page.heading("What each verdict rests on"),
-        *_verdicts(table, verdicts),
+        *_verdicts(folder.plan, table, verdicts),
         *_conditions(folder),
         *_repeating(folder, table),
     ]
 
 
-def _verdicts(table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
+def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
     if not verdicts:
         yield page.paragraph("The campaign has no requirements.")
         return
@@ -50,7 +51,9 @@ def _verdicts(table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
     runs, seeds, looks = (table[name].to_numpy() for name in ("run", "traffic_seed", "detector_seed"))
     rows = []
     for verdict in verdicts[:_MOST_ROWS]:
-        chosen = (conditions == verdict.condition) & (trackers == verdict.tracker)
+        requirement = plan.keys.require[verdict.requirement]
+        labels = [label for label in (requirement.of, requirement.minus) if label] or [verdict.tracker]
+        chosen = (conditions == verdict.condition) & np.isin(trackers, labels)
         rows.append(
             [
                 f"{verdict.requirement + 1}. {verdict.text}",

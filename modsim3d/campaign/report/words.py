@@ -104,7 +104,7 @@ def required_scores(plan: Plan) -> list[Score]:
     found: dict[str, list[Requirement]] = {}
     for requirement in plan.keys.require:
         for column in columns_of(plan, requirement) or [requirement.score]:
-            found.setdefault(column, []).append(requirement)
+            found.setdefault(column, []).extend([requirement] * (requirement.of is None))
     return [Score(column, tuple(each)) for column, each in found.items()] or [Score(USUAL[0])]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,16 @@ from modsim3d.arrays import Indices
 from modsim3d.campaign.file.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.plan.seeds import traffic_seed
-from modsim3d.campaign.plan.selection import SCENE, Case, cases_of
+from modsim3d.campaign.plan.selection import SCENE, Case
 from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds, share_bounds
+from modsim3d.campaign.verdicts.family import at_step, cases_of_all, stepped
 from modsim3d.campaign.verdicts.offers import offered
 from modsim3d.campaign.verdicts.plan_warnings import never_met
 from modsim3d.campaign.verdicts.proportions import clean_seeds_needed
 from modsim3d.campaign.verdicts.seed_values import Rows, Runs
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.campaign.verdicts.wording import counted, percent, requirement_text, rounded, rounded_down, rounded_up
-from modsim3d.campaign.work.score_bounds import Columns, facts_of, score_bounds, without_tracks
+from modsim3d.campaign.work.score_bounds import facts_of, limits_of, without_tracks
 
 NO_TRACKS = "No tracks at all would meet it too: `resting_on` asks for a share of vessel-frames to be followed."
 _NAMED = 5
@@ -39,11 +41,21 @@ def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
         plan: The plan.
         table: The rows so far, see `results_table`; those before the first traffic seed that is not whole count.
     """
-    rows = Rows(plan, table)
+    rows, cases = Rows(plan, table), cases_of_all(plan)
+
+    @cache
+    def verdict(index: int, taken: int) -> Verdict:
+        place, case = cases[index]
+        return _verdict(plan, place, at_step(plan, place, len(cases), taken), case, rows)
+
+    if plan.keys.level == "each":
+        return tuple(verdict(index, 0) for index in range(len(cases)))
+    met = stepped(len(cases), lambda index, taken: verdict(index, taken).outcome == "met")
+    failed = stepped(len(cases), lambda index, taken: verdict(index, taken).outcome == "failed")
+    decided, rest = met | failed, min(len(met), len(failed))
     return tuple(
-        _verdict(plan, place, case, rows)
-        for place, requirement in enumerate(plan.keys.require)
-        for case in cases_of(plan, requirement)
+        verdict(index, decided[index]) if index in decided else replace(verdict(index, rest), outcome="undecided")
+        for index in range(len(cases))
     )
 
 
@@ -57,12 +69,13 @@ class _Found:
     why: str
 
 
-def _verdict(plan: Plan, place: int, case: Case, rows: Rows) -> Verdict:
-    requirement, keys = plan.keys.require[place], plan.keys
+def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows: Rows) -> Verdict:
+    keys = plan.keys
     runs = rows.runs_of(case, requirement.score, requirement.resting_on)
     group, undefined = case.group, int(runs.undefined.sum())
     of_mean = requirement.share is None
-    found = _of_mean(requirement, runs, keys, group) if of_mean else _of_share(requirement, runs, keys)
+    own = rows.runs_of(replace(case, minus=None), requirement.score, requirement.resting_on)
+    found = _of_mean(requirement, runs, own, keys, group) if of_mean else _of_share(requirement, runs, keys)
     impossible = never_met(keys, requirement, group, undefined)
     if found.outcome == "met" and impossible:
         found = replace(found, outcome="undecided")
@@ -72,17 +85,20 @@ def _verdict(plan: Plan, place: int, case: Case, rows: Rows) -> Verdict:
     elif found.outcome == "undecided" and impossible:
         why.append(f"This plan can never meet it: {impossible}.")
     why += _of_lost(runs, requirement, keys)
-    why += _of_left_out(runs, requirement, requirement.score + case.within, keys.seed)
+    why += _of_left_out(runs, requirement, requirement.what + case.within, keys.seed)
     facts, rests_on = facts_of(requirement.score, group), runs.rests_on
     if rests_on is not None and (facts.managed or requirement.resting_on is not None):
-        why.append(f"It rests on {rounded(100 * rests_on)} % of {facts.basis.of}, mean over runs.")
-    if met_without_tracks := _met_without_tracks(requirement, keys, runs, rows.columns(case)):
+        less = "" if case.minus is None else ", the less of both trackers"
+        why.append(f"It rests on {rounded(100 * rests_on)} % of {facts.basis.of}{less}, mean over runs.")
+    if met_without_tracks := _met_without_tracks(requirement, keys, runs, rows, case):
         why.append(NO_TRACKS)
+    if keys.level == "family":
+        why.append(f"Judged at {percent(requirement.confidence)}, by Holm for all verdicts together.")
     low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
     return Verdict(
         place,
         requirement_text(requirement, case.within),
-        keys.trackers[case.tracker].label,
+        " − ".join(keys.trackers[place].label for place in (case.tracker, case.minus) if place is not None),
         case.condition,
         found.outcome,
         " ".join(why),
@@ -128,11 +144,14 @@ def _named(seeds: Indices, base: int) -> str:
     return named + (", …" if len(seeds) > _NAMED else "")
 
 
-def _met_without_tracks(requirement: Requirement, keys: CampaignKeys, runs: Runs, column: Columns) -> bool:
-    """Whether the runs would have been right without any track."""
-    values, at_most = without_tracks(requirement.score, keys.score, column), requirement.at_most is not None
+def _met_without_tracks(requirement: Requirement, keys: CampaignKeys, runs: Runs, rows: Rows, case: Case) -> bool:
+    """Whether the runs would have been right without any track, in a difference of the first tracker."""
+    values = without_tracks(requirement.score, keys.score, rows.columns(case))
+    at_most = requirement.at_most is not None
     if values is None or requirement.resting_on is not None:
         return False
+    if case.minus is not None:
+        values = values - rows.runs_of(replace(case, tracker=case.minus, minus=None), requirement.score).values
     if facts_of(requirement.score).without_tracks is None and not at_most:
         return False  # no more than an upper bound is known
     without = replace(runs, values=values, nothing=np.zeros_like(runs.nothing))
@@ -172,8 +191,9 @@ def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Foun
     return _Found(outcome, float(right.mean()), bounds, why)
 
 
-def _of_mean(requirement: Requirement, runs: Runs, keys: CampaignKeys, group: str) -> _Found:
-    limits = least, greatest = score_bounds(requirement.score, keys.score)
+def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys, group: str) -> _Found:
+    """What is found of a mean; `own` are the runs of the tracker itself, if they are not those of a difference."""
+    limits = least, greatest = limits_of(requirement, keys.score)
     worst, best, seen = runs.means(least), runs.means(greatest), runs.means(math.nan)
     if not len(worst):
         return _Found("undecided", None, UNKNOWN, "No traffic seed has a value.")
@@ -186,9 +206,10 @@ def _of_mean(requirement: Requirement, runs: Runs, keys: CampaignKeys, group: st
     seen = seen[~np.isnan(seen)]
     estimate = float(seen.mean()) if len(seen) else None
     clean = facts_of(requirement.score).of_faults and runs.undefined.any()  # in these seeds nothing went wrong
-    if (estimate is None and not clean) or (estimate == math.inf and requirement.at_most is not None):
+    hopeless = own.lost.any() and np.all(np.isnan(own.means(math.nan))) and not clean
+    if hopeless or (estimate == math.inf and requirement.at_most is not None):
         outcome = "failed"
-    said = f"the mean is {rounded(estimate)}" if estimate is not None else f"no run has {requirement.score}"
+    said = f"the mean is {rounded(estimate)}" if estimate is not None else f"no run has {requirement.what}"
     if estimate is not None and runs.lost.any():
         said = f"the mean of the {len(seen):,} with a value is {rounded(estimate)}"
     why = f"Over {counted(len(worst), 'traffic seed')} {said}"
@@ -223,7 +244,7 @@ def _between(bounds: Bounds, requirement: Requirement) -> str:
 
 def _of_lost(runs: Runs, requirement: Requirement, keys: CampaignKeys) -> Iterator[str]:
     """What is done about runs that crashed, and those whose tracker gave nothing to score."""
-    least, greatest = score_bounds(requirement.score, keys.score)
+    least, greatest = limits_of(requirement, keys.score)
     worst = least if requirement.at_least is not None else greatest
     crashed, nothing = int(runs.crashed.sum()), int(runs.nothing.sum())
     parts = [f"{counted(crashed, 'run')} crashed"] if crashed else []
@@ -233,15 +254,16 @@ def _of_lost(runs: Runs, requirement: Requirement, keys: CampaignKeys) -> Iterat
     if not parts:
         return
     said = " and ".join(parts)
-    said = said[0].upper() + said[1:]
+    said = said[0].upper() + said[1:] + (", of either tracker" if requirement.of is not None else "")
+    kind = "score" if requirement.of is None else "difference"
     if runs.lost[~runs.undefined].all():
         yield f"{said}."
     elif requirement.share is not None:
         yield f"{said}: {'this counts' if crashed + nothing == 1 else 'these count'} as wrong."
     elif math.isfinite(worst):
-        yield f"{said}: the bounds take the worst and the best possible score in their place."
+        yield f"{said}: the bounds take the worst and the best possible {kind} in their place."
     else:
         yield (
-            f"{said}, and {requirement.score} has no worst possible value to take in their place: it cannot be met. "
+            f"{said}, and {requirement.what} has no worst possible value to take in their place: it cannot be met. "
             "With `in` such runs are wrong, and others can be right."
         )

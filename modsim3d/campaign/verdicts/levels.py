@@ -21,6 +21,7 @@ class Levels:
         any_wrong: That one verdict or more is wrong: at most the sum of all (union bound).
         mean_wrong: The sum itself: so many verdicts are wrong at most, in the mean of many such campaigns.
         sequential: Whether this holds however often the campaign is looked at; else it is looked at once.
+        family: Whether the level is that of all verdicts that are met, and of all that failed, by Holm's step-down.
         measured: Whether a mean is judged by a bound whose errors were measured and not proved.
     """
 
@@ -32,6 +33,7 @@ class Levels:
     mean_wrong: float
     sequential: bool
     measured: bool
+    family: bool = False
 
     def sentences(self) -> list[str]:
         """The levels in words."""
@@ -43,7 +45,12 @@ class Levels:
             f"A requirement that does not hold is called met with a probability of at most {_percent(self.met)}, and "
             f"one that holds is called failed with at most {_percent(self.failed)}, {looked}.",
         ]
-        if self.verdicts > 1:
+        if self.verdicts > 1 and self.family:
+            found.append(
+                f"The probability that one or more of the {self.verdicts:,} verdicts are met wrongly is at most "
+                f"{_percent(self.met)}, and that one or more failed wrongly at most {_percent(self.failed)}, by Holm."
+            )
+        elif self.verdicts > 1:
             count = f"{self.verdicts:,} verdicts"
             found += [
                 f"The probability that all {count} are met although one requirement does not hold is at most "
@@ -67,7 +74,9 @@ def levels_of(plan: Plan) -> Levels:
     errors = [1 - each.confidence for each in plan.keys.require for _ in cases_of(plan, each)]
     greatest, sequential = max(errors, default=0.0), plan.keys.stop == "sequential"
     measured = not sequential and any(each.share is None for each in plan.keys.require)
-    return Levels(len(errors), greatest, greatest, greatest, min(1.0, sum(errors)), sum(errors), sequential, measured)
+    family = plan.keys.level == "family"
+    total = min(sum(errors), 2 * greatest) if family else sum(errors)
+    return Levels(len(errors), greatest, greatest, greatest, min(1.0, total), total, sequential, measured, family)
 
 
 def _percent(probability: float) -> str:

@@ -11,8 +11,11 @@ from typing import Any
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.verdicts.bounds import Bounds
 from modsim3d.campaign.verdicts.wording import percent
+from modsim3d.campaign.work.score_bounds import SHARES
 
 LOW, HIGH = "low", "high"
+DIFFERENCE = "difference"
+"""Before the key of a score, with a point: of differences between two trackers."""
 OFFERS = "mean_offers.json"
 """Beside this file; written by `script/campaign sequences`."""
 
@@ -41,6 +44,12 @@ def seeds_needed(column: str, bound: str, confidence: float) -> float:
     return max(math.inf if each is None else each for each in around)
 
 
+def offered_from(requirement: Requirement, group: str) -> float:
+    """From how many seeds on the bound that a requirement on a mean is held against is given."""
+    bound = LOW if requirement.at_least is not None else HIGH
+    return seeds_needed(_column(requirement, group), bound, requirement.confidence)
+
+
 def offered(bounds: Bounds, requirement: Requirement, seeds: int, group: str) -> Bounds:
     """Bounds of a mean over so many seeds, without those that are not given."""
     column = _column(requirement, group)
@@ -56,18 +65,18 @@ def too_few(requirement: Requirement, seeds: int, group: str) -> str:
         seeds: The seeds with a value.
         group: What divides the runs into parts, if it is about one.
     """
-    at_least = requirement.at_least is not None
-    needed = seeds_needed(_column(requirement, group), LOW if at_least else HIGH, requirement.confidence)
+    needed = offered_from(requirement, group)
     if needed <= seeds:
         return ""
-    side, where = "lower" if at_least else "upper", f" by {group}" if group else ""
-    bound = f"the {side} bound of a mean of {requirement.score}{where}"
+    side, where = "lower" if requirement.at_least is not None else "upper", f" by {group}" if group else ""
+    bound = f"the {side} bound of a mean of {requirement.what}{where}"
     if math.isfinite(needed):
         why = "with fewer it errs too often; a share of seeds with `in` is exact"
         return f"{bound} needs {needed:.0f} traffic seeds with a value, and has {seeds}: {why}"
     sure = percent(requirement.confidence)
-    return f"{bound} was not measured to hold with {sure} confidence: ask for a share of seeds with `in`"
+    instead = " or use `stop: sequential`" if requirement.of is not None and requirement.score in SHARES else ""
+    return f"{bound} was not measured to hold with {sure} confidence: ask for a share of seeds with `in`{instead}"
 
 
 def _column(requirement: Requirement, group: str) -> str:
-    return f"{group}.{requirement.score}" if group else requirement.score
+    return ".".join(filter(None, ["" if requirement.of is None else DIFFERENCE, group, requirement.score]))

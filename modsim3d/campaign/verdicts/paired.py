@@ -73,8 +73,7 @@ def paired(plan: Plan, table: pa.Table, score: str) -> tuple[PairedDifference, .
 
 def _difference(plan: Plan, rows: Rows, score: str, condition: int, first: int, second: int) -> PairedDifference:
     one, other = (rows.runs_of(Case(tracker, condition), score) for tracker in (first, second))
-    lost, share = one.nothing | other.nothing, np.minimum(one.share, other.share)
-    runs = Runs(one.values - other.values, one.crashed | other.crashed, lost, share)
+    runs = one.minus(other)
     differences = runs.means(math.nan)
     whole = ~np.any(runs.lost, axis=1)
     differences = differences[whole[~runs.undefined]]

@@ -6,17 +6,24 @@ from modsim3d.campaign.file.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.plan.selection import groups_of
 from modsim3d.campaign.verdicts.betting import perfect_seeds_needed
+from modsim3d.campaign.verdicts.family import at_step, cases_of_all, stepped
 from modsim3d.campaign.verdicts.offers import too_few
 from modsim3d.campaign.verdicts.proportions import clean_seeds_needed, clean_seeds_needed_sequential
 from modsim3d.campaign.verdicts.wording import requirement_text
-from modsim3d.campaign.work.score_bounds import facts_of, score_bounds
+from modsim3d.campaign.work.score_bounds import facts_of, limits_of
 
 
 def warnings_of(plan: Plan) -> list[str]:
     """What should be said of the requirements of a plan before it is run, a sentence each."""
-    found = []
+    found, cases = [], cases_of_all(plan)
+
+    def reason_at(place: int, taken: int, group: str) -> str:
+        return never_met(plan.keys, at_step(plan, place, len(cases), taken), group)
+
+    family = len(cases) * (plan.keys.level == "family")
+    reached = stepped(family, lambda each, taken: not reason_at(cases[each][0], taken, cases[each][1].group))
     for place, requirement in enumerate(plan.keys.require):
-        if reason := never_met(plan.keys, requirement, next(iter(groups_of(plan, requirement)), "")):
+        if reason := reason_at(place, len(reached), next(iter(groups_of(plan, requirement)), "")):
             text = requirement_text(requirement)
             found.append(f"require[{place}] ({text}) can never be met by this plan: {reason}")
     if plan.keys.require and any(factor.latin_hypercube for factor in plan.keys.vary):
@@ -43,7 +50,7 @@ def never_met(keys: CampaignKeys, requirement: Requirement, group: str, undefine
         undefined: How many traffic seeds are known to have no value.
     """
     seeds = keys.seeds.traffic - undefined
-    least, greatest = score_bounds(requirement.score, keys.score)
+    least, greatest = limits_of(requirement, keys.score)
     at_least, facts = requirement.at_least is not None, facts_of(requirement.score)
     if facts.managed and requirement.resting_on is None:
         return (
@@ -51,7 +58,7 @@ def never_met(keys: CampaignKeys, requirement: Requirement, group: str, undefine
             f"`resting_on`, as in `resting_on: 0.8`, says on which share of {facts.basis.of} each run must rest"
         )
     if requirement.threshold > greatest if at_least else requirement.threshold < least:
-        return f"{requirement.score} is never {f'above {greatest:g}' if at_least else f'below {least:g}'}"
+        return f"{requirement.what} is never {f'above {greatest:g}' if at_least else f'below {least:g}'}"
     if requirement.share is not None:
         return _share_never_met(requirement.share, requirement.confidence, keys.stop, seeds)
     if requirement.threshold == (greatest if at_least else least):

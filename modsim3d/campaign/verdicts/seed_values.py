@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
@@ -52,6 +52,13 @@ class Runs:
         """Runs without a value that are not lost, in seeds that have others, shape (s, d)."""
         alone: Mask = np.isnan(self.values) & ~self.lost & ~self.undefined[:, None]
         return alone
+
+    def minus(self, other: Runs) -> Runs:
+        """The difference to another tracker in each run: lost where one of both is, or infinite."""
+        infinite = np.isinf(self.values) | np.isinf(other.values)
+        values = np.where(infinite, np.nan, self.values) - np.where(infinite, np.nan, other.values)
+        nothing = self.nothing | other.nothing | infinite
+        return Runs(values, self.crashed | other.crashed, nothing, np.minimum(self.share, other.share))
 
     @property
     def rests_on(self) -> float | None:
@@ -107,8 +114,12 @@ class Rows:
         Args:
             case: A tracker in a condition, or in a part of its runs.
             score: A key of the scores.
-            resting_on: The least share that the score of a run must rest on.
+            resting_on: The least share that the score of a run must rest on, of both trackers in a difference.
         """
+        if case.minus is not None:
+            both = (replace(case, tracker=tracker, minus=None) for tracker in (case.tracker, case.minus))
+            one, other = (self.runs_of(each, score, resting_on) for each in both)
+            return one.minus(other)
         facts, column = facts_of(score, case.group), self.columns(case)
         values, crashed = column(score), self._crashed[self._place(case)]
         there = column(facts.expected) > 0

@@ -12,7 +12,7 @@ _DIGITS = 4
 def requirement_text(requirement: Requirement, within: str = "") -> str:
     """A requirement in words, such as `hota at least 0.6 in state haze`."""
     side = "at least" if requirement.at_least is not None else "at most"
-    text = f"{requirement.score} {side} {requirement.threshold:.10g}"
+    text = f"{requirement.what} {side} {requirement.threshold:.10g}"
     if requirement.resting_on is not None:
         text += f" resting on {percent(requirement.resting_on)}"
     text += within

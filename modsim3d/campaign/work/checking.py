@@ -225,6 +225,10 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
         )
     if keys.stop == "sequential" and not keys.require:
         yield "stop: sequential ends when the requirements are decided, and there is no require"
+    sure = sorted({each.confidence for each in keys.require})
+    if keys.level == "family" and len(sure) > 1:
+        said = " and ".join(f"{each:g}" for each in sure)
+        yield f"level: family has one confidence for all requirements, and these have {said}"
     yield from search_problems(keys)
     try:
         rules_of(keys.score)

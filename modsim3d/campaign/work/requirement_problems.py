@@ -28,7 +28,12 @@ def where_problems(requirement: Requirement, where: str, plan: Plan, parts: Mapp
         plan: The plan.
         parts: Names of the parts of all runs, by what divides them.
     """
-    known, found = [TRACKER, SCENE, *SCORES_BY, *plan.parameters], []
+    known, labels = [TRACKER, SCENE, *SCORES_BY, *plan.parameters], [each.label for each in plan.keys.trackers]
+    found = [
+        f"{where}.{key}: there is no tracker '{label}' ({nearest(label, labels)})"
+        for key, label in (("of", requirement.of), ("minus", requirement.minus))
+        if label is not None and label not in labels
+    ]
     if len(groups := groups_of(plan, requirement)) > 1:
         named = " and ".join(groups)
         found.append(f"{where}.where: {named} each divide the runs, and only one may: leave all but one out")

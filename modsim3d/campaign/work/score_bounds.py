@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modsim3d.arrays import Array
-from modsim3d.campaign.file.keys import ScoreKeys
+from modsim3d.campaign.file.keys import Requirement, ScoreKeys
 from modsim3d.campaign.plan.selection import CAMERA, GROUPS, STATE
 from modsim3d.campaign.work.row import SUBSET_KEYS
 
@@ -145,6 +145,12 @@ def score_bounds(score: str, keys: ScoreKeys) -> tuple[float, float]:
     """
     facts = facts_of(score)
     return facts.least, keys.gospa_c if score == "ospa" else facts.greatest
+
+
+def limits_of(requirement: Requirement, keys: ScoreKeys) -> tuple[float, float]:
+    """The same of what a requirement is about: a difference is no further from 0 than the bounds of its score are."""
+    least, greatest = score_bounds(requirement.score, keys)
+    return (least, greatest) if requirement.of is None else (least - greatest, greatest - least)
 
 
 def is_bounded(score: str, keys: ScoreKeys) -> bool:

@@ -101,22 +101,33 @@ def _rankings(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
 
 def _of_requirement(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> _Ranking:
     """The runs that some verdicts on one requirement are about."""
-    requirement = plan.keys.require[verdicts[0].requirement]
+    requirement, labels = plan.keys.require[verdicts[0].requirement], [each.label for each in plan.keys.trackers]
     trackers = np.asarray(table["tracker"].to_pylist(), dtype=object)
     conditions = table["condition"].to_numpy()
     chosen = np.zeros(len(table), dtype=bool)
     for verdict in verdicts:
-        chosen |= (trackers == verdict.tracker) & (conditions == verdict.condition)
-    ranking = _ranking(table, columns_of(plan, requirement), chosen, lowest=requirement.at_least is not None)
+        chosen |= (trackers == (requirement.of or verdict.tracker)) & (conditions == verdict.condition)
+    off = 0
+    if requirement.of is not None and requirement.minus is not None:
+        off = labels.index(requirement.minus) - labels.index(requirement.of)
+    ranking = _ranking(table, columns_of(plan, requirement), chosen, lowest=requirement.at_least is not None, off=off)
     return replace(ranking, requirement=verdicts[0].requirement)
 
 
-def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: bool) -> _Ranking:
-    """Chosen rows, the worst first, by the worst of some columns; those without a value are left out."""
+def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: bool, off: int = 0) -> _Ranking:
+    """Chosen rows, the worst first, by the worst of some columns; those without a value are left out.
+
+    With `off`, the values are differences to those of the run whose number is so much greater.
+    """
     there = [name for name in columns if name in table.column_names]
     if not there:
         return _Ranking(np.empty(0, dtype=np.int64), USUAL_SCORE)
     values = np.column_stack([_numbers(table, name) for name in there])
+    if off:
+        others = table["run"].to_numpy() + off
+        places = np.minimum(np.searchsorted(table["run"].to_numpy(), others), len(table) - 1)
+        there_too = table["run"].to_numpy()[places] == others
+        values = np.where(there_too[:, None], values - values[places], np.nan)
     badness = np.where(np.isnan(values), -np.inf, -values if lowest else values).max(axis=1)
     rows = np.flatnonzero(chosen & (badness > -np.inf))
     return _Ranking(rows[np.argsort(-badness[rows], kind="stable")], there[0])

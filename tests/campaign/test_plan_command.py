@@ -1,0 +1,147 @@
+"""`campaign --plan`: how many runs there will be, and how many seeds each requirement needs."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from modsim3d.campaign.results.folder import CampaignFolder, planned
+from modsim3d.campaign.results.needed_seeds import Expected, needed_seeds, parsed_expectation
+from modsim3d.campaign.verdicts.means import skewed_bounds
+from modsim3d.errors import ModsimError
+from tests.campaign.campaigns import checked_campaign, run_campaign_file
+from tests.campaign.hand_made_tables import plan_of, table_of_scores
+
+HOTA = {"score": "hota", "at_least": 0.6}
+CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.99}
+TRACKERS = ("bytetrack", "sort")
+
+
+def one(requirement, expected=None, **keys):
+    (found,) = needed_seeds(plan_of(20, [requirement], **keys), expected or {}, None)
+    return found
+
+
+def test_a_share_needs_its_clean_seeds_and_more_if_one_is_wrong():
+    once, sequential = one(CLEAN), one(CLEAN, stop="sequential")
+    assert (once.seeds, sequential.seeds) == (299, 680)
+    assert "473 if one is not" in once.why
+
+
+@pytest.mark.parametrize(("requirement", "sign"), [(HOTA, 1), ({"score": "hota", "at_most": 0.8}, -1)])
+def test_a_mean_needs_the_least_seeds_with_which_its_bound_is_beyond_the_threshold_in_four_of_five(requirement, sign):
+    seeds = one(requirement, {"hota": Expected(0.7, 0.1)}).seeds
+    rng = np.random.default_rng(5)
+    limits = {1: 1.0, -1: 0.0}
+
+    def met(count):
+        values = sign * rng.normal(0.7, 0.1, (4_000, count))
+        threshold = requirement.get("at_least", requirement.get("at_most"))
+        return np.mean(skewed_bounds(values, 0.05, sign * limits[sign]) >= sign * threshold)
+
+    assert met(seeds) == pytest.approx(0.8, abs=0.05) and met(seeds) > 0.77 and met(seeds - 1) < 0.82
+    assert 8 <= seeds <= 14
+
+
+def test_a_sequential_mean_needs_more_and_is_counted_with_its_own_bound():
+    expected = {"hota": Expected(0.7, 0.1)}
+    assert 20 <= one(HOTA, expected, stop="sequential").seeds <= 50
+
+
+def test_the_least_seeds_of_offers_count(monkeypatch):
+    monkeypatch.setattr("modsim3d.campaign.results.needed_seeds.offered_from", lambda *_: 30)
+    assert one(HOTA, {"hota": Expected(0.9, 0.01)}).seeds == 30
+
+
+def test_a_mean_on_the_wrong_side_never_and_without_a_spread_it_is_said_what_is_missing():
+    never, unknown = one(HOTA, {"hota": Expected(0.6, 0.1)}), one(HOTA)
+    assert never.seeds is None and never.why.startswith("never: the expected mean, 0.6, is not above")
+    assert unknown.seeds is None and "--expect 'hota=MEAN:SPREAD'" in unknown.why and "--like DIR" in unknown.why
+
+
+@pytest.mark.parametrize("requirement", [
+    {"score": "rmse_px", "at_most": 8}, {"score": "hota", "at_least": 1.2},
+    {"score": "hota", "of": "sort", "minus": "bytetrack", "at_least": 0},
+])  # fmt: skip
+def test_what_no_number_of_seeds_can_meet_is_never_whatever_is_expected(requirement):
+    found = one(requirement, {"rmse_px": Expected(1.0, 0.1), "hota": Expected(0.9, 0.1)}, trackers=TRACKERS)
+    assert found.seeds is None and found.why.startswith("never: ")
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("hota", "needs SCORE=MEAN:SPREAD, as in hota=0.7:0.05 (got 'hota')"), ("hota=a:b", "needs SCORE=MEAN:SPREAD"),
+    ("hota=0.7:0", "needs a spread above 0 (got 0)"), ("hota=inf:1", "needs SCORE=MEAN:SPREAD"),
+    ("hotta=0.7:0.1", "no requirement is on the mean of 'hotta' (did you mean 'hota'?)"),
+    ("id_switches=1:1", "no requirement is on the mean of 'id_switches'"),
+])  # fmt: skip
+def test_a_wrong_expectation_is_refused(text, said):
+    with pytest.raises(ModsimError, match="--expect") as refused:
+        parsed_expectation(text, plan_of(5, [HOTA, CLEAN]))
+    assert said in str(refused.value)
+    assert parsed_expectation("hota=0.7:0.05", plan_of(5, [HOTA])) == ("hota", Expected(0.7, 0.05))
+
+
+def test_what_an_earlier_campaign_lost_is_left_out_of_its_spread_and_said(tmp_path, monkeypatch):
+    plan = plan_of(20, [HOTA, {**HOTA, "of": "sort", "minus": "bytetrack", "in": 0.5}], TRACKERS)
+    earlier = plan_of(6, [], TRACKERS, seed=2)
+    table = table_of_scores(earlier, "hota", np.tile([0.7, 0.8, 0.75, 0.6], 3), crashed={0})
+    monkeypatch.setattr("modsim3d.campaign.results.needed_seeds.results_table", lambda _: table)
+    bytetrack, sort, share = needed_seeds(plan, {}, CampaignFolder(tmp_path, {}, earlier))
+    assert bytetrack.expected.mean == pytest.approx(np.mean([0.75, 0.7, 0.75, 0.7, 0.75]))
+    assert "1 lost run of it left out" in bytetrack.why and "lost" not in sort.why
+    assert (share.tracker, share.seeds) == ("sort − bytetrack", 5)
+
+
+CAMPAIGN = {
+    "scene": "harbour",
+    "steps": 12,
+    "seeds": {"traffic": 4},
+    "vary": [{"grid": {"state": ["excellent", "bad"]}}],
+    "trackers": ["sort", "reference"],
+    "require": [{"score": "hota", "at_least": 0.1}, CLEAN],
+}
+
+
+def test_the_command_runs_nothing_and_takes_an_earlier_campaign_for_its_spread(modsim3d, tmp_path):
+    earlier = run_campaign_file(tmp_path, "earlier.yaml", **CAMPAIGN)
+    file, out = tmp_path / "next.yaml", tmp_path / "out"
+    file.write_text(yaml.safe_dump({**CAMPAIGN, "seeds": {"traffic": 50}, "trackers": ["sort", "bytetrack"]}))
+    told = modsim3d("campaign", file, "--plan", "--like", tmp_path / "earlier", "--out", out, "--json")
+    found = json.loads(told.out)
+    assert (told.status, out.exists(), found["folder"], found["finished"]) == (0, False, None, False)
+    assert (found["runs"], found["frames"]) == (200, 200 * 12)
+    needed = [each for each in found["needed"] if each["requirement"] == 0]
+    assert [each["tracker"] for each in needed] == ["sort", "sort", "bytetrack", "bytetrack"]
+    assert all(each["seeds"] is None and "--expect 'hota=MEAN:SPREAD'" in each["why"] for each in needed[2:])
+    hota = earlier.table["hota"].to_numpy().reshape(4, 2, 2)[:, 0, 0]
+    expected = {"mean": pytest.approx(hota.mean()), "spread": pytest.approx(hota.std(ddof=1)), "lost": 0}
+    assert needed[0]["expected"] == expected
+    assert needed[0]["seeds"] >= 3
+    assert [each["seeds"] for each in found["needed"] if each["requirement"] == 1] == [299]
+    text = modsim3d("campaign", file, "--plan", "--expect", "hota=0.3:0.1")
+    assert text.status == 0 and "seeds needed" in text.out and "normal" in text.out and "2,400 frames" in text.out
+
+
+def test_no_spread_is_taken_from_a_search(modsim3d, tmp_path):
+    search = {"minimise": "hota", "over": {"detector.operating_threshold": [0.2, 0.6]}, "budget": 2, "batch": 1}
+    keys = {key: value for key, value in CAMPAIGN.items() if key in ("scene", "steps")}
+    earlier = checked_campaign(tmp_path, "search.yaml", **keys, trackers=["reference"], search=search)
+    planned(earlier, tmp_path / "search")
+    file = tmp_path / "next.yaml"
+    file.write_text(yaml.safe_dump(CAMPAIGN))
+    told = modsim3d("campaign", file, "--plan", "--like", tmp_path / "search")
+    assert told.status == 2 and "holds a search" in told.err
+    told = modsim3d("campaign", tmp_path / "search.yaml", "--plan")
+    assert told.status == 2 and "a search has no requirements" in told.err
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    (["--expect", "hota=0.7:0.1"], "--expect and --like are for --plan"),
+    (["--plan", "--shard", "1/2"], "--plan runs nothing"), (["--plan", "--like", "nowhere"], "nowhere"),
+])  # fmt: skip
+def test_options_that_contradict_each_other_are_refused(options, said, modsim3d, tmp_path):
+    file = tmp_path / "a.yaml"
+    file.write_text(yaml.safe_dump(CAMPAIGN))
+    told = modsim3d("campaign", file, *options)
+    assert told.status == 2 and said in told.err

@@ -1,0 +1,204 @@
+"""Requirements on differences between two trackers that are paired by traffic seed."""
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+from benchmarks.resampled_means import STORED, TRAFFICS, differences, turned
+from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.plan.selection import cases_of
+from modsim3d.campaign.report.compared import mean_sections, paired_sections
+from modsim3d.campaign.report.trace import trace_sections
+from modsim3d.campaign.report.words import required_scores
+from modsim3d.campaign.verdicts.judging import judged
+from modsim3d.campaign.verdicts.means import skewed_bounds
+from modsim3d.campaign.verdicts.offers import measured_offers, seeds_needed
+from modsim3d.campaign.verdicts.plan_warnings import warnings_of
+from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.work.row import table_of
+from modsim3d.campaign.worst.ranking import worst_runs
+from modsim3d.commands.campaign_text import requirement_in_words
+from modsim3d.errors import InputError
+from tests.campaign.campaigns import run_campaign_file
+from tests.campaign.hand_made_tables import plan_of, table_of_scores
+
+NO_WORSE = {"score": "siap_completeness", "of": "new", "minus": "old", "at_least": -0.02}
+TRACKERS = ({"tracker": "sort", "name": "old"}, {"tracker": "bytetrack", "name": "new"})
+SEEDS = 60
+"""From 50 on a mean difference of this score is judged at 95 %."""
+
+
+def values_of(difference, seeds=SEEDS):
+    """Scores of old and new, whose spread is that of the traffic: it is ten times that of their difference."""
+    rng = np.random.default_rng(7)
+    old = rng.normal(0.5, 0.1, seeds)
+    return np.column_stack([old, old + difference + rng.normal(0, 0.01, seeds)])
+
+
+def one(requirement, values, crashed=(), score="siap_completeness", **keys):
+    plan = plan_of(len(values), [requirement], TRACKERS, **keys)
+    (verdict,) = judged(plan, table_of_scores(plan, score, values, crashed))
+    return verdict
+
+
+@pytest.mark.parametrize("stop", ["once", "sequential"])
+@pytest.mark.parametrize(("requirement", "difference", "outcome"), [
+    ({}, 0.1, "met"), ({}, -0.35, "failed"), ({"at_least": 0.1}, 0.1, "undecided"),
+    ({"at_least": None, "at_most": 0.3}, 0.1, "met"), ({"of": "old", "minus": "new"}, -0.3, "met"),
+    ({"in": 0.8}, 0.1, "met"), ({"in": 0.8}, -0.35, "failed"),
+])  # fmt: skip
+def test_a_difference_is_judged_by_that_of_each_traffic_seed(requirement, difference, outcome, stop):
+    verdict = one({**NO_WORSE, **requirement}, values_of(difference, 200), stop=stop)
+    turn = -1 if requirement.get("of") == "old" else 1
+    assert (verdict.outcome, verdict.seeds) == (outcome, 200)
+    assert verdict.tracker == ("new − old" if turn > 0 else "old − new")
+    if "in" not in requirement:
+        assert verdict.estimate == pytest.approx(turn * difference, abs=0.01)
+
+
+def test_the_bound_of_a_difference_lies_between_minus_and_plus_the_span_of_the_score():
+    values = values_of(0.0)
+    verdict = one(NO_WORSE, values)
+    assert verdict.low == pytest.approx(float(skewed_bounds(values[:, 1] - values[:, 0], 0.05, 1.0)))
+    assert "siap_completeness of new minus old at least -0.02" in verdict.text
+
+
+@pytest.mark.parametrize("crashed", [{0}, {1}])
+def test_a_lost_run_of_either_tracker_takes_the_worst_possible_difference(crashed):
+    values = values_of(0.0, 100)
+    met, lost = one({**NO_WORSE, "at_least": -0.1}, values), one({**NO_WORSE, "at_least": -0.1}, values, crashed)
+    assert (met.outcome, lost.outcome, lost.crashed) == ("met", "met", 1)
+    difference = np.append(-1.0, (values[:, 1] - values[:, 0])[1:])
+    assert lost.low == pytest.approx(float(skewed_bounds(difference, 0.05, 1.0)))
+    assert one({**NO_WORSE, "at_least": -0.1}, values, range(10)).outcome == "undecided"
+
+
+def test_a_lost_run_is_wrong_with_in():
+    assert one({**NO_WORSE, "in": 0.5}, values_of(0.1), {3, 4}).estimate == pytest.approx(1 - 2 / SEEDS)
+
+
+def test_without_a_worst_value_a_lost_run_leaves_a_difference_undecided():
+    requirement = {"score": "gospa", "of": "new", "minus": "old", "at_most": 50}
+    verdict = one(requirement, values_of(0.1), {3}, "gospa")
+    assert verdict.outcome == "undecided" and "no worst possible value" in verdict.why
+
+
+@pytest.mark.parametrize("lazy", ["old", "new"])
+def test_a_managed_score_must_rest_on_enough_of_both_trackers(lazy):
+    requirement = {"score": "rmse_px", "of": "new", "minus": "old", "at_most": 1, "in": 0.5}
+    plan = plan_of(6, [requirement], TRACKERS)
+    assert "resting_on" in warnings_of(plan)[0]
+    plan = plan_of(6, [{**requirement, "resting_on": 0.8}], TRACKERS)
+    few = lambda run: run in (0, 1) and ("old", "new")[run % 2] == lazy  # noqa: E731
+    rows = [
+        {"run": run, "status": "done", "appearances": 2, "rmse_px": 3.0, "misses": 8 if few(run) else 0,
+         "true_positives": 2 if few(run) else 10}
+        for run in range(12)
+    ]  # fmt: skip
+    (verdict,) = judged(plan, table_of(rows))
+    assert (verdict.nothing, verdict.estimate) == (1, pytest.approx(5 / 6))
+
+
+def test_a_difference_that_no_tracks_at_all_would_meet_says_so():
+    requirement = {"score": "id_switches", "of": "new", "minus": "old", "at_most": 0, "in": 0.5}
+    fewer, worse = np.tile([3, 2], (SEEDS, 1)), np.tile([0, 1], (SEEDS, 1))
+    assert one(requirement, fewer, score="id_switches").met_without_tracks
+    no_worse_than_none = {**requirement, "at_most": -1}
+    assert not one(no_worse_than_none, worse, score="id_switches").met_without_tracks
+
+
+@pytest.mark.parametrize(("requirement", "said"), [
+    ({"minus": None}, "require[0]: a difference needs both of and minus"),
+    ({"of": "newest"}, "require[0].of: there is no tracker 'newest' (did you mean 'new'?)"),
+    ({"minus": "ancient"}, "require[0].minus: there is no tracker 'ancient' (known: old, new)"),
+    ({"minus": "new"}, "require[0]: of and minus are both 'new'"),
+    ({"where": {"tracker": "new"}}, "require[0]: a difference names its trackers with of and minus"),
+])  # fmt: skip
+def test_a_difference_that_names_no_two_trackers_is_one_clear_error(requirement, said, tmp_path):
+    keys = {"scene": "harbour", "steps": 5, "trackers": [*TRACKERS], "require": [{**NO_WORSE, **requirement}]}
+    file = tmp_path / "campaign.yaml"
+    file.write_text(yaml.safe_dump(keys))
+    with pytest.raises(InputError) as refused:
+        checked(read_campaign(file))
+    (problem,) = refused.value.problems
+    assert said in problem
+
+
+def test_a_difference_has_one_verdict_in_each_condition():
+    vary = [{"grid": {"state": ["good", "bad"]}}]
+    plan = plan_of(5, [NO_WORSE, {**NO_WORSE, "where": {"state": "bad"}}], TRACKERS, vary=vary)
+    assert [len(cases_of(plan, each)) for each in plan.keys.require] == [2, 1]
+    words = requirement_in_words(plan.keys.require[1])
+    assert words.startswith("mean siap_completeness of new minus old at least -0.02, where state bad")
+
+
+def test_a_difference_beyond_what_its_score_can_give_can_never_be_met():
+    (said,) = warnings_of(plan_of(50, [{**NO_WORSE, "at_least": 1.2}], TRACKERS))
+    assert "siap_completeness of new minus old is never above 1" in said
+    assert warnings_of(plan_of(SEEDS, [NO_WORSE], TRACKERS)) == []
+
+
+def test_a_mean_difference_that_was_not_measured_to_hold_is_undecided_and_says_what_would_do():
+    verdict = one({**NO_WORSE, "score": "hota"}, values_of(0.1), score="hota")
+    assert (verdict.outcome, verdict.low) == ("undecided", None)
+    assert "ask for a share of seeds with `in` or use `stop: sequential`" in verdict.why
+
+
+def test_no_difference_is_judged_by_what_was_measured_of_scores():
+    seeds = measured_offers()["seeds"]
+    assert seeds["difference.hota"]["low"] == seeds["difference.hota"]["high"]
+    assert seeds_needed("difference.unknown", "low", 0.95) == np.inf
+    stateful = {**NO_WORSE, "where": {"state": "bad"}}
+    plan = plan_of(50, [stateful], TRACKERS)
+    (said,) = warnings_of(plan)
+    assert "ask for a share of seeds with `in`" in said
+
+
+def test_differences_are_drawn_from_pairs_on_the_same_seeds_with_both_signs():
+    table = pq.read_table(STORED, columns=["traffic", "tracker", "traffic_seed", "hota"])
+    found = list(differences(table))
+    assert len(found) == 3 * len(TRAFFICS) and all(each.limits == (-1.0, 1.0) for each in found)
+    rows = table.slice(0, 3).to_pylist()
+    assert found[0].tracker == f"{rows[0]['tracker']} − {rows[1]['tracker']}"
+    assert found[0].values[0] == pytest.approx(rows[0]["hota"] - rows[1]["hota"])
+    cell = turned({"tracker": "a − b", "bound": "low", "seeds": 3})
+    assert cell == {"tracker": "b − a", "bound": "high", "seeds": 3}
+
+
+def test_the_page_holds_no_mean_against_the_threshold_of_a_difference_and_prints_no_second_interval():
+    plan = plan_of(SEEDS, [NO_WORSE], TRACKERS)
+    (score,) = required_scores(plan)
+    assert score.column == "siap_completeness" and score.thresholds == ()
+    table = table_of_scores(plan, "siap_completeness", values_of(0.1))
+    (_, text, rows) = paired_sections(plan, table)
+    assert "above" in text and ">−0.099</td>" in rows
+    assert "Intervals of means that are required" not in "".join(mean_sections(plan, table))
+
+
+@pytest.mark.parametrize(("lost", "outcome"), [(1, "failed"), (0, "undecided")])
+def test_a_mean_difference_fails_if_every_run_of_the_tracker_itself_crashed_and_not_of_the_other(lost, outcome):
+    verdict = one(NO_WORSE, values_of(0.1), range(lost, 2 * SEEDS, 2))
+    assert (verdict.outcome, verdict.estimate) == (outcome, None)
+
+
+def test_the_difference_of_infinite_values_is_lost_and_not_left_out():
+    values = values_of(0.1)
+    values[3], values[4, 0] = np.inf, np.inf
+    requirement = {"score": "gospa", "of": "new", "minus": "old", "at_most": 50}
+    verdict = one(requirement, values, score="gospa")
+    assert (verdict.outcome, verdict.nothing, verdict.undefined) == ("undecided", 2, 0)
+    assert one({**requirement, "in": 0.5}, values, score="gospa").estimate == pytest.approx(1 - 2 / SEEDS)
+
+
+def test_a_campaign_page_traces_a_difference_to_the_runs_of_both_and_its_worst_run_has_the_worst_difference(tmp_path):
+    requirement = {**NO_WORSE, "score": "hota", "at_least": 0.9, "in": 0.5}
+    result = run_campaign_file(
+        tmp_path, scene="harbour", steps=12, seeds={"traffic": 3}, trackers=[*TRACKERS], require=[requirement]
+    )
+    assert [each.tracker for each in result.verdicts] == ["new − old"]
+    hota = result.table["hota"].to_numpy().reshape(3, 2)
+    (worst,) = worst_runs(result.folder, result.table, result.verdicts, count=1)
+    assert worst.number == 2 * int(np.argmin(hota[:, 1] - hota[:, 0])) + 1
+    traced = "".join(trace_sections(result.folder, result.table, result.verdicts))
+    assert "new − old" in traced and "0–5 (6 of them)" in traced

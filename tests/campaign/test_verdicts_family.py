@@ -1,0 +1,105 @@
+"""`level: family`: the confidence is that of all verdicts together, by Holm's step-down."""
+
+import numpy as np
+import pytest
+import yaml
+
+from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.results.needed_seeds import needed_seeds
+from modsim3d.campaign.verdicts.judging import judged
+from modsim3d.campaign.verdicts.levels import levels_of
+from modsim3d.campaign.verdicts.plan_warnings import warnings_of
+from modsim3d.campaign.verdicts.proportions import clean_seeds_needed
+from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.work.row import table_of
+from modsim3d.errors import InputError
+from tests.campaign.hand_made_tables import plan_of, table_of_scores
+
+CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.9}
+SCORES = ("id_switches", "hota", "mota", "idf1")
+
+
+def verdicts_of(wrong, seeds, confidence=0.95, stop="once", level="family"):
+    """Verdicts on shares of four scores, of which so many seeds are wrong."""
+    require = [{"score": each, "at_least": 0.5, "in": 0.9, "confidence": confidence} for each in SCORES[1 : len(wrong)]]
+    plan = plan_of(seeds, [{**CLEAN, "confidence": confidence}, *require], level=level, stop=stop)
+    rows = [
+        {"run": run, "status": "done", "id_switches": int(run < wrong[0])}
+        | {name: 0.1 if run < bad else 0.9 for name, bad in zip(SCORES[1:], wrong[1:], strict=False)}
+        for run in range(seeds)
+    ]
+    return judged(plan, table_of(rows))
+
+
+def test_a_verdict_alone_is_judged_at_its_own_level_and_two_at_half_of_it():
+    assert [each.outcome for each in verdicts_of([0], 29)] == ["met"]
+    both = clean_seeds_needed(0.9, 0.975)
+    assert [each.outcome for each in verdicts_of([0, 0], both - 1)] == ["undecided"] * 2
+    assert [each.outcome for each in verdicts_of([0, 0], both)] == ["met"] * 2
+    assert [each.outcome for each in verdicts_of([0, 0], both - 1, level="each")] == ["met"] * 2
+
+
+def test_what_is_met_leaves_the_rest_of_the_level_to_the_others():
+    """With 46 seeds, one wrong of them is shown with 95 % and not with 97.5 %; none wrong with both."""
+    assert clean_seeds_needed(0.9, 0.95, 1) == 46 < clean_seeds_needed(0.9, 0.975, 1)
+    first, second = verdicts_of([0, 1], 46)
+    assert (first.outcome, first.confidence) == ("met", 0.975)
+    assert (second.outcome, second.confidence) == ("met", pytest.approx(0.95))
+    assert "97.5 % confidence" in first.why and "Judged at 95 %, by Holm" in second.why
+    assert [each.outcome for each in verdicts_of([1, 1], 46)] == ["undecided"] * 2
+
+
+def test_met_and_failed_step_down_by_themselves():
+    outcomes = [(each.outcome, round(each.confidence, 6)) for each in verdicts_of([0, 40, 4], 46)]
+    assert outcomes == [("met", 0.983333), ("failed", 0.983333), ("undecided", 0.975)]
+
+
+@pytest.mark.parametrize("stop", ["once", "sequential"])
+def test_the_family_errs_no_more_than_one_of_its_verdicts_may(stop):
+    """Eight shares at their threshold: each verdict alone is wrong more often in all than its level."""
+    rng, wrong = np.random.default_rng(3), {"family": 0, "each": 0}
+    names = ("hota", "deta", "idf1", "idr", "mota", "assa", "detre", "detpr")
+    for _ in range(60):
+        right = rng.random((60, 8)) < 0.8
+        values = [dict(zip(names, each.astype(float), strict=True)) for each in right]
+        rows = [{"run": run, "status": "done"} | each for run, each in enumerate(values)]
+        for level in wrong:
+            require = [{"score": name, "at_least": 0.5, "in": 0.8, "confidence": 0.9} for name in names]
+            verdicts = judged(plan_of(60, require, level=level, stop=stop), table_of(rows))
+            wrong[level] += any(each.outcome == "met" for each in verdicts)
+    assert wrong["family"] <= 0.1 * 60 + 6 and wrong["family"] < wrong["each"]
+
+
+def test_a_mean_beyond_the_confidences_that_were_measured_is_undecided_and_says_so():
+    require = [{"score": "hota", "at_least": 0.5}] * 6
+    plan = plan_of(60, require, level="family")
+    (why,) = {each.why for each in judged(plan, table_of_scores(plan, "hota", 0.8 + 0.02 * np.tile([-1, 1], 30)))}
+    assert "99.16666667 % confidence" in why and "was not measured to hold" in why
+    assert len(warnings_of(plan)) == 6 and warnings_of(plan_of(60, require[:5], level="family")) == []
+
+
+def test_a_plan_is_warned_of_at_the_levels_that_the_family_can_reach():
+    seeds = clean_seeds_needed(0.9, 0.975)
+    assert warnings_of(plan_of(seeds, [CLEAN] * 2, level="family")) == []
+    assert len(warnings_of(plan_of(seeds - 1, [CLEAN] * 2, level="family"))) == 2
+    (first, _) = needed_seeds(plan_of(5, [CLEAN] * 2, level="family"), {}, None)
+    assert first.seeds == seeds
+
+
+def test_levels_say_that_they_are_those_of_the_family():
+    levels = levels_of(plan_of(5, [CLEAN] * 4, level="family"))
+    assert (levels.met, levels.any_wrong) == (pytest.approx(0.05), pytest.approx(0.1))
+    said = " ".join(levels.sentences())
+    assert "that one or more of the 4 verdicts are met wrongly is at most 5 %" in said and "by Holm" in said
+
+
+def test_a_family_has_one_confidence(tmp_path):
+    file = tmp_path / "campaign.yaml"
+    require = [CLEAN, {**CLEAN, "confidence": 0.9}]
+    keys = {"scene": "harbour", "steps": 5, "trackers": ["sort"], "level": "family", "require": require}
+    file.write_text(yaml.safe_dump(keys))
+    with pytest.raises(InputError) as refused:
+        checked(read_campaign(file))
+    assert refused.value.problems == (
+        "level: family has one confidence for all requirements, and these have 0.9 and 0.95",
+    )
