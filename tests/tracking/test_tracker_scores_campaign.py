@@ -80,7 +80,8 @@ def rows() -> tuple[list[dict], list[dict], list[dict]]:
     for tracker in tracker_scores.TRACKERS:
         for rate in tracker_scores.MISS_RATES:
             misses += [
-                rows_of("fairway", seed, seed, tracker, 0.9 - rate * (1 + seed / 100), [[0, 0]] * 4) | {"miss_rate": rate}
+                rows_of("fairway", seed, seed, tracker, 0.9 - rate * (1 + seed / 100), [[0, 0]] * 4)
+                | {"miss_rate": rate}
                 for seed in (1, 2)
             ]
     return drawn + others, alone, misses

@@ -63,8 +63,8 @@ class Levels:
         if self.measured:
             found.append(
                 "Of means this is no proof: it was measured on campaigns that were drawn from real scores of four "
-                "traffics (docs/campaigns/sequences.md), and other traffics may be worse. A tracker that is lost in one run in "
-                "twenty, and in none of these, is not in it: a share of seeds with `in` is exact there too."
+                "traffics (docs/campaigns/sequences.md), and other traffics may be worse. A tracker that is lost in "
+                "one run in twenty, and in none of these, is not in it: a share of seeds with `in` is exact there too."
             )
         return found
 
