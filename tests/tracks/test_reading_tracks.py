@@ -6,14 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 import modsim3d
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.writing.mot import files as mot_files
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.scene.reading import data_folder
 from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.sequence_names import camera_sequence_names
+from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.true_tracks import TrueTracks
 from tests.tracks.track_files import IMAGE_PX, centred, csv_text, detected_tracks, mot_texts, top_left, write_mot
 
 CENTRES = "centre_x_px,centre_y_px,width_px,height_px"
@@ -377,14 +381,66 @@ def test_frames_and_pixels_that_both_count_from_zero_are_recognised_together(one
     assert "frames count from 0, must count from 1, and pixels are counted from 0, must be counted from 1" in message
 
 
-@pytest.mark.parametrize(("steps", "what"), [(1, "frames are one too high"), (-1, "frames are one too low")])
-def test_steps_that_are_one_off_are_recognised(one_camera_run, tmp_path, steps, what):
-    rows = RunRows.of(one_camera_run)
+def one_off(rows, steps):
+    """Detections in the frame that many steps later."""
     tracks = detected_tracks(rows)
     there = tracks.take(np.isin(tracks.step + steps, rows.frames))
-    moved = replace(there, frame=there.frame + steps)
-    (tmp_path / "any.csv").write_text(csv_text(rows, moved))
-    assert what in said(read_tracks, tmp_path / "any.csv", one_camera_run, rows)
+    return replace(there, frame=there.frame + steps)
+
+
+def test_steps_that_are_one_too_low_are_recognised(one_camera_run, tmp_path):
+    rows = RunRows.of(one_camera_run)
+    (tmp_path / "any.csv").write_text(csv_text(rows, one_off(rows, -1)))
+    assert "frames are one too low" in said(read_tracks, tmp_path / "any.csv", one_camera_run, rows)
+
+
+def test_a_tracker_with_a_latency_of_one_frame_is_read(one_camera_run, tmp_path):
+    """Its file is that of frames which are one too high, so these cannot be refused."""
+    rows = RunRows.of(one_camera_run)
+    late = one_off(rows, 1)
+    (tmp_path / "any.csv").write_text(csv_text(rows, late))
+    assert len(read_tracks(tmp_path / "any.csv", one_camera_run, rows).tracks) == len(late)
+
+
+@pytest.fixture(scope="module")
+def biased_run(tmp_path_factory):
+    """A detector whose boxes are nearly exact, but lie a pixel too far left and up."""
+    folder = tmp_path_factory.mktemp("biased") / "run"
+    detector = yaml.safe_load((data_folder("scenes") / "detectors" / "coastal.yaml").read_text())
+    for state in detector["states"].values():
+        state["box_error"] = {"unit": "px", "mean": [-1, -1, 0, 0], "covariance": (np.eye(4) * 1e-4).tolist()}
+    file = folder.parent / "biased.yaml"
+    file.write_text(yaml.safe_dump(detector))
+    scene = modsim3d.load_scene("strait", steps=8, source="analytic", seed=3, detector=file)
+    modsim3d.run_scene(scene, folder)
+    return modsim3d.open_run(folder)
+
+
+def assert_read(run, rows, tracks, folder):
+    (folder / "any.csv").write_text(csv_text(rows, tracks))
+    assert len(read_tracks(folder / "any.csv", run, rows).tracks) == len(tracks)
+
+
+def test_exact_truth_behind_a_biased_detector_is_read(biased_run, tmp_path):
+    rows = RunRows.of(biased_run)
+    true = TrueTracks.of(rows)
+    true = true.take(true.scored)
+    assert len(true) > 60
+    assert_read(biased_run, rows, Tracks.of(2, true.frame, true.vessel, true.boxes_px), tmp_path)
+
+
+def test_a_tracker_that_corrects_its_detector_s_bias_is_read(biased_run, tmp_path):
+    rows = RunRows.of(biased_run)
+    tracks = detected_tracks(rows)
+    assert_read(biased_run, rows, replace(tracks, boxes_px=tracks.boxes_px + 1), tmp_path)
+
+
+def test_one_camera_of_a_csv_file_may_be_wrong(read, small_rows, small_tracks):
+    quay = (small_tracks.camera == 1)[:, None]
+    wrong = np.where(quay, exchanged(small_tracks.boxes_px), small_tracks.boxes_px)
+    assert quay.mean() < 0.5
+    message = said(read, csv_text(small_rows, small_tracks, wrong))
+    assert "camera 'quay': x and y of the boxes are exchanged" in message
 
 
 @pytest.mark.parametrize("scene", ["strait", "fairway", "simulation_1"])
