@@ -139,7 +139,7 @@ class FileIds:
 class LabelledSet:
     """Images with their annotations and a detector's results; notes say what a reader left out, for instance.
 
-    `ids` is known of a set that was read from one file of truth.
+    `ids` is known of a set that was read from one file of truth. Detections below `dropped_below` are missing.
     """
 
     labels: tuple[str, ...]
@@ -149,6 +149,7 @@ class LabelledSet:
     results: Results
     notes: tuple[str, ...] = field(default=())
     ids: FileIds | None = None
+    dropped_below: float = 0.0
 
     @property
     def scored(self) -> bool:
@@ -172,6 +173,7 @@ def joined(parts: Sequence[LabelledSet]) -> LabelledSet:
         Annotations(**_stacked([part.annotations for part in moved])),
         Results(**_stacked([part.results for part in moved])),
         tuple(note for part in parts for note in part.notes),
+        dropped_below=max(part.dropped_below for part in parts),
     )
 
 

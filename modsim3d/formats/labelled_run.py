@@ -31,8 +31,8 @@ def labelled_run(run: StoredRun | StrPath, cameras: Sequence[int] | None = None)
     frames = rows.frames[np.lexsort((rows.frames // count, rows.frames % count))]  # in order of camera and step
     frames = frames[np.isin(frames % count, range(count) if cameras is None else cameras)]
     truth, states = _truth(rows, frames), tuple(state.name for state in detector.states)
-    labelled = LabelledSet(detector.labels, states, _images(rows, frames), truth, _results(rows, frames, truth))
-    return labelled, run
+    results, least = _results(rows, frames, truth), detector.operating_threshold or 0.0
+    return LabelledSet(detector.labels, states, _images(rows, frames), truth, results, dropped_below=least), run
 
 
 def _images(rows: RunRows, frames: Indices) -> Images:

@@ -97,11 +97,13 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
 def least_confidence(labelled: LabelledSet, asked: float | None) -> float:
     """The least confidence of a detection that counts: the one that was asked for, or 0.2; 0 without confidences.
 
+    It is not below a run's operating threshold, under which detections were dropped.
+
     Raises:
         ModsimError: One was asked for, and the detections have no confidences.
     """
     if labelled.scored:
-        return LEAST_CONFIDENCE if asked is None else asked
+        return max(LEAST_CONFIDENCE if asked is None else asked, labelled.dropped_below)
     if asked is not None:
         raise ModsimError(f"--confidence {asked:g} needs confidences, and {NOT_SCORED}: leave it out, and all count")
     return 0.0
@@ -177,6 +179,11 @@ def _remarks(observed: Observed) -> Iterator[str]:
             "need confidences are left out, and the detector file gives every detection a confidence of 1"
         )
     labelled, (found, annotation) = observed.labelled, observed.matched.pairs
+    if observed.threshold == labelled.dropped_below > 0:
+        yield (
+            f"the run's operating_threshold dropped detections below {observed.threshold:g}: the rates are those from "
+            "there on, and it is the detector file's confidence_threshold"
+        )
     if not len(found):
         yield "nothing matches: annotations and detections may belong to other images, or have boxes in other pixels"
         return

@@ -210,10 +210,12 @@ def _chosen(run: StoredRun, cameras: str | Sequence[str] | None) -> tuple[int, .
     """Indices of the cameras that are asked for; none if none are.
 
     Raises:
-        ModsimError: The run has no such camera.
+        ModsimError: The run has no such camera, or these are no names.
     """
     names = [camera.name for camera in run.scene.cameras]
-    asked = [cameras] if isinstance(cameras, str) else list(cameras or ())
+    asked = [cameras] if isinstance(cameras, str) else () if cameras is None else cameras
+    if not isinstance(asked, Sequence) or not all(isinstance(name, str) for name in asked):
+        raise ModsimError(f"cameras must be the name of a camera, or a list of names (got {shown(cameras)})")
     for name in asked:
         if name not in names:
             raise ModsimError(f"--camera: there is no camera {shown(name)} in this run ({nearest(name, names)})")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
 from modsim3d.runs.files.columns import NOBODY, positions
 from modsim3d.runs.run_rows import RunRows
@@ -44,10 +45,11 @@ def read_tracks(path: Path, run: StoredRun, rows: RunRows, cameras: Sequence[int
     if path.is_dir() and any((path / name).exists() for name in TRACK_FILES):
         return read_stored_tracks(path, run, rows)
     files = _files(path, rows, cameras)
-    known = _known(rows)
+    known = _known("a detection", rows.detection_frame, rows.detection_boxes_px())
+    true_px = np.concatenate([rows.boxes_px("visible"), rows.boxes_px("full")])
+    truth = _known("a vessel", np.tile(rows.truth_frame, 2), true_px)
     for file in files:
-        if problem := misreading(_box_rows(file, rows), known):
-            raise InputError(file.problems.source, [problem.told])
+        _check_reading(file, rows, known, truth)
     for file in files:
         file.check(rows)
     tracks = tracks_of(files, len(rows.scene.cameras))
@@ -67,20 +69,34 @@ def _files(path: Path, rows: RunRows, cameras: Sequence[int]) -> list[FileRows]:
     raise InputError(source_of(path), [f"is none of what tracks may be: {_FORMS}"])
 
 
-def _known(rows: RunRows) -> KnownBoxes:
-    order = np.argsort(rows.detection_frame, kind="stable")
-    return KnownBoxes("a detection", rows.detection_frame[order], rows.detection_boxes_px()[order])
+def _known(word: str, frame: Indices, boxes_px: Array) -> KnownBoxes:
+    """Those of some boxes that are boxes, in order of frame."""
+    order = np.argsort(frame, kind="stable")
+    order = order[np.isfinite(boxes_px[order]).all(axis=1)]
+    return KnownBoxes(word, frame[order], boxes_px[order])
 
 
-def _box_rows(file: FileRows, rows: RunRows) -> BoxRows:
-    cameras, frame = rows.scene.cameras, file.frame
-    before, after = np.full(len(frame), NOBODY), np.full(len(frame), NOBODY)
-    for index in range(len(cameras)):
-        taken, here = rows.frames[rows.frames % len(cameras) == index], frame % len(cameras) == index
-        place = positions(taken, frame[here])
-        before[here], after[here] = np.append(NOBODY, taken)[place], np.append(taken, NOBODY)[place + 1]
-    image_px = np.array([camera.intrinsics.image_size_px for camera in cameras])[frame % len(cameras)]
-    return BoxRows(file.numbers, file.form, image_px, frame, before, after)
+def _check_reading(file: FileRows, rows: RunRows, known: KnownBoxes, truth: KnownBoxes) -> None:
+    """Hold the boxes of each camera of a file against known ones.
+
+    Raises:
+        InputError: They are meant otherwise than they are read.
+    """
+    for index, camera in enumerate(rows.scene.cameras):
+        if problem := misreading(_box_rows(file, rows, index), known, truth):
+            where = f"camera '{camera.name}': " if len(rows.scene.cameras) > 1 else ""
+            raise InputError(file.problems.source, [where + problem.told])
+
+
+def _box_rows(file: FileRows, rows: RunRows, camera: int) -> BoxRows:
+    """The boxes of one camera."""
+    count = len(rows.scene.cameras)
+    taken, here = rows.frames[rows.frames % count == camera], file.frame % count == camera
+    frame = file.frame[here]
+    place = positions(taken, frame)
+    before, after = np.append(NOBODY, taken)[place], np.append(taken, NOBODY)[place + 1]
+    image_px = np.tile(rows.scene.cameras[camera].intrinsics.image_size_px, (len(frame), 1))
+    return BoxRows(file.numbers[here], file.form, image_px, frame, before, after)
 
 
 def _name(path: Path) -> str:

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
+import modsim3d
 from modsim3d.cli import app
 from modsim3d.detector import load_detector
 from modsim3d.detector.file.reading import parse_detector
@@ -467,3 +469,15 @@ def test_what_was_left_out_is_remarked_in_every_place(tmp_path):
     for text in (result.output, (tmp_path / "d.yaml").read_text(), (tmp_path / "d.html").read_text()):
         assert "1 entries left out, the first because" in text
     assert "Left simple: det" not in (tmp_path / "d.yaml").read_text()
+
+
+def test_a_run_s_operating_threshold_is_the_least_that_its_detector_claims(tmp_path):
+    settings = {"detector.operating_threshold": 0.5}
+    modsim3d.run_scene(modsim3d.load_scene("strait", steps=40, source="analytic", settings=settings), tmp_path / "run")
+    for asked, least in ((None, 0.5), (0.3, 0.5), (0.6, 0.6)):
+        out, options = tmp_path / f"{asked}.yaml", ("--confidence", asked) if asked else ()
+        result = command("--run", tmp_path / "run", "--replicates", 20, *options, "--out", out)
+        assert yaml.safe_load(out.read_text())["confidence_threshold"] == least
+        assert ("operating_threshold dropped detections below 0.5" in result.output) == (least == 0.5)
+    learned = modsim3d.learn_detector(run=tmp_path / "run", replicates=20)
+    assert learned.detector.confidence_threshold == 0.5

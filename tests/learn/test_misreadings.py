@@ -112,6 +112,19 @@ def test_mot_pixels_from_zero_and_yolo_corners_are_named(tmp_path):
         read_pair("day", tmp_path / "set", tmp_path / "found", options)
 
 
+@pytest.mark.parametrize(("shift", "what"), [(1, "frames are one too high"), (-1, "frames are one too low")])
+def test_frames_of_noisy_detections_one_off_are_named(tmp_path, shift, what):
+    rng = np.random.default_rng(1)
+    corner = np.cumsum(rng.normal(0, 12, (60, 2)), axis=0) + 400
+    found = corner + rng.normal(0, 2.5, corner.shape)
+    options = ReadOptions(image_size_px=(WIDTH, HEIGHT), labels=("boat",))
+    (tmp_path / "gt.txt").write_text("".join(f"{k + 2},7,{x},{y},60,24,1,1,1\n" for k, (x, y) in enumerate(corner)))
+    lines = (f"{k + 2 + shift},-1,{x},{y},60,24,0.9,-1,-1,-1\n" for k, (x, y) in enumerate(found))
+    (tmp_path / "det.txt").write_text("".join(lines))
+    with pytest.raises(ModsimError, match=what if shift > 0 else "frames count from 0"):
+        read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", options)
+
+
 def test_detections_of_which_none_matches_are_refused(tmp_path):
     rng = np.random.default_rng(4)
     away = write_sets(tmp_path, lambda x, y, w, h: (*rng.uniform(0, 300, 2), 9, 9), stray=0)

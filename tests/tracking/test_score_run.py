@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import orjson
@@ -57,6 +58,12 @@ def test_perfect_tracks_score_1_and_come_first(scores: RunScores) -> None:
     best = keys_of(scores.trackers[0].scores)
     assert (best["hota"], best["mota"], best["idf1"], best["gospa"]) == pytest.approx((1, 1, 1, 0))
     assert scores.conclusion.startswith("perfect has the highest HOTA of 2 trackers: it follows vessels for 100 %")
+
+
+@pytest.mark.parametrize("cameras", [3, 0, True, [3], ["C0", None]])
+def test_cameras_that_are_no_names_are_one_sentence(run: StoredRun, perfect: TrackSet, cameras: Any) -> None:
+    with pytest.raises(ModsimError, match="cameras must be the name of a camera, or a list of names"):
+        score_run(run, perfect, cameras=cameras)
 
 
 def test_references_do_not_depend_on_the_trackers_beside_them(run: StoredRun, scores: RunScores, tracks: Path) -> None:

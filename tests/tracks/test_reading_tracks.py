@@ -6,14 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 import modsim3d
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.writing.mot import files as mot_files
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.scene.reading import data_folder
 from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.sequence_names import camera_sequence_names
+from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.true_tracks import TrueTracks
 from tests.tracks.track_files import IMAGE_PX, centred, csv_text, detected_tracks, mot_texts, top_left, write_mot
 
 CENTRES = "centre_x_px,centre_y_px,width_px,height_px"
@@ -312,11 +316,6 @@ def shares(boxes_px):
         (None, lambda boxes: boxes / 1.5, "are those of an image of 1280 x 720 px"),
         (None, lambda boxes: boxes * 2, "are those of an image of 3840 x 2160 px"),
         (None, lambda boxes: shares(boxes) * 640, "are those of an image of 640 x 640 px"),
-        (
-            None,
-            lambda boxes: boxes + 1,
-            "pixels are counted from 1, must be counted from 0 (then half of",
-        ),
         (None, lambda boxes: half_a_box_off(boxes, 0.5), "half a box too far right and down"),
         (None, lambda boxes: half_a_box_off(boxes, -0.5), "half a box too far left and up"),
         (None, exchanged, "x and y of the boxes are exchanged"),
@@ -377,14 +376,66 @@ def test_frames_and_pixels_that_both_count_from_zero_are_recognised_together(one
     assert "frames count from 0, must count from 1, and pixels are counted from 0, must be counted from 1" in message
 
 
-@pytest.mark.parametrize(("steps", "what"), [(1, "frames are one too high"), (-1, "frames are one too low")])
-def test_steps_that_are_one_off_are_recognised(one_camera_run, tmp_path, steps, what):
-    rows = RunRows.of(one_camera_run)
+def one_off(rows, steps):
+    """Detections in the frame that many steps later."""
     tracks = detected_tracks(rows)
     there = tracks.take(np.isin(tracks.step + steps, rows.frames))
-    moved = replace(there, frame=there.frame + steps)
-    (tmp_path / "any.csv").write_text(csv_text(rows, moved))
-    assert what in said(read_tracks, tmp_path / "any.csv", one_camera_run, rows)
+    return replace(there, frame=there.frame + steps)
+
+
+def test_steps_that_are_one_too_low_are_recognised(one_camera_run, tmp_path):
+    rows = RunRows.of(one_camera_run)
+    (tmp_path / "any.csv").write_text(csv_text(rows, one_off(rows, -1)))
+    assert "frames are one too low" in said(read_tracks, tmp_path / "any.csv", one_camera_run, rows)
+
+
+def test_a_tracker_with_a_latency_of_one_frame_is_read(one_camera_run, tmp_path):
+    """Its file is that of frames which are one too high, so these cannot be refused."""
+    rows = RunRows.of(one_camera_run)
+    late = one_off(rows, 1)
+    (tmp_path / "any.csv").write_text(csv_text(rows, late))
+    assert len(read_tracks(tmp_path / "any.csv", one_camera_run, rows).tracks) == len(late)
+
+
+@pytest.fixture(scope="module")
+def biased_run(tmp_path_factory):
+    """A detector whose boxes are nearly exact, but lie a pixel too far left and up."""
+    folder = tmp_path_factory.mktemp("biased") / "run"
+    detector = yaml.safe_load((data_folder("scenes") / "detectors" / "coastal.yaml").read_text())
+    for state in detector["states"].values():
+        state["box_error"] = {"unit": "px", "mean": [-1, -1, 0, 0], "covariance": (np.eye(4) * 1e-4).tolist()}
+    file = folder.parent / "biased.yaml"
+    file.write_text(yaml.safe_dump(detector))
+    scene = modsim3d.load_scene("strait", steps=8, source="analytic", seed=3, detector=file)
+    modsim3d.run_scene(scene, folder)
+    return modsim3d.open_run(folder)
+
+
+def assert_read(run, rows, tracks, folder):
+    (folder / "any.csv").write_text(csv_text(rows, tracks))
+    assert len(read_tracks(folder / "any.csv", run, rows).tracks) == len(tracks)
+
+
+def test_exact_truth_behind_a_biased_detector_is_read(biased_run, tmp_path):
+    rows = RunRows.of(biased_run)
+    true = TrueTracks.of(rows)
+    true = true.take(true.scored)
+    assert len(true) > 60
+    assert_read(biased_run, rows, Tracks.of(2, true.frame, true.vessel, true.boxes_px), tmp_path)
+
+
+def test_a_tracker_that_corrects_its_detector_s_bias_is_read(biased_run, tmp_path):
+    rows = RunRows.of(biased_run)
+    tracks = detected_tracks(rows)
+    assert_read(biased_run, rows, replace(tracks, boxes_px=tracks.boxes_px + 1), tmp_path)
+
+
+def test_one_camera_of_a_csv_file_may_be_wrong(read, small_rows, small_tracks):
+    quay = (small_tracks.camera == 1)[:, None]
+    wrong = np.where(quay, exchanged(small_tracks.boxes_px), small_tracks.boxes_px)
+    assert quay.mean() < 0.5
+    message = said(read, csv_text(small_rows, small_tracks, wrong))
+    assert "camera 'quay': x and y of the boxes are exchanged" in message
 
 
 @pytest.mark.parametrize("scene", ["strait", "fairway", "simulation_1"])
@@ -413,6 +464,17 @@ def test_a_smoothing_tracker_s_pixels_from_zero_are_recognised(tmp_path):
     tracks = modsim3d.track_run(run, tmp_path / "reference").tracks
     folder = write_mot(tmp_path / "mot", mot_texts(rows, tracks, top_left(tracks.boxes_px)))
     assert "pixels are counted from 0" in said(read_tracks, folder, run, rows)
+
+
+def test_pixels_from_one_are_recognised_where_the_truth_is_clear(tmp_path):
+    """Among 54 boxes whose errors are as large as a pixel it is not."""
+    modsim3d.run_scene(modsim3d.load_scene("strait", steps=60, source="analytic", seed=3), tmp_path / "run")
+    run = modsim3d.open_run(tmp_path / "run")
+    rows = RunRows.of(run)
+    tracks = detected_tracks(rows)
+    (tmp_path / "any.csv").write_text(csv_text(rows, tracks, tracks.boxes_px + 1))
+    what = "pixels are counted from 1, must be counted from 0 (then half of"
+    assert what in said(read_tracks, tmp_path / "any.csv", run, rows)
 
 
 def test_tracks_that_fit_no_detection_are_read_as_they_are(read, small_rows, small_tracks):

@@ -5,7 +5,7 @@ Tracks are held against the detections of their run, detections against the anno
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +22,8 @@ _FITS, _NEARER = 0.1, 0.6
 """Another reading is meant if half of its boxes are at most this share of the image's diagonal from known ones, and
 this share of them is nearer than as the file is. Of four trackers on four scenes at most 0.51 are, by a factor of 1.02.
 """
-_MUCH, _CLOSE, _AHEAD, _BEHIND = 2.0, 1.25, 1.5, 10.0
-"""By what factor boxes must be nearer. Trackers lag, as if their frames were too high: only exact boxes tell that."""
+_MUCH, _CLOSE, _FRAME = 2.0, 1.25, 1.5
+"""By what factor boxes must be nearer: read very differently, a pixel or half a box elsewhere, or a frame off."""
 _NEAR, _EXACT = 0.001, 0.0001
 """So near, two pixels of a large image, are no boxes that are read in a very different way, or in any."""
 _SIZES_PX = (
@@ -32,6 +32,9 @@ _SIZES_PX = (
 )
 """Sizes to which images are often scaled for a detector or a tracker; halves and doubles of their own are tried too."""
 _MOST_NORMALISED = 2.0
+_CLEARLY = 1.0
+"""By how many standard deviations of a sign test boxes must be nearer to the truth too if a bias looks the same."""
+_LATE = "frames are one too high"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +57,17 @@ class KnownBoxes:
         The distance of two boxes is the largest of their four edges. Unlike the IoU it tells boxes that are near from
         others also where boats are smaller than the errors of their boxes.
         """
+        return self._nearest(frame, boxes_px, lambda edges: np.abs(edges).max(axis=1))
+
+    def squares(self, frame: Indices, boxes_px: Array) -> Array:
+        """The same with the sum of the squares of the edges' distances, in square pixels, shape (k,)."""
+        return self._nearest(frame, boxes_px, lambda edges: np.square(edges).sum(axis=1))
+
+    def _nearest(self, frame: Indices, boxes_px: Array, measure: Callable[[Array], Array]) -> Array:
         first, many = extents(self.frame, frame)
         row, other = np.repeat(np.arange(len(frame)), many), ranges(first, many)
         nearest = np.full(len(frame), np.inf)
-        np.minimum.at(nearest, row, np.abs(boxes_px[row] - self.boxes_px[other]).max(axis=1))
+        np.minimum.at(nearest, row, measure(boxes_px[row] - self.boxes_px[other]))
         return nearest
 
 
@@ -113,15 +123,24 @@ class Misreading:
     slight: bool
 
 
-def misreading(rows: BoxRows, known: KnownBoxes) -> Misreading | None:
-    """What is wrong with boxes that are far from known ones as they are, and near if they are read in another way."""
+def misreading(rows: BoxRows, known: KnownBoxes, truth: KnownBoxes | None = None) -> Misreading | None:
+    """What is wrong with boxes that are far from known ones as they are, and near if they are read in another way.
+
+    Args:
+        rows: The boxes of a file.
+        known: What they should lie near.
+        truth: Of tracks, the true boxes. A tracker may correct a bias of its detections or lag behind them by a frame,
+            so boxes that another reading moves by little are wrong only if one brings them nearer to these too.
+    """
     if len(rows.frame) < _LEAST_ROWS:
         return None
     rows = rows.spread()
     diagonal_px = np.hypot(*rows.image_px.T)
     as_it_is = known.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / diagonal_px
-    now, best, meant = _median(as_it_is), _FITS, None
+    now, best, meant, agreed = _median(as_it_is), _FITS, None, False
     for reading in _readings(rows):
+        if reading.told == _LATE and truth is not None:
+            continue  # a tracker with a latency of one frame looks the same
         away = known.distances(reading.frame, reading.boxes_px) / diagonal_px
         both, half = np.isfinite(away) & np.isfinite(as_it_is), _median(away)
         least = _NEAR if reading.factor == _MUCH else _EXACT
@@ -129,7 +148,8 @@ def misreading(rows: BoxRows, known: KnownBoxes) -> Misreading | None:
         nearer = np.count_nonzero(away[both] < as_it_is[both]) >= _NEARER * np.count_nonzero(both)
         if half < best and now > max(reading.factor * half, least) and nearer and len(away) >= many:
             best, meant = half, reading
-    if meant is None:
+            agreed = agreed or truth is None or reading.factor == _MUCH or _agrees(truth, rows, reading)
+    if meant is None or not agreed:
         return None
     fits = f"{best:.2%} of the image's diagonal from {known.word} instead of {now:.2%}"
     return Misreading(f"{meant.told} (then half of them lie within {fits})", meant.factor == _CLOSE)
@@ -139,6 +159,18 @@ def _median(away: Array) -> float:
     """Of those that have a known box in their frame."""
     there = away[np.isfinite(away)]
     return float(np.median(there)) if len(there) else np.inf
+
+
+def _agrees(truth: KnownBoxes, rows: BoxRows, reading: _Reading) -> bool:
+    """Whether true boxes are clearly nearer in another reading: whether the sum of squares falls for most boxes.
+
+    Where all boxes move by as much, this compares their median errors, of which noise hides less than of distances.
+    """
+    now = truth.squares(rows.frame, rows.form.boxes_px(rows.numbers))
+    then = truth.squares(reading.frame, reading.boxes_px)
+    both = np.isfinite(now) & np.isfinite(then)
+    clearly = _CLEARLY if reading.factor == _CLOSE else 0.0  # no tracker knows the detections of the next frame
+    return bool(np.sign(now[both] - then[both]).sum() > clearly * np.sqrt(np.count_nonzero(both)))
 
 
 def _readings(rows: BoxRows) -> Iterator[_Reading]:
@@ -174,9 +206,9 @@ def _close_readings(rows: BoxRows, as_it_is: Array) -> Iterator[_Reading]:
     pixels = f"pixels are counted from {first}, must be counted from {right}"
     frames = "frames count from 0, must count from 1" if rows.form is MOT else "frames are one too low"
     yield _Reading(pixels, as_it_is + step, rows.frame, _CLOSE)
-    yield _Reading(frames, as_it_is, rows.frame_after, _AHEAD)
-    yield _Reading(f"{frames}, and {pixels}", as_it_is + step, rows.frame_after, _AHEAD)
-    yield _Reading("frames are one too high", as_it_is, rows.frame_before, _BEHIND)
+    yield _Reading(frames, as_it_is, rows.frame_after, _FRAME)
+    yield _Reading(f"{frames}, and {pixels}", as_it_is + step, rows.frame_after, _FRAME)
+    yield _Reading(_LATE, as_it_is, rows.frame_before, _FRAME)
     if rows.form is CORNERS:  # in the other forms these are the other forms
         half, told = np.tile(sizes(as_it_is) / 2, 2), "the corners lie half a box too far"
         yield _Reading(f"{told} right and down: is x_min, y_min the centre?", as_it_is - half, rows.frame, _CLOSE)
