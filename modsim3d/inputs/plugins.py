@@ -21,7 +21,7 @@ POSE_SOURCES = "modsim3d.pose_sources"
 WAVE_LEVELS = "modsim3d.wave_levels"
 SHAPES = "modsim3d.shapes"
 TRACKERS = "modsim3d.trackers"
-_MADE = re.compile(r"^\.\./|(^|/)__(pycache|editable)__|^[^/]*\.(dist|egg)-info/|\.(pyc|pth)$|~$")
+_MADE = re.compile(r"^(\.\./)+(bin|Scripts)/|(^|/)__(pycache|editable)__|^[^/]*\.(dist|egg)-info/|\.(pyc|pth)$|~$")
 """Names of files that Python, installers and editors make."""
 
 
@@ -86,7 +86,7 @@ def load_plugin(group: str, name: str, path: str, built_in: Iterable[str] = ()) 
         if module not in _LOADED:
             _LOADED[module] = own_files(point)
         return loaded, Plugin(group, name, _package(point), _LOADED[module])
-    except Exception as error:  # a foreign module may raise anything
+    except (Exception, SystemExit) as error:  # a foreign module may raise anything
         plugin = Plugin(group, name, _package(point))
         raise InputError(path, [f"{plugin} cannot be loaded from {point.value}: {_summary(error)}"]) from error
 
@@ -125,32 +125,37 @@ def differing(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
 def own_files(point: EntryPoint) -> dict[str, str]:
     """SHA-256 of the files of a plug-in's package by their paths, sorted; what Python and installers make is left out.
 
-    They are those in the record of its distribution. Where the record has not the module that is loaded, as with an
-    editable installation, all files in its packages count too, but for hidden ones.
+    They are those in the record of its distribution, and all files in its packages but for hidden ones: what was
+    downloaded into them is in no record, and neither is an editable installation.
     """
-    dist, packages = point.dist, {point.module.partition(".")[0]}
+    dist = point.dist
     found = {file.as_posix(): Path(str(dist.locate_file(file))) for file in dist.files or ()} if dist else {}
-    if Path(sys.modules[point.module].__file__ or "").resolve() not in {path.resolve() for path in found.values()}:
-        packages |= {each.module.partition(".")[0] for each in dist.entry_points} if dist else set()
-        found |= {name: path for package in packages for name, path in _of_package(package)}
+    for module in {point.module, *(each.module for each in (dist.entry_points if dist else ()))}:
+        found |= _of_package(module)
     contents = {name: path.read_bytes() for name, path in found.items() if not _MADE.search(name) and path.is_file()}
     if dist and (named := dist.read_text("entry_points.txt")):
         contents["entry_points.txt"] = named.encode()
     return {name: hashlib.sha256(content).hexdigest() for name, content in sorted(contents.items())}
 
 
-def _of_package(name: str) -> Iterator[tuple[str, Path]]:
-    """All files of a package, or the file of a module."""
+def _of_package(module: str) -> Iterator[tuple[str, Path]]:
+    """All files of the package that a module is in, or the file of a module in none."""
+    name, _, rest = module.partition(".")
     spec = find_spec(name)
+    while spec and spec.origin is None and rest:  # a namespace, in which others may have packages too
+        inner, _, rest = rest.partition(".")
+        if not (found := find_spec(f"{name}.{inner}")) or found.submodule_search_locations is None:
+            break
+        name, spec = found.name, found
     folders = spec.submodule_search_locations if spec else ()
     if folders is None and spec and spec.origin:
         yield Path(spec.origin).name, Path(spec.origin)
     for folder in map(Path, folders or ()):
-        inside = {path: path.relative_to(folder) for path in folder.rglob("*")}
-        yield from ((f"{name}/{at.as_posix()}", path) for path, at in inside.items() if "/." not in f"/{at.as_posix()}")
+        inside = {path: f"/{path.relative_to(folder).as_posix()}" for path in folder.rglob("*")}
+        yield from ((name.replace(".", "/") + at, path) for path, at in inside.items() if "/." not in at)
 
 
-def failed(plugin: Plugin, error: Exception) -> ModsimError:
+def failed(plugin: Plugin, error: Exception | SystemExit) -> ModsimError:
     """The error of a plug-in in one line, with the name of the plug-in and where it failed."""
     return ModsimError(
         f"{plugin}: {error}" if isinstance(error, ModsimError) else f"{plugin} failed: {_summary(error)}"
@@ -161,7 +166,7 @@ def _package(point: EntryPoint) -> str:
     return f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown package"
 
 
-def _summary(error: Exception) -> str:
+def _summary(error: Exception | SystemExit) -> str:
     text = " ".join(str(error).split())
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {text} ({Path(last.filename).name}, line {last.lineno})"

@@ -80,6 +80,18 @@ def test_a_file_that_was_changed_after_the_end_is_refused_by_its_name(ended: Pat
     assert open_campaign(ended).finished
 
 
+@pytest.mark.parametrize("files", ['{"../x": 5}', '{"x": {"bytes": 5}}', '{"x": ["bytes", "sha256"]}', '["x"]', "5"])
+def test_a_list_of_another_form_is_refused_as_a_damaged_one(ended: Path, files: str) -> None:
+    path = ended / "results" / LIST
+    before = path.read_bytes()
+    path.write_text(f'{{"files": {files}}}')
+    try:
+        with pytest.raises(ModsimError, match=f"^{path} cannot be read, or a file that it lists: .*; remove"):
+            open_campaign(ended)
+    finally:
+        path.write_bytes(before)
+
+
 def test_the_list_has_every_file_but_the_log(ended: Path) -> None:
     files = {path.relative_to(ended).as_posix(): path for path in ended.rglob("*") if path.is_file()}
     listed = json.loads((ended / "results" / LIST).read_text())["files"]

@@ -152,17 +152,42 @@ def test_a_campaign_that_was_interrupted_does_not_go_on_with_an_edited_plugin(si
         run_plan(checked_campaign(tmp_path, **KEYS), tmp_path / "out", ThisProcess)
 
 
-def test_a_record_says_what_the_files_of_a_package_are(site: Site) -> None:
-    """Of an installed package the record counts: what Python and installers make does not."""
-    beside = site.folder / "shifting" / "notes.txt"
-    beside.write_text("not recorded")
-    recorded = ["shifting/__init__.py", "shifting/tracker.py", "shifting/numbers.py", "shifting/data.bin"]
+def test_files_of_an_installed_package_are_those_of_its_record_and_all_in_its_folder(site: Site) -> None:
+    """What Python and installers make does not count."""
+    (site.folder / "shifting" / "downloaded.bin").write_text("not recorded")
+    (site.folder.parent / "share").mkdir()
+    (site.folder.parent / "share" / "weights.bin").write_bytes(b"outside the package")
+    (site.folder.parent / "bin").mkdir()
+    (site.folder.parent / "bin" / "shifting").write_text("a script")
+    recorded = ["shifting/__init__.py", "shifting/tracker.py", "shifting/data.bin", "../share/weights.bin"]
     made = ["shifting/__pycache__/tracker.cpython-311.pyc", "../bin/shifting", "shifting-1.0.dist-info/INSTALLER"]
     (site.folder / "shifting" / "data.bin").write_bytes(b"weights")
     (site.info / "INSTALLER").write_text("pip")
     (site.info / "RECORD").write_text("".join(f"{name},,\n" for name in [*recorded, *made]))
     _, plugin = load_plugin(TRACKERS, "shifting", "--tracker")
-    assert {*plugin.files} == {*recorded, "entry_points.txt"}
+    not_recorded = {"shifting/numbers.py", "shifting/downloaded.bin"}
+    assert {*plugin.files} == {*recorded, *not_recorded, "entry_points.txt"}
+
+
+def test_of_a_single_module_without_a_record_its_file_counts_and_none_beside_it(site: Site) -> None:
+    (site.folder / "single.py").write_text(TRACKER)
+    (site.info / "entry_points.txt").write_text("[modsim3d.trackers]\nshifting = single:Shifting\n")
+    _, plugin = load_plugin(TRACKERS, "shifting", "--tracker")
+    del sys.modules["single"]
+    assert {*plugin.files} == {"single.py", "entry_points.txt"}
+
+
+def test_other_packages_of_a_namespace_are_not_of_a_plugin(site: Site) -> None:
+    (site.folder / "space" / "other").mkdir(parents=True)
+    (site.folder / "space" / "other" / "__init__.py").write_text("")
+    (site.folder / "shifting").rename(site.folder / "space" / "shifting")
+    (site.folder / "space" / "shifting" / "tracker.py").write_text("SHIFT_PX = 0\n" + TRACKER)
+    (site.info / "entry_points.txt").write_text("[modsim3d.trackers]\nshifting = space.shifting.tracker:Shifting\n")
+    _, plugin = load_plugin(TRACKERS, "shifting", "--tracker")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "space"]:
+        del sys.modules[name]
+    names = ["__init__.py", "numbers.py", "tracker.py"]
+    assert {*plugin.files} == {"entry_points.txt", *(f"space/shifting/{name}" for name in names)}
 
 
 def test_an_editable_package_is_all_that_its_folder_holds(site: Site, tmp_path: Path) -> None:

@@ -196,6 +196,7 @@ HEAD = "from modsim3d.motion.poses import PosesByTime, SourceKeys\nfrom modsim3d
 BROKEN = {
     "missing_import": ("import no_such_module_here", "ModuleNotFoundError: No module named 'no_such_module_here'"),
     "syntax": ("class Drift(:\n", "SyntaxError"),
+    "exit": ("import sys; sys.exit()", "cannot be loaded from broken_drift:Drift: SystemExit"),
     "nothing_there": ("Other = 1", "has no attribute 'Drift'"),
     "a_number": ("Drift = 3", "must be a class made from modsim3d.motion.poses.PosesByTime"),
     "another_class": ("class Drift: ...", "must be a class made from modsim3d.motion.poses.PosesByTime"),

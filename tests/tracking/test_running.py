@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -125,6 +126,11 @@ def fails(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[Tracke
         yield TrackedFrame.empty()
 
 
+def leaves(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+    yield from (TrackedFrame.empty() for _ in [next(iter(frames))])
+    sys.exit()
+
+
 def lagging(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
     """Answers each frame after it has seen the next."""
     waiting = None
@@ -148,6 +154,8 @@ WRONG: dict[str, tuple[Follow, str]] = {
     "nothing": (lambda frames, camera: None, "follow must yield"),
     "no answer": (yields(None), "at 0 s: the answer to a frame is a modsim3d.TrackedFrame, not NoneType"),
     "an exception": (fails, "failed: ZeroDivisionError: division by zero (test_running.py"),
+    "an exit": (leaves, "failed: SystemExit:  (test_running.py"),
+    "an exit at once": (lambda frames, camera: sys.exit(3), "failed: SystemExit: 3 (test_running.py"),
     "a float for a number": (answer(track=[3.0]), "TrackedFrame.track must be integers, not float64"),
     "a number for a list": (answer(track=3), "got the shape ()"),
     "twice": (answer(track=[3, 3], boxes_px=BOX * 2), "at 1 s: track 3: two boxes have the track 3"),

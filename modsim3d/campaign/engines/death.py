@@ -6,8 +6,8 @@ import platform
 from dataclasses import dataclass
 from signal import SIGHUP, SIGINT, SIGKILL, SIGTERM, Signals
 
-OUTSIDE = (SIGKILL, SIGTERM, SIGINT, SIGHUP)
-"""Signals that somebody else sends: the system for want of memory, a batch system, a user."""
+STOPPING = (SIGTERM, SIGINT, SIGHUP)
+"""Signals that a batch system or a user sends to all processes of a campaign, to stop it."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class Death:
     Attributes:
         run: Number of the run that it had begun; None if that is unknown.
         how: Exit status or signal.
-        outside: Whether something else than the run may have ended it.
+        outside: Whether something else than the run may have ended it, as the system does for want of memory.
         host: Name of its machine; empty if that is unknown.
     """
 
@@ -30,7 +30,7 @@ class Death:
     def of(cls, run: int | None, code: int) -> Death:
         """From an exit status on this machine, or minus the number of a signal."""
         named = Signals(-code).name if -code in set(Signals) else f"signal {-code}"
-        return cls(run, f"exit status {code}" if code >= 0 else named, -code in OUTSIDE, platform.node())
+        return cls(run, f"exit status {code}" if code >= 0 else named, -code == SIGKILL, platform.node())
 
     @property
     def error(self) -> str | None:

@@ -6,6 +6,7 @@ Started as `python -m modsim3d.campaign.engines.serving PIPE PARENT`.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import traceback
 from contextlib import closing
@@ -46,7 +47,10 @@ def serve(pipe: Connection) -> None:
 
 if __name__ == "__main__":
     end_with_parent(int(sys.argv[2]))
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback
     try:
         serve(Connection(int(sys.argv[1])))
+    except KeyboardInterrupt:  # no signal raises it: the run did
+        os._exit(128 + signal.SIGINT)
     except OSError:  # the parent has gone
         os._exit(1)

@@ -9,10 +9,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import subprocess
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from modsim3d.campaign.engines.death import Death
+from modsim3d.campaign.engines.death import STOPPING, Death
 from modsim3d.errors import ModsimError
 from modsim3d.worker_process import new_interpreter
 
@@ -23,6 +24,8 @@ READY = "ready"
 """What a process says when it can take tasks."""
 _END_S = 10.0
 """How long an idle process may take to close its OpenGL context."""
+_STOP_S = 2.0
+"""A signal that goes to all processes reaches the main one, or the Dask worker, within this time."""
 
 
 class ProcessDiedError(Exception):
@@ -122,6 +125,8 @@ class WorkerProcess:
         """What a broken pipe means."""
         try:
             code = self._process.wait(_END_S)
+            if -code in STOPPING:  # if all are to stop, this process ends here, before the run counts as crashed
+                time.sleep(_STOP_S)
             death = Death.of(self._run, code)
         except subprocess.TimeoutExpired:  # it lives, and something in it closed the pipe
             self.kill()

@@ -44,10 +44,11 @@ def check_ended(folder: Path, later: tuple[str, ...] = ()) -> None:
     for rows in filter(Path.is_dir, (folder / RESULTS, folder / SEARCH)):
         path = rows / LIST
         try:
-            files: FileList = orjson.loads(path.read_bytes())["files"]
+            read = orjson.loads(path.read_bytes())["files"].items()
+            files: FileList = {name: {"bytes": each["bytes"], "sha256": each["sha256"]} for name, each in read}
             names = sorted({*files, *(each.relative_to(folder).as_posix() for each in rows.glob(_ROWS))})
             there = file_list(folder, (name for name in names if (folder / name).is_file()))
-        except (OSError, ValueError, LookupError, TypeError) as error:
+        except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
             raise ModsimError(
                 f"{path} cannot be read, or a file that it lists: {error}; remove {rows}, and the same command makes "
                 "it again"

@@ -103,7 +103,7 @@ class _CameraFeed:
     def _started(self) -> Iterator[TrackedFrame]:
         try:
             answers = self._named.tracker.follow(self._frames(), self.facts)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self._failed(error, 0) from error
         if not hasattr(answers, "__iter__"):
             raise self.problem(0, f"follow must yield a modsim3d.TrackedFrame for each frame, not return {answers!r}")
@@ -114,10 +114,10 @@ class _CameraFeed:
             return next(answers)
         except StopIteration:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self._failed(error, at) from error
 
-    def _failed(self, error: Exception, at: int) -> Exception:
+    def _failed(self, error: Exception | SystemExit, at: int) -> BaseException:
         """The error of a plug-in with the camera and the time; that of a built-in tracker as it is."""
         if self._named.plugin is None:
             return error

@@ -38,7 +38,7 @@ trackers: [reference, {tracker: fragile, name: fatal, set: {fatal: true}}]
 """
 STILL = "{scene: harbour, steps: 3, seeds: {traffic: 8}, trackers: [reference]}"
 SEQUENTIAL = PLAIN + "require: [{score: hota, at_least: 0.1}]\nstop: sequential\nbatch: 1\n"
-MORTAL = ("exit", "nothing", "system_exit", "abort", "segfault", "kill", "term")
+MORTAL = ("exit", "nothing", "abort", "segfault", "kill", "term", "interrupt", "int")
 """How the tracker `mortal` ends its process, once for each of these."""
 _DEATHS = ", ".join(f"{{tracker: mortal, name: {how}, set: {{how: {how}}}}}" for how in MORTAL)
 MORTALS = f"{{scene: harbour, steps: 3, trackers: [reference, {_DEATHS}]}}"
@@ -49,7 +49,9 @@ trackers: [reference, {tracker: mortal, name: exit, set: {how: exit, always: tru
            {tracker: mortal, name: kill, set: {how: kill}}]
 """
 DEAF = "{scene: harbour, steps: 3, trackers: [{tracker: mortal, set: {how: deaf, always: true}}]}"
+LEAVING = "{scene: harbour, steps: 3, trackers: [{tracker: mortal, set: {how: system_exit, always: true}}]}"
 FILES = {
+    "leaving": LEAVING,
     "deaf": DEAF,
     "mortal": MORTALS,
     "killed": KILLED,

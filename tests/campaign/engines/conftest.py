@@ -45,6 +45,9 @@ class Mortal(Tracker):
 def segfault():
     ctypes.string_at(0)
 
+def interrupt():
+    raise KeyboardInterrupt
+
 DEATHS = {
     "exit": lambda: os._exit(3),
     "nothing": lambda: os._exit(0),
@@ -54,6 +57,8 @@ DEATHS = {
     "deaf": lambda: (os.closerange(3, 256), time.sleep(60)),
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "term": lambda: os.kill(os.getpid(), signal.SIGTERM),
+    "int": lambda: os.kill(os.getpid(), signal.SIGINT),
+    "interrupt": interrupt,
 }
 """
 

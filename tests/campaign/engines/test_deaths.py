@@ -20,9 +20,11 @@ from tests.campaign.engines.cluster import cluster
 CRASHES = {
     "exit": "the run ended its worker process (exit status 3)",
     "nothing": "the run ended its worker process (exit status 0)",
-    "system_exit": "the run ended its worker process (exit status 5)",
     "abort": "the run ended its worker process (SIGABRT)",
     "segfault": "the run ended its worker process (SIGSEGV)",
+    "term": "the run ended its worker process (SIGTERM)",
+    "int": "the run ended its worker process (SIGINT)",
+    "interrupt": "the run ended its worker process (exit status 130)",
 }
 
 
@@ -36,17 +38,18 @@ def doomed(campaigns: Campaigns) -> Path:
 
 
 def test_a_run_that_ends_its_process_once_has_crashed_and_one_that_is_killed_is_tried_again(
-    campaigns: Campaigns, doomed: Path, tmp_path: Path
+    campaigns: Campaigns, doomed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     result = campaigns.run("mortal", lambda: ProcessPool(1), tmp_path / "out")
     assert result is not None
     rows = {row["tracker"]: row for row in result.table.to_pylist()}
     assert {path.name for path in doomed.iterdir()} == {*MORTAL}
-    assert {name: row["error"] for name, row in rows.items() if row["status"] == "crashed"} == CRASHES
-    assert {name for name, row in rows.items() if row["status"] == "done"} == {"reference", "kill", "term"}
+    said = {name: row["error"] for name, row in rows.items() if row["status"] == "crashed"}
+    assert said == CRASHES
+    assert {name for name, row in rows.items() if row["status"] == "done"} == {"reference", "kill"}
+    assert "Traceback" not in capfd.readouterr().err
     assert killed_sentence(result.folder) == (
-        "Killed from outside, and their work tried again: 2 workers (SIGKILL 1×, SIGTERM 1×); "
-        "runs under way: 6, 7 (campaign.log)."
+        "Killed from outside, and their work tried again: 1 worker (SIGKILL 1×); runs under way: 5 (campaign.log)."
     )
     assert (killed_sentence(result.folder), "") in cautions(result.folder, result.table)
     again = campaigns.run("mortal", ThisProcess, tmp_path / "out")
@@ -99,6 +102,15 @@ def test_a_run_that_closes_the_pipe_and_goes_on_has_crashed(
     result = campaigns.run("deaf", lambda: ProcessPool(1), tmp_path / "out")
     assert result is not None
     assert result.table["error"].to_pylist() == ["the run ended its worker process (it closed the pipe)"]
+
+
+def test_a_run_whose_tracker_calls_sys_exit_crashes_as_with_any_error(
+    campaigns: Campaigns, doomed: Path, tmp_path: Path
+) -> None:
+    result = campaigns.run("leaving", lambda: ProcessPool(1), tmp_path / "out")
+    assert result is not None
+    (error,) = result.table["error"].to_pylist()
+    assert error.startswith("ModsimError: the plug-in 'mortal' of fragile 1.0 failed: SystemExit: 5 (fragile.py, line")
 
 
 def test_a_campaign_without_kills_says_nothing(campaigns: Campaigns, tmp_path: Path) -> None:

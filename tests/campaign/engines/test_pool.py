@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,19 @@ def test_a_process_that_has_done_nothing_is_ended_at_once() -> None:
     process = WorkerProcess()
     process.close()
     assert process._process.returncode == -signal.SIGKILL
+
+
+def test_a_signal_to_all_processes_stops_the_campaign_and_crashes_no_run(campaigns: Campaigns, tmp_path: Path) -> None:
+    """The worker is the first to have it; the main process has it a moment later."""
+    out = tmp_path / "out"
+    with campaigns.holding() as hold, campaigns.coordinator("1", out) as coordinator:
+        waited_for(lambda: numbers_in(hold))
+        os.kill(numbers_in(hold)[0], signal.SIGTERM)
+        time.sleep(0.5)
+        coordinator.send_signal(signal.SIGINT)
+        assert coordinator.wait(30) in (-signal.SIGINT, 1)
+    campaigns.run("plain", ThisProcess, out)
+    assert content(out) == campaigns.reference
 
 
 @pytest.mark.parametrize(("number", "count"), [(signal.SIGKILL, 2), (signal.SIGINT, 1)])
