@@ -49,10 +49,11 @@ def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
     conditions = table["condition"].to_numpy()
     trackers = table["tracker"].to_numpy(zero_copy_only=False)
     runs, seeds, looks = (table[name].to_numpy() for name in ("run", "traffic_seed", "detector_seed"))
-    rows = []
+    names, rows = {each.label for each in plan.keys.trackers}, []
     for verdict in verdicts[:_MOST_ROWS]:
-        requirement = plan.keys.require[verdict.requirement]
-        labels = [label for label in (requirement.of, requirement.minus) if label] or [verdict.tracker]
+        labels = [verdict.tracker]
+        if verdict.tracker not in names:  # a difference between two
+            labels = [plan.keys.require[verdict.requirement].of, plan.keys.require[verdict.requirement].minus]
         chosen = (conditions == verdict.condition) & np.isin(trackers, labels)
         rows.append(
             [

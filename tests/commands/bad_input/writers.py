@@ -104,7 +104,7 @@ DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]
 """What a command writes into the run directory unless told otherwise."""
 READ = {
     *("scene", "campaign", "run", "other", "truth", "detections", "detector", "sequence", "files", "tracks"),
-    *("images", "attitude"),
+    *("images", "attitude", "like"),
 }
 """Parameters that name what is read."""
 WRITTEN = {"out", "page", "cache", "write_scene"}
