@@ -51,9 +51,10 @@ def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
     runs, seeds, looks = (table[name].to_numpy() for name in ("run", "traffic_seed", "detector_seed"))
     names, rows = {each.label for each in plan.keys.trackers}, []
     for verdict in verdicts[:_MOST_ROWS]:
-        labels: list[str | None] = [verdict.tracker]
+        labels = [verdict.tracker]
         if verdict.tracker not in names:  # a difference between two
-            labels = [plan.keys.require[verdict.requirement].of, plan.keys.require[verdict.requirement].minus]
+            requirement = plan.keys.require[verdict.requirement]
+            labels = [label for label in (requirement.of, requirement.minus) if label is not None]
         chosen = (conditions == verdict.condition) & np.isin(trackers, labels)
         rows.append(
             [
