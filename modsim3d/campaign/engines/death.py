@@ -34,7 +34,7 @@ class Death:
 
     @property
     def error(self) -> str | None:
-        """What the run has crashed with; None if it is not known to have ended the process itself."""
+        """The error of the run; None if it is not known to have ended the process itself."""
         return None if self.outside or self.run is None else f"the run ended its worker process ({self.how})"
 
 

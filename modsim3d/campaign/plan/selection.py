@@ -47,7 +47,7 @@ class Case:
 
     @property
     def group(self) -> str:
-        """What divides the runs; empty if all of them count."""
+        """The property that divides the runs; empty if all of them count."""
         return self.part.group if self.part else ""
 
     @property

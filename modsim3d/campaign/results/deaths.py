@@ -25,7 +25,7 @@ def note_kill(folder: CampaignFolder, death: Death, runs: Sequence[int]) -> None
 
 
 def killed_sentence(folder: CampaignFolder) -> str | None:
-    """How many workers were killed so far, how, and in which runs; None if there were none."""
+    """A sentence on the workers killed so far: number, signals and runs; None if there were none."""
     path = folder.path / LOG
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
     found = [match.groups() for line in lines if (match := _LINE.fullmatch(line))]

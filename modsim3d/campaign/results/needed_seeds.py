@@ -30,12 +30,12 @@ from modsim3d.inputs.validation import nearest
 POWER = 0.8
 """How often a mean as expected is to be met."""
 _DRAWN, _DRAWN_SEQUENTIAL, _LONGEST = 20_000, 100, 5_000
-_NUMBER = r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)"
+_NUMBER = r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
 
 
 @dataclass(frozen=True)
 class Expected:
-    """What is expected of a score over traffic seeds: mean, standard deviation, and lost runs that are left out."""
+    """Expected mean and standard deviation of a score over traffic seeds, and the lost runs that are left out."""
 
     mean: float
     spread: float
@@ -44,7 +44,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class NeededSeeds:
-    """How many traffic seeds a requirement needs.
+    """Number of traffic seeds that a requirement needs.
 
     Attributes:
         requirement: Its place in the file, from 0.
@@ -66,17 +66,14 @@ class NeededSeeds:
 
 
 def parsed_expectation(text: str, plan: Plan) -> tuple[str, Expected]:
-    """What `SCORE=MEAN:SPREAD` says, of a score whose mean is required; of a difference `SCORE of NEW minus OLD`.
+    """Name and expectation of `SCORE=MEAN:SPREAD` for a required mean; of a difference `SCORE of NEW minus OLD`.
 
     Raises:
         ModsimError: It says nothing of that kind.
     """
-    try:
-        name, mean, spread = re.fullmatch(rf"(.+)={_NUMBER}:{_NUMBER}", text).groups()  # type: ignore[union-attr]
-        found = Expected(float(mean), float(spread))
-    except (AttributeError, ValueError):
-        said = f"--expect: needs SCORE=MEAN:SPREAD, as in hota=0.7:0.05 (got '{text[:60]}')"
-        raise ModsimError(said) from None
+    if not (match := re.fullmatch(rf"(.+)={_NUMBER}:{_NUMBER}", text)):
+        raise ModsimError(f"--expect: needs SCORE=MEAN:SPREAD, as in hota=0.7:0.05 (got '{text[:60]}')")
+    name, found = match[1], Expected(float(match[2]), float(match[3]))
     if not found.spread > 0:
         raise ModsimError(f"--expect {name}: needs a spread above 0 (got {found.spread:g})")
     known = list(dict.fromkeys(each.what for each in plan.keys.require if each.share is None))
