@@ -14,6 +14,8 @@ from modsim3d.geometry.curved_sea import lowered
 from modsim3d.motion.poses import Poses
 from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.truth.camera_inside import first_body_around
+from modsim3d.truth.crosscheck.drawing import Drawing
+from modsim3d.truth.crosscheck.world_triangles import WorldTriangles, obstacle_triangles, vessel_triangles
 from modsim3d.truth.outlines import Outlines, outline
 from modsim3d.vessels.bodies import Bodies, vessel_bodies
 from modsim3d.vessels.obstacles import Obstacle, obstacle_bodies
@@ -59,6 +61,19 @@ class Sight:
             bodies += self._own_hull()
         bodies += self._obstacle_bodies()
         return outline(self.camera.intrinsics, self.camera_poses, bodies, measured=measured)
+
+    def drawing(self, row: int, supersample: int = 1) -> Drawing:
+        """What the camera has in front of it at one of the S steps, projected by the code of the cross-check.
+
+        It is of the vessels, the obstacles, and the hull that carries the camera if that has a mesh.
+        """
+        with_mesh = np.array([vessel.has_mesh for vessel in self.vessels])
+        present = self.others[row] | (self.carriers[row] & with_mesh)
+        camera_R_world, camera_m = self.camera_poses.camera_R_world[row], self.camera_poses.positions_m[row]
+        vessels = vessel_triangles(self.vessels, present, self.poses.positions_m[row], self.world_R_vessel[row])
+        obstacles = obstacle_triangles(self.obstacles, len(self.vessels), camera_m if self.curved else None)
+        triangles = WorldTriangles.joined([vessels, obstacles])
+        return Drawing.of(triangles, camera_R_world, camera_m, self.camera.intrinsics, supersample)
 
     def body_around(self) -> tuple[int, int] | None:
         """The first step (as an index) and the occluder that the camera is inside of, or None."""

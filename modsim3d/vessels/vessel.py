@@ -105,6 +105,11 @@ class Vessel:
         """Greatest distance from the origin of VCF to a point of the vessel, or more."""
         return float(np.linalg.norm(self.extents_m))
 
+    @cached_property
+    def triangles_m(self) -> Array:
+        """Corners of the triangles of `to_trimesh`, read-only, shape (F, 3, 3)."""
+        return read_only((self.solid.vertices * self.extents_m)[self.solid.faces])
+
     def to_trimesh(self) -> trimesh.Trimesh:
         """The vessel's solid in VCF, scaled to length × beam × air draft, in metres."""
         import trimesh  # takes 0.4 s

@@ -1,0 +1,128 @@
+"""The cross-check's own drawing against the plain one, and what it says about ties."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.camera_poses import Mount, poses_ashore
+from modsim3d.geometry.lens import Distortion
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.render.id_pass import IdRenderer, Region
+from modsim3d.scene.reading import load_scene
+from modsim3d.truth.crosscheck.clipping import cut
+from modsim3d.truth.crosscheck.drawing import Drawing, tiles_of
+from modsim3d.truth.crosscheck.possible_ids import could_show, tie_pixels
+from modsim3d.truth.crosscheck.world_triangles import vessel_triangles
+from modsim3d.truth.full_frame import vessel_masks
+from modsim3d.vessels.vessel import Vessel
+from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, random_scene, vessel
+
+Places = list[tuple[Vessel, tuple[float, float], float]]
+LEVEL = Mount((0.0, 0.0, CAMERA_HEIGHT_M))
+
+
+def drawing_of(places: Places, intrinsics: Intrinsics = INTRINSICS, mount: Mount = LEVEL, ss: int = 1) -> Drawing:
+    camera = poses_ashore(mount, 1)
+    triangles = vessel_triangles(
+        [each for each, _, _ in places],
+        np.ones(len(places), dtype=bool),
+        np.array([[*place, 0.0] for _, place, _ in places]),
+        world_R_vehicle(np.array([heading for _, _, heading in places])),
+    )
+    return Drawing.of(triangles, camera.camera_R_world[0], camera.positions_m[0], intrinsics, ss)
+
+
+def check_against_plain_drawing(seed: int, renderer: IdRenderer, *, lens: bool) -> None:
+    places, intrinsics, mount = random_scene(np.random.default_rng(seed))
+    if lens:
+        zoom = intrinsics.focal_px[0] / intrinsics.image_size_px[0]
+        intrinsics = replace(intrinsics, distortion=Distortion(k1=-0.05 * min(1.0, zoom**2), p1=0.002))
+    supersample = 1 + seed % 2
+    drawing = drawing_of(places, intrinsics, mount, supersample)
+    seen = drawing.ids(renderer, drawing.image)
+    outlines = outlines_of(places, intrinsics, mount)
+    for row, masks in vessel_masks(outlines, intrinsics, renderer, supersample):
+        occluder, region = int(outlines.occluder[row]), masks.region
+        alone = drawing.only(occluder)
+        here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
+        for plain, own, of in (
+            (masks.silhouette, alone.ids(renderer, region) > 0, alone),
+            (masks.visible, seen[here] == occluder + 1, drawing),
+        ):
+            y, x = np.nonzero(plain ^ own)
+            assert lens or not len(x)
+            assert tie_pixels(of, x + region.x, y + region.y).all()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_scenes_have_the_pixels_of_the_plain_drawing(seed: int, renderer: IdRenderer) -> None:
+    check_against_plain_drawing(seed, renderer, lens=False)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_behind_a_lens_they_differ_at_ties_only(seed: int, renderer: IdRenderer) -> None:
+    check_against_plain_drawing(seed, renderer, lens=True)
+
+
+def test_a_buffer_of_a_vessel_alone_has_the_pixels_of_the_whole_image(renderer: IdRenderer) -> None:
+    drawing = drawing_of([(vessel("a"), (60.0, 3.0), 0.4), (vessel("b"), (120.0, -29.0), 1.0)])
+    whole, region = drawing.ids(renderer, drawing.image), drawing.region(1)
+    here = whole[region.y : region.y + region.height, region.x : region.x + region.width]
+    np.testing.assert_array_equal(here, drawing.only(1).ids(renderer, region))
+    assert 0 < (here == 2).sum() == (whole == 2).sum()
+
+
+def test_corner_boxes_are_those_of_the_silhouettes_in_the_image() -> None:
+    for seed in range(20):
+        places, intrinsics, mount = random_scene(np.random.default_rng(seed))
+        outlines, drawing = outlines_of(places, intrinsics, mount), drawing_of(places, intrinsics, mount)
+        boxes = np.array([drawing.boxes_px[occluder] for occluder in outlines.occluder.tolist()]).reshape(-1, 4)
+        np.testing.assert_allclose(boxes, outlines.boxes_px, atol=1e-6)
+
+
+def test_pieces_of_a_cut_triangle_have_its_area_on_the_inner_side() -> None:
+    triangle = np.array([[[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]]])
+    for offset, area in ((1.0, 4.5), (-1.0, 8.0), (5.0, 0.0)):
+        parts, source = cut(triangle, [(np.array([1.0, 0.0]), offset)])
+        (a, b, c) = np.moveaxis(parts, 1, 0)
+        doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+        assert doubled.sum() / 2 == pytest.approx(area)
+        assert (source == 0).all()
+
+
+def test_equal_boats_side_by_side_tie_where_their_faces_are_one() -> None:
+    # Both bows lie in one plane across the view; they overlap by a tenth of the beam.
+    places = [(vessel("a"), (60.0, 0.0), 0.0), (vessel("b"), (60.0, 9.0), 0.0)]
+    drawing = drawing_of(places)
+    column = np.arange(300, 420)
+    row = np.full(len(column), 305)
+    ties = tie_pixels(drawing, column, row)
+    centre = column + 0.5
+    common = (centre > 400 - 1000 * 5 / 55) & (centre < 400 - 1000 * 4 / 55)
+    np.testing.assert_array_equal(ties[2:-2], common[2:-2])
+    both = np.flatnonzero(ties)
+    for ids in (1, 2):
+        assert could_show(drawing, column[both], row[both], np.full(len(both), ids)).all()
+    assert not could_show(drawing, column[both], row[both], np.zeros(len(both), dtype=np.int64)).any()
+
+
+def test_a_boat_clearly_in_front_never_ties() -> None:
+    drawing = drawing_of([(vessel("a"), (60.0, 0.0), 0.0), (vessel("b"), (61.0 + 10.0, 1.0), 0.0)])
+    x, y = np.meshgrid(np.arange(320, 380), np.arange(300, 320))
+    inside = could_show(drawing, x.ravel(), y.ravel(), np.full(x.size, 1))
+    assert inside.all()
+    assert not could_show(drawing, x.ravel(), y.ravel(), np.full(x.size, 2)).any()
+
+
+def test_the_triangles_of_a_vessel_are_those_of_its_trimesh() -> None:
+    for each in load_scene("strait").vessels:
+        np.testing.assert_array_equal(each.triangles_m, each.to_trimesh().triangles)
+
+
+def test_tiles_cover_a_region_once() -> None:
+    region = Region(3, 5, 9000, 4500)
+    assert sum(tile.width * tile.height for tile in tiles_of(region)) == 9000 * 4500
