@@ -133,7 +133,7 @@ def frame_count(scene: Scene) -> int:
     sizes = [math.prod(camera.intrinsics.image_size_px) for camera in scene.cameras]
     pixels = max(sizes) * scene.annotation.supersample**2
     effort = 2 * (1 + pixels / PIXELS_A_UNIT + len(scene.vessels) / VESSELS_A_UNIT)
-    return min(max(MIN_FRAMES, round(frames**0.5 / effort)), scene.steps)
+    return min(max(MIN_FRAMES, round(math.sqrt(frames) / effort)), scene.steps)
 
 
 def _frames_of_stream(scene: Scene, first: int, stop: int) -> set[FrameKey]:
@@ -151,20 +151,17 @@ def _check_frames(scene: Scene, truth: Truth, camera: int, steps: Indices, rende
     """Check frames of a camera at ascending steps; of the scene's first frame, the whole image."""
     from modsim3d.truth.rendered import rendered_spans
 
-    sight, annotation, lens = (
-        scene.sight(scene.cameras[camera], steps),
-        scene.annotation,
-        scene.cameras[camera].intrinsics,
-    )
-    outlines, supersample = sight.outlines(), annotation.supersample
-    spans = rendered_spans(outlines, lens, renderer, supersample, full=annotation.render == "full")
+    sight, supersample = scene.sight(scene.cameras[camera], steps), scene.annotation.supersample
+    outlines, lens = sight.outlines(), sight.camera.intrinsics
+    spans = rendered_spans(outlines, lens, renderer, supersample, full=scene.annotation.render == "full")
     areas, bounds = visible_areas(outlines, lens, supersample)
     checked, seen = Checked(), truth.of_camera(camera)
     for frame, step in enumerate(steps.tolist()):
         rows = np.flatnonzero((outlines.frame == frame) & outlines.boxed & ~np.isnan(areas))
         said = SaidOfFrame(
             seen.take(slice(*np.searchsorted(seen.step, (step, step + 1)).tolist())),
-            *(_of_frame(each, outlines, frame) for each in spans),
+            _of_frame(spans[0], outlines, frame),
+            _of_frame(spans[1], outlines, frame),
             {int(outlines.occluder[row]): (float(areas[row]), float(bounds[row])) for row in rows.tolist()},
         )
         boxed, whole = set(np.flatnonzero(sight.others[frame]).tolist()), step == _whole_step(scene)

@@ -229,7 +229,8 @@ class _VesselPixels:
                 self.refuse(f"{what} box", _in_words(box / ss), _in_words(self.boxes[which] / ss))
         for occluder, px in (dict.fromkeys(self.hidden_by, 0.0) | dict(truth.occluders_of(self.row))).items():
             drawn = self.hidden_by[occluder]
-            if abs(round(px * ss**2) - drawn) > self.ties + self._ties_behind(occluder):
+            off = abs(round(px * ss**2) - drawn)
+            if off > self.ties and off > self.ties + self._ties_behind(occluder):
                 self.refuse(f"pixels behind '{self.names[occluder]}'", f"{px:g}", f"{drawn / ss**2:g}")
         return self._checked_by_geometry()
 
