@@ -185,7 +185,7 @@ class _VesselPixels:
         for which, (what, of, drawn) in enumerate(
             (("silhouette", self.alone, alone), ("visible", self.drawing, shown))
         ):
-            said = _mask(self.spans[which], region)
+            said = mask_of(self.spans[which], region)
             self._compare(of, what, said, drawn, region)
             if said.any():
                 self.px[which] += int(np.count_nonzero(said))
@@ -266,7 +266,7 @@ class _VesselPixels:
         raise Difference(self.vessel, what, truth, drawn, self.masks)
 
 
-def _mask(spans: Spans, region: Region) -> Mask:
+def mask_of(spans: Spans, region: Region) -> Mask:
     """The pixels of spans in a region, shape (height, width)."""
     edges = np.zeros((region.height, region.width + 1), dtype=np.int64)
     inside = (spans.y >= region.y) & (spans.y < region.y + region.height)

@@ -148,7 +148,9 @@ def _pieces(straight_px: Array, inverse_depth: Array, longest_px: float) -> tupl
         weights = _lattice(count)
         pieces.append((weights @ corners[chosen, None]).reshape(-1, 3, 3))
         sources.append(np.repeat(chosen, len(weights)))
-    return np.concatenate(pieces), np.concatenate(sources)
+    source = np.concatenate(sources)
+    order = np.argsort(source, kind="stable")
+    return np.concatenate(pieces)[order], source[order]
 
 
 def _lattice(count: int) -> Array:
