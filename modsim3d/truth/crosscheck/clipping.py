@@ -13,7 +13,7 @@ HalfSpace = tuple[Array, float]
 
 
 def cut(triangles: Array, half_spaces: Sequence[HalfSpace]) -> tuple[Array, Indices]:
-    """The parts of triangles, shape (T, 3, D), inside all half-spaces, as triangles, in order, with the triangle of each."""
+    """The parts of triangles, shape (T, 3, D), inside all half-spaces, in order, with the triangle of each."""
     source = np.arange(len(triangles))
     for normal, offset in half_spaces:
         height = triangles @ normal - offset
