@@ -28,7 +28,7 @@ STREAM_STEPS = 1000
 """A stream's first frames are checked, and then one step in so many."""
 PIXELS_A_UNIT, VESSELS_A_UNIT = 8_000_000, 10
 """An image with so many pixels, and a scene with so many vessels, double the effort of a frame that is checked."""
-MOST_DRAWS = 4
+MOST_DRAWS = 3
 """How often a frame is drawn, until one has a vessel."""
 BATCH_FRAMES = 16
 """Frames that are checked together; it bounds the memory where all are."""
@@ -132,7 +132,7 @@ def frame_count(scene: Scene) -> int:
     frames = scene.steps * len(scene.cameras)
     sizes = [math.prod(camera.intrinsics.image_size_px) for camera in scene.cameras]
     pixels = max(sizes) * scene.annotation.supersample**2
-    effort = 2 * (1 + pixels / PIXELS_A_UNIT + len(scene.vessels) / VESSELS_A_UNIT)
+    effort = 4 * (1 + pixels / PIXELS_A_UNIT + len(scene.vessels) / VESSELS_A_UNIT)
     return min(max(MIN_FRAMES, round(math.sqrt(frames) / effort)), scene.steps)
 
 

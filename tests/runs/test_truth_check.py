@@ -263,9 +263,9 @@ def test_another_seed_samples_other_frames_and_longer_runs_more() -> None:
     scene = load_scene("simulation_1")
     samples = [_sample(replace(scene, seed=seed), 0, scene.steps) for seed in (0, 0, 1)]
     assert samples[0] == samples[1] != samples[2]
-    assert len(samples[0]) == frame_count(scene) == 8
+    assert len(samples[0]) == frame_count(scene) == 4
     assert frame_count(replace(scene, steps=5)) == 3
-    assert frame_count(replace(scene, steps=150_000)) > 50
+    assert frame_count(replace(scene, steps=150_000)) > 30
 
 
 def test_the_command_names_vessel_and_command_and_draws_the_picture(
