@@ -107,7 +107,7 @@ def _sample(scene: Scene, first: int, stop: int) -> set[FrameKey]:
 @lru_cache(maxsize=8)
 def _frame_of_part(scene: Scene, part: int, first: int, stop: int) -> FrameKey | None:
     """A frame of steps first to stop − 1, drawn anew a few times if no vessel is in it; None if none was taken."""
-    draw = Streams(scene.seed).generator(Purpose.CHECK, step=part)
+    draw = _streams(scene).generator(Purpose.CHECK, step=part)
     frame = None
     for _ in range(MOST_DRAWS):
         index = int(draw.integers(len(scene.cameras)))
@@ -117,6 +117,11 @@ def _frame_of_part(scene: Scene, part: int, first: int, stop: int) -> FrameKey |
             if _has_a_vessel(scene, step, index):
                 break
     return frame
+
+
+def _streams(scene: Scene) -> Streams:
+    """Random numbers of a truth: if no seed changes it, none changes which frames are checked."""
+    return Streams(scene.seed if scene.truth_has_seed else 0)
 
 
 def _has_a_vessel(scene: Scene, step: int, index: int) -> bool:
@@ -138,7 +143,7 @@ def frame_count(scene: Scene) -> int:
 
 def _frames_of_stream(scene: Scene, first: int, stop: int) -> set[FrameKey]:
     """The frame of one camera at each of the first steps, and at one step in a thousand."""
-    streams = Streams(scene.seed)
+    streams = _streams(scene)
     drawn = {step: step % len(scene.cameras) for step in range(MIN_FRAMES)}
     for part in range(first // STREAM_STEPS, (stop - 1) // STREAM_STEPS + 1):
         draw = streams.generator(Purpose.CHECK, step=part)
