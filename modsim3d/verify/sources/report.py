@@ -219,9 +219,9 @@ def _introduction(figures: Figures) -> list[str]:
         )
     method = (
         f"{figures.steps} steps, supersampling {figures.supersample}. The rendered source counts pixels of exact "
-        "spans, and of ID buffers where these do not do. The analytic source cuts silhouette polygons by those in front "
-        "of them; separating planes say which are in front. Where two boxes differ by more than a pixel, every pixel of the vessel was checked: it "
-        "must be set if its centre is inside the exact region, and only then."
+        "spans, and of ID buffers where these do not do. The analytic source cuts silhouette polygons by those in "
+        "front of them; separating planes say which are in front. Where two boxes differ by more than a pixel, every "
+        "pixel of the vessel was checked: it must be set if its centre is inside the exact region, and only then."
     )
     return [page.paragraph(answer, "bad" if figures.unexplained else "lead"), page.paragraph(method, "soft")]
 
