@@ -92,7 +92,7 @@ def _frames_to_check(scene: Scene, first: int, stop: int, streamed: bool) -> Ite
         for index, camera in enumerate(scene.cameras):
             yield from ((step, index) for step in scene.frame_steps(camera, first, stop).tolist())
     elif check == "sample":
-        drawn = (_frames_of_stream if streamed else _sample)(scene, first, stop)
+        drawn = _frames_of_stream(scene, first, stop) if streamed else _sample(scene, first, stop)
         yield from ((step, index) for step, index in drawn if first <= step < stop)
 
 
@@ -142,14 +142,19 @@ def frame_count(scene: Scene) -> int:
 
 
 def _frames_of_stream(scene: Scene, first: int, stop: int) -> set[FrameKey]:
-    """The frame of one camera at each of the first steps, and at one step in a thousand."""
-    streams = _streams(scene)
-    drawn = {step: step % len(scene.cameras) for step in range(MIN_FRAMES)}
-    for part in range(first // STREAM_STEPS, (stop - 1) // STREAM_STEPS + 1):
-        draw = streams.generator(Purpose.CHECK, step=part)
-        drawn[part * STREAM_STEPS + int(draw.integers(STREAM_STEPS))] = int(draw.integers(len(scene.cameras)))
-    inside = ((step, index) for step, index in drawn.items() if first <= step < stop)
-    return {(step, i) for step, i in inside if len(scene.frame_steps(scene.cameras[i], step, step + 1))}
+    """The frames of steps first to stop − 1 that a stream checks."""
+    parts = range(first // STREAM_STEPS, (stop - 1) // STREAM_STEPS + 1)
+    drawn = ((step, index) for part in parts for step, index in stream_part(scene, part).items())
+    return {(step, i) for step, i in drawn if len(scene.frame_steps(scene.cameras[i], step, step + 1))}
+
+
+@lru_cache(maxsize=2)
+def stream_part(scene: Scene, part: int) -> dict[int, int]:
+    """The steps that a stream checks among a thousand, and a camera for each: one step, and the first of all."""
+    draw = _streams(scene).generator(Purpose.CHECK, step=part)
+    step, camera = part * STREAM_STEPS + int(draw.integers(STREAM_STEPS)), int(draw.integers(len(scene.cameras)))
+    first = {step: step % len(scene.cameras) for step in range(0 if part else MIN_FRAMES)}
+    return {step: camera} | first
 
 
 def _check_frames(scene: Scene, truth: Truth, camera: int, steps: Indices, renderer: IdRenderer) -> Checked:
