@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import numpy as np
 import orjson
 from PIL import Image
 
+from modsim3d.outputs.pictures import encoded
 from modsim3d.outputs.placing import write_files
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene.scene import Scene
@@ -118,9 +118,7 @@ def write_report(
     made_by = command or f"modsim3d.verify.sources.report.write_report of {scene.name} from Python"
     contents.append(_page(comparison, scene, renderer, _provenance(comparison, scene, renderer, made_by, given)))
     if worst := comparison.findings.rule.worst:
-        picture = io.BytesIO()
-        draw_case(scene, worst, renderer, RULE).save(picture, format="PNG")
-        contents.append(picture.getvalue())
+        contents.append(encoded(draw_case(scene, worst, renderer, RULE)))
     else:
         (folder / FILES[-1]).unlink(missing_ok=True)  # that of a comparison which is replaced
     write_files(dict(zip((folder / name for name in FILES), contents, strict=False)))

@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw
 
 from modsim3d.arrays import Array
 from modsim3d.boxes import areas, intersections
+from modsim3d.outputs.pictures import encoded
 from modsim3d.outputs.placing import put_in_place
 from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.blocks import Frame
@@ -48,7 +49,7 @@ def draw_contact_sheet(run: StoredRun) -> Path:
     with open_id_renderer(run.scene) as id_renderer:
         sheet = _sheet(run, pick_highlights(run.finished_tables, run.scene), id_renderer)
     with put_in_place(path) as partial:
-        sheet.save(partial, format="PNG")
+        partial.write_bytes(encoded(sheet))
     return path
 
 
