@@ -216,3 +216,13 @@ def test_the_marks_of_a_seqinfo_are_passed_over_and_truth_alone_says_the_same(tm
     assert len(read_pair("day", truth, found).images) == 40
     labelled, kind = read_truth(truth)
     assert kind == "MOT" and has(labelled, "the visibility of 240 of 240 boxes is 0", "the eighth column is the class")
+    mot(tmp_path, VIDEO, tail=lambda k, j: f"{int(j > 0)},1,{int(j > 0)}")  # what is hidden is not considered
+    assert not has(read_truth(truth)[0], "boxes is 0")
+
+
+def test_a_name_that_is_empty_does_not_move_the_others():
+    from modsim3d.commands.labelled_options import read_options
+
+    assert read_options("a, b,", None, False, None).labels == ("a", "b")
+    with pytest.raises(InputError, match="the name 2 is empty"):
+        read_options("a,,b", None, False, None)

@@ -22,6 +22,11 @@ from modsim3d.tracks.files.box_forms import CENTRE, MOT, TOP_LEFT, BoxForm
 from modsim3d.tracks.files.diagnosis import BoxRows, KnownBoxes, implausible, misreading
 
 _FORMS = {"COCO": TOP_LEFT, "MOT": MOT, "YOLO": CENTRE}
+_UNUSED = {
+    "COCO": {"--labels": "labels", "--image-size": "image_size_px"},
+    "MOT": {"--category-offset": "category_offset"},
+    "YOLO": {"--category-offset": "category_offset", "--frame-rate": "frame_rate_hz"},
+}
 
 
 def read_pair(condition: str, truth: StrPath, detections: StrPath, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
@@ -50,19 +55,10 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
             raise InputError(source, [problem.told])
         note = f"{condition}: {problem.told}, or the detector has such a bias, which is learned"
         labelled = replace(labelled, notes=(*labelled.notes, note))
-    unused = [f"{name} is not used: {kinds[0]} does not need it" for name in _unused(kinds[0], options)]
+    given = (option for option, name in _UNUSED[kinds[0]].items() if getattr(options, name))
+    unused = [f"{option} is not used: {kinds[0]} does not need it" for option in given]
     labelled = replace(labelled, notes=(*labelled.notes, *unused, *_left_out(labelled, condition)))
     return with_horizon(labelled, options.horizon)
-
-
-def _unused(kind: str, options: ReadOptions) -> Iterator[str]:
-    """The options that are given and do nothing for a kind of files."""
-    if kind == "COCO":
-        yield from ["--labels"] * bool(options.labels) + ["--image-size"] * (options.image_size_px is not None)
-    else:
-        yield from ["--category-offset"] * bool(options.category_offset)
-    if kind == "YOLO":
-        yield from ["--frame-rate"] * (options.frame_rate_hz is not None)
 
 
 def _plausible(labelled: LabelledSet, form: BoxForm, truth: Path, detections: Path | None = None) -> LabelledSet:
@@ -77,7 +73,7 @@ def _plausible(labelled: LabelledSet, form: BoxForm, truth: Path, detections: Pa
             if not problem.slight:
                 raise InputError(source, [problem.told])
             notes.append(f"{source}: {problem.told}")
-    if hidden := int((rows.visible_fraction == 0).sum()):
+    if hidden := int(((rows.visible_fraction == 0) & ~rows.ignored).sum()):
         told = f"the visibility of {hidden:,} of {len(rows):,} boxes is 0: they count as fully hidden"
         notes.append(f"ground truth {truth}: {told}; some programs write 0 where it is not known")
     return replace(labelled, notes=tuple(notes))
