@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -59,7 +61,7 @@ def test_half_a_box_of_difference_is_refused_and_in_both_files_where_edges_show_
 @pytest.mark.parametrize("kind", ["COCO", "MOT"])
 def test_images_whose_width_and_height_are_exchanged_are_named(tmp_path, kind):
     write, right, options = WRITERS[kind]
-    with pytest.raises(InputError, match=f"or width and height of the images, {HEIGHT} x {WIDTH}"):
+    with pytest.raises(InputError, match=f"or width and height of the images are: {HEIGHT} x {WIDTH}"):
         read_pair("day", *write(tmp_path, Video.of(), CHANGES[right], CHANGES[right], (HEIGHT, WIDTH)), options)
 
 
@@ -134,6 +136,21 @@ def test_boxes_of_a_log_are_held_against_the_images_of_their_camera(tmp_path):
         look("left,top,width,height", "corners")
     with pytest.raises(InputError, match=TOLD["exchanged"]):
         look("left,top,width,height", "exchanged")
+    for columns in list(names)[1:]:
+        with pytest.raises(InputError, match=r"has no area(.|\n)*are the last two width and height\?"):
+            look(columns, "right")
     mot(tmp_path, video, detections=CHANGES["corners"])
-    with pytest.raises(InputError, match=TOLD["corners"]):
-        on_scene(read_log(tmp_path / "det.txt"), scene, "bow")
+    frames: list[object] = []
+    for k, each in enumerate(video.found):
+        boxes = [{"box_px": [y, x, y + h, x + w]} for x, y, w, h in each.tolist()]
+        frames.append({"time_s": k / 5, "detections": boxes})
+    (tmp_path / "log.jsonl").write_text("".join(f"{json.dumps(frame)}\n" for frame in frames))
+    truth, _ = coco(tmp_path, video, CHANGES["right"], CHANGES["corners"])
+    timed = json.loads(truth.read_text())
+    for image in timed["images"]:
+        image["time_s"] = image["id"] / 5
+    truth.write_text(json.dumps(timed))
+    for log, told in (("det.txt", "corners"), ("log.jsonl", "exchanged"), ("dt.json", "corners")):
+        with pytest.raises(InputError, match=TOLD[told]):
+            images = truth if log == "dt.json" else None
+            on_scene(read_log(tmp_path / log, LogOptions(images=images)), scene, "bow")

@@ -140,7 +140,8 @@ def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[L
     if wide and 2 * len(broken) > len(classed):
         where, got = broken[0][0], ", ".join(f"{number:g}" for number in broken[0][1][7:10])
         problems.hint = f"{file}: columns eight to ten are places in the world, as in MOT15 ({where}: {got})"
-        return [(where, numbers[:7]) for where, numbers in lines], [f"{problems.hint}: neither class nor visibility"]
+        said = [f"{problems.hint}: neither class nor visibility is read"]
+        return [(where, numbers[:7]) for where, numbers in lines], said
     for where, numbers in broken:
         problems.add(f"{where}: class must be a whole number (got {numbers[7]:g})")
     lines = [(where, numbers) for where, numbers in lines if len(numbers) < 8 or numbers[7] == int(numbers[7])]
@@ -154,12 +155,11 @@ def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[L
 
 def _said_of_columns(annotated: Lines, names: Mapping[int, str], file: str, paired: bool) -> Iterator[str]:
     """What is made of the eighth and ninth column of the truth, if there are any."""
-    eighth, ninth = (any(len(numbers) > most for _, numbers in annotated) for most in (7, 8))
+    most = max((len(numbers) for _, numbers in annotated), default=0)
     classes = ", ".join(f"{number} is {shown(name)}" for number, name in list(names.items())[:8])
-    unused = "not used, because no detection has a class" if paired else "not used"
-    if eighth:
-        visibility = "; the ninth is the visibility" if ninth else ""
-        yield f"{file}: the eighth column is the class, {f'where {classes}' if names else unused}{visibility}"
+    used = f"where {classes}" if names else "not used" + ", because no detection has a class" * paired
+    if most > 7:
+        yield f"{file}: the eighth column is the class, {used}{'; the ninth is the visibility' * (most > 8)}"
 
 
 def _class_of(numbers: list[float]) -> int:

@@ -109,9 +109,10 @@ def _compared(labelled: LabelledSet, form: BoxForm) -> Iterator[tuple[BoxRows, K
     image_found, found_px = results.image[rows], results.boxes_px[rows]
     reach_px = annotated_px[:, 2:].max(axis=0, initial=1.0)
     sized = replace(images, sizes_px=np.where(np.isnan(images.sizes_px), reach_px, images.sizes_px))
-    known = KnownBoxes("an annotation", image, annotated_px)
-    yield _box_rows(sized, image_found, found_px, form), known
-    near = np.unique(known.nearest(image_found, found_px)[1])
+    known, found = KnownBoxes("an annotation", image, annotated_px), _box_rows(sized, image_found, found_px, form)
+    yield found, known
+    some = found.spread()
+    near = np.unique(known.nearest(some.frame, form.boxes_px(some.numbers))[1])
     yield _box_rows(sized, image[near], annotated_px[near], form), KnownBoxes("a detection", image_found, found_px)
 
 

@@ -39,7 +39,7 @@ from modsim3d.inputs.validation import shown
 def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
     """Read one condition from the folders of labels and predictions, or those that have them as `labels`.
 
-    Names of the classes that are not given come from a file of `_NAMES`, sizes from the images.
+    Names of the classes that are not given come from a file of `_LISTS` or `_TABLES`, sizes from the images.
 
     Raises:
         InputError: The files are wrong; each problem names its file and line.
@@ -65,7 +65,7 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
     numbers = sorted({*range(len(names)), *found})
     whole = [names[number] if number < len(names) else f"class_{number}" for number in numbers]
     if nameless := [name for number, name in zip(numbers, whole, strict=True) if number >= len(names)]:
-        notes.append(f"{shown(truth)}: no name is known of {', '.join(nameless[:8])}: give --labels or {_NAMES[0]}")
+        notes.append(f"{shown(truth)}: no name is known of {', '.join(nameless[:8])}: give --labels or {_LISTS[0]}")
     to_label = {number: label for label, number in enumerate(numbers)}
     for rows in (annotations, results):
         rows.places = [replace(place, label=to_label[place.label]) for place in rows.places]
@@ -130,7 +130,7 @@ def _place(where: str, numbers: list[float], image: int, size_px: Sequence[float
 
 _MOST_CLASSES = 10_000
 """A larger number is no class but something else."""
-_NAMES = ("classes.txt", "obj.names", "data.yaml", "dataset.yaml")
+_LISTS, _TABLES = ("classes.txt", "obj.names"), ("data.yaml", "dataset.yaml")
 """Files that name the classes, beside the labels or above: a name on each line, or all in one; `names` of YAML."""
 _LABELS = ("labels", "obj_train_data")
 _NOT_LABELS = ("classes.txt", "images.txt")
@@ -181,13 +181,12 @@ def _listed(folder: Path) -> set[str]:
 
 
 def _names(truth: Path, folder: Path) -> tuple[str, ...]:
-    """Names of the classes from the first file of `_NAMES`, that of YAML also from up to three folders above."""
-    lists, tables = ([name for name in _NAMES if (Path(name).suffix == ".yaml") is table] for table in (False, True))
-    for path in (parent / name for parent in (truth, folder, folder.resolve().parent) for name in lists):
+    """Names of the classes from the first such file that is there, of YAML also from up to three folders above."""
+    for path in (parent / name for parent in (truth, folder, folder.resolve().parent) for name in _LISTS):
         if path.is_file():
             return _listed_names(path)
     above = folder.resolve().parents[:3]
-    for path in (parent / name for parent in (truth, folder, *above) for name in tables):
+    for path in (parent / name for parent in (truth, folder, *above) for name in _TABLES):
         if path.is_file():
             content = load_yaml(path, "data")
             if isinstance(content, dict) and (names := content.get("names")) is not None:

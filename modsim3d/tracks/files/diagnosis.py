@@ -112,7 +112,7 @@ class BoxRows:
 
     def spread(self) -> BoxRows:
         """Some of the rows, spread over the file."""
-        chosen = np.unique(np.linspace(0, len(self.frame) - 1, _LOOKED_AT).astype(np.int64))
+        chosen = np.unique(np.linspace(0, len(self.frame) - 1, _LOOKED_AT).astype(np.int64))[: len(self.frame)]
         frames = (each[chosen] for each in (self.frame, self.frame_before, self.frame_after))
         return BoxRows(self.numbers[chosen], self.form, self.image_px[chosen], *frames)
 
@@ -210,7 +210,7 @@ def implausible(rows: BoxRows) -> Misreading | None:
         moved = np.allclose(sizes(reading.boxes_px), sizes(now_px))  # as whole boxes that are cut nowhere may be
         fits = _beyond(reading.boxes_px, image_px).mean() <= _FITS_BETTER * beyond.mean()
         if fits and (not moved or snug.mean() > _MANY_SNUG):
-            either = f", or width and height of the images, {size}," if reading.told == _EXCHANGED else ""
+            either = f", or width and height of the images are: {size}" if reading.told == _EXCHANGED else ""
             return Misreading(f"{reading.told}{either} ({found})", False)
     reach = "{:.4g}, {:.4g} to {:.4g}, {:.4g}".format(*now_px[:, :2].min(axis=0), *now_px[:, 2:].max(axis=0))
     reached = f"the first is of {size} px, and boxes reach from {reach}"

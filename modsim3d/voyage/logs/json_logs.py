@@ -107,13 +107,7 @@ def _label(entry: Mapping[str, Any]) -> str | None:
 
 
 def _log(
-    source: str,
-    frames: list[_Frame],
-    clock: Clock,
-    frames_from: str,
-    problems: Problems,
-    options: LogOptions,
-    form: BoxForm,
+    source: str, frames: list[_Frame], clock: Clock, origin: str, problems: Problems, options: LogOptions, form: BoxForm
 ) -> DetectionLog:
     utc = all_utc([of_utc for *_, of_utc, _ in frames])
     if utc is None:
@@ -126,9 +120,9 @@ def _log(
             problems.add(f"{where}: has the time of another frame{f' of {camera}' if camera else ''}, {time_s:.12g}")
             continue
         number = rows.frame(camera, time_s)
-        for place, box, label, confidence in found:
-            rows.add(number, place, box, label, confidence)
-    return rows.log(Clock.UTC if utc else clock, frames_from)
+        for at, box, label, confidence in found:
+            rows.add(number, at, box, label, confidence)
+    return rows.log(Clock.UTC if utc else clock, origin)
 
 
 def _scores(frames: list[_Frame]) -> Iterator[tuple[str, object]]:

@@ -15,7 +15,7 @@ from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems, check_whole, valid_box
 from modsim3d.formats.reading.confidences import NOT_GIVEN, Confidences
-from modsim3d.tracks.files.box_forms import TOP_LEFT, BoxForm
+from modsim3d.tracks.files.box_forms import CORNERS, TOP_LEFT, BoxForm
 from modsim3d.voyage.logs.times import time_text
 
 NO_LABEL = -1
@@ -195,6 +195,9 @@ class LogRows:
         if self.confidences is not None:
             score = self.confidences.read(NOT_GIVEN if confidence is None else confidence, where, self.problems)
         if score is None or not valid_box(list(box), where, self.problems):
+            if score is not None and self.form.to_corners is CORNERS.to_corners:
+                meant = f"boxes are read as {self.form.meaning}: are the last two width and height?"
+                self.problems.hint = self.problems.hint or meant
             return
         number = NO_LABEL if label is None else self._labels.setdefault(label, len(self._labels))
         self._with_class.setdefault(label is not None, where)
