@@ -23,4 +23,4 @@ def read_text(path: Path, what: str, most_bytes: int | None = None) -> str:
         content = bytearray()
         while piece := file.read(budgets.PIECE_BYTES):
             content += piece
-        return content.decode("utf-8")
+        return content.decode("utf-8").removeprefix("\ufeff")

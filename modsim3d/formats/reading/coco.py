@@ -36,6 +36,7 @@ from modsim3d.formats.reading.builder import (
     ResultRows,
     is_number,
     labelled_set,
+    read_flag,
     valid_box,
 )
 from modsim3d.formats.reading.confidences import Confidences
@@ -321,9 +322,9 @@ def _annotation(entry: Any, where: str, known: _Known, rows: AnnotationRows, pro
     identity = _identity(entry, where, problems)
     if rows.has(place.image, identity):
         problems.add(f"{where}: identity {shown(identity)} is in the image {shown(entry.get('image_id'))} already")
+    crowd, ignored = (read_flag(entry.get(key), key, where, problems) for key in ("iscrowd", "ignore"))
     if problems.count == before:
-        crowd = bool(entry.get("iscrowd", 0))
-        rows.add(place, crowd or bool(entry.get("ignore", 0)), crowd, identity, visible_fraction, depth_m)
+        rows.add(place, crowd or ignored, crowd, identity, visible_fraction, depth_m)
 
 
 def _result(

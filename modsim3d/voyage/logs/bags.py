@@ -12,6 +12,7 @@ from modsim3d.formats.reading.builder import Problems
 from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.formats.writing.mcap.definitions import DETECTIONS, VISION_MSGS
 from modsim3d.inputs.opening import note_input
+from modsim3d.tracks.files.box_forms import CENTRE
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
 from modsim3d.voyage.logs.times import LEAST_UNIX_S
 
@@ -33,7 +34,8 @@ def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
     every = [(topic, stamp, k, found) for topic, stamp, message in messages for k, found in enumerate(message)]
     scores = [(f"{topic} at {_text(stamp)} s, [{k}]", score) for topic, stamp, k, (_, _, score) in every]
     given = any(score is not None for _, score in scores)
-    rows = LogRows(source, problems, Confidences.of(scores, options.confidence_scale, problems) if given else None)
+    confidences = Confidences.of(scores, options.confidence_scale, problems) if given else None
+    rows = LogRows(source, problems, confidences, CENTRE)
     clock = Clock.UTC if messages and messages[0][1] >= LEAST_UNIX_S * _NANO else Clock.STAMP
     for topic, stamp, message in messages:
         where, camera = f"{topic} at {_text(stamp)} s", _camera(topic)

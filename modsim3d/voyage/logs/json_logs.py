@@ -13,6 +13,7 @@ from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.inputs.strict_json import check_values, parse_json
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
+from modsim3d.tracks.files.box_forms import CENTRE, CORNERS, BoxForm
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
 from modsim3d.voyage.logs.times import all_utc, time_of
 
@@ -39,7 +40,7 @@ def read_lines_log(path: Path, options: LogOptions) -> DetectionLog:
         if line.strip()
         and (frame := _line(parse_json(line, source, number, "line"), f"line {number}", problems)) is not None
     ]
-    return _log(source, frames, Clock.STEP, "its lines", problems, options)
+    return _log(source, frames, Clock.STEP, "its lines", problems, options, CORNERS)
 
 
 def read_thesis_log(path: Path, content: Mapping[str, Any], options: LogOptions) -> DetectionLog:
@@ -58,7 +59,7 @@ def read_thesis_log(path: Path, content: Mapping[str, Any], options: LogOptions)
             continue
         found = [_thesis(entry, f"{text}.{name}", problems) for name, entry in entries.items()]
         frames.append((text, None, time_s, utc, [each for each in found if each is not None]))
-    return _log(source, frames, Clock.STAMP, "its times", problems, options)
+    return _log(source, frames, Clock.STAMP, "its times", problems, options, CENTRE)
 
 
 def _line(content: Any, where: str, problems: Problems) -> _Frame | None:
@@ -106,22 +107,22 @@ def _label(entry: Mapping[str, Any]) -> str | None:
 
 
 def _log(
-    source: str, frames: list[_Frame], clock: Clock, frames_from: str, problems: Problems, options: LogOptions
+    source: str, frames: list[_Frame], clock: Clock, origin: str, problems: Problems, options: LogOptions, form: BoxForm
 ) -> DetectionLog:
     utc = all_utc([of_utc for *_, of_utc, _ in frames])
     if utc is None:
         raise InputError(source, ["some times are UTC and others are not"])
     scores = list(_scores(frames))
     confidences = Confidences.of(scores, options.confidence_scale, problems) if scores else None
-    rows = LogRows(source, problems, confidences)
+    rows = LogRows(source, problems, confidences, form)
     for where, camera, time_s, _, found in frames:
         if rows.has(camera, time_s):
             problems.add(f"{where}: has the time of another frame{f' of {camera}' if camera else ''}, {time_s:.12g}")
             continue
         number = rows.frame(camera, time_s)
-        for place, box, label, confidence in found:
-            rows.add(number, place, box, label, confidence)
-    return rows.log(Clock.UTC if utc else clock, frames_from)
+        for at, box, label, confidence in found:
+            rows.add(number, at, box, label, confidence)
+    return rows.log(Clock.UTC if utc else clock, origin)
 
 
 def _scores(frames: list[_Frame]) -> Iterator[tuple[str, object]]:

@@ -26,10 +26,10 @@ from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
 from modsim3d.voyage.logs.times import LEAST_UNIX_S, TIME_FORM, seconds, utc_s
 
 _TIMES, _SCORES, _LABELS = ("utc", "time_s", "time", "timestamp"), ("score", "confidence"), ("label", "class")
-_EDGES = BoxForm("edges", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
-_SIDES = BoxForm("corner and sides", ("left", "top", "width", "height"), 0, TOP_LEFT.to_corners)
+_EDGES = BoxForm("left, top, right, bottom", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
+_SIDES = BoxForm("left, top, width, height", ("left", "top", "width", "height"), 0, TOP_LEFT.to_corners)
 _DETECTORS = tuple(  # as the tables of common detectors have them
-    BoxForm("corners", names, 0, CORNERS.to_corners)
+    BoxForm(CORNERS.meaning, names, 0, CORNERS.to_corners)
     for names in (("x1", "y1", "x2", "y2"), ("xmin", "ymin", "xmax", "ymax"), ("x_min", "y_min", "x_max", "y_max"))
 )
 _FORMS = (_EDGES, _SIDES, *_DETECTORS, CORNERS, CENTRE)
@@ -62,7 +62,7 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
     confidences = None
     if any(value is not None for value in values):
         confidences = Confidences.of(zip(where, values, strict=True), options.confidence_scale, problems, "score")
-    rows = LogRows(source, problems, confidences)
+    rows = LogRows(source, problems, confidences, form)
     for row, (corners, is_empty) in enumerate(zip(form.boxes_px(boxes).tolist(), empty.tolist(), strict=True)):
         frame = rows.frame(cameras[row], float(time_s[row]))
         if not is_empty:
