@@ -28,6 +28,13 @@ INSTALL_HINT = """no OpenGL software renderer was found ({wanted}). Install one:
   conda-forge:    conda install 'mesalib<25.1'
 or run without one: --source analytic"""
 
+MESA_VARIABLES = (
+    *("MESA_GL_VERSION_OVERRIDE", "MESA_GLSL_VERSION_OVERRIDE", "MESA_EXTENSION_OVERRIDE", "GALLIUM_DRIVER"),
+    *("MESA_LOADER_DRIVER_OVERRIDE", "LIBGL_DRIVERS_PATH"),
+    *("__EGL_VENDOR_LIBRARY_DIRS", "__EGL_VENDOR_LIBRARY_FILENAMES"),
+)
+"""Variables of the environment that can leave a machine with OpenGL without it."""
+
 
 def library_found(backend: str) -> bool:
     """Whether the shared library of a backend can be loaded."""
@@ -104,12 +111,19 @@ def open_context() -> Iterator[GLContext]:
     with ExitStack() as stack:
         try:
             _open_here = _make_context(backend, stack)
-        except (ImportError, AttributeError, OSError) as error:
-            raise RendererError(f"the {backend} renderer cannot be used: {error}") from error
+        except (ImportError, AttributeError, OSError, RendererError) as error:
+            problem = "" if isinstance(error, RendererError) else f"the {backend} renderer cannot be used: "
+            raise RendererError(f"{problem}{error}{_variables_set()}") from error
         try:
             yield _open_here
         finally:
             _open_here = None
+
+
+def _variables_set() -> str:
+    """The end of an error: variables of the environment that may be the reason."""
+    values = ", ".join(f"{name}={os.environ[name]!r}" for name in MESA_VARIABLES if name in os.environ)
+    return f" (the environment has {values}: try without)" if values else ""
 
 
 def _make_context(backend: str, stack: ExitStack) -> GLContext:
@@ -143,11 +157,27 @@ def prepare_environment(backend: str) -> None:
             f"OpenGL was imported before with PYOPENGL_PLATFORM={os.environ.get('PYOPENGL_PLATFORM')!r}; "
             f"{backend} needs a process of its own"
         )
+    _refuse_crashes(backend)
     os.environ["PYOPENGL_PLATFORM"] = backend
     if _wanted() != "egl":
         os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")  # the same pixels with and without a graphics card
     # Rasterising in the calling thread is faster for small regions and keeps workers apart.
     os.environ.setdefault("LP_NUM_THREADS", "0")
+
+
+def _refuse_crashes(backend: str) -> None:
+    """Refuse variables of the environment with which Mesa ends the process instead of reporting an error."""
+    driver, language = (os.environ.get(name, "") for name in ("GALLIUM_DRIVER", "MESA_GLSL_VERSION_OVERRIDE"))
+    if driver not in ("", "llvmpipe") and backend == "osmesa":
+        raise RendererError(
+            f"GALLIUM_DRIVER={driver!r}: OSMesa has no other driver than llvmpipe with OpenGL 4.5: unset the variable, "
+            "or set MODSIM3D_GL=egl to draw with a graphics card"
+        )
+    if language.isdecimal() and int(language) < 450:
+        raise RendererError(
+            f"MESA_GLSL_VERSION_OVERRIDE={language!r}: OpenGL 4.5 has version 450 of the shading language: "
+            "unset the variable"
+        )
 
 
 def _use_reversed_depth(get_address: GetAddress) -> None:
