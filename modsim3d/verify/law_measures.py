@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy import special
 from scipy.stats import kstwo
 
 from modsim3d.arrays import Array
-from modsim3d.verify.measures import POWER, Interval, Noticed
+from modsim3d.verify.measures import POWER, SHARE, Interval, Noticed
 from modsim3d.verify.tails import two_sided
 
 
@@ -23,6 +24,7 @@ class Occupancy:
 
     found: int
     law: Array
+    possible: ClassVar[Interval] = SHARE
 
     @property
     def asked(self) -> float:
@@ -53,6 +55,11 @@ class Occupancy:
         """From the law itself."""
         return two_sided(float(self.law[: self.found + 1].sum()), float(self.law[self.found :].sum()))
 
+    @property
+    def least_p_value(self) -> float:
+        """The p-value of the number of frames that is farthest off: all of them, or none."""
+        return two_sided(float(self.law[0]), float(self.law[-1]))
+
     def strength(self) -> float:
         """In standard deviations of the law."""
         return abs(self.measured - self.asked) / self._deviation if self._deviation > 0 else 0.0
@@ -76,6 +83,7 @@ class Law:
     measured: float
     count: float
     asked: float = 0.0
+    possible: ClassVar[Interval] = SHARE
 
     @classmethod
     def of(cls, values: Array, quantiles: Array) -> Law:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from scipy import special
 
@@ -18,6 +18,10 @@ POWER = 0.9
 Interval = tuple[float, float]
 Noticed = tuple[float | None, float | None]
 """Smallest change below and above the asked value that a test notices with probability `POWER`; None if none is."""
+
+
+SHARE, CORRELATION, AMOUNT, ANY = (0.0, 1.0), (-1.0, 1.0), (0.0, math.inf), (-math.inf, math.inf)
+"""The least and the greatest value of a probability, a correlation, a number without a sign, and any number."""
 
 
 class Measure(Protocol):
@@ -34,6 +38,10 @@ class Measure(Protocol):
     @property
     def count(self) -> float:
         """Independent observations that it rests on."""
+
+    @property
+    def possible(self) -> Interval:
+        """The least and the greatest value that there can be."""
 
     def p_value(self) -> float:
         """Probability of a number at least as far off as this one, if the run obeys its file."""
@@ -57,6 +65,7 @@ class Estimate:
         count: Number of independent observations.
         statistic: Test statistic in standard errors; (measured − asked) / error if None.
         grows: Whether the standard error is in proportion to the value, as that of a standard deviation.
+        possible: The least and the greatest value that there can be.
     """
 
     measured: float
@@ -66,6 +75,7 @@ class Estimate:
     skewness: float = 0.0
     statistic: float | None = None
     grows: bool = False
+    possible: Interval = ANY
 
     @property
     def z(self) -> float:
@@ -106,6 +116,7 @@ class Exact:
     wrong: int
     count: float
     asked: float = 0.0
+    possible: ClassVar[Interval] = AMOUNT
 
     @property
     def measured(self) -> float:
@@ -125,5 +136,5 @@ class Exact:
         return self.measured, self.measured
 
     def noticed(self, alpha: float) -> Noticed:
-        """A single failure."""
-        return None, 1.0
+        """A single failure; nothing where nothing was seen."""
+        return None, 1.0 if self.count else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from modsim3d.verify.law_measures import Occupancy
 from modsim3d.verify.measures import Interval, Measure, Noticed
 
 OVERALL_ALPHA = 0.01
@@ -49,8 +50,8 @@ class Verdict:
 
     Attributes:
         asked: The value asked for, by the model's rule where that differs from the file's.
-        measured: None where too little was seen.
-        interval: Interval of the measured value, at the level of all tests together.
+        measured: None where there is no measure.
+        interval: Interval of the measured value, at the level of all tests together, cut to what is possible.
         p_value: The p-value before correction for the number of tests.
         noticed: Smallest change below and above the asked value that this run would have shown, with 90 % power.
         verdict: `OBEYS`, `DIFFERS`, `FALLS_SHORT`, `UNTESTED` or `UNCHECKED`.
@@ -113,7 +114,28 @@ def _verdict(parameter: Parameter, alpha: float) -> Verdict:
         return Verdict(parameter, asked, None, None, None, (None, None), UNTESTED if parameter.checked else UNCHECKED)
     p_value = measure.p_value()
     verdict = OBEYS if p_value >= alpha else DIFFERS
-    interval = measure.interval(alpha)
+    low, high = measure.possible
+    start, end = (min(max(value, low), high) for value in measure.interval(alpha))
+    interval, noticed = (start, end), _possible_changes(measure, alpha)
     if verdict == OBEYS and parameter.promised is not None and not interval[0] <= parameter.promised <= interval[1]:
         verdict = FALLS_SHORT
-    return Verdict(parameter, measure.asked, measure.measured, interval, p_value, measure.noticed(alpha), verdict)
+    if verdict == OBEYS and _is_blind(measure, noticed, alpha):
+        verdict = UNTESTED
+    return Verdict(parameter, measure.asked, min(max(measure.measured, low), high), interval, p_value, noticed, verdict)
+
+
+def _possible_changes(measure: Measure, alpha: float) -> Noticed:
+    """The changes that the test notices, without those to values that cannot be."""
+    (below, above), (low, high) = measure.noticed(alpha), measure.possible
+    rounding = 1e-9
+    return (
+        None if below is None or measure.asked - below < low - rounding else below,
+        None if above is None or measure.asked + above > high + rounding else above,
+    )
+
+
+def _is_blind(measure: Measure, noticed: Noticed, alpha: float) -> bool:
+    """Whether the test would have passed whatever the run did, or nearly."""
+    if isinstance(measure, Occupancy):  # the transitions, which it follows from, say what is noticed
+        return measure.least_p_value >= alpha
+    return noticed == (None, None)
