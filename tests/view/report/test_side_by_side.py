@@ -150,7 +150,10 @@ def test_a_second_camera_stands_beside_the_first(browser, mistaken_page):
     assert browser.run("player.panes.map(pane => pane.facts.name)") == ["bow", "quay"]
     image = "document.querySelector('#picture2').toDataURL()"
     at_once = browser.run(image)
-    assert browser.run("new Promise(done => requestAnimationFrame(() => { player.draw(); done(" + image + ") }))") == at_once
+    assert (
+        browser.run("new Promise(done => requestAnimationFrame(() => { player.draw(); done(" + image + ") }))")
+        == at_once
+    )
     assert browser.run("document.querySelector('#beside').value") == "quay"
     browser.press("g")
     assert browser.run("player.panes.length") == 1
