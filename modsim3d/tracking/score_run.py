@@ -183,6 +183,8 @@ def score_run(
     if chosen and len(chosen) < len(run.scene.cameras):
         rules = replace(rules, cameras=tuple(run.scene.cameras[index].name for index in chosen))
         rows = rows.in_cameras(chosen)
+    if not in_images:
+        _refuse_image_rules(rules)
     if gate_m is not None and not in_world:
         raise ModsimError("--gate is for tracks in the world, and none are given: leave it out")
     if seeds is not None:
@@ -204,6 +206,29 @@ def score_run(
         spread_over_seeds(run, [each for _, each in in_images], seeds, rules, progress) if seeds is not None else None,
         world,
     )
+
+
+def _refuse_image_rules(rules: Rules) -> None:
+    """Refuse rules that only tracks in the images have, where there are none.
+
+    Raises:
+        ModsimError: One is not as it is by default.
+    """
+    usual, similarity = Rules(), rules.similarity
+    given = {
+        "--truth": rules.truth != usual.truth,
+        "--similarity": similarity.name != usual.similarity.name,
+        "--scale": similarity.scale_px is not None,
+        "--threshold": similarity.least != usual.similarity.least,
+        "--gap": rules.gap_s != usual.gap_s,
+        "--by-class": rules.by_class,
+    }
+    if named := [option for option, is_given in given.items() if is_given]:
+        are, them = ("are", "them") if len(named) > 1 else ("is", "it")
+        raise ModsimError(
+            f"{' and '.join(named)} {are} for tracks in the images, and none are given: leave {them} out; tracks in "
+            "the world have --gate, --gospa-c and --gospa-p"
+        )
 
 
 def _chosen(run: StoredRun, cameras: str | Sequence[str] | None) -> tuple[int, ...]:
