@@ -28,12 +28,8 @@ INSTALL_HINT = """no OpenGL software renderer was found ({wanted}). Install one:
   conda-forge:    conda install 'mesalib<25.1'
 or run without one: --source analytic"""
 
-MESA_VARIABLES = (
-    *("MESA_GL_VERSION_OVERRIDE", "MESA_GLSL_VERSION_OVERRIDE", "MESA_EXTENSION_OVERRIDE", "GALLIUM_DRIVER"),
-    *("MESA_LOADER_DRIVER_OVERRIDE", "LIBGL_DRIVERS_PATH"),
-    *("__EGL_VENDOR_LIBRARY_DIRS", "__EGL_VENDOR_LIBRARY_FILENAMES"),
-)
-"""Variables of the environment that can leave a machine with OpenGL without it."""
+MESA_OBEYS = ("MESA_", "GALLIUM_", "LIBGL_DRI", "__EGL_")
+"""How variables of the environment begin that can leave a machine with OpenGL without it."""
 
 
 def library_found(backend: str) -> bool:
@@ -113,17 +109,13 @@ def open_context() -> Iterator[GLContext]:
             _open_here = _make_context(backend, stack)
         except (ImportError, AttributeError, OSError, RendererError) as error:
             problem = "" if isinstance(error, RendererError) else f"the {backend} renderer cannot be used: "
-            raise RendererError(f"{problem}{error}{_variables_set()}") from error
+            values = ", ".join(f"{name}={text!r}" for name, text in os.environ.items() if name.startswith(MESA_OBEYS))
+            hint = f" (the environment has {values}: try without)" if values else ""
+            raise RendererError(f"{problem}{error}{hint}") from error
         try:
             yield _open_here
         finally:
             _open_here = None
-
-
-def _variables_set() -> str:
-    """The end of an error: variables of the environment that may be the reason."""
-    values = ", ".join(f"{name}={os.environ[name]!r}" for name in MESA_VARIABLES if name in os.environ)
-    return f" (the environment has {values}: try without)" if values else ""
 
 
 def _make_context(backend: str, stack: ExitStack) -> GLContext:
@@ -169,15 +161,9 @@ def _refuse_crashes(backend: str) -> None:
     """Refuse variables of the environment with which Mesa ends the process instead of reporting an error."""
     driver, language = (os.environ.get(name, "") for name in ("GALLIUM_DRIVER", "MESA_GLSL_VERSION_OVERRIDE"))
     if driver not in ("", "llvmpipe") and backend == "osmesa":
-        raise RendererError(
-            f"GALLIUM_DRIVER={driver!r}: OSMesa has no other driver than llvmpipe with OpenGL 4.5: unset the variable, "
-            "or set MODSIM3D_GL=egl to draw with a graphics card"
-        )
+        raise RendererError(f"GALLIUM_DRIVER={driver!r}: OSMesa has llvmpipe only: unset it, or set MODSIM3D_GL=egl")
     if language.isdecimal() and int(language) < 450:
-        raise RendererError(
-            f"MESA_GLSL_VERSION_OVERRIDE={language!r}: OpenGL 4.5 has version 450 of the shading language: "
-            "unset the variable"
-        )
+        raise RendererError(f"MESA_GLSL_VERSION_OVERRIDE={language!r}: OpenGL 4.5 has 450: unset the variable")
 
 
 def _use_reversed_depth(get_address: GetAddress) -> None:

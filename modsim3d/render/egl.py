@@ -73,8 +73,6 @@ def _devices() -> list[Any]:
     from OpenGL import EGL
     from OpenGL.EGL.EXT.device_enumeration import eglQueryDevicesEXT
 
-    if not eglQueryDevicesEXT:
-        return []
     found, count = (EGL.EGLDeviceEXT * _MOST_DEVICES)(), (EGL.EGLint * 1)()
     if not _result(eglQueryDevicesEXT, _MOST_DEVICES, found, count):
         return []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -209,26 +209,12 @@ def score_run(
 
 
 def _refuse_image_rules(rules: Rules) -> None:
-    """Refuse rules that only tracks in the images have, where there are none.
-
-    Raises:
-        ModsimError: One is not as it is by default.
-    """
-    usual, similarity = Rules(), rules.similarity
-    given = {
-        "--truth": rules.truth != usual.truth,
-        "--similarity": similarity.name != usual.similarity.name,
-        "--scale": similarity.scale_px is not None,
-        "--threshold": similarity.least != usual.similarity.least,
-        "--gap": rules.gap_s != usual.gap_s,
-        "--by-class": rules.by_class,
-    }
-    if named := [option for option, is_given in given.items() if is_given]:
-        are, them = ("are", "them") if len(named) > 1 else ("is", "it")
-        raise ModsimError(
-            f"{' and '.join(named)} {are} for tracks in the images, and none are given: leave {them} out; tracks in "
-            "the world have --gate, --gospa-c and --gospa-p"
-        )
+    """Refuse rules that only tracks in the images have, where there are none and a rule is not as by default."""
+    options = "--truth", "--gap", "--by-class", "--similarity", "--scale", "--threshold"
+    values, usual = ((r.truth, r.gap_s, r.by_class, *astuple(r.similarity)) for r in (rules, Rules()))
+    if named := [name for name, value, other in zip(options, values, usual, strict=True) if value != other]:
+        what = f"{' and '.join(named)}: for tracks in the images, and none are given"
+        raise ModsimError(f"{what}: leave out; tracks in the world have --gate, --gospa-c and --gospa-p")
 
 
 def _chosen(run: StoredRun, cameras: str | Sequence[str] | None) -> tuple[int, ...]:

@@ -76,6 +76,8 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
     def column(name: str) -> Array:
         return numbers(table, name)
 
+    if {"time_s", "step"} <= {*columns}:
+        _check_steps(source, column("step"), column("time_s"), run.scene.times_s(0, run.steps))
     covariance = np.full((len(table), 4, 4), np.nan)
     for (i, j), name in COVARIANCES.items():
         if name in table.column_names:
@@ -88,7 +90,7 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
         name=name_of(path),
         place=lambda row: f"row {row + 2}",
         track=[text or "" for text in table["track"].to_pylist()],
-        time_s=_times_s(source, column, columns, groups, run),
+        time_s=_times_s(source, column, groups, run),
         position_m=_positions_m(source, column, degrees, run),
         velocity_m_s=_velocities_m_s(column, groups, degrees, run, len(table)),
         covariance=covariance,
@@ -141,16 +143,10 @@ def _table(path: Path, source: str, columns: Sequence[str]) -> pa.Table:
         raise InputError(source, [f"cannot be read as CSV: {str(error).splitlines()[0]}"]) from None
 
 
-def _times_s(
-    source: str, column: Callable[[str], Array], columns: Sequence[str], groups: set[tuple[str, ...]], run: StoredRun
-) -> Array:
-    times_s = run.scene.times_s(0, run.steps)
+def _times_s(source: str, column: Callable[[str], Array], groups: set[tuple[str, ...]], run: StoredRun) -> Array:
     if ("time_s",) in groups:
-        given = column("time_s")
-        if "step" in columns:
-            _check_steps(source, column("step"), given, times_s)
-        return given
-    steps = column("step")
+        return column("time_s")
+    steps, times_s = column("step"), run.scene.times_s(0, run.steps)
     wrong = ~((steps >= 0) & (steps < len(times_s)) & (steps == np.floor(steps)))
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
@@ -162,15 +158,10 @@ def _times_s(
 
 def _check_steps(source: str, steps: Array, time_s: Array, times_s: Array) -> None:
     """Refuse steps that are farther than half a step from the time beside them; blank ones say nothing."""
-    slack = float(np.median(np.diff(times_s))) / 2 if len(times_s) > 1 else 0.0
-    inside = (time_s >= times_s[0] - slack) & (time_s <= times_s[-1] + slack)  # others are refused with their times
-    of_step = np.interp(steps, np.arange(len(times_s)), times_s, left=-np.inf, right=np.inf)
-    wrong = np.flatnonzero(inside & (np.abs(time_s - of_step) > slack * (1 + 1e-9)))
-    if len(wrong):
-        row = int(wrong[0])
-        nearest = int(np.argmin(np.abs(times_s - time_s[row])))
-        said = f"time_s {time_s[row]:.9g} is that of step {nearest}, but step is {steps[row]:.9g}"
-        raise InputError(source, [f"row {row + 2}: {said}: leave out the column that is wrong"])
+    of_time = np.interp(time_s, times_s, np.arange(len(times_s)), left=np.nan, right=np.nan)
+    for row in np.flatnonzero(np.abs(of_time - steps) > 0.5 + 1e-9)[:1].tolist():
+        of_step = f"time_s {time_s[row]:.9g} is that of step {of_time[row]:.0f}, but step is {steps[row]:.9g}"
+        raise InputError(source, [f"row {row + 2}: {of_step}: leave out the column that is wrong"])
 
 
 def _positions_m(source: str, column: Callable[[str], Array], degrees: Array | None, run: StoredRun) -> Array:

@@ -90,14 +90,8 @@ def box_persistence(
     # Truncation leaves part of a correlation: replays show which, or the boxes do where the correlation is small.
     share = left / asked if abs(left) > _KNOWN * known else float(_shares_left(fits, now, before).mean())
     scale = 1 / max(share, _LEAST_SHARE)
-    return Estimate(
-        asked + (product - left) * scale,
-        asked,
-        error * scale,
-        len(now),
-        statistic=(product - left) / error,
-        possible=CORRELATION,
-    )
+    off = product - left
+    return Estimate(asked + off * scale, asked, error * scale, len(now), statistic=off / error, possible=CORRELATION)
 
 
 def _instances_of(evidence: Evidence, fits: list[StateFit]) -> Indices:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy import special
 from scipy.stats import kstwo
 
 from modsim3d.arrays import Array
-from modsim3d.verify.measures import POWER, SHARE, Interval, Noticed
+from modsim3d.verify.measures import POWER, Interval, Noticed
 from modsim3d.verify.tails import two_sided
 
 
@@ -24,7 +23,6 @@ class Occupancy:
 
     found: int
     law: Array
-    possible: ClassVar[Interval] = SHARE
 
     @property
     def asked(self) -> float:
@@ -55,11 +53,6 @@ class Occupancy:
         """From the law itself."""
         return two_sided(float(self.law[: self.found + 1].sum()), float(self.law[self.found :].sum()))
 
-    @property
-    def least_p_value(self) -> float:
-        """The p-value of the number of frames that is farthest off: all of them, or none."""
-        return two_sided(float(self.law[0]), float(self.law[-1]))
-
     def strength(self) -> float:
         """In standard deviations of the law."""
         return abs(self.measured - self.asked) / self._deviation if self._deviation > 0 else 0.0
@@ -83,7 +76,6 @@ class Law:
     measured: float
     count: float
     asked: float = 0.0
-    possible: ClassVar[Interval] = SHARE
 
     @classmethod
     def of(cls, values: Array, quantiles: Array) -> Law:
@@ -117,4 +109,5 @@ class Law:
 
     def noticed(self, alpha: float) -> Noticed:
         """A distance that the test does not miss: what chance may bring, from both sides."""
-        return None, float(kstwo.isf(alpha, int(self.count)) + kstwo.isf(1 - POWER, int(self.count)))
+        reach = float(kstwo.isf(alpha, int(self.count)) + kstwo.isf(1 - POWER, int(self.count)))
+        return None, reach if reach <= 1 else None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 from scipy import special
 
@@ -38,10 +38,6 @@ class Measure(Protocol):
     @property
     def count(self) -> float:
         """Independent observations that it rests on."""
-
-    @property
-    def possible(self) -> Interval:
-        """The least and the greatest value that there can be."""
 
     def p_value(self) -> float:
         """Probability of a number at least as far off as this one, if the run obeys its file."""
@@ -116,7 +112,6 @@ class Exact:
     wrong: int
     count: float
     asked: float = 0.0
-    possible: ClassVar[Interval] = AMOUNT
 
     @property
     def measured(self) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from modsim3d.verify.law_measures import Occupancy
-from modsim3d.verify.measures import Interval, Measure, Noticed
+from modsim3d.verify.measures import ANY, Estimate, Interval, Measure, Noticed
 
 OVERALL_ALPHA = 0.01
 """Probability that an honest run has any verdict against it; shared evenly among its tests (Bonferroni)."""
@@ -114,28 +114,19 @@ def _verdict(parameter: Parameter, alpha: float) -> Verdict:
         return Verdict(parameter, asked, None, None, None, (None, None), UNTESTED if parameter.checked else UNCHECKED)
     p_value = measure.p_value()
     verdict = OBEYS if p_value >= alpha else DIFFERS
-    low, high = measure.possible
-    start, end = (min(max(value, low), high) for value in measure.interval(alpha))
-    interval, noticed = (start, end), _possible_changes(measure, alpha)
-    if verdict == OBEYS and parameter.promised is not None and not interval[0] <= parameter.promised <= interval[1]:
-        verdict = FALLS_SHORT
-    if verdict == OBEYS and _is_blind(measure, noticed, alpha):
-        verdict = UNTESTED
-    return Verdict(parameter, measure.asked, min(max(measure.measured, low), high), interval, p_value, noticed, verdict)
-
-
-def _possible_changes(measure: Measure, alpha: float) -> Noticed:
-    """The changes that the test notices, without those to values that cannot be."""
-    (below, above), (low, high) = measure.noticed(alpha), measure.possible
-    rounding = 1e-9
-    return (
-        None if below is None or measure.asked - below < low - rounding else below,
-        None if above is None or measure.asked + above > high + rounding else above,
+    low, high = measure.possible if isinstance(measure, Estimate) else ANY
+    shown = (*measure.interval(alpha), measure.measured)
+    start, end, measured = (min(max(value, low), high) for value in shown)
+    below, above = measure.noticed(alpha)
+    noticed = (
+        None if below is None or measure.asked - below < low else below,
+        None if above is None or measure.asked + above > high else above,
     )
-
-
-def _is_blind(measure: Measure, noticed: Noticed, alpha: float) -> bool:
-    """Whether the test would have passed whatever the run did, or nearly."""
+    if verdict == OBEYS and parameter.promised is not None and not start <= parameter.promised <= end:
+        verdict = FALLS_SHORT
+    is_blind = noticed == (None, None)
     if isinstance(measure, Occupancy):  # the transitions, which it follows from, say what is noticed
-        return measure.least_p_value >= alpha
-    return noticed == (None, None)
+        is_blind = all(replace(measure, found=end).p_value() >= alpha for end in (0, len(measure.law) - 1))
+    if verdict == OBEYS and is_blind:
+        verdict = UNTESTED
+    return Verdict(parameter, measure.asked, measured, (start, end), p_value, noticed, verdict)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 from scipy import special
 
-from modsim3d.verify.measures import AMOUNT, POWER, Estimate, Interval, Noticed
+from modsim3d.verify.measures import POWER, Estimate, Interval, Noticed
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,6 @@ class Drift:
     count: float
     trials: int = 1
     asked: float = 0.0
-    possible: ClassVar[Interval] = AMOUNT
 
     def p_value(self) -> float:
         """Of any of the trials."""

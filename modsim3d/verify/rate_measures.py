@@ -6,11 +6,10 @@ import bisect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 from scipy import special
 
-from modsim3d.verify.measures import AMOUNT, POWER, SHARE, Interval, Noticed
+from modsim3d.verify.measures import POWER, Interval, Noticed
 from modsim3d.verify.tails import binomial_interval, binomial_tails, poisson_interval, poisson_tails, two_sided
 
 
@@ -29,7 +28,6 @@ class Rate:
     trials: float
     asked: float
     inflation: float = 1.0
-    possible: ClassVar[Interval] = SHARE
 
     @property
     def measured(self) -> float:
@@ -88,7 +86,6 @@ class DiscoveryRate:
     true: float
     expected: float
     inflation: float = 1.0
-    possible: ClassVar[Interval] = SHARE
 
     def _share(self, false: float) -> float:
         return false / (false + self.true) if false + self.true > 0 else 0.0
@@ -149,7 +146,6 @@ class ImageRate:
     images: float
     asked: float
     inflation: float = 1.0
-    possible: ClassVar[Interval] = AMOUNT
 
     @property
     def measured(self) -> float:

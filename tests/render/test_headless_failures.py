@@ -15,15 +15,15 @@ OSMESA_WAYS = {
     "MESA_GL_VERSION_OVERRIDE=3.3": "no OpenGL 4.5 context",
     "MESA_GL_VERSION_OVERRIDE=2.1": "no OpenGL 4.5 context",
     "MESA_EXTENSION_OVERRIDE=-GL_ARB_clip_control": "no OpenGL 4.5 context",
-    "MESA_GLSL_VERSION_OVERRIDE=130": "OpenGL 4.5 has version 450 of the shading language: unset the variable",
-    "GALLIUM_DRIVER=nonsense": "OSMesa has no other driver than llvmpipe with OpenGL 4.5: unset the variable",
+    "MESA_GLSL_VERSION_OVERRIDE=130": "OpenGL 4.5 has 450: unset the variable",
+    "GALLIUM_DRIVER=nonsense": "OSMesa has llvmpipe only: unset it",
     "GALLIUM_DRIVER=d3d12": "MODSIM3D_GL=egl",
     "GALLIUM_DRIVER=softpipe": "llvmpipe",
 }
 EGL_WAYS = {
     "MESA_GL_VERSION_OVERRIDE=3.3": NO_CONTEXT,
     "MESA_GL_VERSION_OVERRIDE=2.1": NO_CONTEXT,
-    "MESA_GLSL_VERSION_OVERRIDE=130": "OpenGL 4.5 has version 450 of the shading language: unset the variable",
+    "MESA_GLSL_VERSION_OVERRIDE=130": "OpenGL 4.5 has 450: unset the variable",
     "MESA_EXTENSION_OVERRIDE=-GL_ARB_clip_control": NO_CONTEXT,
     "GALLIUM_DRIVER=nonsense": "EGL gave no ",
     "GALLIUM_DRIVER=softpipe": "EGL gave no ",

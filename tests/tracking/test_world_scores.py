@@ -320,11 +320,11 @@ def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run:
 @pytest.mark.parametrize(
     ("rules", "said"),
     [
-        ({"threshold": 0.7}, "--threshold is for tracks in the images, and none are given: leave it out; .* --gate"),
-        ({"similarity": "centre", "scale_px": 9.0}, "--similarity and --scale are for tracks in the images"),
-        ({"truth": "full"}, "--truth is for tracks in the images"),
-        ({"by_class": True}, "--by-class is for"),
-        ({"gap_s": 5.0}, "--gap is for"),
+        ({"threshold": 0.7}, "--threshold: for tracks in the images, and none are given: leave out; .* --gate"),
+        ({"similarity": "centre", "scale_px": 9.0}, "--similarity and --scale: for tracks in the images"),
+        ({"truth": "full"}, "--truth: for tracks in the images"),
+        ({"by_class": True}, "--by-class: for"),
+        ({"gap_s": 5.0}, "--gap: for"),
     ],
 )
 def test_rules_of_images_are_refused_where_all_tracks_are_in_the_world(

@@ -41,8 +41,6 @@ from modsim3d.view.pages.provenance import Provenance
 from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions, track_inputs
 
 FILES = ("score.json", "score.html")
-BAR_REM = 3.5
-"""Width of a share of 1, the same in all columns, so that bars can be compared."""
 CLOSE = "padding-right: 0.4rem"
 """Style of the columns of bars, so that those of four trackers and a reference fit on a page."""
 GROUP_TITLES = {"phase": "Before, during and after an occlusion", "occlusion": "By length of the occlusion, s"}
@@ -179,11 +177,11 @@ def _text(row: Bin, key: str) -> str:
 
 
 def _bar(share: float | None, text: str) -> str:
-    """A share as text with a bar behind it."""
-    width = f"{BAR_REM * min(max(share or 0.0, 0.0), 1.0):.3g}rem"
+    """A share as text with a bar behind it, of one width for a share in all columns, so that bars can be compared."""
+    width = f"{3.5 * min(max(share or 0.0, 0.0), 1.0):.3g}rem"
     shade = f"color-mix(in srgb, {charts.COLOURS[0]} 35%, transparent)"
     fill = f"linear-gradient(to right, {shade} {width}, transparent {width})"
-    return f'<td class="number" style="background: {fill}; min-width: {BAR_REM}rem; {CLOSE}">{text}</td>'
+    return f'<td class="number" style="background: {fill}; min-width: 3.5rem; {CLOSE}">{text}</td>'
 
 
 def _parts(scores: RunScores) -> list[str]:

@@ -14,7 +14,6 @@ from modsim3d.vessels.meshes.limits import (
     MAX_SCANNED_BYTES,
     Refused,
     check_faces,
-    check_reference,
     check_size,
     check_vertices,
 )
@@ -88,8 +87,6 @@ def read_ply(file: BinaryIO, size: int) -> bytes:
             if not (number.isdecimal() and len(number) <= MOST_DIGITS) or words[1] in counts:
                 raise Refused(f"has the line {line[:80]!r} in its header; 'element NAME COUNT' is needed, each once")
             counts[words[1]] = int(number)
-        elif words[:2] == ["comment", "TextureFile"]:
-            check_reference(" ".join(words[2:]), "texture")
     check_faces(counts.get("face", 0))
     for count in counts.values():
         check_vertices(count)

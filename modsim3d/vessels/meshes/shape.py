@@ -61,7 +61,7 @@ def to_solid(vertices: Array, faces: Indices, forward: str, up: str) -> Solid:
     return Solid(vertices, faces, convex=convex, closed=closed, file_box=FileBox(extents, forward, up))
 
 
-def _unit_box(vertices: Array) -> tuple[Array, tuple[float, float, float]]:
+def _unit_box(vertices: Array) -> tuple[Array, Array]:
     """Vertices, shape (K, 3), scaled and moved so that they fill the unit box exactly, and their extents before."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extents = high - low
@@ -71,8 +71,7 @@ def _unit_box(vertices: Array) -> tuple[Array, tuple[float, float, float]]:
         flat = [name for name, extent in zip(EXTENTS, extents, strict=True) if extent <= rounding]
         raise Refused(f"has no {' and no '.join(flat)}: a solid is needed, or other axes (`forward` and `up`)")
     unit: Array = np.clip((vertices - low) / extents, 0.0, 1.0) - np.array([0.5, 0.5, 0.0])
-    length, beam, height = extents.tolist()
-    return unit, (length, beam, height)
+    return unit, extents
 
 
 def _merge(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
