@@ -95,3 +95,10 @@ def test_an_environment_without_opengl_is_one_sentence_that_names_the_variable(
         assert "\n" not in said[way]
     if ways:
         assert {said[way] for way in HARMLESS} == {"drawn"}
+
+
+def test_pictures_of_campaigns_are_plain_where_a_library_has_no_driver() -> None:
+    script = "from modsim3d.campaign.worst.picture import best_style; print(best_style()[0].shaded)"
+    environment = {**os.environ, "MODSIM3D_GL": "egl", "__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent"}
+    said = subprocess.check_output([sys.executable, "-c", script], env=environment, text=True, timeout=120)
+    assert said == "False\n"
