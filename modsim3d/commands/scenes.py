@@ -35,7 +35,8 @@ def check_command(
     """Read a scene and every file that it names, and list everything that is wrong.
 
     Warns of cameras that see no vessel in their first frames, nor in some others over the whole scene, and of
-    vessels for which drawn traffic has no room, and of keys of the detector file that nothing reads.
+    vessels for which drawn traffic has no room, of meshes that do not fit their vessels, and of keys of the detector
+    file that nothing reads.
 
     Example: modsim3d check strait
     """

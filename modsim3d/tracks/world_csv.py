@@ -76,6 +76,8 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
     def column(name: str) -> Array:
         return numbers(table, name)
 
+    if {"time_s", "step"} <= {*columns}:
+        _check_steps(source, column("step"), column("time_s"), run.scene.times_s(0, run.steps))
     covariance = np.full((len(table), 4, 4), np.nan)
     for (i, j), name in COVARIANCES.items():
         if name in table.column_names:
@@ -152,6 +154,14 @@ def _times_s(source: str, column: Callable[[str], Array], groups: set[tuple[str,
         raise InputError(source, [f"row {row + 2}: step {must} (got {steps[row]:.15g})"])
     found: Array = times_s[steps.astype(np.int64)]
     return found
+
+
+def _check_steps(source: str, steps: Array, time_s: Array, times_s: Array) -> None:
+    """Refuse steps that are farther than half a step from the time beside them; blank ones say nothing."""
+    of_time = np.interp(time_s, times_s, np.arange(len(times_s)), left=np.nan, right=np.nan)
+    for row in np.flatnonzero(np.abs(of_time - steps) > 0.5 + 1e-9)[:1].tolist():
+        of_step = f"time_s {time_s[row]:.9g} is that of step {of_time[row]:.0f}, but step is {steps[row]:.9g}"
+        raise InputError(source, [f"row {row + 2}: {of_step}: leave out the column that is wrong"])
 
 
 def _positions_m(source: str, column: Callable[[str], Array], degrees: Array | None, run: StoredRun) -> Array:

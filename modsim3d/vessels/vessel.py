@@ -20,6 +20,8 @@ from modsim3d.inputs.validation import MOST_PROBLEMS, Limits, Strict, describe, 
 if TYPE_CHECKING:
     import trimesh
 
+    from modsim3d.vessels.meshes.fit import FileBox
+
 
 T = TypeVar("T")
 
@@ -36,18 +38,20 @@ class Solid:
         faces: Vertex indices, counter-clockwise seen from outside, shape (F, 3).
         convex: Whether the mesh is its own convex hull.
         closed: Whether the faces enclose a volume and all point outward, so that back faces are hidden.
+        file_box: Its bounding box in the mesh file, where it comes from one.
     """
 
     vertices: Array
     faces: Indices
     convex: bool = True
     closed: bool = True
+    file_box: FileBox | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Make copies in other processes of this; there too, the shoebox is one object, which `has_mesh` asks for."""
         if self is shoebox():
             return shoebox, ()
-        return Solid, (self.vertices, self.faces, self.convex, self.closed)
+        return Solid, (self.vertices, self.faces, self.convex, self.closed, self.file_box)
 
 
 def once_a_solid(work_out: Callable[[Solid], T]) -> Callable[[Solid], T]:

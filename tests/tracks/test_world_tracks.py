@@ -148,6 +148,14 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a step too far": (changed("time_s", step=60), r"row 2: step must be .* 0 to 59, the run's last \(got 60\)"),
     "half a step": (changed("time_s", step=0.5), r"row 2: step must be a whole number .* \(got 0.5\)"),
     "twice": (changed(track="a"), "row 3: a track may be there once at a time .*'a' again"),
+    "step and time": (
+        changed(step=np.repeat(np.roll(np.arange(len(TIMES_S)), 1), 2)),
+        r"row 2: time_s 0 is that of step 0, but step is \d+: leave out the column that is wrong",
+    ),
+    "step from 1": (
+        changed(step=np.repeat(np.arange(len(TIMES_S)) + 1, 2)),
+        "row 2: time_s 0 is that of step 0, but step is 1",
+    ),
     "no covariance": (
         changed(w1_variance_m2=1.0, w1_w2_covariance_m2=2.0, w2_variance_m2=1.0),
         "row 2: the covariance of the position is not positive definite",
@@ -175,6 +183,15 @@ def test_what_is_wrong_with_csv_is_said(name: str, run: StoredRun, tmp_path: Pat
     columns, said = WRONG[name]
     with pytest.raises(InputError, match=said):
         read_world_tracks(write_csv(tmp_path / "t.csv", columns), run)
+
+
+def test_a_step_beside_a_time_may_be_rounded_or_left_blank(run: StoredRun, tmp_path: Path) -> None:
+    step_s = float(np.median(np.diff(TIMES_S)))
+    times_s = np.repeat(TIMES_S, 2) + 0.4 * step_s
+    steps = np.repeat(np.arange(len(TIMES_S), dtype=float), 2)
+    steps[3] = np.nan
+    found = read_world_tracks(write_csv(tmp_path / "t.csv", changed(time_s=times_s, step=steps)), run)
+    np.testing.assert_allclose(found.time_s, np.tile(TIMES_S + 0.4 * step_s, 2))
 
 
 def test_a_file_that_is_not_there_is_said_to_be_missing(run: StoredRun, tmp_path: Path) -> None:

@@ -112,11 +112,12 @@ def _as_followed(frame: Frame, mistakes: Mistakes, rows: RunRows) -> Frame:
 
 def best_style() -> tuple[RenderStyle, bool]:
     """Light and shade where there is OpenGL, and whether boxes are drawn on it."""
-    from modsim3d.render.context import choose_backend
+    from modsim3d.render.context import open_context
     from modsim3d.view.shaded.render_style import PLAIN_STYLE, RenderStyle
 
     try:
-        choose_backend()
+        with open_context():  # a library may have no driver
+            pass
     except RendererError:
         return PLAIN_STYLE, False
     return RenderStyle(shaded=True), True

@@ -165,6 +165,23 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     ("scene", "cameras/shore/pose/yaw_rad", -180, ("cameras.shore.pose.yaw_rad: -180 is more than a whole turn",)),
     ("scene", "waves", {"spectrum": "jonswap", "direction_rad": 90}, ("waves.direction_rad: 90 is more than",)),
     ("scene", "obstacles", {"a": {"mesh": "ferry", "heading_rad": 45}}, ("obstacles.a.heading_rad: 45 is more than",)),
+    (
+        "scene",
+        "cameras/C0/mount/roll_rad",
+        2,
+        ("cameras.C0.mount.roll_rad: 2 is more than a right angle: in degrees that is 115; for 2° give 0.03491",),
+    ),
+    ("scene", "cameras/C0/mount/pitch_rad", -3.14159, ("pitch_rad: -3.14159 is more than a right angle",)),
+    (
+        "scene",
+        "cameras/shore/pose/pitch_rad",
+        1.6,
+        ("pitch_rad: 1.6 is more than a right angle: in degrees that is 92",),
+    ),
+    ("scene", "cameras/shore/pose/roll_rad", 3, ("roll_rad: 3 is more than a right angle: in degrees that is 172",)),
+    ("scene", "imu", {"attitude_noise_rad": 2}, ("imu.attitude_noise_rad: 2 is more than a right angle",)),
+    ("scene", "imu", {"heading_bias_rad": 5}, ("imu.heading_bias_rad: 5 is more than a right angle",)),
+    ("scene", "waves", {"roll": {"start_rad": [0, 3]}}, ("waves.roll.start_rad[1]: 3 is more than a right angle",)),
     # what belongs together
     ("scene", "cameras/shore/mount", GOOD["scene"]["cameras"]["C0"]["mount"], ("cameras.shore.mount: give exactly",)),
     ("scene", "cameras/shore/pose", DELETED, ("cameras.shore.mount: give exactly one of pose (ashore) and mount",)),
