@@ -64,6 +64,7 @@ def beyond_near(triangle):
             corners.append(one)
         if (one[2] >= near) != (other[2] >= near):
             corners.append(one + (near - one[2]) / (other[2] - one[2]) * (other - one))
+            corners[-1][2] = near
     return np.array(corners)
 
 
@@ -121,7 +122,7 @@ def test_visible_part_behind_or_of_a_mesh_is_that_of_the_pixels(renderer, front,
     assert (compared(renderer, outlines).worst < Agreement.BOUNDARY_ROUNDING).all()  # tips of the sails
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(16))
 def test_no_difference_between_pixels_and_geometry_of_meshes_is_unexplained(renderer, seed):
     places, intrinsics, mount = random_scene(np.random.default_rng(90_000 + seed))
     solids = [*map(mesh, shipped_meshes()), shoebox(), catamaran()]
@@ -212,3 +213,10 @@ def test_analytic_source_takes_vessels_own_ship_and_obstacles_by_their_meshes(tm
             assert area.keys() == counted.keys()
     assert exact[0].truth.occluded_by[0]["own"] > 20
     assert exact[0].truth.occluded_by[1]["obstacle:wreck"] > 100
+
+
+def test_way_from_a_region_to_its_hole_is_no_boundary_that_pixels_may_cross():
+    square = shapely.box(0, 0, 30, 20)
+    holed = square.difference(shapely.box(10, 5, 20, 15))
+    regions = np.array([square, holed, shapely.MultiPolygon([square, shapely.box(100, 0, 101, 1)])])
+    np.testing.assert_array_equal(boundary_pixels(regions, 1), [108, 156, 120])
