@@ -99,6 +99,6 @@ def _print_figures(console: Console, figures: Figures) -> None:
         ("rectangle rule against rendered", compare_report.rule_rows(figures)),
         ("shoebox against mesh", compare_report.shoebox_rows(figures)),
         ("time per frame", compare_report.time_rows(figures)),
-        ("intersecting boxes", compare_report.intersection_rows(figures)),
+        ("no plane between the hulls", compare_report.intersection_rows(figures)),
     ):
         print_rows(console, title, rows)

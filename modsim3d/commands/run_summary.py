@@ -172,7 +172,8 @@ def run_warnings(scene: Scene, result: RunResult) -> list[str]:
         warnings.insert(0, "no camera sees a vessel in this run")
     warnings += scene_warnings(scene)
     warnings += [
-        f"the boxes of {' and '.join(pair)} intersect, so who hides whom is undefined; only the rendered source decides"
+        f"the hulls of {' and '.join(pair)} intersect, so geometry does not tell who hides whom; only the rendered "
+        "source decides"
         for pair in result.intersecting
     ]
     if counts.off_by_curvature:

@@ -34,8 +34,8 @@ class Truth:
         occluder: Index into the scene's occluder names, shape (m,).
         occluder_px: Number of pixels of the row that this occluder hides, shape (m,).
         annotated: Whether the annotation mode and filters keep the row, shape (n,).
-        intersections: Step, camera and two occluders, a vessel among them, that overlap in the image and in space, so
-            that the analytic source cannot tell what is visible of them, shape (k, 4).
+        intersections: Step, camera and two occluders, a vessel among them, that overlap in the image and whose hulls
+            intersect, so that the analytic source cannot tell what is visible of them, shape (k, 4).
     """
 
     step: Indices

@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 
 from modsim3d.truth import scan_conversion, winding
-from modsim3d.truth.nearer_first import _corners_from_vertices
+from modsim3d.truth.occlusion_order import corners_from_vertices
 from modsim3d.truth.separating_axes import _distinct_directions
 from modsim3d.vessels.meshes import load_mesh
 from modsim3d.vessels.vessel import Vessel, shoebox
@@ -49,7 +49,7 @@ def test_a_worker_process_knows_which_vessels_have_a_mesh():
 def test_what_is_worked_out_for_a_solid_goes_with_it():
     """A process of a campaign makes thousands of runs, each with solids of its own."""
     solid = replace(shoebox())
-    for function in (scan_conversion._edges_of, _distinct_directions, _corners_from_vertices, winding.edges_of):
+    for function in (scan_conversion._edges_of, _distinct_directions, corners_from_vertices, winding.edges_of):
         assert function(solid) is function(solid)
     left = weakref.ref(solid)
     del solid
