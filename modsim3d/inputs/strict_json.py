@@ -42,7 +42,7 @@ def load_json(path: Path, what: str, bytes_per_value: int | None = None) -> Any:
     Raises:
         InputError: The file cannot be read, exceeds a budget or is not valid JSON; the message names line and column.
     """
-    text = read_text(path, what).removeprefix("\ufeff")
+    text = read_text(path, what)
     if not text.strip():
         raise InputError(f"{what} {path}", ["the file is empty"])
     check_values(text, f"{what} {path}", bytes_per_value)

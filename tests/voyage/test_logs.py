@@ -281,7 +281,7 @@ WRONG = {
     "no columns": (
         "log.csv",
         "utc;left;top\n1;2;3\n",
-        "the time is missing (got 'utc;left;top': columns must be separated by commas)",
+        "the time is missing (got 'utc;left;top': its cells have semicolons between them, must have commas)",
     ),
     "seconds as UTC": (
         "log.csv",

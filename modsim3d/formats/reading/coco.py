@@ -115,7 +115,7 @@ def _known_to_results(
 
 def _parse(path: Path, what: str) -> Any:
     """Read JSON; if it is broken, read it again with a slower reader that names the place."""
-    text = read_text(path, what).removeprefix("\ufeff")
+    text = read_text(path, what)
     if not text.strip():
         raise InputError(f"{what} {path}", ["the file is empty"])
     check_values(text, f"{what} {path}", COCO_BYTES_PER_VALUE)

@@ -31,7 +31,7 @@ def number_lines(
     Raises:
         InputError: The file cannot be read, or its first lines hold no number at all.
     """
-    lines = read_text(path, what).removeprefix("\ufeff").splitlines()
+    lines = read_text(path, what).splitlines()
     begin = list(islice(filter(str.strip, lines), _LOOKED_AT_LINES))
     if begin and not any(map(_is_number, _cells(begin, separator))):
         form = "white space" if separator is None else f"'{separator}'"

@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
-from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.text_files import no_commas, read_text
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.runs.files.columns import NOBODY
 from modsim3d.runs.run_rows import RunRows
@@ -30,7 +30,7 @@ def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
         InputError: The file cannot be read, a column is wrong, or a line has something that the run has not.
     """
     source = source_of(path)
-    text = read_text(path, "tracks").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    text = read_text(path, "tracks")
     head, _, body = text.partition("\n")
     names = [name.strip().strip('"') for name in head.split(",")]
     form = _form(names, rows, source)
@@ -57,8 +57,9 @@ def _form(names: Sequence[str], rows: RunRows, source: str) -> BoxForm:
     """
     if not any(name in _COLUMNS for name in names):
         needed = f"camera,step,track,{','.join(CORNERS.names)}"
-        got = shown(",".join(names))
-        raise InputError(source, [f"line 1 must name the columns, with commas between them: {needed} (got {got})"])
+        got = ",".join(names)
+        must = f"line 1 must name the columns, with commas between them: {needed}"
+        raise InputError(source, [f"{must} (got {shown(got)}){no_commas(got)}"])
     problems = [f"line 1: the column '{name}' is there twice" for name in dict.fromkeys(names) if names.count(name) > 1]
     problems += [f"line 1: unknown column '{name}' ({_hint(name)})" for name in names if name not in _COLUMNS]
     if "camera" not in names and len(rows.scene.cameras) > 1:

@@ -68,7 +68,7 @@ def _unknown(stem: str, names: tuple[str, ...], rows: RunRows) -> str:
 
 
 def _read(path: Path, camera: int, rows: RunRows) -> FileRows:
-    text, source = read_text(path, "tracks").removeprefix("\ufeff"), source_of(path)
+    text, source = read_text(path, "tracks"), source_of(path)
     begin = next(filter(str.strip, text.splitlines()), ",".join(_FIRST))
     cells = begin.count(",") + 1
     if cells < _LEAST:

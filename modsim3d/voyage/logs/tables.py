@@ -16,7 +16,7 @@ from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems
 from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.inputs.opening import note_input
-from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.text_files import no_commas, read_text
 from modsim3d.inputs.validation import shown
 from modsim3d.tracks.files.box_forms import CENTRE, CORNERS, TOP_LEFT, BoxForm
 from modsim3d.tracks.files.row_problems import RowProblems
@@ -96,7 +96,7 @@ def read_table(path: Path, source: str) -> TextTable:
         except (OSError, KeyError, pa.ArrowException) as error:  # KeyError: two columns of one name
             raise InputError(source, [f"cannot be read as Parquet: {error}"]) from None
         return TextTable(columns, RowProblems(source, np.arange(len(read)), "row"))
-    text = read_text(path, "detections").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    text = read_text(path, "detections")
     if not text.strip():
         raise InputError(source, ["the file is empty"])
     head, _, body = text.partition("\n")
@@ -174,8 +174,7 @@ def _form(table: TextTable, source: str) -> BoxForm:
 
 def _got(table: TextTable) -> str:
     names = list(table.columns)
-    one = ": columns must be separated by commas" if len(names) == 1 else ""
-    return ", ".join(map(shown, names[:8])) + (", …" if len(names) > 8 else "") + one
+    return ", ".join(map(shown, names[:8])) + (", …" if len(names) > 8 else "") + no_commas(",".join(names))
 
 
 def _add_frames(
