@@ -66,8 +66,8 @@ def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator
         most_bytes: Budget of what comes out; None for a reader that keeps little of it.
 
     Raises:
-        InputError: It is no ordinary file, cannot be read or unpacked, is UTF-16 or not UTF-8, or exceeds a budget; also
-            later, while it is read and decoded.
+        InputError: It is no ordinary file, cannot be read or unpacked, is no UTF-8, or exceeds a budget; also later,
+            while it is read and decoded.
     """
     source = f"{what} {path}"
     note_input(path)

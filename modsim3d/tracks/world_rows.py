@@ -10,6 +10,7 @@ import numpy as np
 from modsim3d.ais.geography import local_metres
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
+from modsim3d.inputs.identities import LOST, has_lost_digits
 from modsim3d.motion.encounters import hull_tracks
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracks.world_tracks import WorldTracks
@@ -56,6 +57,7 @@ def checked(rows: WorldRows, run: StoredRun) -> WorldTracks:
     names, track = np.unique(np.array(rows.track, dtype=object).astype(str), return_inverse=True)
     track = np.asarray(track, dtype=np.int64).reshape(-1)
     _report(rows, np.array([not name for name in rows.track], dtype=bool), "track is empty")
+    _report(rows, np.array([has_lost_digits(name) for name in rows.track], dtype=bool), f"track {LOST}")
     _report(rows, ~np.isfinite(rows.time_s), "has no time")
     _report(rows, _in_row(~np.isfinite(rows.position_m)), "has no position")
     _report(rows, _in_row(np.isinf(rows.velocity_m_s)), "the velocity is not finite")

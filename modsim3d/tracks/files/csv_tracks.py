@@ -38,7 +38,7 @@ def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
     many, cameras = len(table), [camera.name for camera in rows.scene.cameras]
     camera = table.names("camera", cameras) if table.has("camera") else np.zeros(many, dtype=np.int64)
     frame = _frames(table, rows, camera)
-    track = table.whole_numbers("track", 0)
+    track = table.identities("track", 0)
     numbers = np.column_stack([table.numbers(name) for name in form.names])
     labels = rows.scene.detector.labels
     label = table.names("label", labels, needed=False) if table.has("label") else np.full(many, NOBODY)

@@ -14,6 +14,7 @@ from pyarrow import csv
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.display import counted
 from modsim3d.errors import InputError
+from modsim3d.inputs.identities import LOST, SCIENTIFIC, has_lost_digits
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.runs.files.columns import NOBODY
 from modsim3d.tracks.files.row_problems import RowProblems
@@ -107,6 +108,13 @@ class TextTable:
         )
         return np.where(bad | np.isnan(values), NOBODY, values).astype(np.int64)
 
+    def identities(self, name: str, least: int) -> Indices:
+        """A column of whole numbers that are names, none of which may have lost digits, shape (k,)."""
+        lost = _mask(pc.match_substring_regex(self.columns[name], SCIENTIFIC))
+        lost[lost] = [has_lost_digits(self.columns[name][row].as_py()) for row in np.flatnonzero(lost).tolist()]
+        self.problems.refuse(lost, lambda row: f"{name} {LOST} (got {self._shown(name, row)})")
+        return self.whole_numbers(name, least)
+
     def names(self, name: str, known: Sequence[str], *, needed: bool = True) -> Indices:
         """A column of names as indices of those that are known; `NOBODY` where empty, if it may be, shape (k,)."""
         texts = self.columns[name]
@@ -125,7 +133,7 @@ class TextTable:
 
 
 def _mask(values: pa.ChunkedArray) -> Mask:
-    return np.asarray(values.to_numpy(zero_copy_only=False), dtype=bool)
+    return np.array(values.to_numpy(zero_copy_only=False), dtype=bool)
 
 
 def _cells(text: str, names: Sequence[str], source: str) -> tuple[list[pa.ChunkedArray], list[tuple[int, int, str]]]:

@@ -1,0 +1,66 @@
+"""The time beside an AIS sentence, which carries none of its own.
+
+Many numbers stand there: identities of ships (MMSI), of stations, and times in other forms. One of them is a Unix time
+if it has ten digits before the point (13 in milliseconds, 16 in microseconds), does not begin with 0 and is not in the
+future. Nine digits are those of identities, and of Unix times before September 2001, of which there are no logs of AIS.
+Dates have the year first or, with points or hyphens, last; without a zone they are
+UTC. Days and months with slashes are not read: which of them is first, nobody can tell.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+_UNIX = r"[1-9](?:\d{15}|\d{12}|\d{9}(?:\.\d+)?)"
+_ALONE = re.compile(rf"(?<![\w.:+-])({_UNIX})(?![\w.:])")
+_NAMED = re.compile(rf"\b(?:toa|rxuxtime|timestamp|time)\"?\s*[:=]\s*\"?({_UNIX})(?![\w.:])", re.IGNORECASE)
+_TAG = re.compile(r"(?:^|,)c:(\d+(?:\.\d+)?)(?:,|$)")
+_CLOCK = r"(\d\d)(:?)(\d\d)\6(\d\d(?:\.\d+)?)\s?(Z|UTC|[+-]\d\d:?\d\d)?(?![\w.:])"
+_YEAR_FIRST = re.compile(rf"(?<![\w.])(\d{{4}})([-/.]?)(\d\d)\2(\d\d)(?:[T _]|, ?)?{_CLOCK}")
+_YEAR_LAST = re.compile(rf"(?<![\w.])(\d\d)([-.])(\d\d)\2(\d{{4}})(?:[T _]|, ?){_CLOCK}")
+_FIRST_S, _LAST_S = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (1990, 2100))
+_DAY_S = 86400.0
+
+
+def time_beside(tag: str | None, before: str, after: str) -> float | None:
+    """Unix time that a tag block or the text around a sentence has; None if neither has one.
+
+    Args:
+        tag: Content of the tag block, without its checksum.
+        before: Text before the sentence; the first of several times in it counts.
+        after: Text after it; the last of several counts.
+    """
+    if tag and (found := _TAG.search(tag)):
+        said_s = unix_s(found[1])
+        return said_s if _FIRST_S <= said_s < _LAST_S else None
+    around = f"{before} {after}"
+    date_s = next(_dates(around), None)
+    alone = [*reversed(_ALONE.findall(after)), *_ALONE.findall(before)] if date_s is None else []
+    numbers = (unix_s(text) for text in (*_NAMED.findall(around), *alone))
+    latest_s = time.time() + _DAY_S
+    return next((number for number in numbers if _FIRST_S <= number < latest_s), date_s)
+
+
+def unix_s(text: str) -> float:
+    """Seconds of a Unix time, of which 13 digits are milliseconds, 16 microseconds and 19 nanoseconds."""
+    digits = len(text.partition(".")[0])
+    return float(text) / 10 ** (digits - 10) if digits in (13, 16, 19) else float(text)
+
+
+def _dates(text: str) -> Iterator[float]:
+    """The dates with times in a text, as Unix times."""
+    for pattern, order in ((_YEAR_FIRST, (1, 3, 4)), (_YEAR_LAST, (4, 3, 1))):
+        for found in pattern.finditer(text):
+            year, month, day = (int(found[place]) for place in order)
+            zone = (found[9] or "").replace(":", "")
+            ahead_s = 0 if zone in ("", "Z", "UTC") else int(f"{zone[0]}1") * (int(zone[1:3]) * 60 + int(zone[3:])) * 60
+            try:
+                minute = datetime(year, month, day, int(found[5]), int(found[7]), tzinfo=UTC)
+            except ValueError:
+                continue
+            value = minute.timestamp() + float(found[8]) - ahead_s
+            if _FIRST_S <= value < _LAST_S:
+                yield value
