@@ -28,23 +28,18 @@ _DAY_S = 86400.0
 def time_beside(tag: str | None, before: str, after: str) -> float | None:
     """Unix time that a tag block or the text around a sentence has; None if neither has one.
 
-    Args:
-        tag: Content of the tag block, without its checksum.
-        before: Text before the sentence; the first of several times in it counts.
-        after: Text after it; the last of several counts.
+    Of several Unix times the first before the sentence counts, or the last after it.
     """
     if tag and (found := _TAG.search(tag)):
-        said_s = unix_s(found[1])
+        said_s = _unix_s(found[1])
         return said_s if _FIRST_S <= said_s < _LAST_S else None
-    around = f"{before} {after}"
-    date_s = next(_dates(around), None)
+    date_s = next(_dates(f"{before} {after}"), None)
     alone = [*reversed(_ALONE.findall(after)), *_ALONE.findall(before)] if date_s is None else []
-    numbers = (unix_s(text) for text in (*_NAMED.findall(around), *alone))
-    latest_s = time.time() + _DAY_S
-    return next((number for number in numbers if _FIRST_S <= number < latest_s), date_s)
+    numbers = map(_unix_s, (*_NAMED.findall(f"{before} {after}"), *alone))
+    return next((number for number in numbers if number < time.time() + _DAY_S), date_s)
 
 
-def unix_s(text: str) -> float:
+def _unix_s(text: str) -> float:
     """Seconds of a Unix time, of which 13 digits are milliseconds, 16 microseconds and 19 nanoseconds."""
     digits = len(text.partition(".")[0])
     return float(text) / 10 ** (digits - 10) if digits in (13, 16, 19) else float(text)
@@ -54,13 +49,12 @@ def _dates(text: str) -> Iterator[float]:
     """The dates with times in a text, as Unix times."""
     for pattern, order in ((_YEAR_FIRST, (1, 3, 4)), (_YEAR_LAST, (4, 3, 1))):
         for found in pattern.finditer(text):
-            year, month, day = (int(found[place]) for place in order)
-            zone = (found[9] or "").replace(":", "")
-            ahead_s = 0 if zone in ("", "Z", "UTC") else int(f"{zone[0]}1") * (int(zone[1:3]) * 60 + int(zone[3:])) * 60
+            zone = found[9] if found[9] and found[9][0] in "+-" else "Z"
+            day = "-".join(found[place] for place in order)
             try:
-                minute = datetime(year, month, day, int(found[5]), int(found[7]), tzinfo=UTC)
+                minute = datetime.fromisoformat(f"{day}T{found[5]}:{found[7]}{zone}")
             except ValueError:
                 continue
-            value = minute.timestamp() + float(found[8]) - ahead_s
+            value = minute.timestamp() + float(found[8])
             if _FIRST_S <= value < _LAST_S:
                 yield value

@@ -18,7 +18,7 @@ from modsim3d.ais.recognise import LONGEST_LINE, header_names, open_reports, sou
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
 from modsim3d.inputs.budgets import MAX_BAD_ROWS
-from modsim3d.inputs.identities import LOST, SCIENTIFIC, has_lost_digits
+from modsim3d.inputs.misreadings import LOST, SCIENTIFIC, has_lost_digits
 from modsim3d.inputs.validation import shown
 
 BLOCK_BYTES = 1 << 24
@@ -43,7 +43,7 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
     A row with too many or too few cells, or one that cannot be read, is dropped and counted.
 
     Raises:
-        InputError: The file cannot be read.
+        InputError: The file cannot be read, or an identity has lost digits, so that several ships have become one.
     """
     with open_reports(path) as stream:
         first_row, nothing = 2, True  # the header is row 1, or that after blank rows
@@ -61,12 +61,17 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
             table = pa.table({ours: table.column(name) for ours, name in columns.items()})
             rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines
             nothing = False
+            kept = np.delete(rows, skipped)
+            for place in np.flatnonzero(pc.match_substring_regex(table.column("mmsi"), SCIENTIFIC)).tolist():
+                if has_lost_digits(identity := _text(table.column("mmsi")[place])):
+                    problem = f"row {kept[place]}: {columns['mmsi']} {LOST} (got {shown(identity)})"
+                    raise InputError(source_of(path), [problem])
             wrong = rows[skipped][:SHOWN_PROBLEMS]
             problems = [f"row {row}: does not have the {len(header)} cells of the header" for row in wrong]
-            yield _chunk(path, table, columns, layout, np.delete(rows, skipped), len(skipped), problems)
+            yield _chunk(table, columns, layout, kept, len(skipped), problems)
     if nothing:
         empty = pa.table({ours: pa.array([], pa.string()) for ours in columns})
-        yield _chunk(path, empty, columns, layout, np.zeros(0, dtype=np.int64), 0, [])
+        yield _chunk(empty, columns, layout, np.zeros(0, dtype=np.int64), 0, [])
 
 
 def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
@@ -127,27 +132,17 @@ def _table(block: bytes, path: Path, header: list[str], columns: list[str]) -> t
 
 
 def _chunk(
-    path: Path,
-    table: pa.Table,
-    columns: dict[str, str],
-    layout: Layout,
-    rows: Indices,
-    skipped: int,
-    problems: list[str],
+    table: pa.Table, columns: dict[str, str], layout: Layout, rows: Indices, skipped: int, problems: list[str]
 ) -> Chunk:
     """The reports of a table with our names of columns.
 
     Args:
-        path: The file.
         table: Texts of the rows that have all cells.
         columns: Our name of a column → the file's.
         layout: The file's layout.
         rows: Number of each row in the file, shape (n,).
         skipped: Number of further rows, with too many or too few cells.
         problems: One line on each of the first of those.
-
-    Raises:
-        InputError: An identity has lost digits, so that several ships may have become one.
     """
     bad = np.zeros(len(table), dtype=bool)
 
@@ -167,11 +162,6 @@ def _chunk(
         else:
             values[name] = np.full(len(table), np.nan)
     numbers = values["mmsi"]
-    written = table.column("mmsi").combine_chunks()
-    for place in np.flatnonzero(pc.match_substring_regex(written, SCIENTIFIC)).tolist():
-        if has_lost_digits(identity := _text(written[place])):
-            problem = f"row {rows[place]}: {columns['mmsi']} {LOST} (got {shown(identity)})"
-            raise InputError(source_of(path), [problem])
     whole = (numbers >= 0) & (numbers < 1e9) & (numbers == np.floor(numbers))  # false where NaN
     note(~whole & ~bad, "mmsi", "a whole number of at most nine digits")
     mmsi = np.where(whole, numbers, 0).astype(np.int64)

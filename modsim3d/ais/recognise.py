@@ -11,8 +11,8 @@ from pathlib import Path
 
 from modsim3d.ais.layouts import NEEDED, Layout, layout_of, layouts
 from modsim3d.errors import InputError
+from modsim3d.inputs.misreadings import no_commas
 from modsim3d.inputs.opening import open_input
-from modsim3d.inputs.text_files import no_commas
 from modsim3d.inputs.validation import shown
 
 UNPACKED_BY = {b"PK\x03\x04": "unzip", b"\x28\xb5\x2f\xfd": "zstd -d"}

@@ -29,11 +29,8 @@ REASONS = {
     "duplicate": "same vessel and time as another",
     "jump": "faster than {max_speed_kn:g} kn from the position before",
 }
-FAULTS = (
-    *("unreadable", "checksum", "undecodable", "incomplete", "no_time", "no_position", "impossible_position"),
-    *("duplicate", "jump"),
-)
-"""Reasons that lie in the files, not in what was asked of them or in what kind of sender it is."""
+NO_FAULTS = ("not_a_ship", "long_range", "other_message", "outside_region", "outside_window")
+"""Reasons that lie in what was asked of the files or in the kind of sender."""
 REPLACED = {
     "heading_from_course": "heading 511: course over ground in its place",
     "heading_from_bearing": "heading and course missing: bearing between positions",
@@ -125,7 +122,7 @@ def messages_used(traffic: Traffic) -> int:
 
 def warning(traffic: Traffic) -> str | None:
     """What comes first where more messages were lost to faults of the files than were used."""
-    lost = {name: count for name, count in _dropped(traffic).items() if name in FAULTS}
+    lost = {name: count for name, count in _dropped(traffic).items() if name not in NO_FAULTS}
     used, count = messages_used(traffic), sum(lost.values())
     if count <= used:
         return None

@@ -73,7 +73,7 @@ def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator
     note_input(path)
     try:
         with _ordinary_file(path, source) as file:
-            content = io.BufferedReader(_Budgeted(file, source, most_bytes), budgets.PIECE_BYTES)
+            content: io.BufferedReader = io.BufferedReader(_Budgeted(file, source, most_bytes), budgets.PIECE_BYTES)
             mark = content.peek(len(codecs.BOM_UTF8))
             if mark.startswith(_UTF_16):
                 raise InputError(source, ["is UTF-16 text, must be UTF-8: save it as that (iconv -f UTF-16 -t UTF-8)"])

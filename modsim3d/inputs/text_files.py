@@ -1,4 +1,4 @@
-"""The text of an input file, gzipped or not, within a budget, and what marks it as no table with commas."""
+"""The text of an input file, gzipped or not, within a budget."""
 
 from __future__ import annotations
 
@@ -27,14 +27,13 @@ def read_text(path: Path, what: str, most_bytes: int | None = None) -> str:
         content = bytearray()
         while piece := file.read(budgets.PIECE_BYTES):
             content += piece
-        text = content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
-        return text if text.isascii() else unicodedata.normalize("NFC", text)
+        return _composed(content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n"))
 
 
-def no_commas(first_line: str) -> str:
-    """Why the first line of a table has no commas between its cells, to be added to a message; empty if it has."""
-    if first_line.strip().lower().startswith("sep="):
-        return ": line 1 is for spreadsheets alone, leave it out"
-    marks = {";": "semicolons", "\t": "tabs", "|": "bars"}
-    found = [word for mark, word in marks.items() if first_line.count(mark) > first_line.count(",")]
-    return f": its cells have {found[0]} between them, must have commas" if found else ""
+def stem_of(path: Path) -> str:
+    """The name of a file without its ending, with accents as `read_text` has them."""
+    return _composed(path.stem)
+
+
+def _composed(text: str) -> str:
+    return text if text.isascii() else unicodedata.normalize("NFC", text)

@@ -36,7 +36,7 @@ NO_TIMES = f"{OWN_MMSI} 002191000 0371798000 636000333 219000111 2602051044 9999
 """The ship's own identity, stations, other ships, yymmddHHMM, a time to come, and shorter numbers."""
 
 
-@pytest.mark.parametrize(("before", "text"), product((True, False), TIMES))
+@pytest.mark.parametrize(("before", "text"), [*product((True, False), TIMES)])
 def test_times_as_receivers_write_them_are_read(tmp_path: Path, before: bool, text: str) -> None:
     line = f"{text},{OWN_MMSI},{TYPE_1}" if before else f"{TYPE_1},{OWN_MMSI},{text}"
     (chunk,) = read_nmea(log(tmp_path, line))

@@ -10,7 +10,7 @@ from pathlib import Path
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems
 from modsim3d.inputs.budgets import MAX_LINE_CHARACTERS
-from modsim3d.inputs.identities import LOST, has_lost_digits
+from modsim3d.inputs.misreadings import LOST, has_lost_digits
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
 

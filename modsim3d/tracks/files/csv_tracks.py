@@ -9,7 +9,8 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
-from modsim3d.inputs.text_files import no_commas, read_text
+from modsim3d.inputs.misreadings import no_commas, other_unit
+from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.runs.files.columns import NOBODY
 from modsim3d.runs.run_rows import RunRows
@@ -99,12 +100,13 @@ def _frames(table: TextTable, rows: RunRows, camera: Indices) -> Indices:
         steps, here = rows.frames[rows.frames % count == index] // count, camera == index
         if len(steps):
             step[here] = steps[_nearest(times_s[steps], time_s[here])]
+    unit = other_unit(time_s[~np.isnan(time_s)], float(times_s[-1]))
     off = (step == NOBODY) | (np.abs(time_s - times_s[step]) > TIME_TOLERANCE_S)
 
     def say(row: int) -> str:
         name = rows.scene.cameras[camera[row]].name
         near = "" if step[row] == NOBODY else f"; the nearest is {times_s[step[row]]:.9g}"
-        return f"camera '{name}' takes no frame at time_s {time_s[row]:.9g}{near} (seconds since the first step)"
+        return f"camera '{name}' takes no frame at time_s {time_s[row]:.9g}{near} (seconds since the first step){unit}"
 
     table.problems.refuse(off & ~np.isnan(time_s) & (camera != NOBODY), say)
     if table.has("step"):

@@ -14,7 +14,7 @@ from pyarrow import csv
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.display import counted
 from modsim3d.errors import InputError
-from modsim3d.inputs.identities import LOST, SCIENTIFIC, has_lost_digits
+from modsim3d.inputs.misreadings import LOST, SCIENTIFIC, has_lost_digits, no_commas
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.runs.files.columns import NOBODY
 from modsim3d.tracks.files.row_problems import RowProblems
@@ -69,7 +69,7 @@ class TextTable:
         if wrong := [(number, cells, line_text) for number, cells, line_text in other if line_text.strip()]:
             number, cells, line_text = wrong[0]
             found = f"line {number - 1 + first_line}: has {counted(cells, 'cell')}, must have {len(names)}"
-            lines = [f"{found}: {', '.join(names)} (got {shown(line_text)})"]
+            lines = [f"{found}: {', '.join(names)} (got {shown(line_text)}){no_commas(','.join(names))}"]
             if len(wrong) > 1:
                 lines.append(f"… and {len(wrong) - 1:,} more lines")
             raise InputError(source, lines)

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.ais.options import time_text
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import from_top_left
 from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems, check_whole, valid_box
 from modsim3d.formats.reading.confidences import NOT_GIVEN, Confidences
-from modsim3d.voyage.logs.times import time_text
 
 NO_LABEL = -1
 _SHARES = 2.0

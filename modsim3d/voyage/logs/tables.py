@@ -15,15 +15,16 @@ from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems
 from modsim3d.formats.reading.confidences import Confidences
+from modsim3d.inputs.misreadings import no_commas
 from modsim3d.inputs.opening import note_input
-from modsim3d.inputs.text_files import no_commas, read_text
+from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
 from modsim3d.tracks.files.box_forms import CENTRE, CORNERS, TOP_LEFT, BoxForm
 from modsim3d.tracks.files.row_problems import RowProblems
 from modsim3d.tracks.files.text_table import TextTable
 from modsim3d.voyage.logs.filling import filled
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
-from modsim3d.voyage.logs.times import LEAST_UNIX_S, TIME_FORM, seconds, utc_s
+from modsim3d.voyage.logs.times import LEAST_UNIX_S, MIXED, TIME_FORM, seconds, utc_s
 
 _TIMES, _SCORES, _LABELS = ("utc", "time_s", "time", "timestamp"), ("score", "confidence"), ("label", "class")
 _EDGES = BoxForm("edges", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
@@ -159,7 +160,7 @@ def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
         ),
     )
     table.problems.settle()
-    table.problems.refuse(of_utc != of_utc[:1].any(), lambda row: f"{name}: some times are UTC and others are not")
+    table.problems.refuse(of_utc != of_utc[:1].any(), lambda row: f"{name}: {MIXED}")
     table.problems.settle()
     seconds_from = Clock.STAMP if name == "timestamp" else Clock.STEP
     return times, Clock.UTC if of_utc.any() else seconds_from
