@@ -3,8 +3,8 @@
 Many numbers stand there: identities of ships (MMSI), of stations, and times in other forms. One of them is a Unix time
 if it has ten digits before the point (13 in milliseconds, 16 in microseconds), does not begin with 0 and is not in the
 future. Nine digits are those of identities, and of Unix times before September 2001, of which there are no logs of AIS.
-Dates have the year first or, with points or hyphens, last; without a zone they are
-UTC. Days and months with slashes are not read: which of them is first, nobody can tell.
+Dates have the year first or, with points or hyphens, last; without a zone they are UTC. Days and months with slashes
+are not read, because nobody can tell which is first, and neither are local times such as 3 PM or CET.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ _UNIX = r"[1-9](?:\d{15}|\d{12}|\d{9}(?:\.\d+)?)"
 _ALONE = re.compile(rf"(?<![\w.:+-])({_UNIX})(?![\w.:])")
 _NAMED = re.compile(rf"\b(?:toa|rxuxtime|timestamp|time)\"?\s*[:=]\s*\"?({_UNIX})(?![\w.:])", re.IGNORECASE)
 _TAG = re.compile(r"(?:^|,)c:(\d+(?:\.\d+)?)(?:,|$)")
-_CLOCK = r"(\d\d)(:?)(\d\d)\6(\d\d(?:\.\d+)?)\s?(Z|UTC|[+-]\d\d:?\d\d)?(?![\w.:])"
+_CLOCK = r"(\d\d)(:?)(\d\d)\6(\d\d(?:\.\d+)?)\s?(Z|UTC|GMT|[+-]\d\d:?\d\d)?(?![\w.:]|\s?(?:[AaPp][Mm]|[A-Z]{1,3}T)\b)"
 _YEAR_FIRST = re.compile(rf"(?<![\w.])(\d{{4}})([-/.]?)(\d\d)\2(\d\d)(?:[T _]|, ?)?{_CLOCK}")
 _YEAR_LAST = re.compile(rf"(?<![\w.])(\d\d)([-.])(\d\d)\2(\d{{4}})(?:[T _]|, ?){_CLOCK}")
-_FIRST_S, _LAST_S = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (1990, 2100))
-_DAY_S = 86400.0
+_FIRST_S, _LAST_S, _DAY_S = datetime(1990, 1, 1, tzinfo=UTC).timestamp(), 4_102_444_800.0, 86400.0
+"""1990, and 2100."""
 
 
 def time_beside(tag: str | None, before: str, after: str) -> float | None:

@@ -27,13 +27,9 @@ def read_text(path: Path, what: str, most_bytes: int | None = None) -> str:
         content = bytearray()
         while piece := file.read(budgets.PIECE_BYTES):
             content += piece
-        return _composed(content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n"))
+        return composed(content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n"))
 
 
-def stem_of(path: Path) -> str:
-    """The name of a file without its ending, with accents as `read_text` has them."""
-    return _composed(path.stem)
-
-
-def _composed(text: str) -> str:
+def composed(text: str) -> str:
+    """A text or the name of a file with letters and their accents as one character each, as `read_text` has them."""
     return text if text.isascii() else unicodedata.normalize("NFC", text)

@@ -25,11 +25,7 @@ _RELATIVE = "the positions are relative to own ship, must be from the scene's ze
 def world_misreading(time_s: Array, position_m: Array, hulls: HullTracks, own: tuple[int, ...]) -> str:
     """What is wrong with positions (k, 2) that are near vessels only if they are read in another way; empty if nothing.
 
-    Args:
-        time_s: Times since the scene's first step, shape (k,).
-        position_m: Positions along w1 and w2, shape (k, 2).
-        hulls: The vessels at all steps.
-        own: Columns of those that carry cameras.
+    `hulls` are the vessels at all steps, and `own` the columns of those that carry cameras.
     """
     vessels_m = np.delete(hulls.centres_m, own, axis=1)
     if len(time_s) < _LEAST_ROWS or np.isnan(vessels_m).all():

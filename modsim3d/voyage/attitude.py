@@ -20,8 +20,6 @@ COLUMNS = ("roll_rad", "pitch_rad", "heading_rad")
 MOST_APART_S = 2.0
 """Angles are linear between rows that are no further apart; in a longer gap they are not known."""
 _NEAR_S = 1e-6
-_SELDOM_S = 2.0
-"""Attitude is measured more often."""
 _UNDER_WAY, _MOST_OFF = 1.0, np.pi / 4
 """Metres a second above which the scene knows a heading, and how far headings may be off it."""
 _FOUR_TURNS = 8 * np.pi
@@ -122,7 +120,7 @@ def read_attitude(path: Path, scene: Scene) -> Attitude:
         problem = f"its rows are {spans[0]} after the scene's first step, and {scene.title} is {spans[1]}"
         raise InputError(source, [problem])
     outside = ((times < 0) | (times > clock.length_s)).mean()
-    if outside > 0.5 and np.median(np.diff(times)) > _SELDOM_S and (unit := other_unit(times, clock.length_s)):
+    if outside > 0.5 and np.median(np.diff(times)) > MOST_APART_S and (unit := other_unit(times, clock.length_s)):
         raise InputError(source, [f"{outside:.0%} of its rows are after {scene.title}, of {clock.length_s:g} s{unit}"])
     _check_headings(times, heading, scene, carriers[0], source)
     return Attitude(carriers[0], times, np.column_stack([angles[:, :2], heading]))

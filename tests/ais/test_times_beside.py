@@ -26,6 +26,8 @@ TIMES = {
     "2024-02-05 10:44:08.053": 0.053,
     "2024-02-05T12:44:08+02:00": 0.0,
     "2024/02/05 10:44:08": 0.0,
+    "2024-02-05 10:44:08 GMT": 0.0,
+    "2024-02-05 10:44:08 AIS": 0.0,
     "20240205T104408Z": 0.0,
     "05-02-2024 10:44:08.748": 0.748,
     "05.02.2024 10:44:08": 0.0,
@@ -52,9 +54,10 @@ def test_other_numbers_are_no_times_and_are_quoted(tmp_path: Path, text: str) ->
     assert chunk.positions.time_s.tolist() == [MOMENT_S] * 2
 
 
-def test_a_day_and_a_month_with_slashes_are_no_time(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"has no times.*stands '02/05/2024 10:44:08,'"):
-        list(read_nmea(log(tmp_path, f"02/05/2024 10:44:08,{TYPE_1}")))
+@pytest.mark.parametrize("text", ["02/05/2024 10:44:08", "2024-02-05 10:44:08 PM", "2024-02-05 10:44:08 CET"])
+def test_dates_that_can_be_several_times_are_quoted(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match=f"has no times.*stands '{text},'"):
+        list(read_nmea(log(tmp_path, f"{text},{TYPE_1}")))
 
 
 def test_a_tag_block_without_a_checksum_is_named(tmp_path: Path) -> None:

@@ -110,10 +110,11 @@ class TextTable:
 
     def identities(self, name: str, least: int) -> Indices:
         """A column of whole numbers that are names, none of which may have lost digits, shape (k,)."""
+        values = self.whole_numbers(name, least)
         lost = _mask(pc.match_substring_regex(self.columns[name], SCIENTIFIC))
         lost[lost] = [has_lost_digits(self.columns[name][row].as_py()) for row in np.flatnonzero(lost).tolist()]
         self.problems.refuse(lost, lambda row: f"{name} {LOST} (got {self._shown(name, row)})")
-        return self.whole_numbers(name, least)
+        return values
 
     def names(self, name: str, known: Sequence[str], *, needed: bool = True) -> Indices:
         """A column of names as indices of those that are known; `NOBODY` where empty, if it may be, shape (k,)."""

@@ -19,8 +19,6 @@ from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
 from modsim3d.voyage.logs.times import LEAST_UNIX_S
 
 _NANO = 1_000_000_000
-_UPRIGHT = 1e-6
-"""Sine of the angle of a box that is not turned, or turned by half a turn."""
 
 
 def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
@@ -57,7 +55,7 @@ def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
             continue
         frame = rows.frame(camera, stamp / _NANO)
         for k, (box, label, score, turn_rad) in enumerate(message):
-            if abs(np.sin(turn_rad)) > _UPRIGHT:
+            if abs(np.sin(turn_rad)) > 1e-6:  # half a turn changes nothing
                 problems.add(f"{where}, [{k}]: bbox.center.theta must be 0, an upright box (got {turn_rad:g})")
                 continue
             rows.add(frame, f"{where}, [{k}]", box, label, score)
