@@ -32,7 +32,6 @@ _BOMB = (
     "unpacks to more than {ratio} times its own size, as files do that are made to fill the memory: if it is what you "
     "want to read, unpack it first"
 )
-_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _FAULTS = (OSError, EOFError, zlib.error, UnicodeDecodeError)
 
 
@@ -75,7 +74,7 @@ def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator
         with _ordinary_file(path, source) as file:
             content: io.BufferedReader = io.BufferedReader(_Budgeted(file, source, most_bytes), budgets.PIECE_BYTES)
             mark = content.peek(len(codecs.BOM_UTF8))
-            if mark.startswith(_UTF_16):
+            if mark.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
                 raise InputError(source, ["is UTF-16 text, must be UTF-8: save it as that (iconv -f UTF-16 -t UTF-8)"])
             if mark.startswith(codecs.BOM_UTF8):
                 content.read(len(codecs.BOM_UTF8))

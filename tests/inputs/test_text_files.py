@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -119,3 +120,11 @@ def test_digits_are_lost_where_there_are_fewer_than_the_exponent_says() -> None:
     kept = ("219000111", "2.19000111E+08", "1.000000000000000000e+00", "5e-05", "1e0", "a1e9", "e", "", "219e")
     assert [has_lost_digits(text) for text in lost] == [True] * len(lost)
     assert [has_lost_digits(text) for text in kept] == [False] * len(kept)
+
+
+def test_escaped_accents_of_coco_are_those_of_the_text(tmp_path: Path) -> None:
+    for name in (NAME, "ba\u030at"):
+        images, classes = [{"id": 1, "file_name": "a", "width": 9, "height": 9}], [{"id": 1, "name": name}]
+        (tmp_path / "gt.json").write_text(json.dumps({"images": images, "annotations": [], "categories": classes}))
+        (tmp_path / "dt.json").write_text("[]")
+        assert read_pair("day", tmp_path / "gt.json", tmp_path / "dt.json").labels == (NAME,)

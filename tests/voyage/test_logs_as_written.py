@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -63,6 +65,7 @@ MARKS: dict[str, Callable[[str], bytes]] = {
     "CR LF": lambda text: text.replace("\n", "\r\n").encode(),
     "CR": lambda text: text.replace("\n", "\r").encode(),
     "mark and CR": lambda text: b"\xef\xbb\xbf" + text.replace("\n", "\r").encode(),
+    "escaped NFD": lambda text: text.replace("\u00e5", "a\\u030a" if text.startswith("{") else "\u00e5").encode(),
     "NFD": lambda text: text.replace("\u00e5", "a\u030a").encode(),
 }
 TIMES = [0.0, 0.2, 0.4]
@@ -160,6 +163,12 @@ def bag(folder: Path, topics: tuple[str, ...], *, old: bool = False, theta: floa
                 )
                 writer.write(connection, round(time * 1e9), store.serialize_cdr(message, DETECTIONS))
     return folder
+
+
+def test_accents_of_tables_in_parquet_change_nothing(tmp_path: Path) -> None:
+    columns = dict(zip(("left", "top", "width", "height"), BOX, strict=True)) | {"label": "ba\u030at"}
+    pq.write_table(pa.Table.from_pylist([{"time_s": time, **columns} for time in TIMES]), tmp_path / "log.parquet")
+    assert read_log(tmp_path / "log.parquet").labels == (NAME,)
 
 
 @pytest.mark.parametrize("old", [False, True])

@@ -39,12 +39,12 @@ def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
     problems = Problems(source, options.skip_bad)
     topics = {_camera(topic): topic for topic, _, _ in messages}
     every = [(topic, stamp, k, found) for topic, stamp, message in messages for k, found in enumerate(message)]
-    scores = [(f"{topic} at {_text(stamp)} s, [{k}]", score) for topic, stamp, k, (_, _, score, _) in every]
+    scores = [(f"{topic} at {stamp / _NANO:.12g} s, [{k}]", score) for topic, stamp, k, (_, _, score, _) in every]
     given = any(score is not None for _, score in scores)
     rows = LogRows(source, problems, Confidences.of(scores, options.confidence_scale, problems) if given else None)
     clock = Clock.UTC if messages and messages[0][1] >= LEAST_UNIX_S * _NANO else Clock.STAMP
     for topic, stamp, message in messages:
-        where, camera = f"{topic} at {_text(stamp)} s", _camera(topic)
+        where, camera = f"{topic} at {stamp / _NANO:.12g} s", _camera(topic)
         if topics[camera] != topic:
             which = f"{topic} and {topics[camera]} are both of camera {shown(camera)}"
             raise InputError(source, [f"{which}: give a bag with one topic of a camera"])
@@ -60,10 +60,6 @@ def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
                 continue
             rows.add(frame, f"{where}, [{k}]", box, label, score)
     return rows.log(clock, "its messages")
-
-
-def _text(stamp_ns: int) -> str:
-    return f"{stamp_ns / _NANO:.12g}"
 
 
 def _camera(topic: str) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +107,7 @@ def _log(
     utc = all_utc([of_utc for *_, of_utc, _ in frames])
     if utc is None:
         raise InputError(source, [MIXED])
-    scores = list(_scores(frames))
+    scores = [(where, score) for *_, found in frames for where, _, _, score in found if score is not None]
     confidences = Confidences.of(scores, options.confidence_scale, problems) if scores else None
     rows = LogRows(source, problems, confidences)
     for where, camera, time_s, _, found in frames:
@@ -118,8 +118,3 @@ def _log(
         for place, box, label, confidence in found:
             rows.add(number, place, box, label, confidence)
     return rows.log(Clock.UTC if utc else clock, frames_from)
-
-
-def _scores(frames: list[_Frame]) -> Iterator[tuple[str, object]]:
-    for *_, found in frames:
-        yield from ((where, confidence) for where, _, _, confidence in found if confidence is not None)

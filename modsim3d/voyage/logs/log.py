@@ -16,6 +16,7 @@ from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems, check_whole, valid_box
 from modsim3d.formats.reading.confidences import NOT_GIVEN, Confidences
+from modsim3d.inputs.text_files import composed
 
 NO_LABEL = -1
 _SHARES = 2.0
@@ -191,7 +192,7 @@ class LogRows:
             score = self.confidences.read(NOT_GIVEN if confidence is None else confidence, where, self.problems)
         if score is None or not valid_box(list(box), where, self.problems):
             return
-        number = NO_LABEL if label is None else self._labels.setdefault(label, len(self._labels))
+        number = NO_LABEL if label is None else self._labels.setdefault(composed(label), len(self._labels))
         self._with_class.setdefault(label is not None, where)
         self._rows.append((frame, number, score))
         self._boxes.append(list(box))
