@@ -234,6 +234,16 @@ def test_times_in_another_unit_are_named(unit: str, scale: float, run: StoredRun
         read_world_tracks(path, run)
 
 
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+def test_marks_and_line_ends_change_nothing(mark: bytes, end: bytes, run: StoredRun, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "t.csv", changed(track=["b\u00e5t", "b"] * 60))
+    expected, text = read_world_tracks(path, run), path.read_bytes()
+    path.write_bytes(mark + text.replace("\u00e5".encode(), "a\u030a".encode()).replace(b"\n", end))
+    assert is_world(path)
+    equal(read_world_tracks(path, run), expected)
+
+
 def test_a_track_in_scientific_notation_is_refused(run: StoredRun, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="row 2: track is a number in scientific notation that has lost digits"):
         read_world_tracks(write_csv(tmp_path / "t.csv", changed(track=["2.19E+08", "2.20E+08"] * 60)), run)
