@@ -10,6 +10,8 @@ from modsim3d.arrays import Array
 
 SCIENTIFIC = r"^\s*([0-9]+(?:[.,][0-9]*)?)[eE]\+?([0-9]+)\s*$"
 LOST = "is a number in scientific notation that has lost digits: write identities as text, or as whole numbers"
+_MOST_DIGITS = 15
+"""No identity has more; readers refuse larger numbers."""
 _UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 _LEAST_COVERED, _SLACK = 0.1, 1.05
 """Shares of the span that the last time reaches in the right unit."""
@@ -27,7 +29,7 @@ def no_commas(first_line: str) -> str:
 def has_lost_digits(identity: str) -> bool:
     """Whether an identity is a number with fewer digits than it stands for, such as 2.19E+08 of a spreadsheet."""
     found = re.match(SCIENTIFIC, identity)
-    return found is not None and sum(map(str.isdigit, found[1])) <= float(found[2])
+    return found is not None and sum(map(str.isdigit, found[1])) <= float(found[2]) <= _MOST_DIGITS
 
 
 def other_unit(times_s: Array, length_s: float) -> str:
