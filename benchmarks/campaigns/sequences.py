@@ -269,9 +269,9 @@ the threshold at the mean of all seeds. A cell fails, and is in bold, if the low
 
 The rule was chosen in three rounds. On `fairway` alone, without a least skewness, it failed on the bay with 10 and with
 20 seeds (7 % for HOTA and `id_switches`). On `fairway` and the bay, with a least skewness of 1.2, it held on the basin
-and the roads, but with 10 seeds its power was 72 to 82 % of that of Student's t. So the least skewness became 1, and the
-half-width gains more where a score is not 0 at best; the basin and the roads were in view then. The narrows were made
-afterwards: they alone judge the rule cleanly. About 200 variants were tried.
+and the roads, but with 10 seeds its power was 72 to 82 % of that of Student's t. So the least skewness became 1, and
+the half-width gains more where a score is not 0 at best; the basin and the roads were in view then. The narrows were
+made afterwards: they alone judge the rule cleanly. About 200 variants were tried.
 
 Wrong *met* in %, by Student's t → corrected, with so many seeds, of the tracker with the most:
 

@@ -15,6 +15,7 @@ from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.inputs import budgets
 from modsim3d.inputs.opening import open_input
+from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
 from modsim3d.runs.files.columns import numbers
 from modsim3d.runs.stored_run import StoredRun
@@ -58,7 +59,7 @@ def header(path: Path) -> tuple[str, ...]:
     """
     with open_input(path, "tracks", budgets.MAX_TEXT_BYTES) as file:
         line = file.readline(budgets.MAX_LINE_CHARACTERS)
-    text = line.decode("utf-8", "replace").removeprefix("\ufeff")
+    text = line.decode("utf-8", "replace").replace("\r", "\n").partition("\n")[0]
     return tuple(cell.strip().strip('"') for cell in text.split(","))
 
 
@@ -136,9 +137,9 @@ def _table(path: Path, source: str, columns: Sequence[str]) -> pa.Table:
         include_columns=names, column_types=types, strings_can_be_null=False, null_values=["", "nan", "NaN", "null"]
     )
     try:
-        with open_input(path, "tracks", budgets.MAX_TEXT_BYTES) as file:
-            read = csv.ReadOptions(use_threads=False, column_names=list(columns), skip_rows=1)
-            return csv.read_csv(file, read, convert_options=convert)
+        file = pa.BufferReader(read_text(path, "tracks").encode())
+        read = csv.ReadOptions(use_threads=False, column_names=list(columns), skip_rows=1)
+        return csv.read_csv(file, read, convert_options=convert)
     except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
         raise InputError(source, [f"cannot be read as CSV: {str(error).splitlines()[0]}"]) from None
 

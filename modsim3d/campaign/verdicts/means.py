@@ -80,9 +80,9 @@ def corrected_bounds(
       Soc. B 54, 221-228, for the skewness of the sample, and one of at least `SKEWNESS`.
     - Student's t with h·(1 + v·h/d) for the half-width h, at most 2·h, where d is what the mean lacks to the best value
       and v is `VARIATION` or `VARIATION_FROM_ZERO`. In scores that cannot be better than best, spread and skewness come
-      from the same bad runs. For v = 1 and small h/d it is the correction for a skewness of three times the coefficient
-      of variation of what values lack to the best one, which the inverse Gaussian distribution has; a gamma distribution
-      has two, a Poisson distribution one.
+      from the same bad runs. For v = 1 and small h/d it is the correction for a skewness of three times the
+      coefficient of variation of what values lack to the best one, which the inverse Gaussian distribution has; a gamma
+      distribution has two, a Poisson distribution one.
 
     The rule was chosen, and how often it errs measured, by `script/campaign sequences`.
 

@@ -32,7 +32,7 @@ from modsim3d.formats.reading.confidences import Confidences, Scale
 from modsim3d.formats.reading.image_sizes import image_size_px, images_in
 from modsim3d.formats.reading.text_lines import number_lines
 from modsim3d.inputs.strict_yaml import load_yaml
-from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.text_files import composed, read_text
 from modsim3d.inputs.validation import shown
 
 
@@ -52,7 +52,8 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
             ["YOLO's files do not say how large the images are, which are not beside them: give --image-size"],
         )
     names = options.labels or _names(truth, folder)
-    stems = files or {path.stem for path in (*_files(folder), *_files(predicted))} | _listed(folder) | _listed(truth)
+    own = {composed(path.stem) for path in (*_files(folder), *_files(predicted))}
+    stems = files or own | _listed(folder) | _listed(truth)
     images = ImageRows()
     for stem in sorted(stems):
         images.add(stem, options.image_size_px or image_size_px(files[stem]))
@@ -106,11 +107,11 @@ def _lines(
     """Row of the image, place in the file and numbers of each line of each file that belongs to an image."""
     row_of = {stem: row for row, stem in enumerate(images.names)}
     for path in paths:
-        if path.stem not in row_of:
+        if composed(path.stem) not in row_of:
             problems.add(f"{path.name}: there is no image of this name")
             continue
         for where, numbers in number_lines(path, what, None, 5, problems):
-            yield row_of[path.stem], where, numbers
+            yield row_of[composed(path.stem)], where, numbers
 
 
 def _place(where: str, numbers: list[float], image: int, size_px: Sequence[float], problems: Problems) -> Place | None:

@@ -9,14 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.ais.options import time_text
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import from_top_left
 from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems, check_whole, valid_box
 from modsim3d.formats.reading.confidences import NOT_GIVEN, Confidences
+from modsim3d.inputs.text_files import composed
 from modsim3d.tracks.files.box_forms import CORNERS, TOP_LEFT, BoxForm
-from modsim3d.voyage.logs.times import time_text
 
 NO_LABEL = -1
 _SHARES = 2.0
@@ -199,7 +200,7 @@ class LogRows:
                 meant = f"boxes are read as {self.form.meaning}: are the last two width and height?"
                 self.problems.hint = self.problems.hint or meant
             return
-        number = NO_LABEL if label is None else self._labels.setdefault(label, len(self._labels))
+        number = NO_LABEL if label is None else self._labels.setdefault(composed(label), len(self._labels))
         self._with_class.setdefault(label is not None, where)
         self._rows.append((frame, number, score))
         self._boxes.append(list(box))
