@@ -60,7 +60,7 @@ def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
 @pytest.mark.parametrize(
     ("name", "vessel", "region"),
     [
-        ("harbour", "ship3", "exact region"),
+        ("simulation_1", "vessel1", "exact region"),
         ("strait", "barge", "region that only meshes may hide"),
         ("strait", "ferry", "whole silhouette"),
     ],
