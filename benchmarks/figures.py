@@ -198,7 +198,7 @@ def image_size(bench: Bench) -> Found:
 FIGURES: dict[str, Callable[[Bench], Found]] = {
     "id_pass": id_pass,
     "simulation_1": simulation_1,
-    "harbour": frame_rate("harbour", "30 vessels from kayak to ship, seen from a quay", 500),
+    "harbour": frame_rate("harbour", "30 vessels with meshes, from kayak to ship, seen from a quay", 500),
     "strait": frame_rate("strait", "meshes, islands, a JONSWAP sea, two cameras", 400),
     "small": frame_rate("benchmarks/small.yaml", "50 boats of 4–14 m at 300–2500 m", 200),
     "dense": frame_rate("benchmarks/dense.yaml", "50 vessels of 5–300 m at 300–2500 m", 200),
