@@ -60,6 +60,7 @@ def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
 @pytest.mark.parametrize(
     ("name", "vessel", "region"),
     [
+        ("simulation_1", "vessel1", "exact region"),
         ("strait", "barge", "exact region"),
         ("strait", "ferry", "exact region"),
         (None, "rafted", "region that a neighbour may hide"),

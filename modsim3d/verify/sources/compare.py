@@ -1,6 +1,6 @@
 """Compares the sources of truth on a scene: the check that an auditor can run.
 
-Every difference between the rendered and the analytic truth is explained. The thesis's rectangle rule is held against
+Every difference between the rendered and the analytic truth is explained. The idealised rectangle rule is held against
 the rendered truth.
 """
 

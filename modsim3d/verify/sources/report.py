@@ -174,7 +174,7 @@ def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, rest
         ),
         page.heading("Rendered against analytic"),
         page.folded(said, page.table(figure_rows(figures)) + agreed, opened=figures.unexplained > 0),
-        page.heading("The thesis's rectangle rule against rendered"),
+        page.heading("The idealised rectangle rule against rendered"),
         page.table(rule_rows(figures)),
     ]
     if figures.intersecting:
