@@ -34,11 +34,12 @@ count. The thousand boats are those of `scenes.thousand` in `benchmarks/scenes.p
 waits for the disk after the last: with two workers they take as long as with one. So the longer run gains more.
 - A live step is that of `modsim3d stream` with Simulation 2's poses on standard input, as in \
 [LATENCY.md](LATENCY.md): from writing the line of poses to having read the step's last line in another process.
-- The ID pass is from poses to full and visible boxes, in a process that is warm, in blocks as a run makes them, \
-averaged over all 1,500 frames; pyrender draws 15 of them a round. Its renderer, scene and meshes are made once; timed \
-are setting the nodes' poses, one SEG image, and the boxes of its colours. That image shows visible boxes only; those \
-of whole vessels take an image of each alone, which are drawn for the check that both give the same boxes (within one \
-pixel a side) and not timed. Both have `LP_NUM_THREADS=0`.
+- The fast path is from poses to full and visible boxes, in a process that is warm, in blocks as a run makes them, \
+averaged over all 1,500 frames. In these OpenGL draws nothing. The ID pass has the same task and draws buffers for \
+it, as with `annotation.render: full`; it and pyrender draw 15 of the frames a round. Of pyrender, the renderer, \
+scene and meshes are made once; timed are setting the nodes' poses, one SEG image, and the boxes of its colours. That \
+image shows visible boxes only; those of whole vessels take an image of each alone, which are drawn for the check \
+that both give the same boxes (within one pixel a side) and not timed. All have `LP_NUM_THREADS=0`.
 - Times the limit: the bytes of colour (4) and depth (4) of the pixels in the regions that were drawn, over the \
 bandwidth of a plain NumPy fill, is the least time that drawing could take; the column says how many times that the \
 measured time is. Where only overlaps are drawn, it is little, and the time is spent on everything else.

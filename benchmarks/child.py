@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -191,24 +192,24 @@ def _lines(file: str) -> list[str]:
 
 
 class OurPass:
-    """The ID pass: from the vessels' poses to their full and visible boxes."""
+    """From the vessels' poses to their full and visible boxes, by the fast path or by ID buffers of whole images."""
 
-    def __init__(self, scene: str) -> None:
+    def __init__(self, scene: str, render: str = "regions") -> None:
         from modsim3d.render.context import open_context
         from modsim3d.render.id_pass import IdRenderer
         from modsim3d.runs.pipeline import block_steps
         from modsim3d.scene.reading import load_scene
 
         self._drawn = count_drawing()
-        self._scene = load_scene(scene, mode=2)
+        self._scene = load_scene(scene, mode=2, render=render)
         self._block = block_steps(self._scene)
         self._open = ExitStack()  # as long as this process lives
         self._renderer = IdRenderer(self._open.enter_context(open_context()))
         self.time(list(range(WARM_UP_STEPS)))
 
     def time(self, frames: list[int]) -> Answer:
-        """Seconds for some consecutive frames, in blocks as a run makes them; poses are at hand."""
-        poses = [self._sight(first, min(first + self._block, frames[-1] + 1)) for first in frames[:: self._block]]
+        """Seconds for some frames, in blocks as a run makes them; poses are at hand."""
+        poses = [self._sight(frames[first : first + self._block]) for first in range(0, len(frames), self._block)]
         before = self._drawn.bytes
         started = time.perf_counter()
         for block in poses:
@@ -220,7 +221,7 @@ class OurPass:
         """Full and visible box of each vessel in each frame, None where there is none."""
         found = []
         for frame in frames:
-            vessels, occlusion = self._boxes(self._sight(frame, frame + 1))
+            vessels, occlusion = self._boxes(self._sight([frame]))
             names = [self._scene.vessel_names[vessel] for vessel in vessels]
             pairs = zip(occlusion.full_boxes_px.tolist(), occlusion.visible_boxes_px.tolist(), strict=True)
             found.append(
@@ -235,8 +236,8 @@ class OurPass:
         """Where the time goes."""
         return {"rows": _profiled(lambda: self.time(frames))}
 
-    def _sight(self, first: int, stop: int) -> Any:
-        return self._scene.sight(self._scene.cameras[0], np.arange(first, stop))
+    def _sight(self, frames: list[int]) -> Any:
+        return self._scene.sight(self._scene.cameras[0], np.array(frames))
 
     def _boxes(self, sight: Any) -> tuple[Any, Any]:
         from modsim3d.runs.pipeline import occlusion_by
@@ -248,7 +249,8 @@ class OurPass:
 
 def serve(passes: str, scene: str, lines: Iterable[str] = sys.stdin) -> None:
     """Answer requests, a line each, so that two processes can be timed in turn."""
-    server = {"ours": OurPass, "pyrender": PyrenderPass}[passes](scene)
+    made = {"ours": OurPass, "buffers": partial(OurPass, render="full"), "pyrender": PyrenderPass}
+    server = made[passes](scene)
     print("{}", flush=True)
     for line in lines:
         asked = json.loads(line)

@@ -1,4 +1,4 @@
-"""pyrender's images of the frames that the ID pass is timed with; benchmarks/child.py runs it in its own process."""
+"""pyrender's images of the frames that our passes are timed with; benchmarks/child.py runs it in its own process."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class Case:
         title: The run in words.
         scene: Its scene.
         steps: Its steps.
-        source: Where its truth comes from; the analytic one knows no meshes.
+        source: Where its truth comes from.
         duration_s: Time that all steps take together; None for the scene's own time step.
         beside: Whether the frames lie beside the page.
     """

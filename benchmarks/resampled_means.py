@@ -1,6 +1,6 @@
 """Campaigns drawn from real scores of traffic seeds: how often bounds of their mean are wrong, and how often they help.
 
-The scores are those of three traffics, each with the same traffic seeds and trackers. Seeds are drawn with replacement,
+The scores are those of some traffics, each with the same traffic seeds and trackers. Seeds are drawn with replacement,
 so that the true mean is the mean over all seeds, and a requirement with this threshold is not to be met.
 """
 
@@ -38,8 +38,9 @@ TRAFFICS: dict[str, dict[str, Any]] = {
     "bay": {"scene": str(Path(__file__).parent / "traffics" / "bay.yaml")},
     "basin": {"scene": str(Path(__file__).parent / "traffics" / "basin.yaml")},
     "roads": {"scene": str(Path(__file__).parent / "traffics" / "roads.yaml")},
+    "narrows": {"scene": str(Path(__file__).parent / "traffics" / "narrows.yaml")},
 }
-CHOSEN_ON, JUDGED_ON = ("fairway", "bay"), ("basin", "roads")
+CHOSEN_ON, JUDGED_ON = ("fairway", "bay"), ("basin", "roads", "narrows")
 TRACKERS = ("sort", "bytetrack", "reference")
 SEEDS = 160
 SIZES = (3, 5, 10, 20, 30, 50)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from modsim3d.runs.pipeline import simulate_frames
     from modsim3d.runs.run import run_scene
     from modsim3d.runs.stored_run import open_run
+    from modsim3d.scene.camera_placement import camera_placement
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.scene import Scene
     from modsim3d.tracking.score_run import score_run
@@ -41,6 +42,7 @@ __all__ = [
     "Scene",
     "TrackedFrame",
     "Tracker",
+    "camera_placement",
     "detect_run",
     "detect_truth",
     "learn_detector",
@@ -64,6 +66,7 @@ _HOMES = {
     "Scene": "modsim3d.scene.scene",
     "TrackedFrame": "modsim3d.tracking.trackers.interface",
     "Tracker": "modsim3d.tracking.trackers.interface",
+    "camera_placement": "modsim3d.scene.camera_placement",
     "detect_run": "modsim3d.runs.detect_run",
     "detect_truth": "modsim3d.other_truth.detect_truth",
     "learn_detector": "modsim3d.learn.learning",

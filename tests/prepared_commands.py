@@ -25,7 +25,7 @@ from modsim3d.render.context import choose_backend, prepare_environment
 LIBRARIES = (
     *("OpenGL.GL", "PIL.ImageDraw", "PIL.ImageFont", "PIL.PngImagePlugin", "PIL.JpegImagePlugin"),
     *("trimesh", "pyrender", "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg"),
-    *("mpl_toolkits.mplot3d", "imageio_ffmpeg", "rosbags.rosbag2", "trackers", "trackeval", "optuna"),
+    *("mpl_toolkits.mplot3d", "imageio.v2", "imageio_ffmpeg", "rosbags.rosbag2", "trackers", "trackeval", "optuna"),
     *("pyarrow.dataset", "rich.live", "rich.progress", "rich.table"),
 )
 """What commands import when they need it. Rerun is left out: it starts threads, and a fork needs a single one."""

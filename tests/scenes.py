@@ -17,6 +17,7 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import Mount, poses_ashore
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.scene.reading import data_folder
+from modsim3d.scene.scene import Scene
 from modsim3d.truth.outlines import Outlines, outline
 from modsim3d.vessels.bodies import vessel_bodies
 from modsim3d.vessels.vessel import Vessel
@@ -42,6 +43,14 @@ def outlines_of(
     present = np.ones((1, len(places)), dtype=bool)
     bodies = vessel_bodies(vessels, present, positions, world_R_vehicle(headings))
     return outline(intrinsics, poses_ashore(mount, 1), bodies)
+
+
+def harbour_of_shoeboxes(**options) -> Scene:
+    """The shipped harbour with a shoebox in place of each mesh: crowded, and exact geometry tells all of it."""
+    data = yaml.safe_load((data_folder("scenes") / "harbour.yaml").read_text(encoding="utf-8"))
+    for vessel in data["vessels"].values():
+        del vessel["mesh"]
+    return Scene.from_dict({**data, "detector": "thesis"}, **options)
 
 
 def random_places(

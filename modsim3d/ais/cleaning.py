@@ -1,8 +1,9 @@
 """Drops reported positions that are of no use, and refuses tables with latitude and longitude exchanged.
 
 The result does not depend on the order of rows. Values that mean unknown are latitude 91, longitude 181, speed 102.3
-kn, course 360°, heading 511° (ITU-R M.1371-5, annex 8, table 48) and an empty cell. The identity (MMSI) of a ship
-begins with 2 to 7 (ITU-R M.585: the country), that of a craft that belongs to a ship with 98. All others are stations
+kn, course 360°, heading 511° (ITU-R M.1371-5, annex 8, table 48) and an empty cell; latitude and longitude of
+exactly 0 are what receivers without a fix send. The identity (MMSI) of a ship begins with 2 to 7 (ITU-R M.585: the
+country), that of a craft that belongs to a ship with 98. All others are stations
 ashore, aids to navigation, aircraft and rescue beacons.
 """
 
@@ -70,7 +71,7 @@ def _in_range(latitude_deg: Array, longitude_deg: Array) -> Mask:
 def without_position(positions: Positions) -> Mask:
     """Which reports give no position, shape (n,)."""
     latitude, longitude = positions.latitude_deg, positions.longitude_deg
-    none = (latitude == NO_LATITUDE) | (longitude == NO_LONGITUDE)
+    none = (latitude == NO_LATITUDE) | (longitude == NO_LONGITUDE) | ((latitude == 0) & (longitude == 0))
     return np.asarray(none | np.isnan(latitude) | np.isnan(longitude))
 
 

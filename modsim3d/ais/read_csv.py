@@ -18,6 +18,7 @@ from modsim3d.ais.recognise import LONGEST_LINE, header_names, open_reports, sou
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
 from modsim3d.inputs.budgets import MAX_BAD_ROWS
+from modsim3d.inputs.misreadings import LOST, SCIENTIFIC, has_lost_digits
 from modsim3d.inputs.validation import shown
 
 BLOCK_BYTES = 1 << 24
@@ -42,7 +43,7 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
     A row with too many or too few cells, or one that cannot be read, is dropped and counted.
 
     Raises:
-        InputError: The file cannot be read.
+        InputError: The file cannot be read, or an identity has lost digits, so that several ships have become one.
     """
     with open_reports(path) as stream:
         first_row, nothing = 2, True  # the header is row 1, or that after blank rows
@@ -60,9 +61,14 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
             table = pa.table({ours: table.column(name) for ours, name in columns.items()})
             rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines
             nothing = False
+            kept = np.delete(rows, skipped)
+            for place in np.flatnonzero(pc.match_substring_regex(table.column("mmsi"), SCIENTIFIC)).tolist():
+                if has_lost_digits(identity := _text(table.column("mmsi")[place])):
+                    problem = f"row {kept[place]}: {columns['mmsi']} {LOST} (got {shown(identity)})"
+                    raise InputError(source_of(path), [problem])
             wrong = rows[skipped][:SHOWN_PROBLEMS]
             problems = [f"row {row}: does not have the {len(header)} cells of the header" for row in wrong]
-            yield _chunk(table, columns, layout, np.delete(rows, skipped), len(skipped), problems)
+            yield _chunk(table, columns, layout, kept, len(skipped), problems)
     if nothing:
         empty = pa.table({ours: pa.array([], pa.string()) for ours in columns})
         yield _chunk(empty, columns, layout, np.zeros(0, dtype=np.int64), 0, [])

@@ -4,10 +4,11 @@ A sentence gives only the second of the minute at which it was sent, so a log mu
 
 - a tag block before the sentence, `\s:station,c:1423133048*5F\!AIVDM,...` (NMEA 0183 version 4.10, section 7; E. S.
   Raymond, "AIVDM/AIVDO protocol decoding", section "NMEA 4.10 Tag Blocks"): `c` is Unix time;
-- a Unix time before the sentence or after it, as the United States Coast Guard's and many receivers' logs have it:
-  `1423133048 !AIVDM,...` or `!AIVDM,...*5C,r003669945,1423133048`.
+- a date and time before the sentence or after it, as OpenCPN, IWRAP and AIS-catcher write it;
+- a Unix time there, as the United States Coast Guard's and many receivers' logs have it: `1423133048 !AIVDM,...` or
+  `!AIVDM,...*5C,r003669945,1423133048`.
 
-Times of thirteen digits are milliseconds. All parts of a message may have the time, or only the first.
+`beside` has the rules. All parts of a message may have the time, or only the first.
 
 Of the message types of ITU-R M.1371-5, 1 to 3 (class A), 18 and 19 (class B) are positions of ships; 5, 19 and 24 are
 particulars; 4, 9, 11 and 21 are base stations, aircraft and aids to navigation. Type 27 gives positions to 0.1 minute
@@ -27,27 +28,31 @@ from typing import IO, Any
 
 import numpy as np
 
+from modsim3d.ais.beside import time_beside
 from modsim3d.ais.messages import Chunk, Particulars, Positions
 from modsim3d.ais.recognise import open_reports, source_of
 from modsim3d.errors import InputError
+from modsim3d.inputs.validation import shown
 
 SENTENCE = re.compile(r"[!$][A-Z]{2}VD[MO],[^*]*\*[0-9A-Fa-f]{2}")
-UNIX_TIME = re.compile(r"(?<![\w.:+-])(\d{13}|\d{9,10}(?:\.\d+)?)(?![\w.:])")
-TAG_TIME = re.compile(r"(?:^|,)c:(\d{13}|\d{1,10})(?:,|$)")
 OTHER_SENTENCE = re.compile(r"[\\!$]")
 POSITIONS, PARTICULARS, STATIONS, LONG_RANGE = {1, 2, 3, 18, 19}, {5, 19, 24}, {4, 9, 11, 21}, 27
 PENDING_S = 60.0
 """Parts of a message that are further apart do not belong together: their sequence numbers, 0 to 9, are used again."""
 CHUNK_MESSAGES, SHOWN_PROBLEMS = 200_000, 5
-LONGEST_LINE, READ_AT_ONCE = 1024, 1 << 20
-"""A sentence has at most 82 characters and a tag block 80. The time to search a line grows with its square."""
+LONGEST_LINE, READ_AT_ONCE = 2048, 1 << 20
+"""A sentence has at most 82 characters and a tag block 80; a line of JSON around them takes a thousand. The time
+to search a line grows with its square."""
 MOST_PARTS, MOST_PENDING = 9, 1000
 """Parts of a message, by the standard, and messages that wait for parts: sequence numbers and channels are few."""
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard")
 TIME_NEEDED = (
     r"has no times, and AIS sentences carry none of their own: record them with a tag block "
-    r"(\c:1423133048*hh\!AIVDM,...) or with a Unix time, in seconds or milliseconds, before or after each sentence"
+    r"(\c:1423133048*hh\!AIVDM,...), or with a Unix time, in seconds or milliseconds, or a date and time such as "
+    "2024-01-04T10:00:00Z before or after each sentence"
 )
+MINUTE = re.compile(r"\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])([01]\d|2[0-3])[0-5]\d")
+"""A date and time as yymmddHHMM. Unix times of more than a minute do not all look like that: they count on after 59."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,7 @@ class _Part:
     sentence: Any
     time_s: float | None
     line: int
+    around: str
 
 
 @dataclass
@@ -99,20 +105,27 @@ def read_nmea(path: Path) -> Iterator[Chunk]:
         InputError: The file cannot be read, or no sentence in it has a time.
     """
     rows = _Rows()
-    timed, untimed = 0, 0
+    timed, untimed, around = 0, 0, ""
+    first_s, last_s, minutes = np.inf, -np.inf, True
     with open_reports(path) as stream:
         for parts in _messages(stream, rows):
             time_s = next((part.time_s for part in parts if part.time_s is not None), None)
             if time_s is None:
-                untimed += 1
+                untimed, around = untimed + 1, around or parts[0].around
                 rows.drop("no_time", parts[0].line, "has no time")
             else:
                 timed += 1
+                first_s, last_s = min(first_s, time_s), max(last_s, time_s)
+                minutes = minutes and MINUTE.fullmatch(f"{time_s:.10g}") is not None
                 _decode(parts, time_s, rows)
             if rows.messages >= CHUNK_MESSAGES:
                 yield rows.chunk()
     if untimed and not timed:
-        raise InputError(source_of(path), [TIME_NEEDED])
+        found = f" (beside the first stands {shown(around)})" if around else ""
+        raise InputError(source_of(path), [TIME_NEEDED + found])
+    if minutes and timed > 2 and last_s - first_s >= 60:
+        problem = "the numbers beside its sentences are dates such as yymmddHHMM, must be Unix times, in seconds"
+        raise InputError(source_of(path), [f"{problem} (got {first_s:.0f} to {last_s:.0f})"])
     yield rows.chunk()
 
 
@@ -147,20 +160,21 @@ def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:
     from pyais.messages import AISSentence, NMEASentenceFactory
 
     for number, raw in _lines(stream):
-        line = _split(raw.decode("ascii", "replace"))
-        if line is None:
-            continue
-        try:
-            sentence = NMEASentenceFactory.produce(line.sentence.encode("ascii"))
-        except (AISBaseException, ValueError, IndexError, UnicodeEncodeError):
-            rows.drop("undecodable", number, "is not a whole AIS sentence")
-            continue
-        if not isinstance(sentence, AISSentence) or not sentence.is_valid or not _tag_holds(line.tag):
-            rows.drop("checksum", number, "does not match its checksum")
-        elif not 1 <= sentence.frag_num <= sentence.frag_cnt <= MOST_PARTS:
-            rows.drop("undecodable", number, f"a message has 1 to {MOST_PARTS} parts")
-        else:
-            yield _Part(sentence, _time_s(line), number)
+        for line in _split(raw.decode("ascii", "replace")):
+            try:
+                sentence = NMEASentenceFactory.produce(line.sentence.encode("ascii"))
+            except (AISBaseException, ValueError, IndexError, UnicodeEncodeError):
+                rows.drop("undecodable", number, "is not a whole AIS sentence")
+                continue
+            if not isinstance(sentence, AISSentence) or not sentence.is_valid or not _tag_holds(line.tag):
+                none = ": its tag block has none" if line.tag and "*" not in line.tag else ""
+                rows.drop("checksum", number, f"does not match its checksum{none}")
+            elif not 1 <= sentence.frag_num <= sentence.frag_cnt <= MOST_PARTS:
+                rows.drop("undecodable", number, f"a message has 1 to {MOST_PARTS} parts")
+            else:
+                tag = line.tag and line.tag.rpartition("*")[0]
+                time_s = time_beside(tag, line.before, line.after)
+                yield _Part(sentence, time_s, number, f"{line.before} {line.after}".strip())
 
 
 def _lines(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
@@ -197,11 +211,15 @@ class _Line:
     after: str
 
 
-def _split(line: str) -> _Line | None:
-    """The first sentence of a line and what stands around it; None if there is none."""
+def _split(line: str) -> Iterator[_Line]:
+    """The first sentence of a line and what stands around it, or all sentences of a line of JSON."""
     found = SENTENCE.search(line)
     if found is None:
-        return None
+        return
+    if line.startswith("{"):
+        around = SENTENCE.sub("", line)
+        yield from (_Line(around, None, sentence, "") for sentence in SENTENCE.findall(line))
+        return
     before, tag = line[: found.start()], None
     start, stop = before.rfind("\\", 0, max(before.rfind("\\"), 0)), before.rfind("\\")
     between = before[stop + 1 :]
@@ -209,7 +227,7 @@ def _split(line: str) -> _Line | None:
         tag, before = before[start + 1 : stop], before[:start]
     else:
         before, between = between, ""
-    return _Line(f"{OTHER_SENTENCE.split(before)[-1]} {between}", tag, found[0], line[found.end() :])
+    yield _Line(f"{OTHER_SENTENCE.split(before)[-1]} {between}", tag, found[0], line[found.end() :])
 
 
 def _close(parts: dict[int, _Part], part: _Part) -> bool:
@@ -224,21 +242,6 @@ def _tag_holds(tag: str | None) -> bool:
         return True
     parts = re.fullmatch(r"(.*)\*\s*([0-9A-Fa-f]{1,2})\s*", tag)
     return parts is not None and reduce(xor, parts[1].encode("ascii", "replace"), 0) == int(parts[2], 16)
-
-
-def _time_s(line: _Line) -> float | None:
-    """Unix time beside a sentence."""
-    if line.tag and (found := TAG_TIME.search(line.tag.rpartition("*")[0])):
-        return _seconds(found[1])
-    if times := UNIX_TIME.findall(line.after):
-        return _seconds(times[-1])
-    if times := UNIX_TIME.findall(line.before):
-        return _seconds(times[0])
-    return None
-
-
-def _seconds(text: str) -> float:
-    return float(text) / 1000 if len(text) == 13 and "." not in text else float(text)
 
 
 def _decode(parts: list[_Part], time_s: float, rows: _Rows) -> None:

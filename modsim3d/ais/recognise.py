@@ -11,6 +11,7 @@ from pathlib import Path
 
 from modsim3d.ais.layouts import NEEDED, Layout, layout_of, layouts
 from modsim3d.errors import InputError
+from modsim3d.inputs.misreadings import no_commas
 from modsim3d.inputs.opening import open_input
 from modsim3d.inputs.validation import shown
 
@@ -53,6 +54,9 @@ def recognise(path: Path) -> Layout | None:
         lines = [line for line in _first_lines(file) if line.strip()]
     if not lines:
         raise InputError(source_of(path), ["the file is empty"])
+    if lines[0].rstrip(b"\r\n").count(b"\r") > 1:
+        problem = "its lines end with carriage returns alone: save it with line feeds, as Linux and Windows have them"
+        raise InputError(source_of(path), [problem])
     if any(SENTENCE.search(line) for line in lines):
         return None
     header = header_names(lines[0])
@@ -62,7 +66,7 @@ def recognise(path: Path) -> Layout | None:
         problem = (
             f"is none of the formats that are read: NMEA sentences (!AIVDM,...) or CSV with the columns of {known}"
         )
-        raise InputError(source_of(path), [problem])
+        raise InputError(source_of(path), [problem + no_commas(lines[0].decode("utf-8", "replace"))])
     if len(header) > MOST_COLUMNS:
         problem = f"looks like {layout.name} CSV, but has {len(header):,} columns, more than {MOST_COLUMNS}"
         raise InputError(source_of(path), [problem])
@@ -84,7 +88,7 @@ def _first_lines(file: io.BufferedReader) -> Iterator[bytes]:
 
 def header_names(line: bytes) -> list[str]:
     """The names in the first line of a CSV file."""
-    text = line.decode("utf-8-sig", "replace").strip("\r\n")
+    text = line.decode("utf-8", "replace").strip("\r\n")
     try:
         return next(csv.reader([text]), [])
     except csv.Error:  # a cell of more than 128 KiB

@@ -22,13 +22,15 @@ REASONS = {
     "not_a_ship": "base stations, aids to navigation, aircraft, beacons",
     "long_range": "long-range reports, to 180 m only",
     "other_message": "messages of types that give no ship's position",
-    "no_position": "latitude 91, longitude 181 or empty",
+    "no_position": "latitude 91, longitude 181, both 0, or empty",
     "impossible_position": "latitude beyond ±90 or longitude beyond ±180",
     "outside_region": "outside the region",
     "outside_window": "before or after the scene",
     "duplicate": "same vessel and time as another",
     "jump": "faster than {max_speed_kn:g} kn from the position before",
 }
+NO_FAULTS = ("not_a_ship", "long_range", "other_message", "outside_region", "outside_window")
+"""Reasons that lie in what was asked of the files or in the kind of sender."""
 REPLACED = {
     "heading_from_course": "heading 511: course over ground in its place",
     "heading_from_bearing": "heading and course missing: bearing between positions",
@@ -56,6 +58,7 @@ def report(traffic: Traffic) -> dict[str, Any]:
         "steps": len(traffic.grid.timestamps),
         "time_step_s": options.time_step_s,
         "origin_deg": {"latitude": traffic.origin[0], "longitude": traffic.origin[1]},
+        "warning": warning(traffic),
         "region": None if options.region is None else str(options.region),
         "swap_coordinates": options.swap_coordinates,
         "max_gap_s": options.max_gap_s,
@@ -115,6 +118,16 @@ def messages_read(traffic: Traffic) -> int:
 def messages_used(traffic: Traffic) -> int:
     """Number of positions that tracks were made from."""
     return messages_read(traffic) - sum(traffic.dropped.values())
+
+
+def warning(traffic: Traffic) -> str | None:
+    """What comes first where more messages were lost to faults of the files than were used."""
+    lost = {name: count for name, count in _dropped(traffic).items() if name not in NO_FAULTS}
+    used, count = messages_used(traffic), sum(lost.values())
+    if count <= used:
+        return None
+    reasons = ", ".join(f"{name} {lost[name]:,}" for name in sorted(lost, key=lambda name: -lost[name]))
+    return f"{count:,} of {count + used:,} messages were lost ({reasons}): are their times and identities right?"
 
 
 def _dropped(traffic: Traffic) -> dict[str, int]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modsim3d.commands.shared import OverwriteOption, QuietOption, VerboseOption, print_line, print_path, print_rows
-from modsim3d.commands.terminal import open_console, tell_files, timed
+from modsim3d.commands.terminal import open_console, tell_files, timed, warn
 from modsim3d.commands.typed import typed_command
 
 if TYPE_CHECKING:
@@ -110,10 +110,12 @@ def ais_command(
 
 
 def _print_summary(traffic: Traffic, folder: Path) -> None:
-    from modsim3d.ais.report import summary_rows
+    from modsim3d.ais.report import summary_rows, warning
     from modsim3d.ais.scene_folder import PAGE
 
     console = open_console()
+    if text := warning(traffic):
+        warn(text)
     for title, rows in summary_rows(traffic):
         print_rows(console, title, rows)
     print_line(console, "")

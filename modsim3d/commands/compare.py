@@ -52,7 +52,7 @@ def compare_command(
     verbose: VerboseOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Check the rendered truth of a scene against exact geometry, and the rectangle rule against both.
+    """Check the rendered truth of a scene against exact geometry, and the idealised rectangle rule against both.
 
     Exit status 1 if a difference is unexplained.
 
@@ -96,9 +96,9 @@ def _print_figures(console: Console, figures: Figures) -> None:
     for title, rows in (
         ("rendered against analytic", compare_report.figure_rows(figures)),
         ("agreement: full box, visible part", compare_report.verdict_rows(figures)),
-        ("rectangle rule against rendered", compare_report.rule_rows(figures)),
+        ("idealised rectangle rule against rendered", compare_report.rule_rows(figures)),
         ("shoebox against mesh", compare_report.shoebox_rows(figures)),
         ("time per frame", compare_report.time_rows(figures)),
-        ("intersecting boxes", compare_report.intersection_rows(figures)),
+        ("no plane between the hulls", compare_report.intersection_rows(figures)),
     ):
         print_rows(console, title, rows)

@@ -53,7 +53,11 @@ def read_options(
     if frame_rate is not None and not 0 < frame_rate < math.inf:
         raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate:g})"])
     size_px = None if image_size is None else _size_px(image_size)
-    names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
+    names = tuple(part.strip() for part in labels.removesuffix(",").split(",")) if labels else ()
+    if "" in names:
+        raise InputError(
+            "--labels", [f"the name {names.index('') + 1} is empty, so others would move (got '{labels}')"]
+        )
     scale = None if confidence_scale is None else _scale(confidence_scale)
     line = None if horizon is None else parse_horizon(horizon)
     return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset, scale, line)

@@ -57,17 +57,18 @@ def traffic_in_words(scene: Scene) -> str:
 
 
 def scene_warnings(scene: Scene) -> list[str]:
-    """Vessels that found no room, and lines of the detector file that change nothing."""
+    """Vessels that found no room, meshes that do not fit, and lines of the detector file that change nothing."""
     from modsim3d.detector.file.unread import dead_lines
     from modsim3d.motion.poses.traffic import DrawnTraffic
+    from modsim3d.vessels.meshes.fit import misfits
 
     left_out = scene.poses.left_out if isinstance(scene.poses, DrawnTraffic) else {}
-    dead = dead_lines(scene.detector)
+    others = [*misfits(scene.vessels, scene.obstacles), *dead_lines(scene.detector)]
     if not left_out:
-        return dead
+        return others
     missing = ", ".join(f"{count} of {section}" for section, count in left_out.items())
     total = sum(left_out.values())
-    return [f"poses.traffic: {total} of the vessels that were drawn found no room and are left out: {missing}", *dead]
+    return [f"poses.traffic: {total} of the vessels that were drawn found no room and are left out: {missing}", *others]
 
 
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
@@ -189,7 +190,8 @@ def run_warnings(scene: Scene, result: RunResult) -> list[str]:
         warnings.insert(0, "no camera sees a vessel in this run")
     warnings += scene_warnings(scene)
     warnings += [
-        f"the boxes of {' and '.join(pair)} intersect, so who hides whom is undefined; only the rendered source decides"
+        f"the hulls of {' and '.join(pair)} intersect, so geometry does not tell who hides whom; only the rendered "
+        "source decides"
         for pair in result.intersecting
     ]
     if counts.off_by_curvature:

@@ -20,6 +20,7 @@ from modsim3d.commands.tables import print_prose
 from modsim3d.commands.terminal import open_console, say_json, tell_files, timed, warn
 
 if TYPE_CHECKING:
+    from modsim3d.detector.model import DetectorModel
     from modsim3d.scene.scene import Scene
 
 
@@ -35,7 +36,8 @@ def check_command(
     """Read a scene and every file that it names, and list everything that is wrong.
 
     Warns of cameras that see no vessel in their first frames, nor in some others over the whole scene, and of
-    vessels for which drawn traffic has no room, and of keys of the detector file that nothing reads.
+    vessels for which drawn traffic has no room, of meshes that do not fit their vessels, and of keys of the detector
+    file that nothing reads.
 
     Example: modsim3d check strait
     """
@@ -63,7 +65,17 @@ def _rows(scene: Scene) -> list[tuple[str, str]]:
         ("traffic", traffic_in_words(scene)),
         ("steps", "as they come" if scene.live else str(scene.steps)),
         ("annotation", f"mode {scene.annotation.mode}, source {scene.annotation.source}"),
+        *_state_rows(scene.detector),
     ]
+
+
+def _state_rows(detector: DetectorModel) -> list[tuple[str, str]]:
+    shares = detector.stationary_shares
+    if len(shares) < 2:
+        return []
+    unforced = ", while no schedule forces one" if detector.performance.schedule else ""
+    named = ", ".join(f"{state} {share:.1%}" for state, share in shares.items())
+    return [("states", f"in the long run {named}{unforced}")]
 
 
 def _drawn(scene: Scene) -> str:
@@ -83,6 +95,7 @@ def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:
         "traffic_seed": scene.traffic_seed,
         "mode": scene.annotation.mode,
         "source": scene.annotation.source,
+        "stationary_shares": scene.detector.stationary_shares,
         "warnings": warnings,
     }
 

@@ -158,7 +158,7 @@ def _say_what_there_is(run: StoredRun) -> None:
 
 def _style(film: Film | None, look: Style | None, visibility: float | None, night: bool) -> tuple[RenderStyle, bool]:
     """How scenes look, and whether boxes are drawn on such pictures too."""
-    from modsim3d.render.context import choose_backend
+    from modsim3d.render.context import open_context
     from modsim3d.view.shaded.render_style import PLAIN_STYLE, RenderStyle
 
     weather = visibility is not None or night
@@ -172,7 +172,8 @@ def _style(film: Film | None, look: Style | None, visibility: float | None, nigh
     if not style.shaded or not (boxes_on_scene or film in (Film.scene, Film.all)):
         return PLAIN_STYLE, False
     try:
-        choose_backend()
+        with open_context():  # a library may have no driver
+            pass
     except RendererError as error:
         if boxes_on_scene:
             raise RendererError(f"shaded pictures need OpenGL; use --look plain without it: {error}") from error

@@ -6,6 +6,8 @@ import itertools
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from modsim3d.arrays import Array, read_only
 from modsim3d.detector.box_error_law import BoxErrorLaw
 from modsim3d.detector.clutter import ClutterOptions
@@ -105,6 +107,12 @@ class DetectorModel:
         return f"{states}, {counted(len(self.labels), 'label')} ({listed(self.labels)})"
 
     @property
+    def stationary_shares(self) -> dict[str, float]:
+        """Share of time in each state in the long run, by name; empty if it depends on the initial state."""
+        names = (state.name for state in self.states)
+        return dict(zip(names, stationary_shares(self.transition_matrix).tolist(), strict=False))
+
+    @property
     def needs_census(self) -> bool:
         """Whether the detector must count all targets of the scene before it can detect any."""
         return self.dropout.anchored or self.clutter.needs_census
@@ -112,3 +120,14 @@ class DetectorModel:
     def column(self, attribute: str) -> Array:
         """One attribute of every state, stacked: shape (number of states, ...)."""
         return read_only([getattr(state, attribute) for state in self.states])
+
+
+def stationary_shares(transition_matrix: Array) -> Array:
+    """The x with A x = x that sums to one, shape (states,), of a transition matrix A (Jessen & Mohr (2023), eq. 6.19).
+
+    Empty if there are several, as where no state is ever left.
+    """
+    states = len(transition_matrix)
+    equations = np.vstack([transition_matrix - np.eye(states), np.ones(states)])
+    shares, _, rank, _ = np.linalg.lstsq(equations, np.eye(states + 1)[-1])
+    return read_only(np.clip(shares, 0, 1) if rank == states else [])

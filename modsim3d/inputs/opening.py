@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import io
 import os
@@ -56,7 +57,7 @@ def note_input(path: Path) -> None:
 
 @contextmanager
 def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator[io.BufferedReader]:
-    """The bytes of an input file, unpacked if it is gzipped; its name does not matter.
+    """The bytes of an input file after its byte order mark, unpacked if it is gzipped; its name does not matter.
 
     Args:
         path: The file.
@@ -64,14 +65,20 @@ def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator
         most_bytes: Budget of what comes out; None for a reader that keeps little of it.
 
     Raises:
-        InputError: It is no ordinary file, cannot be read or unpacked, is not UTF-8, or exceeds a budget; also later,
+        InputError: It is no ordinary file, cannot be read or unpacked, is no UTF-8, or exceeds a budget; also later,
             while it is read and decoded.
     """
     source = f"{what} {path}"
     note_input(path)
     try:
         with _ordinary_file(path, source) as file:
-            yield io.BufferedReader(_Budgeted(file, source, most_bytes), budgets.PIECE_BYTES)
+            content: io.BufferedReader = io.BufferedReader(_Budgeted(file, source, most_bytes), budgets.PIECE_BYTES)
+            mark = content.peek(len(codecs.BOM_UTF8))
+            if mark.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+                raise InputError(source, ["is UTF-16 text, must be UTF-8: save it as that (iconv -f UTF-16 -t UTF-8)"])
+            if mark.startswith(codecs.BOM_UTF8):
+                content.read(len(codecs.BOM_UTF8))
+            yield content
     except _FAULTS as error:
         raise InputError(source, [_problem(error)]) from None
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 from modsim3d.errors import InputError
 from modsim3d.inputs import budgets
-from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.text_files import composed, read_text
 from modsim3d.inputs.validation import join_path
 
 
@@ -42,7 +43,7 @@ def load_json(path: Path, what: str, bytes_per_value: int | None = None) -> Any:
     Raises:
         InputError: The file cannot be read, exceeds a budget or is not valid JSON; the message names line and column.
     """
-    text = read_text(path, what).removeprefix("\ufeff")
+    text = read_text(path, what)
     if not text.strip():
         raise InputError(f"{what} {path}", ["the file is empty"])
     check_values(text, f"{what} {path}", bytes_per_value)
@@ -101,4 +102,10 @@ def parse_json(text: str, source: str, first_line: int = 1, whole: str = "file")
         raise InputError(source, ["is nested too deeply"]) from None
     except ValueError as error:  # an integer of thousands of digits
         raise InputError(source, [f"a value cannot be read: {error}"]) from None
-    return content
+    return composed_values(content, text)
+
+
+def composed_values(content: Any, text: str) -> Any:
+    """The value of a JSON text with accents as `read_text` has them, also where they are escaped."""
+    marked = re.search(r"\\u03[0-6]", text)
+    return json.loads(composed(json.dumps(content, ensure_ascii=False))) if marked else content

@@ -196,7 +196,8 @@ def _remarks_on_labels(shift: Indices) -> Iterator[str]:
         if (shift == 0).mean() < _HARDLY_ANY and (shift == step).mean() > _ALMOST_ALL:
             yield (
                 f"{(shift == step).mean():.0%} of the matches have the label {where} that of the annotation in the "
-                f"list of categories: do results count from another number (--category-offset {-step})?"
+                f"list of categories: do results count from another number (--category-offset {-step})? In MOT, "
+                "--labels can give the numbers of both files one name"
             )
 
 

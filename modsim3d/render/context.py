@@ -28,6 +28,9 @@ INSTALL_HINT = """no OpenGL software renderer was found ({wanted}). Install one:
   conda-forge:    conda install 'mesalib<25.1'
 or run without one: --source analytic"""
 
+MESA_OBEYS = ("MESA_", "GALLIUM_", "LIBGL_DRI", "__EGL_")
+"""How variables of the environment begin that can leave a machine with OpenGL without it."""
+
 
 def library_found(backend: str) -> bool:
     """Whether the shared library of a backend can be loaded."""
@@ -104,8 +107,11 @@ def open_context() -> Iterator[GLContext]:
     with ExitStack() as stack:
         try:
             _open_here = _make_context(backend, stack)
-        except (ImportError, AttributeError, OSError) as error:
-            raise RendererError(f"the {backend} renderer cannot be used: {error}") from error
+        except (ImportError, AttributeError, OSError, RendererError) as error:
+            problem = "" if isinstance(error, RendererError) else f"the {backend} renderer cannot be used: "
+            values = ", ".join(f"{name}={text!r}" for name, text in os.environ.items() if name.startswith(MESA_OBEYS))
+            hint = f" (the environment has {values}: try without)" if values else ""
+            raise RendererError(f"{problem}{error}{hint}") from error
         try:
             yield _open_here
         finally:
@@ -143,11 +149,21 @@ def prepare_environment(backend: str) -> None:
             f"OpenGL was imported before with PYOPENGL_PLATFORM={os.environ.get('PYOPENGL_PLATFORM')!r}; "
             f"{backend} needs a process of its own"
         )
+    _refuse_crashes(backend)
     os.environ["PYOPENGL_PLATFORM"] = backend
     if _wanted() != "egl":
         os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")  # the same pixels with and without a graphics card
     # Rasterising in the calling thread is faster for small regions and keeps workers apart.
     os.environ.setdefault("LP_NUM_THREADS", "0")
+
+
+def _refuse_crashes(backend: str) -> None:
+    """Refuse variables of the environment with which Mesa ends the process instead of reporting an error."""
+    driver, language = (os.environ.get(name, "") for name in ("GALLIUM_DRIVER", "MESA_GLSL_VERSION_OVERRIDE"))
+    if driver not in ("", "llvmpipe") and backend == "osmesa":
+        raise RendererError(f"GALLIUM_DRIVER={driver!r}: OSMesa has llvmpipe only: unset it, or set MODSIM3D_GL=egl")
+    if language.isdecimal() and int(language) < 450:
+        raise RendererError(f"MESA_GLSL_VERSION_OVERRIDE={language!r}: OpenGL 4.5 has 450: unset the variable")
 
 
 def _use_reversed_depth(get_address: GetAddress) -> None:

@@ -36,7 +36,10 @@ PLACES = (
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """Some frames of a camera: which way it looks, and what is in the picture by the shape of the vessels' boxes."""
+    """Some frames of a camera: which way it looks, and what is in the picture by the vessels' boxes.
+
+    A warning needs no meshes, whose silhouettes take long at the start of every run.
+    """
 
     sight: Sight
     outlines: Outlines
@@ -50,11 +53,10 @@ class Outlook:
     def sees_a_vessel(self) -> bool:
         """Whether a vessel shows a pixel or more in one of the frames.
 
-        It is taken to where hulls intersect, and where only an obstacle that is not convex hides it.
+        It is taken to where hulls intersect.
         """
-        convex = self.outlines.take(np.flatnonzero(self.outlines.convex))
-        unseen = analytic_occlusion(convex, self.sight.camera.intrinsics).visible_px < LEAST_AREA_PX
-        return bool((convex.boxed & ~unseen).any())
+        unseen = analytic_occlusion(self.outlines, self.sight.camera.intrinsics).visible_px < LEAST_AREA_PX
+        return bool((self.outlines.boxed & ~unseen).any())
 
     def direction(self) -> str:
         """Which way the camera looks in the first of the frames."""

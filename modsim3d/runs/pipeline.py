@@ -80,7 +80,7 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
 
 
 def _camera_truth(scene: Scene, index: int, sight: Sight, renderer: IdRenderer | None) -> Truth:
-    outlines = sight.outlines(as_shoeboxes=scene.annotation.source != "rendered")
+    outlines = sight.outlines(as_shoeboxes=scene.annotation.source == "rectangles")
     if not outlines.boxed.any():
         return no_truth()
     occlusion = occlusion_by(outlines, sight.camera.intrinsics, scene.annotation, renderer)

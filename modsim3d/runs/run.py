@@ -40,7 +40,7 @@ class RunResult:
         seconds: Wall-clock time.
         resumed_steps: Number of steps whose truth was taken from an interrupted run.
         damaged_blocks: Number of blocks whose truth an interrupted run had kept in a damaged file; it was made anew.
-        intersecting: Pairs of vessels or obstacles that overlap in space: the analytic source cannot tell what is
+        intersecting: Pairs of vessels or obstacles whose hulls intersect: the analytic source cannot tell what is
             visible of them.
         truncation: How resampling shifts the box errors, by state, as in `run.json`.
         checked: What the cross-check of the truth found; None if the truth is that of a run before there was one.

@@ -36,7 +36,7 @@ class Tally:
         damaged_blocks: Number of blocks whose truth an interrupted run had kept in a file that is damaged.
         camera_counts: What happened, by name of the camera.
         boxes: A sample of the detected boxes.
-        intersecting: Pairs of vessels or obstacles that overlap in space, as indices: the analytic source cannot tell
+        intersecting: Pairs of vessels or obstacles whose hulls intersect, as indices: the analytic source cannot tell
             what is visible of them.
         checked: What the cross-check found.
     """

@@ -6,7 +6,7 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 import shapely
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from modsim3d.inputs.validation import (
     MAX_COORDINATE_M,
@@ -35,7 +35,8 @@ Steps = Annotated[int, Limits(gt=0, le=MAX_STEPS)]
 Seed = Annotated[int, Limits(ge=0, le=MAX_SEED)]
 Vector = tuple[Metres, Metres, Metres]
 Size = Annotated[float, Limits(allow_inf_nan=False, gt=0, le=MAX_COORDINATE_M)]
-TURN_RAD = 6.3
+TURN_RAD, RIGHT_ANGLE_RAD = 6.3, 1.58
+"""A whole turn and a right angle, as people round them."""
 
 
 def _radians(angle: float) -> float:
@@ -45,7 +46,24 @@ def _radians(angle: float) -> float:
     return angle
 
 
+def _tilt(angle: float) -> float:
+    """Refuse more than a right angle, which a tilt has only if it is in degrees."""
+    if abs(_radians(angle)) > RIGHT_ANGLE_RAD:
+        raise ValueError(
+            f"{angle:g} is more than a right angle: in degrees that is {math.degrees(angle):.0f}; for {angle:g}° give "
+            f"{math.radians(angle):.4g}"
+        )
+    return angle
+
+
+def _roll(angle: float) -> float:
+    """Refuse more than a right angle, but for half a turn to four digits, which has a camera upside down."""
+    return angle if abs(abs(angle) - math.pi) < 1e-3 else _tilt(angle)
+
+
 Angle = Annotated[float, Limits(_radians, allow_inf_nan=False, ge=-MOST, le=MOST)]
+Tilt = Annotated[Number, AfterValidator(_tilt)]
+AngleSpread = Annotated[NotNegative, AfterValidator(_tilt)]
 MAX_IMAGE_SIDE_PX = 12_000
 ImageSide = Annotated[int, Limits(gt=0, le=MAX_IMAGE_SIDE_PX)]
 
@@ -54,8 +72,8 @@ class PoseKeys(Strict):
     """A camera ashore: position in WCF, angles against the base pose."""
 
     position_m: Vector
-    roll_rad: Angle = 0.0
-    pitch_rad: Angle = 0.0
+    roll_rad: Annotated[Number, AfterValidator(_roll)] = 0.0
+    pitch_rad: Tilt = 0.0
     yaw_rad: Angle = 0.0
 
 
@@ -121,7 +139,7 @@ class AxisKeys(Strict):
     a: Annotated[float, Limits(ge=0, lt=1)] = 0.99
     b: Annotated[float, Limits(ge=0, lt=1)] = 0.99
     sigma_rad: NotNegative = 0.0
-    start_rad: tuple[Number, Number] = (0.0, 0.0)
+    start_rad: tuple[Tilt, Tilt] = (0.0, 0.0)
 
 
 class WavesKeys(Strict):
@@ -186,10 +204,10 @@ class ImuKeys(Strict):
     rate_bias_rad_s: NotNegative = 0.0
     acceleration_noise_m_s2: NotNegative = 0.0
     acceleration_bias_m_s2: NotNegative = 0.0
-    attitude_noise_rad: NotNegative = 0.0
-    attitude_bias_rad: NotNegative = 0.0
-    heading_noise_rad: NotNegative = 0.0
-    heading_bias_rad: NotNegative = 0.0
+    attitude_noise_rad: AngleSpread = 0.0
+    attitude_bias_rad: AngleSpread = 0.0
+    heading_noise_rad: AngleSpread = 0.0
+    heading_bias_rad: AngleSpread = 0.0
 
 
 class OriginKeys(Strict):

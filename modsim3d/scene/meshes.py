@@ -86,13 +86,11 @@ def mesh_name(entry: object) -> str:
     return Path(str(entry.get("file", "") if isinstance(entry, dict) else entry)).stem
 
 
-def read_obstacle(
-    name: str, keys: ObstacleKeys, meshes: SceneMeshes, folder: Path, scene: str, truth_source: str
-) -> Obstacle:
+def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, folder: Path, scene: str) -> Obstacle:
     """An obstacle of a scene file in a folder, whose mesh is added to those of the scene.
 
     Raises:
-        InputError: The name is not printable, the mesh cannot be read, or the source cannot use meshes.
+        InputError: The name is not printable, or the mesh cannot be read.
     """
     where = join_path("obstacles", name)
     if not name or not name.isprintable():
@@ -100,7 +98,4 @@ def read_obstacle(
     if keys.polygon_m is not None:
         return Obstacle(name, extruded(np.array(keys.polygon_m), keys.base_m, keys.height_m or 0.0))
     solid = meshes.solid(keys.mesh, folder, scene, "obstacles", name, "mesh")
-    if truth_source == "analytic" and not solid.convex:
-        hint = "use annotation.source: rendered, or give a polygon_m with height_m"
-        raise InputError(scene, [f"{where}.mesh: the analytic source cannot use meshes: {hint}"])
     return Obstacle(name, (placed(solid, np.array(keys.size_m), np.array(keys.position_m), keys.heading_rad),))

@@ -190,7 +190,7 @@ class SceneParts:
             return ()
         found = []
         for name, entry in self.keys.obstacles.items():
-            read = partial(read_obstacle, name, entry, self.meshes, self.folder, self.name, self.keys.annotation.source)
+            read = partial(read_obstacle, name, entry, self.meshes, self.folder, self.name)
             found.append(self._collect(read))
         return tuple(obstacle for obstacle in found if obstacle is not None)
 

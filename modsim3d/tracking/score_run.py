@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -183,6 +183,8 @@ def score_run(
     if chosen and len(chosen) < len(run.scene.cameras):
         rules = replace(rules, cameras=tuple(run.scene.cameras[index].name for index in chosen))
         rows = rows.in_cameras(chosen)
+    if not in_images:
+        _refuse_image_rules(rules)
     if gate_m is not None and not in_world:
         raise ModsimError("--gate is for tracks in the world, and none are given: leave it out")
     if seeds is not None:
@@ -204,6 +206,15 @@ def score_run(
         spread_over_seeds(run, [each for _, each in in_images], seeds, rules, progress) if seeds is not None else None,
         world,
     )
+
+
+def _refuse_image_rules(rules: Rules) -> None:
+    """Refuse rules that only tracks in the images have, where there are none and a rule is not as by default."""
+    options = "--truth", "--gap", "--by-class", "--similarity", "--scale", "--threshold"
+    values, usual = ((r.truth, r.gap_s, r.by_class, *astuple(r.similarity)) for r in (rules, Rules()))
+    if named := [name for name, value, other in zip(options, values, usual, strict=True) if value != other]:
+        what = f"{' and '.join(named)}: for tracks in the images, and none are given"
+        raise ModsimError(f"{what}: leave out; tracks in the world have --gate, --gospa-c and --gospa-p")
 
 
 def _chosen(run: StoredRun, cameras: str | Sequence[str] | None) -> tuple[int, ...]:

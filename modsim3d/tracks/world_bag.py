@@ -154,7 +154,8 @@ def _of_array(place: str, message: Any) -> Iterator[_Estimate]:
         centre = best.pose if best else each.bbox.center
         covariance = np.asarray(best.covariance) if best else np.zeros(36)
         at = (centre.position.x, centre.position.y)
-        yield _Estimate(place, each.id, stamp_ns, at, covariance, (0, 0, 0, 1), (0, 0, 0), np.zeros(36))
+        track = each.id if hasattr(each, "id") else each.tracking_id  # as vision_msgs 2 calls it
+        yield _Estimate(place, track, stamp_ns, at, covariance, (0, 0, 0, 1), (0, 0, 0), np.zeros(36))
 
 
 def _of_odometry(place: str, message: Any) -> Iterator[_Estimate]:

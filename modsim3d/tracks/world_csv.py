@@ -15,6 +15,7 @@ from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.inputs import budgets
 from modsim3d.inputs.opening import open_input
+from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
 from modsim3d.runs.files.columns import numbers
 from modsim3d.runs.stored_run import StoredRun
@@ -58,7 +59,7 @@ def header(path: Path) -> tuple[str, ...]:
     """
     with open_input(path, "tracks", budgets.MAX_TEXT_BYTES) as file:
         line = file.readline(budgets.MAX_LINE_CHARACTERS)
-    text = line.decode("utf-8", "replace").removeprefix("\ufeff")
+    text = line.decode("utf-8", "replace").replace("\r", "\n").partition("\n")[0]
     return tuple(cell.strip().strip('"') for cell in text.split(","))
 
 
@@ -76,6 +77,8 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
     def column(name: str) -> Array:
         return numbers(table, name)
 
+    if {"time_s", "step"} <= {*columns}:
+        _check_steps(source, column("step"), column("time_s"), run.scene.times_s(0, run.steps))
     covariance = np.full((len(table), 4, 4), np.nan)
     for (i, j), name in COVARIANCES.items():
         if name in table.column_names:
@@ -134,9 +137,9 @@ def _table(path: Path, source: str, columns: Sequence[str]) -> pa.Table:
         include_columns=names, column_types=types, strings_can_be_null=False, null_values=["", "nan", "NaN", "null"]
     )
     try:
-        with open_input(path, "tracks", budgets.MAX_TEXT_BYTES) as file:
-            read = csv.ReadOptions(use_threads=False, column_names=list(columns), skip_rows=1)
-            return csv.read_csv(file, read, convert_options=convert)
+        file = pa.BufferReader(read_text(path, "tracks").encode())
+        read = csv.ReadOptions(use_threads=False, column_names=list(columns), skip_rows=1)
+        return csv.read_csv(file, read, convert_options=convert)
     except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
         raise InputError(source, [f"cannot be read as CSV: {str(error).splitlines()[0]}"]) from None
 
@@ -152,6 +155,14 @@ def _times_s(source: str, column: Callable[[str], Array], groups: set[tuple[str,
         raise InputError(source, [f"row {row + 2}: step {must} (got {steps[row]:.15g})"])
     found: Array = times_s[steps.astype(np.int64)]
     return found
+
+
+def _check_steps(source: str, steps: Array, time_s: Array, times_s: Array) -> None:
+    """Refuse steps that are farther than half a step from the time beside them; blank ones say nothing."""
+    of_time = np.interp(time_s, times_s, np.arange(len(times_s)), left=np.nan, right=np.nan)
+    for row in np.flatnonzero(np.abs(of_time - steps) > 0.5 + 1e-9)[:1].tolist():
+        of_step = f"time_s {time_s[row]:.9g} is that of step {of_time[row]:.0f}, but step is {steps[row]:.9g}"
+        raise InputError(source, [f"row {row + 2}: {of_step}: leave out the column that is wrong"])
 
 
 def _positions_m(source: str, column: Callable[[str], Array], degrees: Array | None, run: StoredRun) -> Array:

@@ -10,8 +10,10 @@ import numpy as np
 from modsim3d.ais.geography import local_metres
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
+from modsim3d.inputs.misreadings import LOST, has_lost_digits, other_unit
 from modsim3d.motion.encounters import hull_tracks
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.tracks.world_diagnosis import world_misreading
 from modsim3d.tracks.world_tracks import WorldTracks
 
 FAR_M = 100_000.0
@@ -56,6 +58,7 @@ def checked(rows: WorldRows, run: StoredRun) -> WorldTracks:
     names, track = np.unique(np.array(rows.track, dtype=object).astype(str), return_inverse=True)
     track = np.asarray(track, dtype=np.int64).reshape(-1)
     _report(rows, np.array([not name for name in rows.track], dtype=bool), "track is empty")
+    _report(rows, np.array([has_lost_digits(name) for name in rows.track], dtype=bool), f"track {LOST}")
     _report(rows, ~np.isfinite(rows.time_s), "has no time")
     _report(rows, _in_row(~np.isfinite(rows.position_m)), "has no position")
     _report(rows, _in_row(np.isinf(rows.velocity_m_s)), "the velocity is not finite")
@@ -98,7 +101,7 @@ def _check_times(rows: WorldRows, run: StoredRun) -> None:
     shifted = rows.time_s - start
     if start and ((shifted >= -slack) & (shifted <= times_s[-1] + slack)).all():
         problem += f": the scene's own time begins at {start:.15g} s, take it off"
-    raise InputError(rows.source, [problem])
+    raise InputError(rows.source, [problem + other_unit(rows.time_s, float(times_s[-1]))])
 
 
 def _check_twice(rows: WorldRows, track: Indices) -> None:
@@ -121,8 +124,9 @@ def _check_covariances(rows: WorldRows) -> None:
 
 
 def _check_place(rows: WorldRows, run: StoredRun) -> None:
-    """Refuse positions that are all far from every vessel, and say what they would fit."""
-    centres = hull_tracks(run.scene.vessels, run.scene.poses, run.steps).centres_m.reshape(-1, 2)
+    """Refuse positions that are all far from every vessel, or near them in another reading, and say which fits."""
+    hulls = hull_tracks(run.scene.vessels, run.scene.poses, run.steps)
+    centres = hulls.centres_m.reshape(-1, 2)
     low, high = np.nanmin(centres, axis=0), np.nanmax(centres, axis=0)
 
     def near(position_m: Array) -> bool:
@@ -130,6 +134,9 @@ def _check_place(rows: WorldRows, run: StoredRun) -> None:
         return bool((np.hypot(*beyond.T) <= FAR_M).any())
 
     if not len(rows.position_m) or near(rows.position_m):
+        wrong = world_misreading(rows.time_s, rows.position_m, hulls, run.scene.own_ships)
+        if wrong and rows.degrees is None:
+            raise InputError(rows.source, [wrong])
         return
     problem = f"all positions are more than {FAR_M / 1000:g} km from where the run's vessels are"
     if rows.degrees is not None and run.scene.origin is not None:

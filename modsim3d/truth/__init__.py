@@ -1,4 +1,4 @@
-"""Ground truth: what cameras see of each vessel, from pixels, from geometry, or by the thesis's rule of rectangles.
+"""Ground truth: what cameras see of each vessel, from pixels, from geometry, or by an idealised rule of rectangles.
 
 All three sources begin with `outlines`, which projects bodies (`silhouettes`: as polygons), and end with `occlusion`
 and `truth_record`; `modes` says which vessels are annotated, and `camera_inside` finds a camera within a hull.

@@ -1,7 +1,8 @@
-"""Truth from geometry alone, without a renderer: exact occlusion of convex solids.
+"""Truth from geometry alone, without a renderer: exact occlusion of solids whose hulls do not intersect.
 
 The visible region of a vessel is its silhouette minus the silhouettes of the solids that can hide it. Areas and boxes
-are exact, not rounded to pixels. Intersecting solids have no order, so what is visible of them is unknown (NaN).
+are exact, not rounded to pixels. Where no plane is between the convex hulls of two solids, they have no order, and what
+is visible of them is unknown (NaN).
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.truth.occlusion import Occlusion
@@ -36,7 +38,7 @@ class VisibleRegions:
 
 
 def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> VisibleRegions:
-    """What is visible of each convex solid: its silhouette minus those of the solids that can hide it."""
+    """What is visible of each solid: its silhouette minus those of the solids that can hide it."""
     silhouettes = image_silhouettes(outlines, intrinsics)
     order = order_of(outlines)
     hiding = Hiding.of(
@@ -47,14 +49,15 @@ def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> VisibleRegion
 
 
 def analytic_occlusion(outlines: Outlines, intrinsics: Intrinsics) -> Occlusion:
-    """Full and visible boxes, areas and occluders of convex solids."""
+    """Full and visible boxes, areas and occluders of solids."""
     return occlusion_of_regions(outlines, visible_regions(outlines, intrinsics))
 
 
 def occlusion_of_regions(outlines: Outlines, regions: VisibleRegions) -> Occlusion:
     """Boxes, areas and occluders of regions that are already cut; see `analytic_occlusion`."""
-    order = regions.order
-    boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, outlines.areas_px)
+    order, known = regions.order, ~np.isnan(outlines.areas_px)
+    areas_px = np.where(known, outlines.areas_px, shapely.area(regions.silhouettes))
+    boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, areas_px)
     touching = np.column_stack([order.first, order.second])[order.intersecting]
     farther = touching[np.arange(len(touching)), np.argmax(outlines.depth_m[touching], axis=1)]
     ties = Hiding.of(farther, touching.sum(axis=1) - farther) if len(touching) else None
@@ -64,7 +67,7 @@ def occlusion_of_regions(outlines: Outlines, regions: VisibleRegions) -> Occlusi
     return Occlusion(
         full_boxes_px=outlines.boxes_px,
         visible_boxes_px=boxes,
-        silhouette_px=outlines.areas_px,
+        silhouette_px=areas_px,
         visible_px=visible_px,
         hidden=hidden_by(regions.hiding, areas, outlines.occluder),
         intersecting=pairs,

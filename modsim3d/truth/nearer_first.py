@@ -7,16 +7,13 @@ apart in depth, which is seen without looking for a plane.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, read_only
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import SUBPIXELS
-from modsim3d.truth.occlusion_order import order_of_pairs, pairs_by_parts
-from modsim3d.truth.outlines import Outlines, Part
-from modsim3d.vessels.vessel import Solid, once_a_solid, shoebox
+from modsim3d.truth.occlusion_order import in_boxes, order_of_pairs, pairs_by_parts
+from modsim3d.truth.outlines import Outlines
 
 DEPTH_ERROR = 1e-4
 """Solids that are apart by less than this share of their distance are left to the depth buffer. Its 24 bits hold depths
@@ -48,7 +45,7 @@ def ranks_of(
     second_nearer = farthest[second] + gap_m < nearest[first]
     asked, known = np.flatnonzero(~first_nearer & ~second_nearer), np.ones(len(first), dtype=bool)
     if len(asked):
-        order = order_of_pairs(_as_convex(outlines), first[asked], second[asked], gap_m[asked])
+        order = order_of_pairs(in_boxes(outlines), first[asked], second[asked], gap_m[asked])
         first_nearer[asked], second_nearer[asked] = order.first_can_hide, order.second_can_hide
         touching = asked[order.intersecting]
         first_nearer[touching] = _in_front(outlines, first[touching], second[touching], gap_m[touching])
@@ -82,28 +79,6 @@ def _in_front(outlines: Outlines, near: Indices, far: Indices, gap_m: Array) -> 
         gap = gap_m[pairs, None]
         found[pairs] = ((nearest_m < -gap) | (outside_m < -gap)).all(axis=1)
     return found
-
-
-def _as_convex(outlines: Outlines) -> Outlines:
-    """The solids, with the boxes around them in place of those that are not convex."""
-    parts = [
-        part if part.solid.convex else Part(shoebox(), part.rows, _boxes_around(part), part.vertices_px)
-        for part in outlines.parts
-    ]
-    return replace(outlines, parts=tuple(parts))
-
-
-def _boxes_around(part: Part) -> Array:
-    """Corners of the boxes that the solids of vessels fill, in CCF, shape (m, 8, 3)."""
-    boxes: Array = _corners_from_vertices(part.solid) @ part.vertices_camera
-    return boxes
-
-
-@once_a_solid
-def _corners_from_vertices(solid: Solid) -> Array:
-    """What turns the vertices of a vessel's solid into the corners of its box, wherever it is, shape (8, K)."""
-    unit, corners = (np.column_stack([each.vertices, np.ones(len(each.vertices))]) for each in (solid, shoebox()))
-    return read_only(corners @ np.linalg.pinv(unit))
 
 
 def _depths(outlines: Outlines) -> tuple[Array, Array]:

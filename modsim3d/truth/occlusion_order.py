@@ -1,4 +1,4 @@
-"""Which of two disjoint convex solids can hide the other, from a plane between them.
+"""Which of two disjoint solids can hide the other, from a plane between their convex hulls.
 
 Suppose that a plane has one solid on the camera's side and the other solid beyond. A ray from the camera that has
 passed through the plane never comes back, so it can only meet the near solid before the far one. The far solid then
@@ -11,15 +11,15 @@ in front of its stern.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, distinct
+from modsim3d.arrays import Array, Indices, Mask, distinct, read_only
 from modsim3d.truth.outlines import Outlines, Part
 from modsim3d.truth.overlaps import overlapping_pairs
-from modsim3d.truth.separating_axes import axis_count, candidate_axes, extents_along
-from modsim3d.vessels.vessel import Solid
+from modsim3d.truth.separating_axes import axis_count, candidate_axes, extents_along, hull_vertices, widest_gap_axis
+from modsim3d.vessels.vessel import Solid, once_a_solid, shoebox
 
 TOUCHING_M = 1e-7
 """Solids that overlap by less are taken to touch: rounding must not turn neighbours at a quay into a collision."""
@@ -51,10 +51,26 @@ class Order:
 def order_of(outlines: Outlines) -> Order:
     """The order of every two solids whose boxes overlap in the image and that matter to a vessel.
 
-    All of them must be convex. Solids that overlap no vessel in the image are left out: of a long coast, all but a few
-    pieces.
+    Of a mesh its convex hull is put in order. A plane between boxes around two hulls is one between the hulls; only if
+    there is none, a plane is looked for between the hulls themselves. Solids that overlap no vessel in the image are
+    left out: of a long coast, all but a few pieces.
     """
-    return order_of_pairs(outlines, *_pairs_that_matter(outlines))
+    first, second = _pairs_that_matter(outlines)
+    order, mesh = order_of_pairs(in_boxes(outlines), first, second), ~outlines.convex
+    asked = np.flatnonzero(order.intersecting & (mesh[first] | mesh[second]))
+    if not len(asked):
+        return order
+    can_hide, separated = np.column_stack([order.first_can_hide, order.second_can_hide]), ~order.intersecting
+    for pairs, a, b in pairs_by_parts(outlines, first[asked], second[asked]):
+        chosen = asked[pairs]
+        hulls_a, hulls_b = (
+            part.vertices_camera[np.searchsorted(part.rows, rows[chosen])][:, hull_vertices(part.solid)]
+            for part, rows in ((a, first), (b, second))
+        )
+        axes = np.array([[widest_gap_axis(*hulls)] for hulls in zip(hulls_a, hulls_b, strict=True)])
+        gap_m = np.full(len(chosen), -TOUCHING_M)
+        can_hide[chosen], separated[chosen] = _who_can_hide(hulls_a, hulls_b, axes, gap_m)
+    return Order(first, second, can_hide[:, 0], can_hide[:, 1], intersecting=~separated)
 
 
 def order_of_pairs(outlines: Outlines, first: Indices, second: Indices, gap_m: Array | float = -TOUCHING_M) -> Order:
@@ -72,6 +88,30 @@ def order_of_pairs(outlines: Outlines, first: Indices, second: Indices, gap_m: A
             axes = candidate_axes(vertices_a, a.solid, vertices_b, b.solid)
             can_hide[chosen], separated[chosen] = _who_can_hide(vertices_a, vertices_b, axes, gap_m[chosen])
     return Order(first, second, can_hide[:, 0], can_hide[:, 1], intersecting=~separated)
+
+
+def in_boxes(outlines: Outlines) -> Outlines:
+    """The solids, with the boxes around them in place of those that are not convex, whose pixels are unknown."""
+    parts = [
+        part if part.solid.convex else Part(shoebox(), part.rows, _boxes_around(part), part.vertices_px)
+        for part in outlines.parts
+    ]
+    return replace(outlines, parts=tuple(parts))
+
+
+def _boxes_around(part: Part) -> Array:
+    """Corners of the boxes that the solids fill, in CCF, shape (m, 8, 3)."""
+    boxes: Array = corners_from_vertices(part.solid) @ part.vertices_camera
+    return boxes
+
+
+@once_a_solid
+def corners_from_vertices(solid: Solid) -> Array:
+    """What turns a solid's vertices, stretched and placed, into the corners of the box around it, shape (8, K)."""
+    low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
+    around = low + (high - low) * (shoebox().vertices - shoebox().vertices[0])
+    unit, corners = (np.column_stack([each, np.ones(len(each))]) for each in (solid.vertices, around))
+    return read_only(corners @ np.linalg.pinv(unit))
 
 
 def _pairs_that_matter(outlines: Outlines) -> tuple[Indices, Indices]:

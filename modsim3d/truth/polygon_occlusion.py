@@ -117,9 +117,9 @@ def boundary_pixels(regions: Polygons, supersample: int) -> Array:
     Only these pixels can be counted otherwise than by their share of the area, each by less than one. Regions are
     polygons in image pixels, shape (n,).
     """
-    boundaries = shapely.boundary(regions)
-    points, row = shapely.get_coordinates(boundaries, return_index=True)
+    rings, row = shapely.get_parts(shapely.boundary(regions), return_index=True)
+    points, ring = shapely.get_coordinates(rings, return_index=True)
     steps = np.abs(np.diff(points, axis=0)).sum(axis=1) * supersample + 2
-    steps[row[1:] != row[:-1]] = 0.0
-    crossed: Array = np.bincount(row[1:], steps, minlength=len(regions)).astype(np.float64)
+    steps[ring[1:] != ring[:-1]] = 0.0
+    crossed: Array = np.bincount(row[ring[1:]], steps, minlength=len(regions)).astype(np.float64)
     return crossed

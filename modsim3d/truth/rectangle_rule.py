@@ -1,6 +1,8 @@
-"""The thesis's own occlusion rule, kept for comparison (Jessen & Mohr (2023), §7.5.1, Figures 7.14–7.16).
+"""Occlusion by rectangles, as the text of the thesis has it (Jessen & Mohr (2023), §7.5.1), kept for comparison.
 
-A box is hidden by the union of the rectangles of boxes with smaller depth. Mode 1 drops a box that is wholly covered.
+The rule is idealised: a box is hidden by the union of all rectangles of boxes with smaller depth. The thesis's program
+looks at one rectangle or a pair of them at a time, and is wrong more often: for 38.7 % of the occluded vessel-frames of
+Simulation 1 in place of 5.4 %. Mode 1 drops a box that is wholly covered.
 Mode 2 also moves a side whose two corners are covered to where the uncovered part begins. The result is the bounding
 box of what is left of the rectangle: a side of that box moves only if the whole side, with both corners, is covered.
 """

@@ -90,3 +90,31 @@ def extents_along(vertices: Array, axes: Array) -> tuple[Array, Array]:
     along = axes @ np.swapaxes(vertices, 1, 2)
     none = ~axes.any(axis=-1)
     return np.where(none, -1.0, along.min(axis=-1)), np.where(none, 1.0, along.max(axis=-1))
+
+
+def widest_gap_axis(vertices_a: Array, vertices_b: Array) -> Array:
+    """The unit vector across the widest gap between the hulls of vertices (K, 3) and (L, 3); zero if there is none.
+
+    It solves a linear program: the candidate axes of two hulls of many faces are too many to try.
+    """
+    from scipy.optimize import linprog  # slow to import, and few scenes need it
+
+    centre = (vertices_a.mean(axis=0) + vertices_b.mean(axis=0)) / 2
+    # Along the axis n, a is at most c − t and b at least c + t; t is to be as large as |n1|, |n2|, |n3| ≤ 1 allow.
+    a, b = (np.pad(vertices - centre, ((0, 0), (0, 2)), constant_values=1.0) for vertices in (vertices_a, vertices_b))
+    rows = np.concatenate([a * (1, 1, 1, -1, 1), b * (-1, -1, -1, 1, 1)])
+    bounds = [(-1, 1)] * 3 + [(None, None)] * 2
+    found = linprog([0, 0, 0, 0, -1], A_ub=rows, b_ub=np.zeros(len(rows)), bounds=bounds, method="highs-ds")
+    axis = np.zeros(3) if found.x is None else found.x[:3]
+    return _unit(axis) if axis.any() else axis
+
+
+@once_a_solid
+def hull_vertices(solid: Solid) -> Indices:
+    """The vertices of a solid that its convex hull has, ascending, shape (k,); all of them if they lie in a plane."""
+    from scipy.spatial import ConvexHull, QhullError  # takes 0.1 s
+
+    try:
+        return np.sort(ConvexHull(solid.vertices).vertices).astype(np.int64)
+    except QhullError:
+        return np.arange(len(solid.vertices))

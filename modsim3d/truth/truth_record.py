@@ -35,8 +35,8 @@ class Truth:
         occluder_px: Number of pixels of the row that this occluder hides, shape (m,).
         annotated: Whether the annotation mode and filters keep the row, shape (n,).
         drawn: Whether OpenGL has drawn the row, rather than exact spans; false in a truth from a table, shape (n,).
-        intersections: Step, camera and two occluders, a vessel among them, that overlap in the image and in space, so
-            that the analytic source cannot tell what is visible of them, shape (k, 4).
+        intersections: Step, camera and two occluders, a vessel among them, that overlap in the image and whose hulls
+            intersect, so that the analytic source cannot tell what is visible of them, shape (k, 4).
     """
 
     step: Indices

@@ -17,10 +17,10 @@ from modsim3d.detector.records import TRUE
 from modsim3d.verify.box_persistence_checks import box_persistence, replay
 from modsim3d.verify.class_checks import correlation_note
 from modsim3d.verify.error_fit import ErrorSample, FitStep, MomentTable, StateFit, fit_step, fitted_law
-from modsim3d.verify.error_likelihoods import LIKELIHOODS
+from modsim3d.verify.error_likelihoods import LIKELIHOODS, PLAIN
 from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
-from modsim3d.verify.measures import Estimate, Exact
+from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact
 from modsim3d.verify.parameters import Parameter
 
 LEAST_DETECTIONS = 150
@@ -156,6 +156,7 @@ def _estimate(fit: StateFit, k: int, replayed: Array | None) -> Estimate:
         skewness=float(step.skewness[k] * wider),
         statistic=float(step.step[k] / error),
         grows=4 <= k < 8,
+        possible=AMOUNT if 4 <= k < 8 else CORRELATION if 8 <= k < PLAIN else ANY,
     )
 
 

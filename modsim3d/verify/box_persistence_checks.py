@@ -21,7 +21,7 @@ from modsim3d.detector.persistence import Persistence, with_share
 from modsim3d.verify.error_fit import ErrorSample, StateFit
 from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.measures import Estimate
+from modsim3d.verify.measures import CORRELATION, Estimate
 from modsim3d.verify.pairs import turn_before
 
 LEAST_PAIRS = 100
@@ -90,9 +90,8 @@ def box_persistence(
     # Truncation leaves part of a correlation: replays show which, or the boxes do where the correlation is small.
     share = left / asked if abs(left) > _KNOWN * known else float(_shares_left(fits, now, before).mean())
     scale = 1 / max(share, _LEAST_SHARE)
-    return Estimate(
-        asked + (product - left) * scale, asked, error * scale, len(now), statistic=(product - left) / error
-    )
+    off = product - left
+    return Estimate(asked + off * scale, asked, error * scale, len(now), statistic=off / error, possible=CORRELATION)
 
 
 def _instances_of(evidence: Evidence, fits: list[StateFit]) -> Indices:

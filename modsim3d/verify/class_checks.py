@@ -15,7 +15,7 @@ from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Effect, Slope, Table
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part, model_name
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
-from modsim3d.verify.measures import Estimate, Exact, Measure
+from modsim3d.verify.measures import CORRELATION, SHARE, Estimate, Exact, Measure
 from modsim3d.verify.pairs import inflation, lag_pairs, turn_before
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.rate_measures import Rate
@@ -147,7 +147,7 @@ def _share(
     if variance <= 0:
         return None
     skewness = float((spread * (1 - 2 * probability)).sum()) * factor**2 / variance**1.5
-    return Estimate(count / len(rows), mean, variance**0.5 / len(rows), len(rows) / factor, skewness)
+    return Estimate(count / len(rows), mean, variance**0.5 / len(rows), len(rows) / factor, skewness, possible=SHARE)
 
 
 def miss_probabilities(model: DetectorModel, evidence: Evidence) -> Array:
@@ -209,7 +209,9 @@ def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOut
     asked_kappa = float(kappa.mean())
     step = float((residual * slope / spread).sum()) / information
     skewness = float((slope**3 * (1 - 2 * q) / spread**2).sum()) / information**1.5
-    return Estimate(asked_kappa + step, asked_kappa, 1 / math.sqrt(information), len(now), skewness)
+    return Estimate(
+        asked_kappa + step, asked_kappa, 1 / math.sqrt(information), len(now), skewness, possible=CORRELATION
+    )
 
 
 LEAST_MISSES = 30

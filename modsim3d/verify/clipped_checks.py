@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.arrays import Array
 from modsim3d.detector.clipped_normal import clipped_laws, clipped_score
 from modsim3d.verify.kept_scores import KeptScores
-from modsim3d.verify.measures import Estimate
+from modsim3d.verify.measures import AMOUNT, ANY, Estimate
 
 _FAR, _STEPS = 4.5, 8  # an estimate farther off than this is refined by so many Newton steps
 _SINGULAR = 1e10
@@ -52,7 +52,9 @@ class Clipped:
             found = self._fitted(asked)
         counts = [len(self.scores) if self.kept is None else len(self.scores) / part for part in inflation.tolist()]
         return [
-            Estimate(found[k], asked[k], errors[k], count, third[k] / errors[k] ** 3, z[k], grows=k == 1)
+            Estimate(
+                found[k], asked[k], errors[k], count, third[k] / errors[k] ** 3, z[k], k == 1, AMOUNT if k == 1 else ANY
+            )
             if self.kept is None or count >= LEAST_DETECTIONS
             else None
             for k, count in enumerate(counts)

@@ -18,7 +18,7 @@ from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, CameraFrames, 
 from modsim3d.random_streams import Streams
 from modsim3d.verify.evidence import CameraEvidence, Evidence, unknown_rest_note
 from modsim3d.verify.law_measures import Law
-from modsim3d.verify.measures import Estimate
+from modsim3d.verify.measures import CORRELATION, Estimate
 from modsim3d.verify.parameters import Parameter
 
 LEAST_FALSE = 50
@@ -129,7 +129,7 @@ def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Es
     if error <= 0:
         return None
     skewness = float(((replays - replays.mean()) ** 3).mean()) / error**3
-    return Estimate(correlation(np.concatenate(counts)), asked, error, len(now), skewness)
+    return Estimate(correlation(np.concatenate(counts)), asked, error, len(now), skewness, possible=CORRELATION)
 
 
 def _replayed(evidence: Evidence, persistent: Array, lifetime_s: float, seed: int) -> Array:

@@ -18,7 +18,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import NEVER_CHANGES_S
 from modsim3d.verify.error_fit import StateFit
 from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.measures import Estimate, Exact, Measure
+from modsim3d.verify.measures import CORRELATION, Estimate, Exact, Measure
 from modsim3d.verify.pair_sums import PairSums, group_sums, lag_sums
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.pattern_measures import Drift, Strongest
@@ -139,6 +139,7 @@ def _estimate(sums: PairSums, k: int, inflation: float, trials: int = 1) -> Stro
         count=float(sums.pairs[k]) / inflation,
         skewness=float(sums.third[k]) * inflation**2 / error**3,
         trials=trials,
+        possible=CORRELATION,
     )
 
 

@@ -15,7 +15,7 @@ from modsim3d.detector.confidence_pairs import pair_score
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import model_name
 from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.measures import Estimate
+from modsim3d.verify.measures import CORRELATION, Estimate
 from modsim3d.verify.pairs import lag_pairs, turn_before
 
 LEAST_PAIRS = 100
@@ -110,4 +110,4 @@ def score_persistence(model: DetectorModel, evidence: Evidence) -> Estimate | No
     if information <= 0:
         return None
     step, skewness = float(score.sum()) / information, float((score**3).sum()) / information**1.5
-    return Estimate(asked + step, asked, 1 / math.sqrt(information), len(now), skewness)
+    return Estimate(asked + step, asked, 1 / math.sqrt(information), len(now), skewness, possible=CORRELATION)

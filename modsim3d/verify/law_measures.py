@@ -109,4 +109,5 @@ class Law:
 
     def noticed(self, alpha: float) -> Noticed:
         """A distance that the test does not miss: what chance may bring, from both sides."""
-        return None, float(kstwo.isf(alpha, int(self.count)) + kstwo.isf(1 - POWER, int(self.count)))
+        reach = float(kstwo.isf(alpha, int(self.count)) + kstwo.isf(1 - POWER, int(self.count)))
+        return None, reach if reach <= 1 else None

@@ -20,6 +20,10 @@ Noticed = tuple[float | None, float | None]
 """Smallest change below and above the asked value that a test notices with probability `POWER`; None if none is."""
 
 
+SHARE, CORRELATION, AMOUNT, ANY = (0.0, 1.0), (-1.0, 1.0), (0.0, math.inf), (-math.inf, math.inf)
+"""The least and the greatest value of a probability, a correlation, a number without a sign, and any number."""
+
+
 class Measure(Protocol):
     """One number of a run, compared with the one that was asked for."""
 
@@ -57,6 +61,7 @@ class Estimate:
         count: Number of independent observations.
         statistic: Test statistic in standard errors; (measured − asked) / error if None.
         grows: Whether the standard error is in proportion to the value, as that of a standard deviation.
+        possible: The least and the greatest value that there can be.
     """
 
     measured: float
@@ -66,6 +71,7 @@ class Estimate:
     skewness: float = 0.0
     statistic: float | None = None
     grows: bool = False
+    possible: Interval = ANY
 
     @property
     def z(self) -> float:
@@ -125,5 +131,5 @@ class Exact:
         return self.measured, self.measured
 
     def noticed(self, alpha: float) -> Noticed:
-        """A single failure."""
-        return None, 1.0
+        """A single failure; nothing where nothing was seen."""
+        return None, 1.0 if self.count else None

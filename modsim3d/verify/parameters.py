@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from modsim3d.verify.measures import Interval, Measure, Noticed
+from modsim3d.verify.law_measures import Occupancy
+from modsim3d.verify.measures import ANY, Estimate, Interval, Measure, Noticed
 
 OVERALL_ALPHA = 0.01
 """Probability that an honest run has any verdict against it; shared evenly among its tests (Bonferroni)."""
@@ -49,8 +50,8 @@ class Verdict:
 
     Attributes:
         asked: The value asked for, by the model's rule where that differs from the file's.
-        measured: None where too little was seen.
-        interval: Interval of the measured value, at the level of all tests together.
+        measured: None where there is no measure.
+        interval: Interval of the measured value, at the level of all tests together, cut to what is possible.
         p_value: The p-value before correction for the number of tests.
         noticed: Smallest change below and above the asked value that this run would have shown, with 90 % power.
         verdict: `OBEYS`, `DIFFERS`, `FALLS_SHORT`, `UNTESTED` or `UNCHECKED`.
@@ -113,7 +114,19 @@ def _verdict(parameter: Parameter, alpha: float) -> Verdict:
         return Verdict(parameter, asked, None, None, None, (None, None), UNTESTED if parameter.checked else UNCHECKED)
     p_value = measure.p_value()
     verdict = OBEYS if p_value >= alpha else DIFFERS
-    interval = measure.interval(alpha)
-    if verdict == OBEYS and parameter.promised is not None and not interval[0] <= parameter.promised <= interval[1]:
+    low, high = measure.possible if isinstance(measure, Estimate) else ANY
+    shown = (*measure.interval(alpha), measure.measured)
+    start, end, measured = (min(max(value, low), high) for value in shown)
+    below, above = measure.noticed(alpha)
+    noticed = (
+        None if below is None or measure.asked - below < low else below,
+        None if above is None or measure.asked + above > high else above,
+    )
+    if verdict == OBEYS and parameter.promised is not None and not start <= parameter.promised <= end:
         verdict = FALLS_SHORT
-    return Verdict(parameter, measure.asked, measure.measured, interval, p_value, measure.noticed(alpha), verdict)
+    is_blind = noticed == (None, None)
+    if isinstance(measure, Occupancy):  # the transitions, which it follows from, say what is noticed
+        is_blind = all(replace(measure, found=end).p_value() >= alpha for end in (0, len(measure.law) - 1))
+    if verdict == OBEYS and is_blind:
+        verdict = UNTESTED
+    return Verdict(parameter, measure.asked, measured, (start, end), p_value, noticed, verdict)

@@ -8,7 +8,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.detector.model import DetectorModel
 from modsim3d.verify.clutter_checks import RATE_CHECKS, ExpectedClutter, expected_clutter
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
-from modsim3d.verify.measures import Estimate
+from modsim3d.verify.measures import AMOUNT, Estimate
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.residuals import Draw, n_transient
 
@@ -72,4 +72,4 @@ def _spread(expected: ExpectedClutter, state: Indices, found: Indices, window: I
     skewness = float((8 * of_windows**3 + 4 * of_windows**2).sum()) / error**3
     scale = asked / total
     strays = float(alone.sum()) + together
-    return Estimate(asked + strays * scale, asked, error * scale, worth, skewness)
+    return Estimate(asked + strays * scale, asked, error * scale, worth, skewness, possible=AMOUNT)

@@ -20,6 +20,8 @@ from modsim3d.inputs.validation import MOST_PROBLEMS, Limits, Strict, describe, 
 if TYPE_CHECKING:
     import trimesh
 
+    from modsim3d.vessels.meshes.fit import FileBox
+
 
 T = TypeVar("T")
 
@@ -36,18 +38,20 @@ class Solid:
         faces: Vertex indices, counter-clockwise seen from outside, shape (F, 3).
         convex: Whether the mesh is its own convex hull.
         closed: Whether the faces enclose a volume and all point outward, so that back faces are hidden.
+        file_box: Its bounding box in the mesh file, where it comes from one.
     """
 
     vertices: Array
     faces: Indices
     convex: bool = True
     closed: bool = True
+    file_box: FileBox | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Make copies in other processes of this; there too, the shoebox is one object, which `has_mesh` asks for."""
         if self is shoebox():
             return shoebox, ()
-        return Solid, (self.vertices, self.faces, self.convex, self.closed)
+        return Solid, (self.vertices, self.faces, self.convex, self.closed, self.file_box)
 
 
 def once_a_solid(work_out: Callable[[Solid], T]) -> Callable[[Solid], T]:
@@ -67,15 +71,17 @@ def once_a_solid(work_out: Callable[[Solid], T]) -> Callable[[Solid], T]:
 
 @cache
 def shoebox() -> Solid:
-    """The unit shoebox: eight corners, twelve triangles; the origin is the centre of its bottom.
+    """The unit shoebox: `trimesh.creation.box`, moved so that its origin is the centre of its bottom.
 
-    It equals `trimesh.creation.box`. Importing trimesh takes longer than simulating a hundred frames.
+    Its vertices and faces are constants here, since importing trimesh adds 0.3 s to the 1.2 s of processor time of a
+    cold start (medians of 7 runs of `simulation_1 --steps 10` each way, in turn). `trimesh.creation` alone takes no
+    less, because trimesh's own `__init__` imports all of it.
     """
-    vertices = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
+    vertices = read_only([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
     # Counter-clockwise seen from outside; corner 4 i + 2 j + k is at the i-th x, j-th y, k-th z.
-    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = np.array([half for a, b, c, d in sides for half in ((a, b, c), (a, c, d))], dtype=np.int64)
-    vertices.setflags(write=False)
+    corners = [(1, 3, 0), (4, 1, 0), (0, 3, 2), (2, 4, 0), (1, 7, 3), (5, 1, 4)]
+    corners += [(5, 7, 1), (3, 7, 2), (6, 4, 2), (2, 7, 6), (6, 5, 4), (7, 5, 6)]
+    faces = np.array(corners, dtype=np.int64)
     faces.setflags(write=False)
     return Solid(vertices, faces)
 
@@ -111,8 +117,8 @@ class Vessel:
         return read_only((self.solid.vertices * self.extents_m)[self.solid.faces])
 
     def to_trimesh(self) -> trimesh.Trimesh:
-        """The vessel's solid in VCF, scaled to length × beam × air draft, in metres."""
-        import trimesh  # takes 0.4 s
+        """The very solid that is drawn, in VCF, scaled to length × beam × air draft, in metres."""
+        import trimesh  # takes 0.3 s
 
         return trimesh.Trimesh(self.solid.vertices * self.extents_m, self.solid.faces.copy(), process=False)
 

@@ -13,6 +13,7 @@ from modsim3d.runs.blocks import Frame
 from modsim3d.runs.outcomes import NOTHING_WRONG, frame_outcomes
 from modsim3d.scene.scene import Scene
 from modsim3d.view.films.plan import part_around
+from modsim3d.view.outcome_words import WEATHER
 from modsim3d.view.pictures.canvas import NOMINAL_PX, TEXT_PX
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.layers import DETECTIONS, Layers
@@ -59,7 +60,7 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
         axes = Figure(figsize=(WIDTH_IN, height_in), layout="constrained").add_subplot()
     # Rows run downwards, as in an image.
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="column [px]", ylabel="row [px]")
-    axes.set_title(f"{frame.camera}, {frame.timestamp} s, detector {frame.state}")
+    axes.set_title(f"{frame.camera}, {frame.timestamp} s, detector {frame.state} ({WEATHER})")
     layers = DETECTIONS if labels else DETECTIONS.without("labels", "fractions")
     axes.add_artist(FrameArtist(axes, CameraView.of(frame.scene, frame), layers))
     figure = axes.figure.figure  # the whole one, where the axes are in a part of it

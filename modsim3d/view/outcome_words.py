@@ -1,4 +1,4 @@
-"""What is said of a detection in pictures and recordings."""
+"""What is said of a detection, and of the detector, in pictures and recordings."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ NAMES = {
     Outcome.BELOW_HALF_IOU: "IoU below 0.5",
     Outcome.OFF_VESSEL: "off its vessel",
 }
+
+
+WEATHER = "weather is not drawn"
+"""States are named after weather that pictures do not have: sea and sky look the same in all of them."""
 
 
 def is_a(label: str) -> str:

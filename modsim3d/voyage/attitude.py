@@ -10,6 +10,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError
+from modsim3d.inputs.misreadings import other_unit
 from modsim3d.inputs.validation import nearest
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.clock import SceneClock, on_scene_clock
@@ -118,6 +119,9 @@ def read_attitude(path: Path, scene: Scene) -> Attitude:
         spans = f"from {times[0]:.12g} s to {times[-1]:.12g} s", f"from 0 s to {clock.length_s:.12g} s"
         problem = f"its rows are {spans[0]} after the scene's first step, and {scene.title} is {spans[1]}"
         raise InputError(source, [problem])
+    outside = ((times < 0) | (times > clock.length_s)).mean()
+    if outside > 0.5 and np.median(np.diff(times)) > MOST_APART_S and (unit := other_unit(times, clock.length_s)):
+        raise InputError(source, [f"{outside:.0%} of its rows are after {scene.title}, of {clock.length_s:g} s{unit}"])
     _check_headings(times, heading, scene, carriers[0], source)
     return Attitude(carriers[0], times, np.column_stack([angles[:, :2], heading]))
 

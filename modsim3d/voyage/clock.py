@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.ais.options import time_text
 from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError
+from modsim3d.inputs.misreadings import other_unit
 from modsim3d.scene.scene import Scene
 from modsim3d.voyage.logs.log import Clock, DetectionLog
-from modsim3d.voyage.logs.times import LEAST_UNIX_S, time_text
+from modsim3d.voyage.logs.times import LEAST_UNIX_S
 from modsim3d.voyage.reports import read_reports
 
 _NEAR_S = 1e-6
@@ -100,7 +102,7 @@ def within_scene(log_s: Array, clock_s: float, length_s: float) -> tuple[Array, 
 
 
 def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneClock) -> None:
-    """Refuse a log none of whose frames is within the scene.
+    """Refuse a log most of whose frames are outside of the scene.
 
     Args:
         log: The log.
@@ -111,8 +113,14 @@ def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneC
     Raises:
         InputError: With both spans.
     """
-    if ((times_s >= 0) & (times_s <= clock.length_s)).any():
+    outside = (times_s < -_NEAR_S) | (times_s > clock.length_s + _NEAR_S)
+    if 2 * outside.sum() <= len(outside):
         return
+    spans = f"has frames from {log.span}, and {scene.title} is from {clock.span(log.clock)}"
+    unit = "" if log.clock is Clock.UTC else other_unit(log.time_s, clock.length_s)
+    if not outside.all():
+        what = f"{outside.sum():,} of {len(outside):,} frames are before or after the scene"
+        raise InputError(log.source, [f"{spans}: {what}{unit or '; give a part of the log, or a longer scene'}"])
     later = times_s.min() > clock.length_s
     apart_s = times_s.min() - clock.length_s if later else -times_s.max()
     between_starts = times_s.min() / _HOUR_S
@@ -124,13 +132,7 @@ def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneC
     ):
         zones = f"; the starts differ by {abs(round(between_starts))} h: is one of the clocks in local time?"
     order = "after the scene's last step" if later else "before the scene's first step"
-    raise InputError(
-        log.source,
-        [
-            f"has frames from {log.span}, and {scene.title} is from {clock.span(log.clock)}: the log is {order}, by "
-            f"{_duration(float(apart_s))}{zones}"
-        ],
-    )
+    raise InputError(log.source, [f"{spans}: the log is {order}, by {_duration(float(apart_s))}{zones}{unit}"])
 
 
 def _duration(seconds: float) -> str:

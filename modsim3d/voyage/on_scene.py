@@ -11,6 +11,7 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.scene.scene import Scene
+from modsim3d.tracks.files.diagnosis import BoxRows, implausible
 from modsim3d.voyage.clock import SceneClock, check_overlap, scene_times
 from modsim3d.voyage.logs.bags import ros_name
 from modsim3d.voyage.logs.log import DetectionLog
@@ -99,7 +100,7 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
         raise InputError(scene.title, ["its poses arrive while it runs: a scene with all poses is needed"])
     log, numbers = _with_cameras(log, scene, camera)
     _check_sizes(log, scene, numbers)
-    _check_boxes(log, scene, numbers)
+    odd = _check_boxes(log, scene, numbers)
     labels, of_vessel, of_log, said = _labels(log, scene)
     clock = SceneClock.of(scene)
     # What is noted is of the detector's clock, and a run has the scene's.
@@ -122,7 +123,7 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
                 f"{log.source}: {clocks_s[index]:+.3f} s are added to its times of camera '{name}', which is clock_s "
                 f"in {REGISTRATION} beside the scene: set that to 0 if the clock has been set right since"
             )
-    notes = (*log.notes, f"{log.source}: its frames are known from {log.frames_from}", *said)
+    notes = (*log.notes, f"{log.source}: its frames are known from {log.frames_from}", *said, *odd)
     return SceneLog(log.source, scene, clock.length_s, labels, of_vessel, tuple(cameras), notes)
 
 
@@ -172,12 +173,15 @@ def _check_sizes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> Non
         raise InputError(log.source, [f"has images of {found} px, and camera '{camera.name}' of the scene {needed} px"])
 
 
-def _check_boxes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> None:
-    """Refuse boxes that are in pixels of larger images; a few may have left the image, as a tracker's do."""
+def _check_boxes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> list[str]:
+    """Refuse boxes in another form or in pixels of larger images; a few may have left the image, as a tracker's do."""
     sizes = np.array([scene.cameras[number].intrinsics.image_size_px for number in numbers])[log.camera[log.frame]]
     outside = np.asarray(((log.boxes_px[:, :2] >= sizes) | (log.boxes_px[:, 2:] <= 0)).any(axis=1))
+    rows = BoxRows(log.form.numbers_of(log.boxes_px), log.form, sizes.astype(np.float64), *[log.frame] * 3)
+    if (odd := implausible(rows)) and not odd.slight:
+        raise InputError(log.source, [odd.told])
     if not outside.any() or outside.mean() <= _MOST_OUTSIDE:
-        return
+        return [f"{log.source}: {odd.told}"] if odd else []
     first = int(np.argmax(outside))
     frame = int(log.frame[first])
     camera = scene.cameras[numbers[int(log.camera[frame])]]

@@ -62,7 +62,7 @@ def camera_truth(
     for first in range(0, len(times_s), length):
         frames = np.arange(first, min(first + length, len(times_s)))
         sight = scene.sight(camera, np.arange(len(frames)), sampler.at(times_s[frames]))
-        outlines = sight.outlines(as_shoeboxes=scene.annotation.source != "rendered")
+        outlines = sight.outlines(as_shoeboxes=scene.annotation.source == "rectangles")
         occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
         parts.append(occlusion.truth(outlines, frames, number))
         looks.append(sight.camera_poses)

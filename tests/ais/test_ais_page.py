@@ -63,7 +63,7 @@ def test_the_page_begins_with_the_result(said):
     "line",
     [
         "219000002|X|sailing|Sailing|12|3.7|16|the same|length, beam, place of the antenna, air draft|",
-        "219000004|latitude 91, longitude 181 or empty (1)|",
+        "219000004|latitude 91, longitude 181, both 0, or empty (1)|",
         "219000005|outside the region (3)|",
         "1 other sender is no ship: base stations, aids to navigation, aircraft, beacons.",
         "dropped: faster than 60 kn from the position before|2|2.4 %|",

@@ -19,6 +19,7 @@ import modsim3d
 NAMES = {
     "ModsimError",
     "Scene",
+    "camera_placement",
     "detect_run",
     "detect_truth",
     "learn_detector",

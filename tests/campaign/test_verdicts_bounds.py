@@ -10,7 +10,13 @@ from scipy import optimize, stats
 
 from modsim3d.campaign.verdicts.betting import STAKES, betting_bounds, log_capital, perfect_seeds_needed
 from modsim3d.campaign.verdicts.bounds import mean_bounds, share_bounds
-from modsim3d.campaign.verdicts.means import SKEWNESS, VARIATION, skewed_bounds, t_bounds
+from modsim3d.campaign.verdicts.means import (
+    SKEWNESS,
+    VARIATION,
+    VARIATION_FROM_ZERO,
+    skewed_bounds,
+    t_bounds,
+)
 from modsim3d.campaign.verdicts.proportions import (
     clean_seeds_needed,
     clean_seeds_needed_sequential,
@@ -116,11 +122,16 @@ def test_t_bounds_are_those_of_a_textbook_and_say_nothing_of_equal_values():
     assert t_bounds(np.array([1.0]), 0.05) is None
 
 
-@given(st.lists(st.floats(0, 0.9), min_size=3, max_size=40), st.floats(0.01, 0.3), st.sampled_from([1.0, math.inf]))
+@given(
+    st.lists(st.floats(0, 0.9), min_size=3, max_size=40),
+    st.floats(0.01, 0.3),
+    st.sampled_from([(1.0, VARIATION), (math.inf, VARIATION), (0.0, VARIATION_FROM_ZERO)]),
+)
 def test_a_bound_of_skewed_values_is_the_lesser_of_those_of_halls_cubic_and_of_a_skewness_by_the_spread(
-    values, alpha, greatest
+    values, alpha, limit
 ):
-    values = np.array(values)
+    greatest, variation = limit
+    values = np.array(values) - (0 if greatest else 1)
     mean, deviation, count = values.mean(), values.std(ddof=1), len(values)
     if deviation < 1e-6:
         return
@@ -131,9 +142,8 @@ def test_a_bound_of_skewed_values_is_the_lesser_of_those_of_halls_cubic_and_of_a
         error = (mean - low) / deviation
         return error + skewness * error**2 / 3 + skewness**2 * error**3 / 27 + skewness / (6 * count) - wanted
 
-    error = wanted * (
-        1 + VARIATION * wanted * deviation / (greatest - mean)
-    )  # of values as skewed as the inverse Gaussian law
+    gain = variation * wanted * deviation / (greatest - mean)  # of values as skewed as the inverse Gaussian law
+    error = wanted * (1 + min(gain, 1))
     expected = [mean - error * deviation, optimize.brentq(of_cubic, -1e4, 1e4)]
     assert float(skewed_bounds(values, alpha, greatest)) == pytest.approx(min(expected), rel=1e-5, abs=1e-5)
 

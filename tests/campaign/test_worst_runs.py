@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import shlex
 import shutil
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from PIL import Image
 
 from modsim3d.campaign.engines.interface import ThisProcess
 from modsim3d.campaign.file.keys import CampaignKeys
@@ -30,6 +28,7 @@ from modsim3d.campaign.worst.picture import in_words, moment_picture
 from modsim3d.campaign.worst.ranking import WorstRun, worst_runs
 from modsim3d.campaign.worst.remaking import remade
 from modsim3d.errors import ModsimError
+from modsim3d.outputs.pictures import encoded
 from modsim3d.runs.files.run_directory import RunDirectory
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
@@ -152,8 +151,8 @@ def test_the_picture_shows_the_tracks_at_the_moment(campaign: CampaignResult) ->
     made = remade(campaign.folder, worst.number)
     assert worst.moment_s is not None
     pictures = [moment_picture(made, moment_s, 640, rules) for moment_s in (worst.moment_s, worst.moment_s + 1)]
-    images = [np.asarray(Image.open(io.BytesIO(each))) for each in pictures]
-    assert images[0].shape[1:] == (640, 3) and len(pictures[0]) < 300_000
+    images = [np.asarray(each) for each in pictures]
+    assert images[0].shape[1:] == (640, 3) and len(encoded(pictures[0], optimize=True)) < 300_000
     assert images[0].shape != images[1].shape or (images[0] != images[1]).any()
     none = replace(made, tracks=made.tracks.take(np.empty(0, dtype=np.int64)))
     assert moment_picture(none, worst.moment_s, 640, rules) != pictures[0]

@@ -6,10 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-NOT_AT_IMPORT = ("numpy", "scipy", "pydantic", "OpenGL", "pyarrow", "shapely", "matplotlib", "PIL", "rich")
+NOT_AT_IMPORT = ("numpy", "scipy", "pydantic", "OpenGL", "pyarrow", "shapely", "matplotlib", "PIL", "imageio", "rich")
 NOT_IN_A_RUN = (
     *("scipy.stats", "scipy.signal", "scipy.optimize", "scipy.spatial", "scipy.sparse", "scipy.ndimage", "numpy.ma"),
-    *("matplotlib", "PIL", "trimesh", "networkx", "pyarrow.dataset", "pandas"),
+    *("matplotlib", "PIL", "imageio", "imageio.v3", "trimesh", "networkx", "pyarrow.dataset", "pandas"),
 )
 """What our modules do not import; what NumPy and SciPy import of themselves is their own choice."""
 SCRIPT = f"""

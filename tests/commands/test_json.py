@@ -149,6 +149,7 @@ def test_the_objects_say_what_the_text_says(
     assert compared["frames"] == 2 and compared["unexplained"] == 0
     checked = parsed(modsim3d(*lines["check"], "--json"))
     assert checked["steps"] == 40
+    assert sum(checked["stationary_shares"].values()) == pytest.approx(1)
     scenes = {entry["name"]: entry["path"] for entry in parsed(modsim3d("scenes", "--json"))["scenes"]}
     assert Path(scenes["harbour"]).is_file()
 

@@ -128,6 +128,10 @@ def test_the_command_writes_a_file_and_a_page(short_files, tmp_path):
     model = load_detector(out)
     assert {state.name for state in model.states} == {"clear", "haze"}
     assert model.transition_interval_s == 1
+    for state, share in model.stationary_shares.items():
+        table = result.output.partition("States in the long run")[2].splitlines()
+        row = next(line.split() for line in table if line.startswith(state))
+        assert float(row[-1].rstrip("%")) == pytest.approx(100 * share, abs=0.1)
     text = out.read_text()
     assert text.startswith("# Learned by modsim3d learn. 200 images, ")
     assert "Corrected once for the bias of the matching." in text

@@ -13,6 +13,7 @@ import pytest
 
 from modsim3d import cli
 from modsim3d.inputs.text_files import read_text
+from modsim3d.scene.keys import PoseKeys
 from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
@@ -162,3 +163,17 @@ def test_a_bad_mesh_is_told_with_whose_it_is_and_why(tmp_path, refused, whose, f
     said = refused(path)
     assert said.startswith("obstacles.rock.mesh: " if rock else "vessels.other.mesh: ")
     assert reason in said
+
+
+@pytest.mark.parametrize(
+    "angles",
+    [
+        {"yaw_rad": 3.141592653589793},  # astern
+        {"yaw_rad": -4.7},
+        {"pitch_rad": 1.5708},  # straight down, as from a mast or a drone
+        {"roll_rad": -1.5708},  # on its side
+        {"roll_rad": 3.14159},  # upside down
+    ],
+)
+def test_angles_that_cameras_have_are_taken(angles: dict[str, float]) -> None:
+    assert PoseKeys.model_validate({"position_m": (0, 0, 9), **angles}).model_dump(include=set(angles)) == angles

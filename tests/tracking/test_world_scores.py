@@ -317,5 +317,24 @@ def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run:
     assert page.count('<tr class="bad"><td data-label="vessel">anchored</td>') == page.count('<tr class="bad">') == 1
 
 
+@pytest.mark.parametrize(
+    ("rules", "said"),
+    [
+        ({"threshold": 0.7}, "--threshold: for tracks in the images, and none are given: leave out; .* --gate"),
+        ({"similarity": "centre", "scale_px": 9.0}, "--similarity and --scale: for tracks in the images"),
+        ({"truth": "full"}, "--truth: for tracks in the images"),
+        ({"by_class": True}, "--by-class: for"),
+        ({"gap_s": 5.0}, "--gap: for"),
+    ],
+)
+def test_rules_of_images_are_refused_where_all_tracks_are_in_the_world(
+    rules: dict[str, Any], said: str, run: StoredRun, tmp_path: Path
+) -> None:
+    (tmp_path / "one.csv").write_text("time_s,track,w1_m,w2_m\n0,a,1,2\n")
+    with pytest.raises(ModsimError, match=said):
+        score_run(run, tmp_path / "one.csv", **rules)
+    assert score_run(run, tmp_path / "one.csv", threshold=0.5, gate_m=20.0, gospa_c=30.0, gospa_p=2.0).world
+
+
 def _crosser_m(times_s: Any) -> Any:
     return STARTS_M[CROSSER] + times_s[:, None] * VELOCITIES_M_S[CROSSER]

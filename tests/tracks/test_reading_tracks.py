@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -220,6 +221,28 @@ def test_only_some_of_many_wrong_lines_are_shown(read):
 )
 def test_wrong_columns_are_named(read, header, what):
     assert what in said(read, f"{header}\n")
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)])
+def test_times_in_another_unit_are_named(read, small_rows, small_tracks, unit, scale):
+    lines = csv_text(small_rows, small_tracks, when="time_s").splitlines()
+    cells = [line.split(",") for line in lines[1:]]
+    text = "\n".join([lines[0], *(",".join([a, f"{float(time) * scale:.12g}", *rest]) for a, time, *rest in cells)])
+    assert f"(seconds since the first step): they seem to be {unit}, must be seconds" in said(read, text)
+
+
+def test_identities_that_lost_digits_are_refused(read, read_mot, small_rows, small_tracks):
+    assert "line 2: track is a number in scientific notation" in said(read, f"{HEADER}\nbow,1,2.19E+08,1,1,2,3\n")
+    assert read(f"{HEADER}\nbow,1,2.0E+00,1,1,2,3\n").tracks.track.tolist() == [2]
+    texts = {name: re.sub(",[0-9]+,", ",2.19E+08,", text) for name, text in mot_texts(small_rows, small_tracks).items()}
+    assert "identity is a number in scientific notation" in said(read_mot, texts)
+
+
+def test_what_stands_in_place_of_commas_is_named(read):
+    for text in (HEADER.replace(",", ";"), f"sep=,\n{HEADER}"):
+        assert said(read, f"{text}\n").endswith(
+            (": line 1 is for spreadsheets alone, leave it out", "must have commas")
+        )
 
 
 def test_a_time_must_be_that_of_a_frame(read, small_rows):

@@ -148,6 +148,14 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a step too far": (changed("time_s", step=60), r"row 2: step must be .* 0 to 59, the run's last \(got 60\)"),
     "half a step": (changed("time_s", step=0.5), r"row 2: step must be a whole number .* \(got 0.5\)"),
     "twice": (changed(track="a"), "row 3: a track may be there once at a time .*'a' again"),
+    "step and time": (
+        changed(step=np.repeat(np.roll(np.arange(len(TIMES_S)), 1), 2)),
+        r"row 2: time_s 0 is that of step 0, but step is \d+: leave out the column that is wrong",
+    ),
+    "step from 1": (
+        changed(step=np.repeat(np.arange(len(TIMES_S)) + 1, 2)),
+        "row 2: time_s 0 is that of step 0, but step is 1",
+    ),
     "no covariance": (
         changed(w1_variance_m2=1.0, w1_w2_covariance_m2=2.0, w2_variance_m2=1.0),
         "row 2: the covariance of the position is not positive definite",
@@ -175,6 +183,87 @@ def test_what_is_wrong_with_csv_is_said(name: str, run: StoredRun, tmp_path: Pat
     columns, said = WRONG[name]
     with pytest.raises(InputError, match=said):
         read_world_tracks(write_csv(tmp_path / "t.csv", columns), run)
+
+
+def test_a_step_beside_a_time_may_be_rounded_or_left_blank(run: StoredRun, tmp_path: Path) -> None:
+    step_s = float(np.median(np.diff(TIMES_S)))
+    times_s = np.repeat(TIMES_S, 2) + 0.4 * step_s
+    steps = np.repeat(np.arange(len(TIMES_S), dtype=float), 2)
+    steps[3] = np.nan
+    found = read_world_tracks(write_csv(tmp_path / "t.csv", changed(time_s=times_s, step=steps)), run)
+    np.testing.assert_allclose(found.time_s, np.tile(TIMES_S + 0.4 * step_s, 2))
+
+
+def near(noise_m: float) -> np.ndarray:
+    """Positions of a tracker whose estimates are some metres off, shape (120, 2)."""
+    exact = np.column_stack([rows()["w1_m"], rows()["w2_m"]])
+    return exact + np.random.default_rng(3).normal(0, noise_m, exact.shape)
+
+
+OWN_M = np.repeat(PLACES_M[:, 0], 2, axis=0)
+"""Own ship makes 5 m/s along w1, so that its axes are the scene's but for where they begin."""
+MISREAD: dict[str, tuple[Any, str]] = {
+    "as it is": (lambda at: at, ""),
+    "swapped": (lambda at: at[:, ::-1], "w1_m and w2_m of the positions are exchanged"),
+    "mirrored w1": (lambda at: at * (-1, 1), "w1_m counts the other way round"),
+    "mirrored w2": (lambda at: at * (1, -1), "w2_m counts the other way round"),
+    "turned": (lambda at: -at, "w1_m and w2_m count the other way round"),
+    "km": (lambda at: at / 1000, "seem to be kilometres, must be metres"),
+    "nautical miles": (lambda at: at / 1852, "seem to be nautical miles"),
+    "feet": (lambda at: at / 0.3048, "seem to be feet"),
+    "cm": (lambda at: at * 100, "seem to be centimetres"),
+    "relative": (lambda at: at - OWN_M, "relative to own ship, must be from the scene's zero"),
+}
+
+
+@pytest.mark.parametrize(("name", "noise_m"), [(name, noise_m) for name in MISREAD for noise_m in (0.0, 5.0)])
+def test_positions_that_fit_in_another_reading_are_refused(
+    name: str, noise_m: float, run: StoredRun, tmp_path: Path
+) -> None:
+    change, said = MISREAD[name]
+    w1, w2 = np.asarray(change(near(noise_m))).T
+    path = write_csv(tmp_path / "t.csv", changed(w1_m=w1, w2_m=w2))
+    if not said:
+        assert len(read_world_tracks(path, run)) == 120
+        return
+    with pytest.raises(InputError, match=rf"{said}.*then half of them are within .* m of a vessel"):
+        read_world_tracks(path, run)
+
+
+def test_a_tracker_that_is_late_or_lost_is_not_refused(run: StoredRun, tmp_path: Path) -> None:
+    """Its errors are its own: a second late, far off, or of false tracks all over the scene."""
+    late = PLACES_M[np.maximum(np.arange(len(TIMES_S)) - 2, 0)][:, TWO].reshape(-1, 2)
+    wild = np.random.default_rng(1).uniform(-100, 300, late.shape)
+    for w1, w2 in (late.T, (near(60.0) + 40).T, wild.T):
+        assert len(read_world_tracks(write_csv(tmp_path / "t.csv", changed(w1_m=w1, w2_m=w2)), run)) == 120
+
+
+def test_steps_that_leave_out_the_first_are_refused(run: StoredRun, tmp_path: Path) -> None:
+    later = {"track": ["a"] * 59, "step": range(59), "w1_m": PLACES_M[1:, CROSSER, 0], "w2_m": PLACES_M[1:, CROSSER, 1]}
+    with pytest.raises(InputError, match=r"steps of the positions are a step too low: was the first step left out\?"):
+        read_world_tracks(write_csv(tmp_path / "t.csv", later), run)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)])
+def test_times_in_another_unit_are_named(unit: str, scale: float, run: StoredRun, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "t.csv", changed(time_s=np.repeat(TIMES_S, 2) * scale))
+    with pytest.raises(InputError, match=rf"is outside of the run.*they seem to be {unit}, must be seconds"):
+        read_world_tracks(path, run)
+
+
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+def test_marks_and_line_ends_change_nothing(mark: bytes, end: bytes, run: StoredRun, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "t.csv", changed(track=["b\u00e5t", "b"] * 60))
+    expected, text = read_world_tracks(path, run), path.read_bytes()
+    path.write_bytes(mark + text.replace("\u00e5".encode(), "a\u030a".encode()).replace(b"\n", end))
+    assert is_world(path)
+    equal(read_world_tracks(path, run), expected)
+
+
+def test_a_track_in_scientific_notation_is_refused(run: StoredRun, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="row 2: track is a number in scientific notation that has lost digits"):
+        read_world_tracks(write_csv(tmp_path / "t.csv", changed(track=["2.19E+08", "2.20E+08"] * 60)), run)
 
 
 def test_a_file_that_is_not_there_is_said_to_be_missing(run: StoredRun, tmp_path: Path) -> None:
@@ -277,6 +366,30 @@ def test_a_bag_of_arrays_equals_csv_without_velocity(storage: str, run: StoredRu
     ]
     columns = {name: values for name, values in with_covariances(2).items() if name[:2] not in ("v1", "v2")}
     bag = write_bag(tmp_path / "bag", {"/tracks": (ARRAYS, messages), "/odom": (ODOMETRY, odometries()[:2])}, storage)
+    equal(read_world_tracks(bag, run), read_world_tracks(write_csv(tmp_path / "t.csv", columns), run))
+
+
+def test_a_bag_of_old_vision_msgs_is_read(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of Foxy, whose detections have tracking_id and whose results have id and score themselves."""
+    old = {name: text for name, text in _VISION_MSGS.items() if not name.endswith("ObjectHypothesis")}
+    result, detection = "vision_msgs/msg/ObjectHypothesisWithPose", "vision_msgs/msg/Detection3D"
+    old[result] = "string id\nfloat64 score\ngeometry_msgs/PoseWithCovariance pose\n"
+    old[detection] = old[detection].replace("string id", "bool is_tracking\nstring tracking_id")
+    foxy = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in old.items():
+        foxy.register(get_types_from_msg(text, name))
+    monkeypatch.setattr("tests.tracks.test_world_tracks.STORE", foxy)
+    messages = []
+    for step, time_s in enumerate(TIMES_S.tolist()):
+        found = []
+        for name, vessel in zip("ab", TWO, strict=True):
+            known = pose(PLACES_M[step, vessel], 0.0, STATE_COVARIANCE[:2, :2])
+            box = make("vision_msgs/BoundingBox3D", known.pose, make("geometry_msgs/Vector3", 0.0, 0.0, 0.0))
+            results = [make("vision_msgs/ObjectHypothesisWithPose", "boat", 1.0, known)]
+            found.append(make("vision_msgs/Detection3D", header(time_s), results, box, True, name))
+        messages.append(make("vision_msgs/Detection3DArray", header(time_s), found))
+    columns = {name: values for name, values in with_covariances(2).items() if name[:2] not in ("v1", "v2")}
+    bag = write_bag(tmp_path / "bag", {"/tracks": (ARRAYS, messages)})
     equal(read_world_tracks(bag, run), read_world_tracks(write_csv(tmp_path / "t.csv", columns), run))
 
 

@@ -17,7 +17,7 @@ import pytest
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
-from tests.scenes import INTRINSICS, crossing, outlines_of, vessel
+from tests.scenes import INTRINSICS, crossing, harbour_of_shoeboxes, outlines_of, vessel
 
 
 def seen_of(places, **options):
@@ -174,8 +174,8 @@ def test_modes_one_and_two_run_from_end_to_end_where_there_is_no_opengl(tmp_path
 
 
 def test_analytic_truth_of_a_scene_is_that_of_the_pixels_but_for_their_boundaries(renderer):
-    drawn = truth_block(load_scene("harbour", source="rendered"), 100, 110, renderer)
-    exact = truth_block(load_scene("harbour", source="analytic"), 100, 110, None)
+    drawn = truth_block(harbour_of_shoeboxes(source="rendered"), 100, 110, renderer)
+    exact = truth_block(harbour_of_shoeboxes(source="analytic"), 100, 110, None)
     np.testing.assert_array_equal(drawn.vessel, exact.vessel)
     large = exact.silhouette_px > 400
     assert large.sum() > 100

@@ -178,15 +178,15 @@ def test_run_with_meshes_repeats_from_its_own_copy(tmp_path):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
 
 
-def test_compare_says_how_much_looser_the_shoeboxes_are_and_leaves_meshes_uncompared(tmp_path):
+def test_compare_compares_meshes_and_says_how_much_looser_their_shoeboxes_are(tmp_path):
     path = own_ship_scene(tmp_path)
     result = CliRunner().invoke(app, ["compare", str(path), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
     figures = json.loads((tmp_path / "out" / "compare.json").read_text())
     assert figures["unexplained"] == 0
-    verdicts = figures["full_box"]["verdicts"]
-    assert verdicts["not comparable: a mesh is there, or before it"] == 6
-    assert verdicts["agree within a pixel"] == 6
+    for part in ("full_box", "visible_box"):
+        assert figures[part]["verdicts"]["agree within a pixel"] == 12
+        assert figures[part]["verdicts"]["left to pixels: no plane between two hulls"] == 0
     (loose,) = figures["shoebox_against_mesh"].items()
     assert loose[0] == "far"
     assert loose[1]["frames"] == 6
@@ -195,16 +195,13 @@ def test_compare_says_how_much_looser_the_shoeboxes_are_and_leaves_meshes_uncomp
     assert "far" in result.output
 
 
-def test_analytic_source_takes_vessels_for_their_shoeboxes_and_refuses_obstacles_of_mesh(tmp_path):
-    path = own_ship_scene(tmp_path)
-    frames = list(simulate_frames(load_scene(path, source="analytic")))
+def test_rule_of_rectangles_takes_vessels_for_their_shoeboxes_and_leaves_own_ships_hull_out(tmp_path):
+    frames = list(simulate_frames(load_scene(own_ship_scene(tmp_path), source="rectangles")))
     assert all("own" not in entry for frame in frames for entry in frame.truth.occluded_by)
-    scene = json.loads(path.read_text())
-    scene["obstacles"] = {"wreck": {"mesh": "ferry", "size_m": [90, 15, 22], "position_m": [300, 0, 0]}}
-    path.write_text(json.dumps(scene))
-    load_scene(path)
-    with pytest.raises(InputError, match=r"obstacles\.wreck\.mesh: the analytic source cannot use meshes: use"):
-        load_scene(path, source="analytic")
+    exact = list(simulate_frames(load_scene(tmp_path / "scene.yaml", source="analytic")))
+    for ruled, other in zip(frames, exact, strict=True):
+        loose, tight = ruled.truth.full_boxes_px[1], other.truth.full_boxes_px[1]
+        assert (loose[:2] <= tight[:2]).all() and (loose[2:] >= tight[2:]).all() and (loose != tight).any()
 
 
 def test_obstacle_of_mesh_hides_and_is_named(tmp_path):

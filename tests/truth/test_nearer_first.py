@@ -12,7 +12,8 @@ from modsim3d.truth import outlines as projection
 from modsim3d.truth.cluster_visibility import Ordered, visibility_in_order
 from modsim3d.truth.clusters import ClusteredPairs
 from modsim3d.truth.full_frame import full_frame_occlusion
-from modsim3d.truth.nearer_first import _boxes_around, _ranks, ranks_of
+from modsim3d.truth.nearer_first import _ranks, ranks_of
+from modsim3d.truth.occlusion_order import _boxes_around
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.pixel_spans import Spans
 from modsim3d.truth.rendered import rendered_occlusion

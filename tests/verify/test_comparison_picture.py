@@ -21,7 +21,7 @@ from modsim3d.view.pictures.comparison_picture import (
     differing_pixels,
 )
 from modsim3d.view.pictures.solids import Solids
-from tests.scenes import crossing
+from tests.scenes import crossing, write_scene
 
 
 def test_a_pixel_belongs_to_a_region_if_its_centre_does():
@@ -60,15 +60,16 @@ def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
 @pytest.mark.parametrize(
     ("name", "vessel", "region"),
     [
-        ("harbour", "ship3", "exact region"),
-        ("strait", "barge", "region that only meshes may hide"),
-        ("strait", "ferry", "whole silhouette"),
+        ("simulation_1", "vessel1", "exact region"),
+        ("strait", "barge", "exact region"),
+        ("strait", "ferry", "exact region"),
+        (None, "rafted", "region that a neighbour may hide"),
     ],
 )
-def test_the_key_says_what_the_rendered_pixels_are_held_against(monkeypatch, name, vessel, region):
-    """A mesh's silhouette is no exact visible region: what is missing of it may simply be hidden."""
+def test_the_key_says_what_the_rendered_pixels_are_held_against(monkeypatch, tmp_path, name, vessel, region):
     monkeypatch.setattr(report, "comparison_picture", lambda *arguments: arguments[-2])
-    scene = load_scene(name)
+    raft = {name: ([12, 4, 3], [[0, 90, w2], [1, 91, w2]]) for name, w2 in (("rafted", 0), ("other", 3))}
+    scene = load_scene(name or write_scene(tmp_path, raft, 1))
     case = SimpleNamespace(camera=0, step=0, vessel=scene.vessel_names.index(vessel), boxes_px={})
     assert report.draw_case(scene, case, None, report.RULE) == region
 

@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from modsim3d.verify.law_measures import Law
-from modsim3d.verify.measures import Estimate, Exact
+from modsim3d.verify.law_measures import Law, Occupancy
+from modsim3d.verify.measures import AMOUNT, CORRELATION, SHARE, Estimate, Exact, Measure
 from modsim3d.verify.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Parameter, judge
+from modsim3d.verify.pattern_measures import Drift, Strongest
 from modsim3d.verify.rate_measures import DiscoveryRate, ImageRate, Rate
+from modsim3d.verify.report import conclusion
 from modsim3d.verify.tails import binomial_interval, poisson_interval, skewed_quantile, skewed_tails
 
 
@@ -126,6 +128,66 @@ def test_tests_share_the_overall_level():
     assert [v.verdict for v in verification.verdicts[-2:]] == [DIFFERS, UNTESTED]
     assert not verification.obeys
     assert verification.cause.parameter is off
+
+
+@pytest.mark.parametrize(
+    ("measure", "interval"),
+    [
+        (Estimate(0.004, 0.006, 0.01, 300, possible=SHARE), "[0, 0.0"),
+        (Estimate(0.944, 0.925, 0.04, 300, -0.3, possible=SHARE), "1]"),
+        (Estimate(0.003, 0.006, 0.01, 300, 5.0, possible=SHARE), "1]"),  # ∞ without what is possible
+        (Estimate(0.95, 0.8, 0.09, 90, possible=CORRELATION), "1]"),
+        (Estimate(1.02, 1.0, 1.2, 40, possible=AMOUNT), "[0, "),
+        (Estimate(1.3, 0.7, 0.2, 90, possible=CORRELATION), "1]"),
+        (Drift(0.01, 100.0), "[0, "),
+        (Rate(1, 40, 0.05), "[0"),
+        (ImageRate(0, 30, 0.1), "[0, "),
+    ],
+)
+def test_intervals_and_what_is_noticed_are_cut_to_what_is_possible(measure: Measure, interval: str) -> None:
+    (verdict,) = judge([Parameter("p", "group", measure)]).verdicts
+    low, high = getattr(measure, "possible", AMOUNT)
+    assert verdict.interval is not None and verdict.measured is not None
+    assert low <= verdict.interval[0] <= verdict.measured <= verdict.interval[1] <= high
+    assert interval in f"[{verdict.interval[0]:g}, {verdict.interval[1]:g}]"
+    below, above = verdict.noticed
+    assert below is None or measure.asked - below >= low - 1e-6
+    assert above is None or measure.asked + above <= high + 1e-6
+
+
+@pytest.mark.parametrize(
+    "measure",
+    [
+        Rate(1, 2, 0.92),
+        Rate(1, 1, 0.7),
+        Estimate(0.9, 0.5, 0.4, 12, possible=SHARE),
+        Strongest(0.3, 0.0, 0.5, 9, trials=20, possible=CORRELATION),
+        Occupancy(1, np.array([0.3, 0.7])),
+        Exact(0, 0),
+        Law(0.4, 4),
+    ],
+)
+def test_what_no_violation_would_have_changed_is_too_little_seen(measure: Measure) -> None:
+    verification = judge([Parameter("p", "group", measure)])
+    assert [verdict.verdict for verdict in verification.verdicts] == [UNTESTED]
+    assert verification.obeys
+    assert conclusion(verification) == "The run obeys its detector file: nothing in 0 tests speaks against it."
+
+
+@pytest.mark.parametrize(
+    ("measure", "verdict"),
+    [
+        (Rate(0, 2, 0.999), DIFFERS),  # two misses where one in a thousand was asked for
+        (Estimate(0.9, 0.0, 0.2, 12, possible=CORRELATION), DIFFERS),
+        (Rate(45, 50, 0.92), OBEYS),
+        (Occupancy(0, np.full(400, 1 / 400)), DIFFERS),
+        (Occupancy(200, np.full(400, 1 / 400)), OBEYS),
+        (Exact(0, 3), OBEYS),
+        (Exact(1, 3), DIFFERS),
+    ],
+)
+def test_what_was_noticed_or_could_have_been_is_no_too_little(measure: Measure, verdict: str) -> None:
+    assert [found.verdict for found in judge([Parameter("p", "group", measure)]).verdicts] == [verdict]
 
 
 def test_only_an_entry_of_the_file_is_a_cause_if_one_fails():

@@ -7,22 +7,33 @@ import numpy as np
 import trimesh
 
 from modsim3d.truth import scan_conversion, winding
-from modsim3d.truth.nearer_first import _corners_from_vertices
+from modsim3d.truth.occlusion_order import corners_from_vertices
 from modsim3d.truth.separating_axes import _distinct_directions
+from modsim3d.vessels.meshes import load_mesh
 from modsim3d.vessels.vessel import Vessel, shoebox
 
 
-def test_shoebox_is_the_closed_box_of_trimesh():
-    unit = shoebox()
+def test_a_shoebox_is_the_box_that_trimesh_creates():
+    unit, reference = shoebox(), trimesh.creation.box(extents=(1, 1, 1))
+    np.testing.assert_array_equal(unit.vertices, reference.vertices + np.array([0, 0, 0.5]))
+    np.testing.assert_array_equal(unit.faces, reference.faces)
     mesh = trimesh.Trimesh(unit.vertices, unit.faces, process=False)
-    reference = trimesh.creation.box(extents=(1, 1, 1))
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert np.isclose(mesh.volume, 1.0)  # negative if its faces were inside out
     np.testing.assert_array_equal(mesh.bounds, [[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])
-    shifted = np.add(reference.vertices, (0, 0, 0.5))
-    assert {tuple(v) for v in mesh.vertices} == {tuple(v) for v in shifted}
-    assert len(mesh.faces) == len(reference.faces)
+
+
+def test_the_trimesh_of_a_vessel_is_the_solid_that_is_drawn(tmp_path):
+    box = Vessel("boat", "Vessel", 8.0, 3.0, 2.0)
+    reference = trimesh.creation.box(extents=(8.0, 3.0, 2.0))
+    for vessel in (box, replace(box, solid=load_mesh("ferry", tmp_path), shape="ferry")):
+        mesh = vessel.to_trimesh()
+        np.testing.assert_array_equal(mesh.vertices, vessel.solid.vertices * [8.0, 3.0, 2.0])
+        np.testing.assert_array_equal(mesh.faces, vessel.solid.faces)
+        assert mesh.is_watertight and mesh.volume > 0
+    np.testing.assert_array_equal(box.to_trimesh().vertices, reference.vertices + np.array([0, 0, 1]))
+    np.testing.assert_array_equal(box.to_trimesh().faces, reference.faces)
 
 
 def test_a_worker_process_knows_which_vessels_have_a_mesh():
@@ -38,7 +49,7 @@ def test_a_worker_process_knows_which_vessels_have_a_mesh():
 def test_what_is_worked_out_for_a_solid_goes_with_it():
     """A process of a campaign makes thousands of runs, each with solids of its own."""
     solid = replace(shoebox())
-    for function in (scan_conversion._edges_of, _distinct_directions, _corners_from_vertices, winding.edges_of):
+    for function in (scan_conversion._edges_of, _distinct_directions, corners_from_vertices, winding.edges_of):
         assert function(solid) is function(solid)
     left = weakref.ref(solid)
     del solid

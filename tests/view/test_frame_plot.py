@@ -19,7 +19,7 @@ from modsim3d.runs.outcomes import Outcome, frame_outcomes
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import frame_plot
-from modsim3d.view.outcome_words import NAMES
+from modsim3d.view.outcome_words import NAMES, WEATHER
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.layers import DETECTIONS
 from modsim3d.view.pictures.plain import below_horizon
@@ -141,3 +141,8 @@ def test_frames_import_no_plotting_library():
         "sys.exit('matplotlib' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
+def test_the_title_says_that_weather_is_not_drawn(frame):
+    figure = frame.plot()
+    assert figure.axes[0].get_title() == f"{frame.camera}, {frame.timestamp} s, detector {frame.state} ({WEATHER})"

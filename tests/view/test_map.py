@@ -370,6 +370,7 @@ def test_the_scene_is_shaded_unless_plain_is_asked_for_and_boxes_are_on_it_when_
 
 
 def test_without_opengl_scenes_are_plain_and_shaded_ones_refused(monkeypatch, capsys, run, tmp_path):
+    monkeypatch.setattr("modsim3d.render.context._open_here", None)  # another test's context must not serve here
     monkeypatch.setattr("modsim3d.render.context.library_found", lambda backend: False)
     plain = picture(monkeypatch, run, tmp_path / "a.png", "--film", "scene")
     assert tuple(plain[40, 390]) == palette.SKY

@@ -19,7 +19,8 @@ from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmPlan, mistakes_in, vessels_in
-from modsim3d.view.outcome_words import NAMES, fate, is_a
+from modsim3d.view.films.renderer import FilmRenderer
+from modsim3d.view.outcome_words import NAMES, WEATHER, fate, is_a
 from modsim3d.view.pictures import contact_sheet, frame_picture, highlights
 from modsim3d.view.pictures.canvas import text_size
 from modsim3d.view.pictures.frame_picture import CameraView
@@ -28,6 +29,7 @@ from modsim3d.view.pictures.labels import Label
 from modsim3d.view.pictures.layers import DETECTIONS, Layers
 from modsim3d.view.pictures.legend import detection_entries
 from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded.render_style import RenderStyle
 from tests.scenes import crossing, mistaken_strait
 
 MARKED = Layers.of(["detections", "mistakes"])
@@ -279,3 +281,11 @@ def test_the_legend_has_the_vessels_that_the_pictures_show(run):
     assert vessels_in(selection, ((0.0, 0.0, 1.0, 1.0),)) == ()  # the sky
     plan = FilmPlan(("scene",), (1,), 640, vessels=vessels_in(selection))
     assert {entry.text.split(": ")[1] for entry in plan.layout(run.scene).entries} == shown
+
+
+@pytest.mark.parametrize(("style", "is_told"), [(RenderStyle(), True), (RenderStyle(shaded=True, night=True), False)])
+def test_films_say_that_weather_is_not_drawn_unless_some_is(run, style, is_told):
+    (step,) = select(run, (0, 1), from_s=0, to_s=0).step_frames()
+    head = FilmRenderer(run.scene, FilmPlan(("detections",), (0, 1), 640, style=style), PlainIds())._head(step)
+    assert "    detector " in head
+    assert head.endswith(f"    {WEATHER}") == is_told

@@ -1,10 +1,12 @@
 """What a user gets wrong when looking at a run: one message, exit status 2, and nothing half written."""
 
 import gc
+import re
 import shutil
 import sys
 import warnings
 
+import imageio_ffmpeg
 import pytest
 
 from modsim3d import cli
@@ -101,7 +103,22 @@ def test_an_encoder_that_fails_leaves_nothing(monkeypatch, capsys, run, tmp_path
         warnings.simplefilter("ignore", ResourceWarning)
         said = refused(monkeypatch, capsys, run, "--film", "scene", "--out", out / "film.mp4")
         gc.collect()
-    assert "could not be encoded" in said
+    assert "film.mp4 could not be encoded: no such encoder\n" in said
+    assert not list(out.iterdir())
+
+
+def test_a_film_that_lost_pictures_without_a_word_is_not_put_in_place(monkeypatch, capsys, run, tmp_path):
+    """An encoder that takes every picture, encodes those of the first second, and says that all is well."""
+    lossy, out = tmp_path / "ffmpeg", tmp_path / "out"
+    encoder = imageio_ffmpeg.get_ffmpeg_exe()
+    lossy.write_text(
+        f'#!/bin/sh\n[ "$1" = -y ] && {{ {encoder} -t 1 "$@"; exec cat >/dev/null; }}\nexec {encoder} "$@"\n'
+    )
+    lossy.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(lossy))
+    out.mkdir()
+    said = refused(monkeypatch, capsys, run, "--film", "scene", "--width", 160, "--out", out / "film.mp4")
+    assert re.search(r"film\.mp4 could not be encoded: it has 5 of \d+ pictures", said)
     assert not list(out.iterdir())
 
 

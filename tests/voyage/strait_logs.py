@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.voyages.cases import SHOEBOXES
 from benchmarks.voyages.wrong_camera import Voyage
 from modsim3d.arrays import Array
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 
 REALLY = {"clock_s": 3.7, "pitch_deg": 0.4, "yaw_deg": 2.0}
-ANALYTIC = {"annotation.source": "analytic"}
+ANALYTIC = {**SHOEBOXES, "annotation.source": "analytic"}
 
 
 def strait_scene(folder: Path, **settings: object) -> Path:

@@ -281,7 +281,7 @@ WRONG = {
     "no columns": (
         "log.csv",
         "utc;left;top\n1;2;3\n",
-        "the time is missing (got 'utc;left;top': columns must be separated by commas)",
+        "the time is missing (got 'utc;left;top': its cells have semicolons between them, must have commas)",
     ),
     "seconds as UTC": (
         "log.csv",
@@ -371,7 +371,7 @@ def test_boxes_that_no_image_of_the_camera_has_are_refused(tmp_path: Path, strai
     problem = r"1 of 2 boxes lie outside the images of camera 'bow', of 1920 × 1080 px \(first at 0 s: 2000, 900 to"
     with pytest.raises(InputError, match=problem):
         on_scene(read_log(path), strait, "bow")
-    few = [f"{k},100,900,30,40,boat,0.5" for k in range(200)]
+    few = [f"{k / 100},100,900,30,40,boat,0.5" for k in range(200)]
     assert (
         len(on_scene(read_log(table(tmp_path, "0,-50,9,30,40,boat,0.5", *few)), strait, "bow").cameras[0].boxes_px)
         == 201

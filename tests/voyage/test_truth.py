@@ -154,6 +154,18 @@ def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scen
     np.testing.assert_allclose(parquet.angles_rad, attitude.angles_rad, atol=1e-7)
 
 
+def test_an_attitude_in_milliseconds_is_refused_and_a_long_one_is_not(strait: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "attitude.csv"
+    for gap, says in ((100, "98% of its rows are after .*, of 4.6 s: they seem to be milliseconds"), (0.5, "")):
+        rows = [f"{k * gap:g},0,0,0\n" for k in range(46)]
+        path.write_text("".join(["time_s,roll_rad,pitch_rad,heading_rad\n", *rows]))
+        if says:
+            with pytest.raises(InputError, match=says):
+                read_attitude(path, strait)
+        else:
+            assert len(read_attitude(path, strait).time_s) == 46
+
+
 def test_the_yaw_of_an_attitude_is_added_to_its_heading(strait: Scene, tmp_path: Path) -> None:
     path = tmp_path / "attitude.csv"
     path.write_text("time_s,roll_rad,pitch_rad,heading_rad,yaw_rad\n0,0,0,0,0.1\n1,0,0,0,0.3\n")

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 import shlex
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
-from PIL import Image
 
 from modsim3d.campaign.report.words import Score, in_words, number, values_of, varying
 from modsim3d.campaign.results.folder import CampaignFolder
@@ -80,22 +77,11 @@ def _worst_run(folder: CampaignFolder, each: WorstRun) -> list[str]:
 def _picture(folder: CampaignFolder, each: WorstRun, moment_s: float) -> str:
     """The moment at which a run went wrong; a run that cannot be made again says why."""
     try:
-        png = moment_picture(remade(folder, each.number), moment_s, WIDTH_PX)
+        image = moment_picture(remade(folder, each.number), moment_s, WIDTH_PX)
     except ModsimError as error:
         return page.paragraph(f"There is no picture: {error}", "soft")
     caption = f"Run {each.number} at {moment_s:g} s: what is true, and the tracks of {each.tracker}."
-    with Image.open(io.BytesIO(png)) as image:
-        return _jpeg(image.convert("RGB"), caption)
-
-
-def _jpeg(image: Image.Image, caption: str) -> str:
-    data = io.BytesIO()
-    image.save(data, format="JPEG", quality=QUALITY, optimize=True)
-    encoded = base64.b64encode(data.getvalue()).decode("ascii")
-    return (
-        f'<figure>\n<img src="data:image/jpeg;base64,{encoded}" alt="{html.escape(caption, quote=True)}" '
-        f'width="{image.width}" height="{image.height}">\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>'
-    )
+    return page.picture(image, caption, "jpeg", quality=QUALITY)
 
 
 def _command(name: str, line: str) -> str:

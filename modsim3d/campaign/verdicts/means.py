@@ -13,10 +13,12 @@ from modsim3d.arrays import Array
 _SAME = 1e-12
 """Values that differ by less than this share of their size are the same: the mean of equal numbers may be off by so
 much."""
-SKEWNESS = 1.2
+SKEWNESS = 1.0
 """The least skewness that values are taken to have: a few of them seldom show the tail that they come from."""
-VARIATION = 1.1
-"""How much of h²/d a half-width h gains, if the values lack d to the best one; both by `script/campaign sequences`."""
+VARIATION = 1.5
+"""How much of h/d a half-width h gains of itself, if the values lack d to the best one."""
+VARIATION_FROM_ZERO = 1.1
+"""The same of scores that are 0 at best, as numbers, times and errors are; all three by `script/campaign sequences`."""
 
 
 def half_widths(mean: ArrayLike, deviation: ArrayLike, count: ArrayLike, alpha: float) -> Array:
@@ -76,10 +78,11 @@ def corrected_bounds(
 
     - Student's t, corrected by the cubic of Hall (1992), "On the removal of skewness by transformation", J. R. Stat.
       Soc. B 54, 221-228, for the skewness of the sample, and one of at least `SKEWNESS`.
-    - Student's t with h + `VARIATION`·h²/d for the half-width h, where d is what the mean lacks to the best value. In
-      scores that cannot be better than best, spread and skewness come from the same bad runs. For 1·h²/d it is the
-      correction for a skewness of three times the coefficient of variation of what values lack to the best one, which
-      the inverse Gaussian distribution has; a gamma distribution has two, a Poisson distribution one.
+    - Student's t with h·(1 + v·h/d) for the half-width h, at most 2·h, where d is what the mean lacks to the best value
+      and v is `VARIATION` or `VARIATION_FROM_ZERO`. In scores that cannot be better than best, spread and skewness come
+      from the same bad runs. For v = 1 and small h/d it is the correction for a skewness of three times the
+      coefficient of variation of what values lack to the best one, which the inverse Gaussian distribution has; a gamma
+      distribution has two, a Poisson distribution one.
 
     The rule was chosen, and how often it errs measured, by `script/campaign sequences`.
 
@@ -93,10 +96,10 @@ def corrected_bounds(
     """
     mean, deviation = np.asarray(mean, dtype=np.float64), np.asarray(deviation, dtype=np.float64)
     half, lacks = half_widths(mean, deviation, count, alpha), greatest - mean
-    skewness = np.maximum(skewness, SKEWNESS)
+    skewness, variation = np.maximum(skewness, SKEWNESS), VARIATION if greatest else VARIATION_FROM_ZERO
     with np.errstate(divide="ignore", invalid="ignore"):
         error = half / deviation
         cubic = deviation * 3 / skewness * (1 - np.cbrt(1 - skewness * (error + skewness / (6 * count))))
-        related = half + VARIATION * half**2 / lacks
+        related = half * (1 + np.minimum(variation * half / lacks, 1))
     bounds: Array = np.where(np.isnan(half), -math.inf, mean - np.maximum(cubic, related))
     return bounds

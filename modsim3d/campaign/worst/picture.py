@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -26,6 +25,8 @@ from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracks.track_set import TrackSet
 
 if TYPE_CHECKING:
+    from PIL.Image import Image
+
     from modsim3d.view.shaded.render_style import RenderStyle
 
 MARGIN, LEAST = 0.5, 0.2
@@ -36,8 +37,8 @@ MOST_SWITCHES = 2
 """So many identity switches are told in full."""
 
 
-def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | None = None, name: str = "") -> bytes:
-    """The true boxes and the tracks at a moment, in the camera with most mistakes, as a PNG.
+def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | None = None, name: str = "") -> Image:
+    """The true boxes and the tracks at a moment, in the camera with most mistakes.
 
     Args:
         made: The run, see `remade`.
@@ -77,10 +78,7 @@ def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | No
         step, rows.scene.timestamps(step, step + 1)[0], (_as_followed(frame_of(rows, number), here, rows),)
     )
     with open_film_renderer(rows.scene, plan) as renderer:
-        picture = renderer.draw(shown)
-    buffer = io.BytesIO()
-    picture.save(buffer, format="PNG", optimize=True)
-    return buffer.getvalue()
+        return renderer.draw(shown)
 
 
 def in_words(mistakes: Mistakes, names: Sequence[str]) -> str:
@@ -114,11 +112,12 @@ def _as_followed(frame: Frame, mistakes: Mistakes, rows: RunRows) -> Frame:
 
 def best_style() -> tuple[RenderStyle, bool]:
     """Light and shade where there is OpenGL, and whether boxes are drawn on it."""
-    from modsim3d.render.context import choose_backend
+    from modsim3d.render.context import open_context
     from modsim3d.view.shaded.render_style import PLAIN_STYLE, RenderStyle
 
     try:
-        choose_backend()
+        with open_context():  # a library may have no driver
+            pass
     except RendererError:
         return PLAIN_STYLE, False
     return RenderStyle(shaded=True), True

@@ -102,6 +102,17 @@ def is_number(value: Any, least: float = -MOST_NUMBER, most: float = MOST_NUMBER
     return isinstance(value, int | float) and not isinstance(value, bool) and least <= value <= most
 
 
+_FLAGS = {"0": False, "1": True, "false": False, "true": True}
+
+
+def read_flag(value: Any, name: str, where: str, problems: Problems) -> bool:
+    """A flag, as number, truth value or text; false where it is not given, and with a problem where it is none."""
+    flag = False if value is None else _FLAGS.get(str(value).strip().lower().removesuffix(".0"))
+    if flag is None:
+        problems.add(f"{where}: {name} must be 0 or 1, false or true (got {shown(value)})")
+    return bool(flag)
+
+
 def valid_box(values: Any, where: str, problems: Problems) -> bool:
     """Whether values are a position, width and height in pixels that can be a box; adds a problem if not."""
     if (

@@ -36,12 +36,13 @@ from modsim3d.formats.reading.builder import (
     ResultRows,
     is_number,
     labelled_set,
+    read_flag,
     valid_box,
 )
 from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.formats.reading.image_names import ID, image_names
 from modsim3d.inputs.budgets import COCO_BYTES_PER_VALUE
-from modsim3d.inputs.strict_json import check_values, parse_json
+from modsim3d.inputs.strict_json import check_values, composed_values, parse_json
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import nearest, shown
 
@@ -115,12 +116,12 @@ def _known_to_results(
 
 def _parse(path: Path, what: str) -> Any:
     """Read JSON; if it is broken, read it again with a slower reader that names the place."""
-    text = read_text(path, what).removeprefix("\ufeff")
+    text = read_text(path, what)
     if not text.strip():
         raise InputError(f"{what} {path}", ["the file is empty"])
     check_values(text, f"{what} {path}", COCO_BYTES_PER_VALUE)
     try:
-        return orjson.loads(text)
+        return composed_values(orjson.loads(text), text)
     except orjson.JSONDecodeError:
         return parse_json(text, f"{what} {path}")
 
@@ -321,9 +322,9 @@ def _annotation(entry: Any, where: str, known: _Known, rows: AnnotationRows, pro
     identity = _identity(entry, where, problems)
     if rows.has(place.image, identity):
         problems.add(f"{where}: identity {shown(identity)} is in the image {shown(entry.get('image_id'))} already")
+    crowd, ignored = (read_flag(entry.get(key), key, where, problems) for key in ("iscrowd", "ignore"))
     if problems.count == before:
-        crowd = bool(entry.get("iscrowd", 0))
-        rows.add(place, crowd or bool(entry.get("ignore", 0)), crowd, identity, visible_fraction, depth_m)
+        rows.add(place, crowd or ignored, crowd, identity, visible_fraction, depth_m)
 
 
 def _result(

@@ -14,7 +14,7 @@ from modsim3d.inputs.validation import shown
 NOT_GIVEN = -1
 """What stands for a confidence that is not given, as MOT has it."""
 Scale = tuple[float, float]
-_PERCENT = 100
+_PERCENT, _MANY = 100, 8
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class Confidences:
         high: What becomes 1.
         given: Whether the file gives confidences.
         example: Place and value of one that is given; of use where others are not.
+        ones: Their number if all are 1, and many; else 0.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Confidences:
     high: float
     given: bool
     example: str
+    ones: int = 0
 
     @classmethod
     def of(
@@ -52,13 +54,18 @@ class Confidences:
         if known and not all(low <= value <= high for _, value in known):
             found = [value for _, value in rows]
             problems.hint = problems.hint or _hint(min(found), max(found), name)
+            if all(value == int(value) for value in found):
+                problems.hint = f"whole numbers may be tracks or classes, not {name}s; if not so, {problems.hint}"
         inside = next((f"{where} has {value:g}" for where, value in known if low <= value <= high), "")
         whole = all(low <= value <= high for _, value in known)
-        return cls(name, low, high, bool(known) or not rows, inside if whole else "")
+        ones = len(known) if all(value == 1 for _, value in known) and len(known) >= _MANY and scale is None else 0
+        return cls(name, low, high, bool(known) or not rows, inside if whole else "", ones)
 
     @property
     def notes(self) -> list[str]:
-        """A remark if they are scaled."""
+        """A remark if they are scaled, or may be something else."""
+        if self.ones:
+            return [f"all {self.ones:,} {self.name}s are 1: if that is the number of a track, {self.name}s are missing"]
         if (self.low, self.high) == (0, 1):
             return []
         return [f"{self.name}s from {self.low:g} to {self.high:g} were mapped onto 0 to 1 (--confidence-scale)"]

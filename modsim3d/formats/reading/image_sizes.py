@@ -9,6 +9,7 @@ from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import MOST_PX
 from modsim3d.inputs.budgets import MAX_IMAGE_BYTES
 from modsim3d.inputs.opening import note_input
+from modsim3d.inputs.text_files import composed
 from modsim3d.inputs.validation import shown
 
 ENDINGS = frozenset((".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"))
@@ -27,9 +28,9 @@ def images_in(folder: Path) -> dict[str, Path]:
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in ENDINGS:
             continue
-        if path.stem in found:
-            raise InputError(f"folder {folder}", [f"{path.name} and {found[path.stem].name} have the same labels"])
-        found[path.stem] = path
+        if (stem := composed(path.stem)) in found:
+            raise InputError(f"folder {folder}", [f"{path.name} and {found[stem].name} have the same labels"])
+        found[stem] = path
     return found
 
 

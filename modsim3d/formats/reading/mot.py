@@ -5,13 +5,16 @@ frame, −1, x, y, width, height, confidence, and a class if the eighth number i
 is only one label. A confidence of −1 in every line means that none is given. Frames and pixels count from 1: a box that
 begins at the left edge of the image has x = 1 (Milan et al. (2016), "MOT16", data format). A `seqinfo.ini` beside or
 above the truth gives the size of the images, their number and the frame rate.
+
+Lines of ten numbers may have others in the last three: places in the world (MOT15), or class, truncation and occlusion
+(VisDrone). These are recognised and not read as class or visibility.
 """
 
 from __future__ import annotations
 
 import configparser
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +34,7 @@ from modsim3d.formats.reading.builder import (
     ResultRows,
     is_number,
     labelled_set,
+    read_flag,
     valid_box,
 )
 from modsim3d.formats.reading.confidences import Confidences
@@ -42,6 +46,9 @@ from modsim3d.inputs.validation import shown
 _MOST_CLASSES = 10_000
 """A larger number is no class but something else."""
 _TINY = 1e-6
+_UNKNOWN = -1
+_MANY_EMPTY = 2
+"""A sequence that is so many times longer than what has boxes may not be annotated to its end."""
 _RANGES = {
     "imWidth": (_TINY, MOST_PX),
     "imHeight": (_TINY, MOST_PX),
@@ -70,7 +77,8 @@ class _Known:
     most_frames: int
 
 
-Lines = list[tuple[str, list[float]]]
+Line = tuple[str, list[float]]
+Lines = list[Line]
 """Where each line is, and its numbers."""
 
 
@@ -84,14 +92,19 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
         InputError: The files are wrong; each problem names its line.
     """
     labels, problems = options.labels, Problems(f"ground truth {truth}", options.skip_bad)
-    annotated = list(number_lines(truth, "ground truth", ",", 6, problems))
-    wrong = Problems(f"detections {detections}", options.skip_bad)
-    detected = [] if detections is None else list(number_lines(detections, "detections", ",", 7, wrong))
+    annotated, said = plain_lines(number_lines(truth, "ground truth", ",", 6, problems), truth.name, problems)
+    wrong, detected = Problems(f"detections {detections}", options.skip_bad), list[Line]()
+    if detections is not None:
+        lines = number_lines(detections, "detections", ",", 7, wrong)
+        detected, found = plain_lines(lines, detections.name, wrong)
+        said += found
     info = sequence_info(truth, options.image_size_px, problems.source)
     names = _all_class_names(annotated, labels) if detections is None else _class_names(annotated, detected, labels)
     spanned = max(info.frames, FREE_FRAMES + FRAMES_A_ROW * (len(annotated) + len(detected)))
-    to_label, classed = {number: k for k, number in enumerate(names)}, "detections" if detected else "other lines"
-    known = _Known(to_label, classed, min(spanned, MAX_FRAMES))
+    own = {name: number for number, name in reversed(names.items())}  # several numbers may have one name
+    order = list(dict.fromkeys(names.values()))
+    to_label = {number: order.index(name) for number, name in names.items()}
+    known = _Known(to_label, "detections" if detected else "other lines", min(spanned, MAX_FRAMES))
     annotations = _annotations(annotated, known, problems)
     confidences = Confidences.of(((where, numbers[6]) for where, numbers in detected), options.confidence_scale, wrong)
     results = _results(detected, known, confidences, wrong)
@@ -100,13 +113,53 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     if rate_hz is None:
         notes.append(f"{condition}: the frame rate is not known, so frames have no times: give --frame-rate")
     images = ImageRows()
-    for frame in range(max([info.frames, *(place.image + 1 for place in annotations.places + results.places)])):
+    last = max((place.image + 1 for place in annotations.places + results.places), default=0)
+    if 0 < info.frames < last or info.frames > _MANY_EMPTY * last > 0:
+        notes.append(f"seqinfo.ini says {info.frames:,} frames (seqLength), and the last with a box is {last:,}")
+    for frame in range(max(info.frames, last)):
         time_s = math.nan if rate_hz is None else frame / rate_hz
         images.add(f"{condition} frame {frame + 1}", info.size_px, time_s=time_s)
+    notes += [*said, *_said_of_columns(annotated, names, truth.name, detections is not None)]
+    if options.image_size_px and options.image_size_px != info.size_px:
+        notes.append("--image-size is not used: seqinfo.ini says {:g} x {:g}".format(*info.size_px))
     only = (labels[0] if labels else "object",)
     frames = tuple(range(1, len(images.names) + 1))
-    ids = FileIds(frames, tuple(names) or (0,), (info.name,), annotations.identities)
-    return labelled_set(condition, tuple(names.values()) or only, images, annotations, results, notes, ids)
+    ids = FileIds(frames, tuple(own[name] for name in order) or (0,), (info.name,), annotations.identities)
+    return labelled_set(condition, tuple(order) or only, images, annotations, results, notes, ids)
+
+
+def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[Lines, list[str]]:
+    """Lines whose eighth number, if any, is a class and whose ninth is a visibility; and remarks on those that are not.
+
+    Classes that are no whole numbers are problems, unless most are none in lines of ten: these are not read.
+    """
+    lines = list(lines)
+    classed = [(where, numbers) for where, numbers in lines if len(numbers) > 7]
+    broken = [(where, numbers) for where, numbers in classed if numbers[7] != int(numbers[7])]
+    wide = len(classed) > 0 and all(len(numbers) > 9 for _, numbers in classed)
+    if wide and 2 * len(broken) > len(classed):
+        where, got = broken[0][0], ", ".join(f"{number:g}" for number in broken[0][1][7:10])
+        problems.hint = f"{file}: columns eight to ten are places in the world, as in MOT15 ({where}: {got})"
+        said = [f"{problems.hint}: neither class nor visibility is read"]
+        return [(where, numbers[:7]) for where, numbers in lines], said
+    for where, numbers in broken:
+        problems.add(f"{where}: class must be a whole number (got {numbers[7]:g})")
+    lines = [(where, numbers) for where, numbers in lines if len(numbers) < 8 or numbers[7] == int(numbers[7])]
+    if wide and all(numbers[8] in (0, 1) and numbers[9] in (0, 1, 2) for _, numbers in classed):
+        zeros = sum(numbers[8] == 0 for _, numbers in classed)
+        told = f"{file}: columns nine and ten are truncation and occlusion, as in VisDrone, and not read as visibility"
+        said = [f"{told} (the ninth is 0 in {zeros:,} of {len(classed):,} lines)"]
+        return [(where, numbers[:8]) for where, numbers in lines], said
+    return lines, []
+
+
+def _said_of_columns(annotated: Lines, names: Mapping[int, str], file: str, paired: bool) -> Iterator[str]:
+    """What is made of the eighth and ninth column of the truth, if there are any."""
+    most = max((len(numbers) for _, numbers in annotated), default=0)
+    classes = ", ".join(f"{number} is {shown(name)}" for number, name in list(names.items())[:8])
+    used = f"where {classes}" if names else "not used" + ", because no detection has a class" * paired
+    if most > 7:
+        yield f"{file}: the eighth column is the class, {used}{'; the ninth is the visibility' * (most > 8)}"
 
 
 def _class_of(numbers: list[float]) -> int:
@@ -135,8 +188,9 @@ def _named(classes: Iterable[int], labels: tuple[str, ...]) -> dict[int, str]:
 def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationRows:
     rows = AnnotationRows(_corners)
     for where, numbers in lines:
-        if not is_number(numbers[1]):
-            problems.add(f"{where}: identity must be at most {MOST_NUMBER:g} (got {numbers[1]:g})")
+        if not is_number(numbers[1]) or numbers[1] != int(numbers[1]):
+            wanted = "a whole number" if is_number(numbers[1]) else f"at most {MOST_NUMBER:g}"
+            problems.add(f"{where}: identity must be {wanted} (got {numbers[1]:g})")
             continue
         identity = int(numbers[1]) if numbers[1] >= 0 else None
         if rows.has(int(numbers[0]) - 1, identity):
@@ -144,9 +198,16 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
             continue
         place = _place(where, numbers, problems, known)
         if place is not None:
-            visible = numbers[8] if len(numbers) > 8 and 0 <= numbers[8] <= 1 else math.nan
-            ignored = len(numbers) > 6 and numbers[6] == 0
-            rows.add(place, ignored=ignored, identity=identity, visible_fraction=visible)
+            before = problems.count
+            visible, flag = (numbers[k] if len(numbers) > k and numbers[k] != _UNKNOWN else None for k in (8, 6))
+            if visible is not None and not 0 <= visible <= 1 + _TINY:
+                problems.add(f"{where}: visibility must be from 0 to 1, or -1 if it is not known (got {visible:g})")
+                problems.hint = "a visibility in per cent must be divided by 100; another ninth column must be left out"
+            considered = flag is None or read_flag(flag, "the seventh number, the flag,", where, problems)
+            if problems.count > before and identity is None:
+                problems.hint = "this may be a file of detections, whose boxes have no track"
+            if problems.count == before:
+                rows.add(place, not considered, False, identity, math.nan if visible is None else visible)
     return rows
 
 
@@ -173,10 +234,13 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
         if known.most_frames < frame:
             spanned = f"so few lines may span {known.most_frames:,} frames"
             problems.hint = f"{spanned}, and up to {MAX_FRAMES:,} where seqLength in a seqinfo.ini says so"
+        elif frame == 0:
+            problems.hint = problems.hint or "frames count from 1, and in this file perhaps from 0"
     elif number > _MOST_CLASSES:
         problems.add(f"{where}: class must be at most {_MOST_CLASSES} (got {numbers[7]:g})")
     elif to_label and number not in to_label:
-        problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {number})")
+        got = f"{numbers[7]:g}" if len(numbers) > 7 else "none"
+        problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {got})")
     elif valid_box(numbers[2:6], where, problems):
         return Place(int(frame) - 1, to_label[number] if to_label else 0, numbers[2:6])
     return None

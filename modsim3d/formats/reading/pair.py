@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from modsim3d.boxes import centre_form, sizes
+from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
 from modsim3d.formats.horizon import with_horizon
-from modsim3d.formats.labelled import NOBODY, LabelledSet
+from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
 from modsim3d.formats.reading.builder import NO_OPTIONS, ReadOptions
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.reading.mot import read_mot
 from modsim3d.formats.reading.yolo import read_yolo
+from modsim3d.inputs.validation import shown
 from modsim3d.paths import StrPath, as_path
-from modsim3d.tracks.files.box_forms import CENTRE, MOT, TOP_LEFT
-from modsim3d.tracks.files.diagnosis import BoxRows, KnownBoxes, misreading
+from modsim3d.tracks.files.box_forms import CENTRE, MOT, TOP_LEFT, BoxForm
+from modsim3d.tracks.files.diagnosis import BoxRows, KnownBoxes, implausible, misreading
+
+_FORMS = {"COCO": TOP_LEFT, "MOT": MOT, "YOLO": CENTRE}
+_UNUSED = {
+    "COCO": {"--labels": "labels", "--image-size": "image_size_px"},
+    "MOT": {"--category-offset": "category_offset"},
+    "YOLO": {"--category-offset": "category_offset", "--frame-rate": "frame_rate_hz"},
+}
 
 
 def read_pair(condition: str, truth: StrPath, detections: StrPath, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
@@ -36,32 +45,82 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
             f"condition {condition}", [f"{truth} looks like {kinds[0]} and {detections} like {kinds[1]}: give one kind"]
         )
     read = {"COCO": read_coco, "MOT": read_mot, "YOLO": read_yolo}[kinds[0]]
-    labelled = read(condition, truth, detections, options)
-    if problem := misreading(*_compared(labelled, kinds[0])):
+    labelled = _plausible(read(condition, truth, detections, options), _FORMS[kinds[0]], truth, detections)
+    found, annotated = _compared(labelled, _FORMS[kinds[0]])
+    problem, source = misreading(*found), f"detections {detections}"
+    if problem is None:
+        problem, source = misreading(*annotated, only_forms=True), f"ground truth {truth}"
+    if problem:
         if not problem.slight:
-            raise InputError(f"detections {detections}", [problem.told])
+            raise InputError(source, [problem.told])
         note = f"{condition}: {problem.told}, or the detector has such a bias, which is learned"
         labelled = replace(labelled, notes=(*labelled.notes, note))
+    given = (option for option, name in _UNUSED[kinds[0]].items() if getattr(options, name))
+    unused = [f"{option} is not used: {kinds[0]} does not need it" for option in given]
+    labelled = replace(labelled, notes=(*labelled.notes, *unused, *_left_out(labelled, condition)))
     return with_horizon(labelled, options.horizon)
 
 
-def _compared(labelled: LabelledSet, kind: str) -> tuple[BoxRows, KnownBoxes]:
-    """The most confident detections, as many as there are annotations, in the form of their file; and the annotations.
+def _plausible(labelled: LabelledSet, form: BoxForm, truth: Path, detections: Path | None = None) -> LabelledSet:
+    """The set with remarks on boxes that are odd in their images, and on those that are hidden.
 
-    The size of images that do not say it is taken to be as far as annotations reach.
+    Raises:
+        InputError: Boxes are in another form, or of other images.
+    """
+    rows, notes = labelled.annotations, list(labelled.notes)
+    for source, part in ((f"ground truth {truth}", rows), (f"detections {detections}", labelled.results)):
+        if problem := implausible(_box_rows(labelled.images, part.image, part.boxes_px, form)):
+            if not problem.slight:
+                raise InputError(source, [problem.told])
+            notes.append(f"{source}: {problem.told}")
+    if hidden := int(((rows.visible_fraction == 0) & ~rows.ignored).sum()):
+        told = f"the visibility of {hidden:,} of {len(rows):,} boxes is 0: they count as fully hidden"
+        notes.append(f"ground truth {truth}: {told}; some programs write 0 where it is not known")
+    return replace(labelled, notes=tuple(notes))
+
+
+def _left_out(labelled: LabelledSet, condition: str) -> Iterator[str]:
+    """Which annotations are not to be detected, or cannot be."""
+    rows = labelled.annotations
+    edges_px, boxes_px = labelled.images.sizes_px[rows.image], rows.boxes_px
+    outside = ((boxes_px[:, :2] >= edges_px) | (boxes_px[:, 2:] <= 0)).any(axis=1) & ~rows.ignored
+    reasons = {
+        "are crowds (iscrowd) and left out": rows.crowd,
+        "are left out (ignore in COCO, flag 0 in MOT)": rows.ignored & ~rows.crowd,
+        "lie outside their image, and count as missed": outside,
+    }
+    for why, chosen in reasons.items():
+        if chosen.any():
+            left = np.bincount(rows.label[~rows.ignored], minlength=len(labelled.labels))
+            all_of = [labelled.labels[k] for k in np.unique(rows.label[chosen]).tolist() if not left[k]]
+            also = f", among them all of {', '.join(map(shown, all_of))}" if all_of else ""
+            yield f"{condition}: {chosen.sum():,} of {len(rows):,} annotations {why}{also}"
+
+
+def _compared(labelled: LabelledSet, form: BoxForm) -> Iterator[tuple[BoxRows, KnownBoxes]]:
+    """The most confident detections, as many as there are annotations, in the form of their file, with annotations.
+
+    Then the annotations that are nearest to these, with them. The size of images that do not say it is taken to be as
+    far as annotations reach.
     """
     images, results, sought = labelled.images, labelled.results, ~labelled.annotations.ignored
-    annotated_px = labelled.annotations.boxes_px[sought]
+    image, annotated_px = labelled.annotations.image[sought], labelled.annotations.boxes_px[sought]
     rows = np.sort(np.argsort(-results.confidence, kind="stable")[: len(annotated_px)])
-    image, boxes_px, last = results.image[rows], results.boxes_px[rows], len(images) - 1
-    form = {"COCO": TOP_LEFT, "MOT": MOT, "YOLO": CENTRE}[kind]
-    numbers = centre_form(boxes_px) if form is CENTRE else np.hstack([boxes_px[:, :2] + form.first_px, sizes(boxes_px)])
+    image_found, found_px = results.image[rows], results.boxes_px[rows]
     reach_px = annotated_px[:, 2:].max(axis=0, initial=1.0)
-    image_px = np.where(np.isnan(images.sizes_px), reach_px, images.sizes_px)[image]
-    beside = (np.clip(image + step, 0, last) for step in (-1, 1))
+    sized = replace(images, sizes_px=np.where(np.isnan(images.sizes_px), reach_px, images.sizes_px))
+    known, found = KnownBoxes("an annotation", image, annotated_px), _box_rows(sized, image_found, found_px, form)
+    yield found, known
+    some = found.spread()
+    near = np.unique(known.nearest(some.frame, form.boxes_px(some.numbers))[1])
+    yield _box_rows(sized, image[near], annotated_px[near], form), KnownBoxes("a detection", image_found, found_px)
+
+
+def _box_rows(images: Images, image: Indices, boxes_px: Array, form: BoxForm) -> BoxRows:
+    """Boxes in the form of their file, with the images before and after theirs."""
+    beside = (np.clip(image + step, 0, len(images) - 1) for step in (-1, 1))
     near = (np.where((to != image) & (images.sequence[to] == images.sequence[image]), to, NOBODY) for to in beside)
-    known = KnownBoxes("an annotation", labelled.annotations.image[sought], annotated_px)
-    return BoxRows(numbers, form, image_px, image, *near), known
+    return BoxRows(form.numbers_of(boxes_px), form, images.sizes_px[image], image, *near)
 
 
 def read_truth(truth: StrPath, options: ReadOptions = NO_OPTIONS) -> tuple[LabelledSet, str]:
@@ -76,7 +135,8 @@ def read_truth(truth: StrPath, options: ReadOptions = NO_OPTIONS) -> tuple[Label
     kind = _kind(path)
     if kind == "YOLO":
         raise InputError(f"truth {path}", ["is a folder: a file with tracks is needed, MOT gt.txt or COCO JSON"])
-    return {"COCO": read_coco, "MOT": read_mot}[kind](path.stem, path, None, options), kind
+    labelled = {"COCO": read_coco, "MOT": read_mot}[kind](path.stem, path, None, options)
+    return _plausible(labelled, _FORMS[kind], path), kind
 
 
 def _kind(path: Path) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems
 from modsim3d.inputs.budgets import MAX_LINE_CHARACTERS
+from modsim3d.inputs.misreadings import LOST, has_lost_digits
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
 
@@ -31,7 +32,7 @@ def number_lines(
     Raises:
         InputError: The file cannot be read, or its first lines hold no number at all.
     """
-    lines = read_text(path, what).removeprefix("\ufeff").splitlines()
+    lines = read_text(path, what).splitlines()
     begin = list(islice(filter(str.strip, lines), _LOOKED_AT_LINES))
     if begin and not any(map(_is_number, _cells(begin, separator))):
         form = "white space" if separator is None else f"'{separator}'"
@@ -46,12 +47,15 @@ def number_lines(
             problems.add(f"{where}: has {len(line):,} characters, must have at most {MAX_LINE_CHARACTERS:,}")
             continue
         try:
-            numbers = [float(part) for part in line.strip().removesuffix(separator or "").split(separator)]
+            cells = line.strip().removesuffix(separator or "").split(separator)
+            numbers = [float(part) for part in cells]
         except ValueError:
             problems.add(f"{where}: must be numbers (got {shown(line)})")
             continue
         if len(numbers) < least:
             problems.add(f"{where}: has {len(numbers)} numbers, must have at least {least} (got {shown(line)})")
+        elif separator and has_lost_digits(cells[1]):  # of MOT, whose second number is an identity
+            problems.add(f"{where}: identity {LOST} (got {shown(cells[1])})")
         elif not all(map(math.isfinite, numbers)):
             problems.add(f"{where}: must be finite (got {shown(line)})")
         else:

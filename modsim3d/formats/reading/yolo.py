@@ -1,9 +1,9 @@
 """YOLO text folders: a file for each image, a line for each box: class, x, y, width, height in shares of the image.
 
-Lines of detections end with the confidence. The images lie in the folder `images` beside `labels`, as in
-`set/images/val` and `set/labels/val`, or beside their labels; their files give their sizes. Without such files, every
-file in either folder stands for an image, and `images.txt` beside the labels, a name on each line, adds others. An
-image without a file of labels, or with an empty one, has nothing in it.
+Lines of detections end with the confidence, and perhaps the number of a track. The images lie in the folder `images`
+beside `labels`, as in `set/images/val` and `set/labels/val`, or beside their labels; their files give their sizes.
+Without such files, every file in either folder stands for an image, and `images.txt` beside the labels, a name on each
+line, adds others. An image without a file of labels, or with an empty one, has nothing in it.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from modsim3d.boxes import corner_form
 from modsim3d.errors import InputError
@@ -31,14 +32,14 @@ from modsim3d.formats.reading.confidences import Confidences, Scale
 from modsim3d.formats.reading.image_sizes import image_size_px, images_in
 from modsim3d.formats.reading.text_lines import number_lines
 from modsim3d.inputs.strict_yaml import load_yaml
-from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.text_files import composed, read_text
 from modsim3d.inputs.validation import shown
 
 
 def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
     """Read one condition from the folders of labels and predictions, or those that have them as `labels`.
 
-    Names of the classes that are not given come from `classes.txt` or `data.yaml`, sizes from the images.
+    Names of the classes that are not given come from a file of `_LISTS` or `_TABLES`, sizes from the images.
 
     Raises:
         InputError: The files are wrong; each problem names its file and line.
@@ -51,7 +52,8 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
             ["YOLO's files do not say how large the images are, which are not beside them: give --image-size"],
         )
     names = options.labels or _names(truth, folder)
-    stems = files or {path.stem for path in (*_files(folder), *_files(predicted))} | _listed(folder) | _listed(truth)
+    own = {composed(path.stem) for path in (*_files(folder), *_files(predicted))}
+    stems = files or own | _listed(folder) | _listed(truth)
     images = ImageRows()
     for stem in sorted(stems):
         images.add(stem, options.image_size_px or image_size_px(files[stem]))
@@ -63,6 +65,8 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
     found = {place.label for place in annotations.places + results.places}
     numbers = sorted({*range(len(names)), *found})
     whole = [names[number] if number < len(names) else f"class_{number}" for number in numbers]
+    if nameless := [name for number, name in zip(numbers, whole, strict=True) if number >= len(names)]:
+        notes.append(f"{shown(truth)}: no name is known of {', '.join(nameless[:8])}: give --labels or {_LISTS[0]}")
     to_label = {number: label for label, number in enumerate(numbers)}
     for rows in (annotations, results):
         rows.places = [replace(place, label=to_label[place.label]) for place in rows.places]
@@ -84,10 +88,10 @@ def _results(
 ) -> tuple[ResultRows, list[str]]:
     """The results, and remarks on their confidences."""
     rows, lines = ResultRows(corner_form), list(_lines(paths, images, "predictions", problems))
-    given = ((where, numbers[5]) for _, where, numbers in lines if len(numbers) == 6)
+    given = ((where, numbers[5]) for _, where, numbers in lines if len(numbers) in (6, 7))
     confidences = Confidences.of(given, scale, problems)
     for image, where, numbers in lines:
-        if len(numbers) != 6:
+        if len(numbers) not in (6, 7) or numbers[6:] != [int(number) for number in numbers[6:]]:
             problems.add(f"{where}: has {len(numbers)} numbers, must have 6: class, x, y, width, height, confidence")
             problems.hint = "predictions must come with their confidence (ultralytics: save_txt=True save_conf=True)"
         elif (confidence := confidences.read(numbers[5], where, problems)) is not None and (
@@ -103,11 +107,11 @@ def _lines(
     """Row of the image, place in the file and numbers of each line of each file that belongs to an image."""
     row_of = {stem: row for row, stem in enumerate(images.names)}
     for path in paths:
-        if path.stem not in row_of:
+        if composed(path.stem) not in row_of:
             problems.add(f"{path.name}: there is no image of this name")
             continue
         for where, numbers in number_lines(path, what, None, 5, problems):
-            yield row_of[path.stem], where, numbers
+            yield row_of[composed(path.stem)], where, numbers
 
 
 def _place(where: str, numbers: list[float], image: int, size_px: Sequence[float], problems: Problems) -> Place | None:
@@ -127,6 +131,9 @@ def _place(where: str, numbers: list[float], image: int, size_px: Sequence[float
 
 _MOST_CLASSES = 10_000
 """A larger number is no class but something else."""
+_LISTS, _TABLES = ("classes.txt", "obj.names"), ("data.yaml", "dataset.yaml")
+"""Files that name the classes, beside the labels or above: a name on each line, or all in one; `names` of YAML."""
+_LABELS = ("labels", "obj_train_data")
 _NOT_LABELS = ("classes.txt", "images.txt")
 _LOOKED_AT_FILES = 10_000
 """Below a folder without labels, for a hint: it may be the root of a disk."""
@@ -140,7 +147,7 @@ def _folder(path: Path, needed: bool = False) -> Path:
     """
     if not path.is_dir():
         raise InputError(f"folder {path}", ["no such folder"])
-    folder = path / "labels" if (path / "labels").is_dir() else path
+    folder = next((path / name for name in _LABELS if (path / name).is_dir()), path)
     if not _files(folder):
         entries = islice(folder.rglob("*"), _LOOKED_AT_FILES)
         below = sorted({str(file.parent) for file in entries if file.suffix == ".txt" and file.parent != folder})
@@ -167,28 +174,43 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _listed(folder: Path) -> set[str]:
-    path = folder / "images.txt"
+    """Names of the images that a file beside the labels lists; CVAT's is called otherwise."""
+    path = folder / ("train.txt" if (folder / "obj.data").is_file() else "images.txt")
     if not path.is_file():
         return set()
     return {Path(line.strip()).stem for line in read_text(path, "images").splitlines() if line.strip()}
 
 
 def _names(truth: Path, folder: Path) -> tuple[str, ...]:
-    """Names of the classes from a file beside the labels, or from `data.yaml` up to three folders above."""
-    for listed in (truth / "classes.txt", folder / "classes.txt"):
-        if listed.is_file():
-            return tuple(line.strip() for line in read_text(listed, "classes").splitlines() if line.strip())
+    """Names of the classes from the first such file that is there, of YAML also from up to three folders above."""
+    for path in (parent / name for parent in (truth, folder, folder.resolve().parent) for name in _LISTS):
+        if path.is_file():
+            return _listed_names(path)
     above = folder.resolve().parents[:3]
-    for path in (truth / "data.yaml", folder / "data.yaml", *(parent / "data.yaml" for parent in above)):
+    for path in (parent / name for parent in (truth, folder, *above) for name in _TABLES):
         if path.is_file():
             content = load_yaml(path, "data")
-            names = content.get("names") if isinstance(content, dict) else None
-            if isinstance(names, dict):
-                if any(type(key) is not int or not 0 <= key < _MOST_CLASSES for key in names):
-                    raise InputError(f"data {path}", [f"names: must be numbered 0, 1, ... (got {shown(list(names))})"])
-                names = [names.get(number, f"class_{number}") for number in range(max(names, default=-1) + 1)]
-            if isinstance(names, list):
-                if wrong := [name for name in names if isinstance(name, dict | list)]:
-                    raise InputError(f"data {path}", [f"names: must be a list of names (got {shown(wrong[0])})"])
-                return tuple(str(name) for name in names)
+            if isinstance(content, dict) and (names := content.get("names")) is not None:
+                return _tabled_names(path, names)
     return ()
+
+
+def _listed_names(path: Path) -> tuple[str, ...]:
+    """Names of a text: one a line, or all in its only line with commas between them."""
+    lines = [line.strip() for line in read_text(path, "classes").strip().splitlines()]
+    if len(lines) == 1 and "," in lines[0]:
+        lines = [name.strip(" '\"") for name in lines[0].strip("[]").rstrip(",").split(",")]
+    if "" in lines:
+        raise InputError(f"classes {path}", [f"the class {lines.index('')}, counted from 0, has no name"])
+    return tuple(lines)
+
+
+def _tabled_names(path: Path, names: Any) -> tuple[str, ...]:
+    if isinstance(names, dict):
+        if any(type(key) is not int or not 0 <= key < _MOST_CLASSES for key in names):
+            raise InputError(f"data {path}", [f"names: must be numbered 0, 1, ... (got {shown(list(names))})"])
+        names = [names.get(number, f"class_{number}") for number in range(max(names, default=-1) + 1)]
+    wrong = [name for name in names if isinstance(name, dict | list)] if isinstance(names, list) else [names]
+    if wrong:
+        raise InputError(f"data {path}", [f"names: must be a list of names (got {shown(wrong[0])})"])
+    return tuple(str(name) for name in names)

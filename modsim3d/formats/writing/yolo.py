@@ -7,7 +7,6 @@ empty picture of its size.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import pairwise
@@ -20,6 +19,7 @@ from PIL import Image
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
 from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.outputs.pictures import encoded
 from modsim3d.outputs.placing import make_folder, put_folder_in_place, write_files
 from modsim3d.runs.camera_sequences import CameraSequence
 
@@ -49,10 +49,8 @@ def write(request: ExportRequest, folder: Path) -> None:
 
 
 def _pictures(sequence: CameraSequence) -> Iterator[bytes]:
-    picture = io.BytesIO()
-    Image.new("1", sequence.size_px).save(picture, "PNG", optimize=True)
-    for _ in sequence.steps:
-        yield picture.getvalue()
+    picture = encoded(Image.new("1", sequence.size_px), optimize=True)
+    yield from [picture] * len(sequence.steps)
 
 
 def _labels(sequence: CameraSequence) -> Iterator[bytes]:

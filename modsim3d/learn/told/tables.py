@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
+from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, stationary_shares
 from modsim3d.learn.box_errors import error_usage
 from modsim3d.learn.box_errors.error_moments import CELLS, ErrorMoments
 from modsim3d.learn.figures.figures import AveragePrecisions, Figures, Rates
@@ -59,7 +59,7 @@ def tables(report: Report, every: bool = False) -> list[Table]:
     found += [_labels(report, figures) for figures in detailed if several]
     found += [_label_errors(report, figures) for figures in detailed if several and every]
     found += [_confusion(report, figures) for figures in detailed]
-    found += [*_shares(report), _parameters(report)]
+    found += [*_shares(report), _parameters(report), *_long_run(report)]
     found += [] if report.bias is None else [_bias(report.bias)]
     return [*found, _models()]
 
@@ -203,6 +203,16 @@ def _parameters(report: Report) -> Table:
             value, low, high = (float(np.asarray(ends)[place]) for ends in (each.estimate, each.low, each.high))
             rows.append((each.key.at(place), *_number(value, low, high)))
     return Table("Numbers of the detector file", ("number", "learned", f"{report.level:.0%} interval"), tuple(rows))
+
+
+def _long_run(report: Report) -> list[Table]:
+    """The table of the chain's stationary shares; none without a chain."""
+    transitions, states = report.learned.transitions, report.learned.observed.states
+    if not transitions.observed or len(states) == 1:
+        return []
+    shares = stationary_shares(transitions.matrix)  # every state follows every other, so there are such
+    rows = tuple((state, f"{share:.1%}") for state, share in zip(states, shares, strict=True))
+    return [Table("States in the long run, by the learned transition matrix", ("state", "share of time"), rows)]
 
 
 def _number(value: float, low: float, high: float) -> tuple[str, str]:

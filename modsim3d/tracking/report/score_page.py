@@ -177,10 +177,10 @@ def _text(row: Bin, key: str) -> str:
 
 
 def _bar(share: float | None, text: str) -> str:
-    """A share as text with a bar behind it."""
-    width = 100 * min(max(share or 0.0, 0.0), 1.0)
+    """A share as text with a bar behind it, of one width for a share in all columns, so that bars can be compared."""
+    width = f"{3.5 * min(max(share or 0.0, 0.0), 1.0):.3g}rem"
     shade = f"color-mix(in srgb, {charts.COLOURS[0]} 35%, transparent)"
-    fill = f"linear-gradient(to right, {shade} {width:.0f}%, transparent {width:.0f}%)"
+    fill = f"linear-gradient(to right, {shade} {width}, transparent {width})"
     return f'<td class="number" style="background: {fill}; min-width: 3.5rem; {CLOSE}">{text}</td>'
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from modsim3d.arrays import Array
-from modsim3d.boxes import corner_form, from_top_left
+from modsim3d.boxes import centre_form, corner_form, from_top_left, sizes
 from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM
 
 
@@ -30,6 +32,14 @@ class BoxForm:
         """Boxes as x_min, y_min, x_max, y_max with pixels from 0, of those of a file, shapes (k, 4)."""
         boxes: Array = self.to_corners(numbers) - self.first_px
         return boxes
+
+    def numbers_of(self, boxes_px: Array) -> Array:
+        """The four numbers that a file has of boxes, shapes (k, 4)."""
+        if self.to_corners is corner_form:
+            return centre_form(boxes_px)
+        if self.to_corners is from_top_left:
+            return np.hstack([boxes_px[:, :2] + self.first_px, sizes(boxes_px)])
+        return boxes_px
 
 
 CORNERS = BoxForm("the corners x_min, y_min, x_max, y_max", BOX_SIDES, 0, lambda numbers: numbers)

@@ -9,6 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
+from modsim3d.inputs.misreadings import no_commas, other_unit
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.runs.files.columns import NOBODY
@@ -30,7 +31,7 @@ def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
         InputError: The file cannot be read, a column is wrong, or a line has something that the run has not.
     """
     source = source_of(path)
-    text = read_text(path, "tracks").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    text = read_text(path, "tracks")
     head, _, body = text.partition("\n")
     names = [name.strip().strip('"') for name in head.split(",")]
     form = _form(names, rows, source)
@@ -38,7 +39,7 @@ def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
     many, cameras = len(table), [camera.name for camera in rows.scene.cameras]
     camera = table.names("camera", cameras) if table.has("camera") else np.zeros(many, dtype=np.int64)
     frame = _frames(table, rows, camera)
-    track = table.whole_numbers("track", 0)
+    track = table.identities("track", 0)
     numbers = np.column_stack([table.numbers(name) for name in form.names])
     labels = rows.scene.detector.labels
     label = table.names("label", labels, needed=False) if table.has("label") else np.full(many, NOBODY)
@@ -57,8 +58,9 @@ def _form(names: Sequence[str], rows: RunRows, source: str) -> BoxForm:
     """
     if not any(name in _COLUMNS for name in names):
         needed = f"camera,step,track,{','.join(CORNERS.names)}"
-        got = shown(",".join(names))
-        raise InputError(source, [f"line 1 must name the columns, with commas between them: {needed} (got {got})"])
+        got = ",".join(names)
+        must = f"line 1 must name the columns, with commas between them: {needed}"
+        raise InputError(source, [f"{must} (got {shown(got)}){no_commas(got)}"])
     problems = [f"line 1: the column '{name}' is there twice" for name in dict.fromkeys(names) if names.count(name) > 1]
     problems += [f"line 1: unknown column '{name}' ({_hint(name)})" for name in names if name not in _COLUMNS]
     if "camera" not in names and len(rows.scene.cameras) > 1:
@@ -98,12 +100,13 @@ def _frames(table: TextTable, rows: RunRows, camera: Indices) -> Indices:
         steps, here = rows.frames[rows.frames % count == index] // count, camera == index
         if len(steps):
             step[here] = steps[_nearest(times_s[steps], time_s[here])]
+    unit = other_unit(time_s[~np.isnan(time_s)], float(times_s[-1]))
     off = (step == NOBODY) | (np.abs(time_s - times_s[step]) > TIME_TOLERANCE_S)
 
     def say(row: int) -> str:
         name = rows.scene.cameras[camera[row]].name
         near = "" if step[row] == NOBODY else f"; the nearest is {times_s[step[row]]:.9g}"
-        return f"camera '{name}' takes no frame at time_s {time_s[row]:.9g}{near} (seconds since the first step)"
+        return f"camera '{name}' takes no frame at time_s {time_s[row]:.9g}{near} (seconds since the first step){unit}"
 
     table.problems.refuse(off & ~np.isnan(time_s) & (camera != NOBODY), say)
     if table.has("step"):

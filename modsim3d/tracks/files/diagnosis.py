@@ -1,4 +1,4 @@
-"""Files of boxes that are wrong as a whole: read in another way they fit boxes that are known.
+"""Files of boxes that are wrong as a whole: read in another way they fit boxes that are known, or their images.
 
 Tracks are held against the detections of their run, detections against the annotations of their images.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, extents, ranges
+from modsim3d.arrays import Array, Indices, Mask, extents, ranges
 from modsim3d.boxes import sizes
 from modsim3d.tracks.files.box_forms import CENTRE, CORNERS, MOT, TOP_LEFT, BoxForm
 
@@ -34,7 +34,15 @@ _SIZES_PX = (
 _MOST_NORMALISED = 2.0
 _CLEARLY = 1.0
 """By how many standard deviations of a sign test boxes must be nearer to the truth too if a bias looks the same."""
-_LATE = "frames are one too high"
+_LATE, _EXCHANGED = "frames are one too high", "x and y of the boxes are exchanged"
+_BEYOND_PX, _MOST_BEYOND = 5.0, 0.1
+"""Boxes may reach beyond their image by so much, and so many of them by more, as those of boats that it cuts do."""
+_FITS_BETTER, _FOLLOWS = 0.2, 0.1
+"""Another reading is meant if it leaves at most this share of such boxes; and width and height are corners if at most
+this share of their variance is left when the upper left corner is subtracted."""
+_NEARLY_ALL = 0.98
+_SNUG_PX, _MANY_SNUG = 2.0, 0.5
+"""Boxes that an image has cut end so near to its edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +71,20 @@ class KnownBoxes:
         """The same with the sum of the squares of the edges' distances, in square pixels, shape (k,)."""
         return self._nearest(frame, boxes_px, lambda edges: np.square(edges).sum(axis=1))
 
-    def _nearest(self, frame: Indices, boxes_px: Array, measure: Callable[[Array], Array]) -> Array:
+    def nearest(self, frame: Indices, boxes_px: Array) -> tuple[Indices, Indices]:
+        """Row of each box that has a known one in its frame, and of the nearest one, shapes (k,)."""
+        row, other = self._pairs(frame)
+        order = np.lexsort((np.abs(boxes_px[row] - self.boxes_px[other]).max(axis=1), row))
+        rows, first = np.unique(row[order], return_index=True)
+        return rows, other[order][first]
+
+    def _pairs(self, frame: Indices) -> tuple[Indices, Indices]:
+        """Row of each box and of each known one of its frame."""
         first, many = extents(self.frame, frame)
-        row, other = np.repeat(np.arange(len(frame)), many), ranges(first, many)
+        return np.repeat(np.arange(len(frame)), many), ranges(first, many)
+
+    def _nearest(self, frame: Indices, boxes_px: Array, measure: Callable[[Array], Array]) -> Array:
+        row, other = self._pairs(frame)
         nearest = np.full(len(frame), np.inf)
         np.minimum.at(nearest, row, measure(boxes_px[row] - self.boxes_px[other]))
         return nearest
@@ -93,7 +112,7 @@ class BoxRows:
 
     def spread(self) -> BoxRows:
         """Some of the rows, spread over the file."""
-        chosen = np.unique(np.linspace(0, len(self.frame) - 1, _LOOKED_AT).astype(np.int64))
+        chosen = np.unique(np.linspace(0, len(self.frame) - 1, _LOOKED_AT).astype(np.int64))[: len(self.frame)]
         frames = (each[chosen] for each in (self.frame, self.frame_before, self.frame_after))
         return BoxRows(self.numbers[chosen], self.form, self.image_px[chosen], *frames)
 
@@ -123,7 +142,9 @@ class Misreading:
     slight: bool
 
 
-def misreading(rows: BoxRows, known: KnownBoxes, truth: KnownBoxes | None = None) -> Misreading | None:
+def misreading(
+    rows: BoxRows, known: KnownBoxes, truth: KnownBoxes | None = None, *, only_forms: bool = False
+) -> Misreading | None:
     """What is wrong with boxes that are far from known ones as they are, and near if they are read in another way.
 
     Args:
@@ -131,6 +152,7 @@ def misreading(rows: BoxRows, known: KnownBoxes, truth: KnownBoxes | None = None
         known: What they should lie near.
         truth: Of tracks, the true boxes. A tracker may correct a bias of its detections or lag behind them by a frame,
             so boxes that another reading moves by little are wrong only if one brings them nearer to these too.
+        only_forms: Whether nothing but the form of the boxes is in doubt.
     """
     if len(rows.frame) < _LEAST_ROWS:
         return None
@@ -138,7 +160,7 @@ def misreading(rows: BoxRows, known: KnownBoxes, truth: KnownBoxes | None = None
     diagonal_px = np.hypot(*rows.image_px.T)
     as_it_is = known.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / diagonal_px
     now, best, meant, agreed = _median(as_it_is), _FITS, None, False
-    for reading in _readings(rows):
+    for reading in (_form_readings if only_forms else _readings)(rows):
         if reading.told == _LATE and truth is not None:
             continue  # a tracker with a latency of one frame looks the same
         away = known.distances(reading.frame, reading.boxes_px) / diagonal_px
@@ -152,7 +174,57 @@ def misreading(rows: BoxRows, known: KnownBoxes, truth: KnownBoxes | None = None
     if meant is None or not agreed:
         return None
     fits = f"{best:.2%} of the image's diagonal from {known.word} instead of {now:.2%}"
-    return Misreading(f"{meant.told} (then half of them lie within {fits})", meant.factor == _CLOSE)
+    slight = meant.factor == _CLOSE
+    if meant.factor == _FRAME and truth is None:  # where boats move alike, a bias of all boxes looks the same
+        boxes_px = rows.form.boxes_px(rows.numbers)
+        row, nearest = known.nearest(rows.frame, boxes_px)
+        unbiased_px = boxes_px - np.median(boxes_px[row] - known.boxes_px[nearest], axis=0)
+        slight = _median(known.distances(rows.frame, unbiased_px) / diagonal_px) < _CLOSE * best
+    return Misreading(f"{meant.told} (then half of them lie within {fits})", slight)
+
+
+def implausible(rows: BoxRows) -> Misreading | None:
+    """What is wrong with boxes that their images cannot hold, whatever they should lie near."""
+    if not len(rows.frame):
+        return None
+    rows = rows.spread()
+    numbers, image_px, now_px = rows.numbers, rows.image_px, rows.form.boxes_px(rows.numbers)
+    if np.abs(numbers).max() <= _MOST_NORMALISED:
+        return Misreading(f"the boxes are shares of the image, must be in pixels: {rows.form.meaning}", False)
+    beyond = _beyond(now_px, image_px)
+    if len(numbers) < _LEAST_ROWS:
+        return None
+    if beyond.mean() <= _MOST_BEYOND:
+        x_min, y_min, x_max, y_max = numbers.T
+        ordered = np.mean((x_min < x_max) & (y_min < y_max)) >= _NEARLY_ALL
+        follows = np.var(x_max - x_min) < _FOLLOWS * np.var(x_max)
+        if _like(rows.form, TOP_LEFT) and ordered and follows:
+            told = f"the boxes are read as {rows.form.meaning}, but are {CORNERS.meaning}"
+            return Misreading(f"{told} (each third and fourth number is above the first and second)", False)
+        return None
+    size = " x ".join(f"{side:g}" for side in image_px[np.argmax(beyond)].tolist())
+    found = f"{beyond.mean():.0%} of them reach beyond their images by more than {_BEYOND_PX:g} px"
+    edges_px = np.hstack([np.zeros_like(image_px), image_px])
+    for reading in _form_readings(rows):
+        snug = np.abs(reading.boxes_px - edges_px)[beyond].min(axis=1) <= _SNUG_PX
+        moved = np.allclose(sizes(reading.boxes_px), sizes(now_px))  # as whole boxes that are cut nowhere may be
+        fits = _beyond(reading.boxes_px, image_px).mean() <= _FITS_BETTER * beyond.mean()
+        if fits and (not moved or snug.mean() > _MANY_SNUG):
+            either = f", or width and height of the images are: {size}" if reading.told == _EXCHANGED else ""
+            return Misreading(f"{reading.told}{either} ({found})", False)
+    reach = "{:.4g}, {:.4g} to {:.4g}, {:.4g}".format(*now_px[:, :2].min(axis=0), *now_px[:, 2:].max(axis=0))
+    reached = f"the first is of {size} px, and boxes reach from {reach}"
+    outside = ((now_px[:, :2] >= image_px) | (now_px[:, 2:] <= 0)).any(axis=1)
+    if outside.mean() > _MOST_BEYOND:
+        told = f"{outside.mean():.0%} of the boxes lie outside their images: {reached}; is the size of the images right"
+        return Misreading(f"{told} (--image-size or seqinfo.ini in MOT, width and height in COCO)?", False)
+    return Misreading(f"boxes are not cut at the edge of the image: {found}; {reached}", True)
+
+
+def _beyond(boxes_px: Array, image_px: Array) -> Mask:
+    """Which boxes reach far beyond their image, or are none, shape (k,)."""
+    low, high = boxes_px[:, :2], boxes_px[:, 2:]
+    return np.asarray(((low < -_BEYOND_PX) | (high > image_px + _BEYOND_PX) | (high <= low)).any(axis=1))
 
 
 def _median(away: Array) -> float:
@@ -178,11 +250,8 @@ def _readings(rows: BoxRows) -> Iterator[_Reading]:
     numbers, form, frame = rows.numbers, rows.form, rows.frame
     as_it_is = form.boxes_px(numbers)
     yield from _close_readings(rows, as_it_is)
-    others = [each for each in (CORNERS, CENTRE, TOP_LEFT) if each.meaning != form.meaning and not _like(each, form)]
-    plain = TOP_LEFT if form is MOT else form
-    for other in others:
-        yield _Reading(f"the boxes are read as {form.meaning}, but are {other.meaning}", other.boxes_px(numbers), frame)
-    yield _Reading("x and y of the boxes are exchanged", form.boxes_px(numbers[:, [1, 0, 3, 2]]), frame)
+    others, plain = _other_forms(form), TOP_LEFT if form is MOT else form
+    yield from _form_readings(rows)
     x_min, y_min, x_max, y_max = as_it_is.T
     height = rows.image_px[:, 1]
     below = np.column_stack([x_min, height - y_max, x_max, height - y_min])
@@ -198,6 +267,18 @@ def _readings(rows: BoxRows) -> Iterator[_Reading]:
     for image in dict.fromkeys((*near[:16], *_SIZES_PX)):
         told = f"the boxes are those of an image of {image[0]} x {image[1]} px, must be in pixels of the camera's image"
         yield _Reading(f"{told} ({sizes_told})", as_it_is * np.tile(rows.image_px / image, 2), frame)
+
+
+def _form_readings(rows: BoxRows) -> Iterator[_Reading]:
+    """Those in which the four numbers are others."""
+    for other in _other_forms(rows.form):
+        told = f"the boxes are read as {rows.form.meaning}, but are {other.meaning}"
+        yield _Reading(told, other.boxes_px(rows.numbers), rows.frame)
+    yield _Reading(_EXCHANGED, rows.form.boxes_px(rows.numbers[:, [1, 0, 3, 2]]), rows.frame)
+
+
+def _other_forms(form: BoxForm) -> list[BoxForm]:
+    return [each for each in (CORNERS, CENTRE, TOP_LEFT) if each.meaning != form.meaning and not _like(each, form)]
 
 
 def _close_readings(rows: BoxRows, as_it_is: Array) -> Iterator[_Reading]:

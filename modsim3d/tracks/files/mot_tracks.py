@@ -68,7 +68,7 @@ def _unknown(stem: str, names: tuple[str, ...], rows: RunRows) -> str:
 
 
 def _read(path: Path, camera: int, rows: RunRows) -> FileRows:
-    text, source = read_text(path, "tracks").removeprefix("\ufeff"), source_of(path)
+    text, source = read_text(path, "tracks"), source_of(path)
     begin = next(filter(str.strip, text.splitlines()), ",".join(_FIRST))
     cells = begin.count(",") + 1
     if cells < _LEAST:
@@ -78,7 +78,7 @@ def _read(path: Path, camera: int, rows: RunRows) -> FileRows:
     table = TextTable.of(text, [*_FIRST, *further][:cells], source)
     many = len(table)
     frame = _frames(table, rows, camera)
-    track = table.whole_numbers("identity", _NO_CONFIDENCE)
+    track = table.identities("identity", _NO_CONFIDENCE)
     table.problems.refuse(
         track == NOBODY, lambda row: "identity is -1, as in a file of detections: tracks need one of 0 or more"
     )

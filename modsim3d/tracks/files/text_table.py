@@ -14,6 +14,7 @@ from pyarrow import csv
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.display import counted
 from modsim3d.errors import InputError
+from modsim3d.inputs.misreadings import LOST, SCIENTIFIC, has_lost_digits, no_commas
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.runs.files.columns import NOBODY
 from modsim3d.tracks.files.row_problems import RowProblems
@@ -68,7 +69,7 @@ class TextTable:
         if wrong := [(number, cells, line_text) for number, cells, line_text in other if line_text.strip()]:
             number, cells, line_text = wrong[0]
             found = f"line {number - 1 + first_line}: has {counted(cells, 'cell')}, must have {len(names)}"
-            lines = [f"{found}: {', '.join(names)} (got {shown(line_text)})"]
+            lines = [f"{found}: {', '.join(names)} (got {shown(line_text)}){no_commas(','.join(names))}"]
             if len(wrong) > 1:
                 lines.append(f"… and {len(wrong) - 1:,} more lines")
             raise InputError(source, lines)
@@ -107,6 +108,14 @@ class TextTable:
         )
         return np.where(bad | np.isnan(values), NOBODY, values).astype(np.int64)
 
+    def identities(self, name: str, least: int) -> Indices:
+        """A column of whole numbers that are names, none of which may have lost digits, shape (k,)."""
+        values = self.whole_numbers(name, least)
+        lost = _mask(pc.match_substring_regex(self.columns[name], SCIENTIFIC))
+        lost[lost] = [has_lost_digits(self.columns[name][row].as_py()) for row in np.flatnonzero(lost).tolist()]
+        self.problems.refuse(lost, lambda row: f"{name} {LOST} (got {self._shown(name, row)})")
+        return values
+
     def names(self, name: str, known: Sequence[str], *, needed: bool = True) -> Indices:
         """A column of names as indices of those that are known; `NOBODY` where empty, if it may be, shape (k,)."""
         texts = self.columns[name]
@@ -125,7 +134,7 @@ class TextTable:
 
 
 def _mask(values: pa.ChunkedArray) -> Mask:
-    return np.asarray(values.to_numpy(zero_copy_only=False), dtype=bool)
+    return np.array(values.to_numpy(zero_copy_only=False), dtype=bool)
 
 
 def _cells(text: str, names: Sequence[str], source: str) -> tuple[list[pa.ChunkedArray], list[tuple[int, int, str]]]:

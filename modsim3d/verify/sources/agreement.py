@@ -22,7 +22,6 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.truth.analytic import VisibleRegions, occlusion_of_regions, visible_regions
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.overlaps import overlapping_pairs
 from modsim3d.truth.pixel_masks import PixelMasks, counted_from, mask_fits
 from modsim3d.truth.polygon_occlusion import boundary_pixels
 
@@ -35,8 +34,7 @@ class Agreement(IntEnum):
     SLIVER = 2
     BOUNDARY_ROUNDING = 3
     INTERSECTING = 4
-    NOT_COMPARABLE = 5
-    UNEXPLAINED = 6
+    UNEXPLAINED = 5
 
 
 EXPLANATIONS = {
@@ -44,8 +42,7 @@ EXPLANATIONS = {
     Agreement.SHARP_TIP: "sharp tip without a pixel centre",
     Agreement.SLIVER: "sliver thinner than a pixel",
     Agreement.BOUNDARY_ROUNDING: "boundary rounding",
-    Agreement.INTERSECTING: "intersecting boxes: only the rendered source decides",
-    Agreement.NOT_COMPARABLE: "not comparable: a mesh is there, or before it",
+    Agreement.INTERSECTING: "left to pixels: no plane between two hulls",
     Agreement.UNEXPLAINED: "unexplained",
 }
 
@@ -100,45 +97,12 @@ def compare_with_analytic(
 ) -> Comparison:
     """Compare rendered with analytic truth, with a row for each vessel in the outlines.
 
-    The analytic source knows convex solids only. It says nothing about a mesh, nor about what is visible of a vessel
-    that overlaps a mesh in the image.
-
     Args:
         outlines: What both sources start from.
         rendered: What the rendered source found, for all rows of `outlines`.
         draw_masks: Called with rows of `outlines` where the sources differ by more than a pixel.
         supersample: Buffer pixels per image pixel and axis.
     """
-    convex = np.flatnonzero(outlines.convex)
-    found = _compare_convex(
-        outlines.take(convex), intrinsics, rendered.take(convex), lambda row: draw_masks(int(convex[row])), supersample
-    )
-    if len(convex) < len(outlines):
-        found = _with_meshes(found, convex, outlines)
-    return found.take(np.flatnonzero(outlines.boxed))
-
-
-def _with_meshes(found: Comparison, convex: Indices, outlines: Outlines) -> Comparison:
-    """Spread the comparison of the convex rows over all rows; meshes and what overlaps them are not comparable."""
-    count, mesh = len(outlines), ~outlines.convex
-    columns = {}
-    for field in fields(Comparison):
-        column = getattr(found, field.name)
-        nothing = np.nan if column.dtype == np.float64 else 0
-        columns[field.name] = np.full((count, *column.shape[1:]), nothing, dtype=column.dtype)
-        columns[field.name][convex] = column
-    first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
-    beside = np.zeros(count, dtype=bool)
-    beside[first[mesh[second]]] = beside[second[mesh[first]]] = True
-    columns["full"][mesh] = columns["visible"][mesh | beside] = Agreement.NOT_COMPARABLE
-    columns["seen_differs"] &= ~beside
-    columns["visible_side_px"][beside] = columns["fraction"][beside] = np.nan
-    return Comparison(**columns)
-
-
-def _compare_convex(
-    outlines: Outlines, intrinsics: Intrinsics, rendered: Occlusion, draw_masks: DrawMasks, supersample: int
-) -> Comparison:
     regions = visible_regions(outlines, intrinsics)
     analytic = occlusion_of_regions(outlines, regions)
     full_side = rendered.full_boxes_px - analytic.full_boxes_px
@@ -163,7 +127,9 @@ def _compare_convex(
             # A visible box that is short by what the full box is short by misses the silhouette's own tip.
             tip = np.array_equal(visible_side[row], full_side[row])
             visible[row] = check.visible(row, masks, Agreement.SHARP_TIP if tip else Agreement.SLIVER)
-    return Comparison(full_side, visible_side, fraction, bound, seen_differs, full, visible, full_off | visible_off)
+    looked_at = full_off | visible_off
+    found = Comparison(full_side, visible_side, fraction, bound, seen_differs, full, visible, looked_at)
+    return found.take(np.flatnonzero(outlines.boxed))
 
 
 def _off(sides_px: Array, supersample: int) -> Mask:

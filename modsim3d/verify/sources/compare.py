@@ -1,6 +1,6 @@
 """Compares the sources of truth on a scene: the check that an auditor can run.
 
-Every difference between the rendered and the analytic truth is explained. The thesis's rectangle rule is held against
+Every difference between the rendered and the analytic truth is explained. The idealised rectangle rule is held against
 the rendered truth.
 """
 
@@ -117,10 +117,9 @@ def _occlusions(
     """What each source says about outlines, and its computing time with that of the outlines, `shared_s`."""
     intrinsics, annotation = scene.cameras[camera].intrinsics, scene.annotation
     draw = full_frame_occlusion if annotation.render == "full" else rendered_occlusion
-    convex = np.flatnonzero(outlines.convex)  # the analytic source knows convex solids only
     compute = {
         "rendered": lambda: draw(outlines, intrinsics, renderer, annotation.supersample),
-        "analytic": lambda: analytic_occlusion(outlines.take(convex), intrinsics),
+        "analytic": lambda: analytic_occlusion(outlines, intrinsics),
         "rectangles": lambda: rectangle_occlusion(outlines),
     }
     occlusions, seconds = {}, {}
@@ -128,7 +127,6 @@ def _occlusions(
         started = time.perf_counter()
         occlusions[source] = compute[source]()
         seconds[source] = time.perf_counter() - started + shared_s
-    occlusions["analytic"] = occlusions["analytic"].among(convex, len(outlines))
     return occlusions, seconds
 
 
@@ -155,11 +153,10 @@ class _Vessels:
 
 
 def _worst(differences: Comparison, vessels: _Vessels) -> tuple[VesselDifference, ...]:
-    """The largest differences: unexplained ones first, those that the analytic source cannot judge last."""
+    """The largest differences: unexplained ones first, those that are left to pixels last."""
     sides = np.abs(np.concatenate([differences.full_side_px, differences.visible_side_px], axis=1))
     size_px: Array = np.nan_to_num(sides).max(axis=1, initial=0.0) + np.where(differences.seen_differs, 1.0, 0.0)
-    unknown = (differences.visible == Agreement.INTERSECTING) | (differences.worst == Agreement.NOT_COMPARABLE)
-    size_px[unknown] *= 1e-3
+    size_px[differences.visible == Agreement.INTERSECTING] *= 1e-3
     badness = size_px + 1e6 * (differences.worst == Agreement.UNEXPLAINED)
     reasons = [EXPLANATIONS[Agreement(reason)] for reason in differences.worst.tolist()]
     return tuple(

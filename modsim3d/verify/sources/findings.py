@@ -38,7 +38,7 @@ class VesselDifference:
 
 @dataclass(frozen=True)
 class RectangleRuleCheck:
-    """How the thesis's rectangle rule does on vessels that something hides.
+    """How the idealised rectangle rule does on vessels that something hides.
 
     Attributes:
         occluded: Number of vessel-frames with a hidden pixel.

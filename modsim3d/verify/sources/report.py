@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import numpy as np
 import orjson
 from PIL import Image
 
+from modsim3d.outputs.pictures import encoded
 from modsim3d.outputs.placing import write_files
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene.scene import Scene
-from modsim3d.truth.analytic import image_silhouettes, visible_regions
+from modsim3d.truth.analytic import visible_regions
 from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison
 from modsim3d.verify.sources.figures import BoxFigures, Figures
 from modsim3d.verify.sources.findings import VesselDifference
@@ -80,7 +80,7 @@ def time_rows(figures: Figures) -> Rows:
 
 
 def intersection_rows(figures: Figures) -> Rows:
-    """Pairs of vessels whose boxes intersect."""
+    """Pairs of vessels or obstacles whose hulls intersect."""
     return [(pair, f"{frames} frames") for pair, frames in figures.intersecting.items()]
 
 
@@ -118,9 +118,7 @@ def write_report(
     made_by = command or f"modsim3d.verify.sources.report.write_report of {scene.name} from Python"
     contents.append(_page(comparison, scene, renderer, _provenance(comparison, scene, renderer, made_by, given)))
     if worst := comparison.findings.rule.worst:
-        picture = io.BytesIO()
-        draw_case(scene, worst, renderer, RULE).save(picture, format="PNG")
-        contents.append(picture.getvalue())
+        contents.append(encoded(draw_case(scene, worst, renderer, RULE)))
     else:
         (folder / FILES[-1]).unlink(missing_ok=True)  # that of a comparison which is replaced
     write_files(dict(zip((folder / name for name in FILES), contents, strict=False)))
@@ -176,11 +174,11 @@ def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, rest
         ),
         page.heading("Rendered against analytic"),
         page.folded(said, page.table(figure_rows(figures)) + agreed, opened=figures.unexplained > 0),
-        page.heading("The thesis's rectangle rule against rendered"),
+        page.heading("The idealised rectangle rule against rendered"),
         page.table(rule_rows(figures)),
     ]
     if figures.intersecting:
-        body += [page.heading("Intersecting boxes"), page.table(intersection_rows(figures))]
+        body += [page.heading("No plane between the hulls"), page.table(intersection_rows(figures))]
     if figures.shoebox_against_mesh:
         body += [page.heading("Shoebox against mesh"), _shoebox_table(figures)]
     if worst := findings.rule.worst:
@@ -231,13 +229,10 @@ def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer, styles
     solids = Solids.at(scene, scene.cameras[case.camera], case.step)
     outlines = solids.outlines
     (row,) = np.flatnonzero((outlines.occluder == case.vessel) & outlines.boxed)
-    if outlines.convex[row]:
-        known = np.flatnonzero(outlines.convex)
-        exact = visible_regions(outlines.take(known), solids.intrinsics).visible[known.searchsorted(row)]
-        region = "exact region" if len(known) == len(outlines) else "region that only meshes may hide"
-    else:  # the analytic source does not know what hides a mesh
-        exact, region = image_silhouettes(outlines.take(np.array([row])), solids.intrinsics)[0], "whole silhouette"
-    return comparison_picture(case.boxes_px, case.vessel, solids, exact, renderer, region, styles)
+    regions = visible_regions(outlines, solids.intrinsics)
+    touching = np.concatenate([regions.order.first, regions.order.second])[np.tile(regions.order.intersecting, 2)]
+    region = "region that a neighbour may hide" if row in touching else "exact region"
+    return comparison_picture(case.boxes_px, case.vessel, solids, regions.visible[row], renderer, region, styles)
 
 
 def describe_case(scene: Scene, case: VesselDifference) -> str:

@@ -1,7 +1,8 @@
 """The triangles of binary glTF 2.0, and where its scene puts them.
 
 Section numbers are those of the glTF 2.0 specification (The Khronos Group, 2021). `read_glb` has checked the references
-and counts that are used here. trimesh gives the same vertices and faces in the same order; importing it takes 0.4 s.
+and counts that are used here. trimesh gives the same vertices and faces in the same order, but loses parts of a mesh
+whose random names coincide, and importing it adds 0.3 s to the 1.6 s of processor time of `run strait --steps 10`.
 """
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ from modsim3d.vessels.meshes.limits import (
     MAX_SCANNED_BYTES,
     Refused,
     check_faces,
-    check_reference,
     check_size,
     check_vertices,
 )
@@ -55,9 +54,11 @@ def read_stl(file: BinaryIO, size: int) -> bytes:
     """The content of an STL file, binary or text. Raises `Refused` if it is none, or too large."""
     header = file.read(84)
     claimed = struct.unpack("<I", header[80:])[0] if len(header) == 84 else None
-    if claimed is not None and size == 84 + 50 * claimed:
+    if claimed is not None and 0 <= size - (84 + 50 * claimed) < (
+        50 if claimed else 1
+    ):  # some programs add a few bytes
         check_faces(claimed)
-        return _whole(file, size)
+        return _whole(file, 84 + 50 * claimed)
     if not header.lstrip().lower().startswith(b"solid"):
         claim = "" if claimed is None else f", whose header would mean {claimed} faces in {84 + 50 * claimed} bytes"
         raise Refused(f"is not an STL file: neither text that begins with 'solid' nor {size} bytes of binary{claim}")
@@ -86,8 +87,6 @@ def read_ply(file: BinaryIO, size: int) -> bytes:
             if not (number.isdecimal() and len(number) <= MOST_DIGITS) or words[1] in counts:
                 raise Refused(f"has the line {line[:80]!r} in its header; 'element NAME COUNT' is needed, each once")
             counts[words[1]] = int(number)
-        elif words[:2] == ["comment", "TextureFile"]:
-            check_reference(" ".join(words[2:]), "texture")
     check_faces(counts.get("face", 0))
     for count in counts.values():
         check_vertices(count)
@@ -104,7 +103,7 @@ def read_ply(file: BinaryIO, size: int) -> bytes:
 def read_obj(file: BinaryIO, size: int) -> bytes:
     """The vertices and faces of a Wavefront OBJ file; its lines are counted, since it has no header.
 
-    Raises `Refused` if it is too large, or names a material library outside its folder.
+    Material libraries are passed over, wherever they lie. Raises `Refused` if it is too large.
     """
     check_faces(max(1, _scan(file, size, b"\nf ")))  # refuses far too many early; indented ones are counted below
     content = _whole(file, size)
@@ -125,8 +124,6 @@ def read_obj(file: BinaryIO, size: int) -> bytes:
         elif keyword == b"v":
             vertices += 1
             kept.append(b"v " + b" ".join(rest.split()[:3]))
-        elif keyword == b"mtllib":
-            check_reference(rest.decode("utf-8", "replace").strip(), "mtllib")
     check_faces(triangles)
     check_vertices(vertices)
     if last[0] > vertices:

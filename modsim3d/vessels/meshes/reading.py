@@ -129,7 +129,7 @@ def _triangles(path: Path) -> tuple[Array, Indices]:
 
 def _parts(file: BinaryIO, size: int, suffix: str) -> Iterator[Part]:
     """The parts of a mesh file that trimesh reads."""
-    import trimesh  # takes 0.4 s, and most meshes are in GLB
+    import trimesh  # takes 0.3 s, and most meshes are in GLB
 
     content, kind = READERS[suffix](file, size), suffix[1:]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.vessels.meshes.fit import FileBox
 from modsim3d.vessels.meshes.limits import MAX_COORDINATE, Refused, check_faces, check_vertices
 from modsim3d.vessels.vessel import Solid
 
@@ -46,7 +47,7 @@ def to_solid(vertices: Array, faces: Indices, forward: str, up: str) -> Solid:
             f"(the first is number {first}, {value}): export it again"
         )
     used, corners = np.unique(faces, return_inverse=True)
-    box = _unit_box(vertices[used] @ vehicle_R_file(forward, up).T)
+    box, extents = _unit_box(vertices[used] @ vehicle_R_file(forward, up).T)
     vertices, faces = _merge(box, corners.reshape(-1, 3))
     check_faces(len(faces))
     closed = is_closed(faces)
@@ -57,11 +58,11 @@ def to_solid(vertices: Array, faces: Indices, forward: str, up: str) -> Solid:
     vertices.setflags(write=False)
     faces.setflags(write=False)
     convex = closed and len(faces) <= MOST_FACES_OF_CONVEX and _is_convex(vertices, abs(volume))
-    return Solid(vertices, faces, convex=convex, closed=closed)
+    return Solid(vertices, faces, convex=convex, closed=closed, file_box=FileBox(extents, forward, up))
 
 
-def _unit_box(vertices: Array) -> Array:
-    """Vertices, shape (K, 3), scaled and moved so that they fill the unit box exactly."""
+def _unit_box(vertices: Array) -> tuple[Array, Array]:
+    """Vertices, shape (K, 3), scaled and moved so that they fill the unit box exactly, and their extents before."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extents = high - low
     # A flat mesh that was rotated or stored in single precision has some rounding.
@@ -70,7 +71,7 @@ def _unit_box(vertices: Array) -> Array:
         flat = [name for name, extent in zip(EXTENTS, extents, strict=True) if extent <= rounding]
         raise Refused(f"has no {' and no '.join(flat)}: a solid is needed, or other axes (`forward` and `up`)")
     unit: Array = np.clip((vertices - low) / extents, 0.0, 1.0) - np.array([0.5, 0.5, 0.0])
-    return unit
+    return unit, extents
 
 
 def _merge(vertices: Array, faces: Indices) -> tuple[Array, Indices]:

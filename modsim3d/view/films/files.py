@@ -1,20 +1,22 @@
-"""Films on disk: MP4 through ffmpeg, GIF and PNG through Pillow."""
+"""Films on disk: MP4 through imageio and ffmpeg, PNG through imageio, GIF through `gif`."""
 
 from __future__ import annotations
 
-import io
-import subprocess
+import logging
+import os
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO
+from typing import IO, Any
 
+import numpy as np
 from PIL import Image
 
 from modsim3d.errors import ModsimError
+from modsim3d.outputs.pictures import encoded
 from modsim3d.outputs.placing import put_folder_in_place, put_in_place
 from modsim3d.view.films.gif import TICKS_PER_S, quantised, write_gif
 
@@ -42,9 +44,7 @@ class EncodedFrame:
             return cls(step, picture.size, quantised(picture, colours).tobytes())
         if kind == "mp4":
             return cls(step, picture.size, picture.tobytes())
-        out = io.BytesIO()
-        picture.save(out, format="PNG")
-        return cls(step, picture.size, out.getvalue())
+        return cls(step, picture.size, encoded(picture))
 
 
 Frames = Iterable[tuple[EncodedFrame, int]]
@@ -88,75 +88,69 @@ def write_film(kind: str, path: Path, frames: Frames, rate: Fraction, colours: I
             _write_gif(partial, frames, rate, colours)
         else:
             _write_mp4(path, partial, frames, rate)
-        if not partial.exists() or not partial.stat().st_size:
-            raise ModsimError(f"{path} could not be encoded: ffmpeg wrote nothing")
 
 
 def _write_mp4(path: Path, partial: Path, frames: Frames, rate: Fraction) -> None:
-    """H.264 in 4:2:0, which every browser plays, with its index in front.
+    """H.264 in 4:2:0, which every browser plays, with its index in front, by imageio's FFMPEG plugin.
 
-    The encoder starts with the first frame. By then the workers run, which must not hold its pipe open.
+    The encoder starts with the first frame. By then the workers run, which must not hold its pipe open. The plugin does
+    not look at the exit status of the encoder, so that the pictures of the finished film are counted.
     """
-    encoder: subprocess.Popen[bytes] | None = None
-    with TemporaryFile() as said, ExitStack() as running:
-        for frame, repeats in frames:
-            if encoder is None:
-                command = _ffmpeg_command(frame.size, rate, partial)
-                # In a group of its own, so that Ctrl-C reaches this process alone.
-                encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said, process_group=0)
-                running.callback(_end, encoder)
-            for _ in range(repeats):
-                _send(encoder, frame.data, path, partial, said)
-        if encoder is not None:
-            _end_of_film(encoder, path, partial, said)
-
-
-def _ffmpeg_command(size: tuple[int, int], rate: Fraction, out: Path) -> list[str]:
+    import imageio.v2
     import imageio_ffmpeg
 
-    return [
-        *(imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-f", "rawvideo", "-vcodec", "rawvideo"),
-        *("-s", f"{size[0]}x{size[1]}", "-pix_fmt", "rgb24", "-r", str(rate), "-i", "-", "-an"),
-        *("-vcodec", "libx264", "-pix_fmt", "yuv420p", "-v", "warning"),
-        *("-crf", "20", "-preset", "veryfast", "-threads", str(ENCODER_THREADS)),
-        *("-g", str(max(1, round(KEY_FRAME_S * rate)))),
-        # Without these players guess the colours' matrix by the film's size.
-        *("-vf", "scale=out_color_matrix=bt709:out_range=tv"),
-        *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv"),
-        *("-movflags", "+faststart", "-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact"),
-        str(out),
-    ]
+    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # what it warns of is an error here
+    sent = 0
+    with TemporaryFile() as said:
+        with imageio.v2.get_writer(partial, format="FFMPEG", **_ffmpeg_options(rate)) as encoder:
+            for frame, repeats in frames:
+                picture = np.frombuffer(frame.data, dtype=np.uint8).reshape(frame.size[1], frame.size[0], 3)
+                for _ in range(repeats):
+                    try:
+                        with _errors_into(said) if sent == 0 else nullcontext():
+                            encoder.append_data(picture)
+                    except OSError:
+                        raise _failure(path, partial, said, "ffmpeg ended before the film did") from None
+                    sent += 1
+        try:
+            written, _ = imageio_ffmpeg.count_frames_and_secs(str(partial))
+        except RuntimeError:
+            written = 0
+        said.seek(0)
+        if written != sent or b"Error" in said.read():
+            raise _failure(path, partial, said, f"it has {written} of {sent} pictures")
 
 
-def _send(encoder: subprocess.Popen[bytes], data: bytes, path: Path, partial: Path, said: IO[bytes]) -> None:
-    assert encoder.stdin is not None
+def _ffmpeg_options(rate: Fraction) -> dict[str, Any]:
+    """Options of the plugin and of ffmpeg."""
+    of_ffmpeg = ["-crf", "20", "-preset", "veryfast", "-threads", str(ENCODER_THREADS)]
+    of_ffmpeg += ["-g", str(max(1, round(KEY_FRAME_S * rate)))]
+    # Without these players guess the colours' matrix by the film's size.
+    of_ffmpeg += ["-vf", "scale=out_color_matrix=bt709:out_range=tv"]
+    of_ffmpeg += ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv"]
+    of_ffmpeg += ["-movflags", "+faststart", "-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact"]
+    plugin = {"fps": rate, "codec": "libx264", "macro_block_size": 1, "ffmpeg_log_level": "warning"}
+    return {**plugin, "output_params": of_ffmpeg}
+
+
+@contextmanager
+def _errors_into(file: IO[bytes]) -> Iterator[None]:
+    """Give a process that starts now a file as its standard error, for which the plugin has no option."""
+    ours = os.dup(2)
+    os.dup2(file.fileno(), 2)
     try:
-        encoder.stdin.write(data)
-    except BrokenPipeError:
-        _end_of_film(encoder, path, partial, said)
-        raise ModsimError(f"{path} could not be encoded: ffmpeg ended before the film did") from None
+        yield
+    finally:
+        os.dup2(ours, 2)
+        os.close(ours)
 
 
-def _end_of_film(encoder: subprocess.Popen[bytes], path: Path, partial: Path, said: IO[bytes]) -> None:
-    """Wait until the film is complete; what ffmpeg says is repeated only where it failed."""
-    assert encoder.stdin is not None
-    with suppress(BrokenPipeError):
-        encoder.stdin.close()
-    status = encoder.wait()
+def _failure(path: Path, partial: Path, said: IO[bytes], otherwise: str) -> ModsimError:
+    """The last thing that ffmpeg said about a film, or another reason if it said nothing."""
     said.seek(0)
     lines = said.read().decode(errors="replace").strip().splitlines()
-    if status or any("Error" in line for line in lines):
-        reason = lines[-1].replace(str(partial), str(path)) if lines else f"ffmpeg ended with exit status {status}"
-        raise ModsimError(f"{path} could not be encoded: {reason}")
-
-
-def _end(encoder: subprocess.Popen[bytes]) -> None:
-    """Leave no encoder behind, whatever went wrong."""
-    encoder.kill()
-    encoder.wait()
-    if encoder.stdin is not None:
-        with suppress(BrokenPipeError):
-            encoder.stdin.close()
+    reason = lines[-1].replace(str(partial), str(path)) if lines else otherwise
+    return ModsimError(f"{path} could not be encoded: {reason}")
 
 
 def _write_gif(path: Path, frames: Frames, rate: Fraction, colours: Image.Image) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from modsim3d.outputs.pictures import encoded
 from modsim3d.outputs.placing import put_in_place
 from modsim3d.processes import WorkerCount, Workers, open_workers
 from modsim3d.runs.selection import Selection, StepFrames
@@ -56,7 +57,7 @@ def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
     with open_film_renderer(scene, plan) as film_renderer:
         picture = film_renderer.draw(next(selection.step_frames()))
     with put_in_place(path) as partial:
-        picture.save(partial, format="PNG")
+        partial.write_bytes(encoded(picture))
     return path
 
 

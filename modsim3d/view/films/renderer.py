@@ -15,6 +15,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.films.plan import TITLES, FilmPlan
 from modsim3d.view.maps.map_film import MapFilmRenderer
+from modsim3d.view.outcome_words import WEATHER
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.ids_picture import ids_picture
 from modsim3d.view.pictures.solids import open_id_renderer
@@ -93,7 +94,8 @@ class FilmRenderer:
         camera = single and self._scene.cameras[self._plan.cameras[0]].name
         time, step = f"{step_frames.timestamp} s", f"step {step_frames.step}"
         detector, age = states and f"detector {', '.join(states)}", single and _age(step_frames, 0)
-        parts = (self._scene.name, camera, time, step, detector, age, self._plan.note)
+        weather = states and not self._plan.style.caption and WEATHER
+        parts = (self._scene.name, camera, time, step, detector, age, self._plan.note, weather)
         return "    ".join(part for part in parts if part)
 
 

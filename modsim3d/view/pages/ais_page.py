@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.ais.gathering import SHOWN_PROBLEMS
 from modsim3d.ais.options import Options, time_text
-from modsim3d.ais.report import REASONS, messages_read, messages_used, summary_rows
+from modsim3d.ais.report import REASONS, messages_read, messages_used, summary_rows, warning
 from modsim3d.ais.traffic import Traffic
 from modsim3d.ais.vessel_track import VesselTrack
 from modsim3d.display import counted
@@ -68,10 +68,11 @@ def _result(traffic: Traffic) -> list[str]:
     removed = f"{counted(jumps, 'position')} removed as {'a jump' if jumps == 1 else 'jumps'}"
     sizes = f"length or beam guessed for {counted(guessed, 'vessel')}"
     far = _farthest(traffic)
-    warning = [page.paragraph(f"The farthest position is {far}.", "bad")] if "where the plane" in far else []
+    bad = [f"Warning: {text}" for text in (warning(traffic),) if text]
+    bad += [f"The farthest position is {far}."] if "where the plane" in far else []
     return [
         page.paragraph(lead, "lead"),
-        *warning,
+        *(page.paragraph(text, "bad") for text in bad),
         page.paragraph(f"{used}; {removed}; {sizes}. Air draft is not in AIS: it is typical of the ship type."),
     ]
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 from collections.abc import Iterable, Sequence
+from typing import Any
 
-from PIL import Image
+from PIL.Image import Image
 
+from modsim3d.outputs.pictures import encoded
 from modsim3d.view.pages.print_style import PRINT_STYLE, mark_of, sheet_style
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
 from modsim3d.view.pages.tables import TABLE_STYLE, UNKNOWN, facts, scrolling, table
@@ -100,13 +101,11 @@ def tiles(results: Sequence[tuple[str, str, str]]) -> str:
     return '<dl class="tiles">\n' + "\n".join(each) + "\n</dl>"
 
 
-def picture(image: Image.Image, caption: str) -> str:
-    """A picture inside the page, with its caption."""
-    data = io.BytesIO()
-    image.save(data, format="PNG", optimize=True)
-    encoded = base64.b64encode(data.getvalue()).decode("ascii")
+def picture(image: Image, caption: str, kind: str = "png", **options: Any) -> str:
+    """A picture inside the page as PNG or JPEG, with its caption."""
+    data = base64.b64encode(encoded(image, f".{kind}", optimize=True, **options)).decode("ascii")
     alt = html.escape(caption, quote=True)
     return (
-        f'<figure>\n<img src="data:image/png;base64,{encoded}" alt="{alt}" width="{image.width}" '
+        f'<figure>\n<img src="data:image/{kind};base64,{data}" alt="{alt}" width="{image.width}" '
         f'height="{image.height}">\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>'
     )

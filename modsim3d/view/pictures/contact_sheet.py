@@ -11,13 +11,14 @@ from PIL import Image, ImageDraw
 
 from modsim3d.arrays import Array
 from modsim3d.boxes import areas, intersections
+from modsim3d.outputs.pictures import encoded
 from modsim3d.outputs.placing import put_in_place
 from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.blocks import Frame
 from modsim3d.runs.outcomes import NOTHING_WRONG, frame_outcomes
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view import palette
-from modsim3d.view.outcome_words import fate
+from modsim3d.view.outcome_words import WEATHER, fate
 from modsim3d.view.pictures.canvas import ARROW_HEAD, Canvas, font, text_size
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.highlights import Highlight, pick_highlights
@@ -48,7 +49,7 @@ def draw_contact_sheet(run: StoredRun) -> Path:
     with open_id_renderer(run.scene) as id_renderer:
         sheet = _sheet(run, pick_highlights(run.finished_tables, run.scene), id_renderer)
     with put_in_place(path) as partial:
-        sheet.save(partial, format="PNG")
+        partial.write_bytes(encoded(sheet))
     return path
 
 
@@ -62,7 +63,7 @@ def _sheet(run: StoredRun, highlights: list[Highlight], id_renderer: AnyIdRender
     foot = rows * (PANEL_PX[1] + CAPTION_PX + GAP_PX) + 2 * GAP_PX + TITLE_PX
     sheet = Image.new("RGB", (width, foot + key.height), palette.PAPER)
     draw = ImageDraw.Draw(sheet)
-    title = f"{scene.name}: annotation mode {annotation.mode}, {annotation.source} truth, seed {scene.seed}"
+    title = f"{scene.name}: annotation mode {annotation.mode}, {annotation.source} truth, seed {scene.seed} ({WEATHER})"
     draw.text((GAP_PX, GAP_PX // 2), title, fill=palette.INK, font=font(TITLE_PX))
     if not highlights:
         draw.text((GAP_PX, 3 * GAP_PX + TITLE_PX), "No vessel was in any image.", fill=palette.INK, font=font(TEXT_PX))

@@ -135,6 +135,7 @@ def png(seen: Seen, vessels: int) -> bytes:
     picture, written = paint(seen), BytesIO()
     owners = [palette.darker(colour_of(i, vessels)) for i in range(MOST_COLOURS)]
     picture.putpalette([*chain.from_iterable([palette.SKY, palette.SEA, *owners])])
+    # imageio passes no palette on. In RGB, this takes 2 to 4 times as long and 1.4 to 1.8 times the bytes.
     picture.save(written, "PNG")
     return written.getvalue()
 

@@ -12,13 +12,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from modsim3d.ais.options import time_text
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import MOST_PROBLEMS, Problems, is_number
 from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.formats.reading.image_names import ImageNames, image_names
 from modsim3d.inputs.validation import shown
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
-from modsim3d.voyage.logs.times import TIME_FORM, all_utc, time_of, time_text
+from modsim3d.voyage.logs.times import MIXED, TIME_FORM, all_utc, time_of
 
 _CAPTURED = "date_captured"
 _TIMES = ("time_s", "utc", _CAPTURED)
@@ -107,7 +108,7 @@ def _frames(
         raise InputError(source, [f"images[{lacking[0]}]: {_wrong_time(truth['images'][lacking[0]])}{more}"])
     utc = all_utc([of_utc for _, of_utc in times])
     if utc is None:
-        raise InputError(source, ["images: some times are UTC and others are not"])
+        raise InputError(source, [f"images: {MIXED}"])
     frame_of: dict[Any, int] = {}
     problems, again = [], []
     for index, (entry, camera, (time_s, _)) in enumerate(zip(truth["images"], cameras, times, strict=True)):

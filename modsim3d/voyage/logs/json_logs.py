@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from modsim3d.errors import InputError
-from modsim3d.formats.reading.builder import Problems
+from modsim3d.formats.reading.builder import Problems, is_number
 from modsim3d.formats.reading.confidences import Confidences
 from modsim3d.inputs.strict_json import check_values, parse_json
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
+from modsim3d.tracks.files.box_forms import CENTRE, CORNERS, BoxForm
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
-from modsim3d.voyage.logs.times import all_utc, time_of
+from modsim3d.voyage.logs.times import MIXED, all_utc, time_of
 
 _FORM = '{"camera": "bow", "time_s": 0.2, "detections": [{"box_px": [1, 2, 3, 4], "label": "boat", "confidence": 0.9}]}'
 _THESIS = '{"0.2": {"a": {"label": "boat", "confidenceScore": 0.9, "bbox": {"centre": {"x": 2, "y": 3}, …}}}}'
@@ -39,7 +40,7 @@ def read_lines_log(path: Path, options: LogOptions) -> DetectionLog:
         if line.strip()
         and (frame := _line(parse_json(line, source, number, "line"), f"line {number}", problems)) is not None
     ]
-    return _log(source, frames, Clock.STEP, "its lines", problems, options)
+    return _log(source, frames, Clock.STEP, "its lines", problems, options, CORNERS)
 
 
 def read_thesis_log(path: Path, content: Mapping[str, Any], options: LogOptions) -> DetectionLog:
@@ -58,7 +59,7 @@ def read_thesis_log(path: Path, content: Mapping[str, Any], options: LogOptions)
             continue
         found = [_thesis(entry, f"{text}.{name}", problems) for name, entry in entries.items()]
         frames.append((text, None, time_s, utc, [each for each in found if each is not None]))
-    return _log(source, frames, Clock.STAMP, "its times", problems, options)
+    return _log(source, frames, Clock.STAMP, "its times", problems, options, CENTRE)
 
 
 def _line(content: Any, where: str, problems: Problems) -> _Frame | None:
@@ -79,7 +80,7 @@ def _line(content: Any, where: str, problems: Problems) -> _Frame | None:
 
 def _detection(entry: Any, where: str, problems: Problems) -> tuple[str, list[float], str | None, object] | None:
     box = entry.get("box_px") if isinstance(entry, dict) else None
-    if not isinstance(box, list) or len(box) != 4 or not all(_is_number(side) for side in box):
+    if not isinstance(box, list) or len(box) != 4 or not all(map(is_number, box)):
         problems.add(f"{where}: box_px must be x_min, y_min, x_max, y_max in pixels (got {shown(entry)})")
         return None
     sides = [box[0], box[1], box[2] - box[0], box[3] - box[1]]
@@ -97,23 +98,19 @@ def _thesis(entry: Any, where: str, problems: Problems) -> tuple[str, list[float
     return where, sides, _label(entry), entry.get("confidenceScore")
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _label(entry: Mapping[str, Any]) -> str | None:
     return None if entry.get("label") is None else str(entry["label"])
 
 
 def _log(
-    source: str, frames: list[_Frame], clock: Clock, frames_from: str, problems: Problems, options: LogOptions
+    source: str, frames: list[_Frame], clock: Clock, origin: str, problems: Problems, options: LogOptions, form: BoxForm
 ) -> DetectionLog:
     utc = all_utc([of_utc for *_, of_utc, _ in frames])
     if utc is None:
-        raise InputError(source, ["some times are UTC and others are not"])
-    scores = list(_scores(frames))
+        raise InputError(source, [MIXED])
+    scores = [(where, score) for *_, found in frames for where, _, _, score in found if score is not None]
     confidences = Confidences.of(scores, options.confidence_scale, problems) if scores else None
-    rows = LogRows(source, problems, confidences)
+    rows = LogRows(source, problems, confidences, form)
     for where, camera, time_s, _, found in frames:
         if rows.has(camera, time_s):
             problems.add(f"{where}: has the time of another frame{f' of {camera}' if camera else ''}, {time_s:.12g}")
@@ -121,9 +118,4 @@ def _log(
         number = rows.frame(camera, time_s)
         for place, box, label, confidence in found:
             rows.add(number, place, box, label, confidence)
-    return rows.log(Clock.UTC if utc else clock, frames_from)
-
-
-def _scores(frames: list[_Frame]) -> Iterator[tuple[str, object]]:
-    for *_, found in frames:
-        yield from ((where, confidence) for where, _, _, confidence in found if confidence is not None)
+    return rows.log(Clock.UTC if utc else clock, origin)

@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.ais.options import time_text
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import from_top_left
 from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems, check_whole, valid_box
 from modsim3d.formats.reading.confidences import NOT_GIVEN, Confidences
-from modsim3d.voyage.logs.times import time_text
+from modsim3d.inputs.text_files import composed
+from modsim3d.tracks.files.box_forms import CORNERS, TOP_LEFT, BoxForm
 
 NO_LABEL = -1
 _SHARES = 2.0
@@ -83,6 +85,7 @@ class DetectionLog:
         frames_from: How the frames are known, those without detections included.
         notes: What the reader left out or took for granted.
         of_run: Whether a run wrote it, so that its clock is the scene's own.
+        form: That of the boxes in the file.
     """
 
     source: str
@@ -99,6 +102,7 @@ class DetectionLog:
     frames_from: str
     notes: tuple[str, ...] = ()
     of_run: bool = False
+    form: BoxForm = TOP_LEFT
 
     @property
     def span(self) -> str:
@@ -153,11 +157,13 @@ class LogRows:
         source: What messages call the log.
         problems: Collects what is wrong with its entries.
         confidences: How its confidences are read; None if it gives none.
+        form: That of its boxes.
     """
 
     source: str
     problems: Problems
     confidences: Confidences | None = None
+    form: BoxForm = TOP_LEFT
     _frames: dict[tuple[str | None, float], int] = field(default_factory=dict)
     _sizes: list[tuple[float, float]] = field(default_factory=list)
     _labels: dict[str, int] = field(default_factory=dict)
@@ -190,8 +196,11 @@ class LogRows:
         if self.confidences is not None:
             score = self.confidences.read(NOT_GIVEN if confidence is None else confidence, where, self.problems)
         if score is None or not valid_box(list(box), where, self.problems):
+            if score is not None and self.form.to_corners is CORNERS.to_corners:
+                meant = f"boxes are read as {self.form.meaning}: are the last two width and height?"
+                self.problems.hint = self.problems.hint or meant
             return
-        number = NO_LABEL if label is None else self._labels.setdefault(label, len(self._labels))
+        number = NO_LABEL if label is None else self._labels.setdefault(composed(label), len(self._labels))
         self._with_class.setdefault(label is not None, where)
         self._rows.append((frame, number, score))
         self._boxes.append(list(box))
@@ -251,6 +260,7 @@ class LogRows:
             confidence=np.array([row[2] for row in self._rows], dtype=np.float64)[rows],
             frames_from=frames_from,
             notes=tuple(notes),
+            form=self.form,
         )
         return _once(log)
 

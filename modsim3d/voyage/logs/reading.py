@@ -52,7 +52,7 @@ def _reader(path: Path, options: LogOptions) -> DetectionLog:
         raise InputError(source, [f"is a folder, and neither a run nor a ROS 2 bag; a log is {_KNOWN}"])
     kinds = path.name.lower().removesuffix(".gz").rsplit(".", 1)
     kind = kinds[1] if len(kinds) > 1 else ""
-    if kind == "mcap":
+    if kind in ("mcap", "db3"):
         return read_bag_log(path, options)
     if kind in ("jsonl", "ndjson"):
         return read_lines_log(path, options)

@@ -15,6 +15,7 @@ from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems
 from modsim3d.formats.reading.confidences import Confidences
+from modsim3d.inputs.misreadings import no_commas
 from modsim3d.inputs.opening import note_input
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
@@ -23,13 +24,13 @@ from modsim3d.tracks.files.row_problems import RowProblems
 from modsim3d.tracks.files.text_table import TextTable
 from modsim3d.voyage.logs.filling import filled
 from modsim3d.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows
-from modsim3d.voyage.logs.times import LEAST_UNIX_S, TIME_FORM, seconds, utc_s
+from modsim3d.voyage.logs.times import LEAST_UNIX_S, MIXED, TIME_FORM, seconds, utc_s
 
 _TIMES, _SCORES, _LABELS = ("utc", "time_s", "time", "timestamp"), ("score", "confidence"), ("label", "class")
-_EDGES = BoxForm("edges", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
-_SIDES = BoxForm("corner and sides", ("left", "top", "width", "height"), 0, TOP_LEFT.to_corners)
+_EDGES = BoxForm("left, top, right, bottom", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
+_SIDES = BoxForm("left, top, width, height", ("left", "top", "width", "height"), 0, TOP_LEFT.to_corners)
 _DETECTORS = tuple(  # as the tables of common detectors have them
-    BoxForm("corners", names, 0, CORNERS.to_corners)
+    BoxForm(CORNERS.meaning, names, 0, CORNERS.to_corners)
     for names in (("x1", "y1", "x2", "y2"), ("xmin", "ymin", "xmax", "ymax"), ("x_min", "y_min", "x_max", "y_max"))
 )
 _FORMS = (_EDGES, _SIDES, *_DETECTORS, CORNERS, CENTRE)
@@ -62,7 +63,7 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
     confidences = None
     if any(value is not None for value in values):
         confidences = Confidences.of(zip(where, values, strict=True), options.confidence_scale, problems, "score")
-    rows = LogRows(source, problems, confidences)
+    rows = LogRows(source, problems, confidences, form)
     for row, (corners, is_empty) in enumerate(zip(form.boxes_px(boxes).tolist(), empty.tolist(), strict=True)):
         frame = rows.frame(cameras[row], float(time_s[row]))
         if not is_empty:
@@ -96,7 +97,7 @@ def read_table(path: Path, source: str) -> TextTable:
         except (OSError, KeyError, pa.ArrowException) as error:  # KeyError: two columns of one name
             raise InputError(source, [f"cannot be read as Parquet: {error}"]) from None
         return TextTable(columns, RowProblems(source, np.arange(len(read)), "row"))
-    text = read_text(path, "detections").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    text = read_text(path, "detections")
     if not text.strip():
         raise InputError(source, ["the file is empty"])
     head, _, body = text.partition("\n")
@@ -159,7 +160,7 @@ def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
         ),
     )
     table.problems.settle()
-    table.problems.refuse(of_utc != of_utc[:1].any(), lambda row: f"{name}: some times are UTC and others are not")
+    table.problems.refuse(of_utc != of_utc[:1].any(), lambda row: f"{name}: {MIXED}")
     table.problems.settle()
     seconds_from = Clock.STAMP if name == "timestamp" else Clock.STEP
     return times, Clock.UTC if of_utc.any() else seconds_from
@@ -174,8 +175,7 @@ def _form(table: TextTable, source: str) -> BoxForm:
 
 def _got(table: TextTable) -> str:
     names = list(table.columns)
-    one = ": columns must be separated by commas" if len(names) == 1 else ""
-    return ", ".join(map(shown, names[:8])) + (", …" if len(names) > 8 else "") + one
+    return ", ".join(map(shown, names[:8])) + (", …" if len(names) > 8 else "") + no_commas(",".join(names))
 
 
 def _add_frames(

@@ -7,11 +7,10 @@ import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from modsim3d.ais.options import time_text as ais_time_text
-
 LEAST_UNIX_S = 1e8
 """A number of seconds from here on, March 1973, is Unix time: no scene lasts three years."""
 MOST_S = 1e11
+MIXED = "some times are UTC and others are not (from 1e8 on, seconds are Unix time; are these nanoseconds?)"
 TIME_FORM = "2024-01-04T10:00:00.250Z"
 """A time as messages show it."""
 _EXIF_DAY = re.compile(r"(\d{4}):(\d\d):(\d\d)(?= )")
@@ -49,8 +48,3 @@ def time_of(value: object) -> tuple[float, bool]:
 def all_utc(utc: Sequence[bool]) -> bool | None:
     """Whether all times are UTC; None if some are and others are not."""
     return None if any(utc) and not all(utc) else any(utc)
-
-
-def time_text(unix_s: float) -> str:
-    """A Unix time as text, such as 2024-01-04T10:00:00Z."""
-    return ais_time_text(unix_s)

@@ -36,7 +36,7 @@ class BoxModel:
     @classmethod
     def of(cls, scene: Scene, traffic: Traffic) -> BoxModel:
         """That of a scene's vessels, with their dimensions and the shapes that its source of truth gives them."""
-        meshes = scene.annotation.source == "rendered"
+        meshes = scene.annotation.source != "rectangles"
         solids = [vessel.solid if meshes else shoebox() for vessel in scene.vessels]
         hulls = [hull_of(solid) * vessel.extents_m for solid, vessel in zip(solids, scene.vessels, strict=True)]
         return cls(traffic, stacked(hulls))

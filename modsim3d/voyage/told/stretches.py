@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.ais.options import time_text
 from modsim3d.arrays import Array, Indices
 from modsim3d.display import counted
 from modsim3d.learn.told.tables import Table
 from modsim3d.voyage.clock import SceneClock
 from modsim3d.voyage.labelled_voyage import LabelledVoyage
-from modsim3d.voyage.logs.times import time_text
 from modsim3d.voyage.told.coverage import bearings
 from modsim3d.voyage.unseen.judged import Judged
 from modsim3d.voyage.unseen.things import Behaviour

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from modsim3d.ais.options import time_text
 from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import shown
-from modsim3d.voyage.logs.times import LEAST_UNIX_S, time_text, utc_s
+from modsim3d.voyage.logs.times import LEAST_UNIX_S, utc_s
 
 _SECONDS = re.compile(r"([0-9]+(?:\.[0-9]*)?)-([0-9]+(?:\.[0-9]*)?)")
 _FORM = (

@@ -178,8 +178,12 @@ def process(*arguments: object, program: Path | None = None, **options: Any) -> 
     [
         ({"MODSIM3D_GL": "nonsense"}, "MODSIM3D_GL='nonsense': use one of osmesa, egl, auto"),
         ({"MODSIM3D_GL": "egl", "MODSIM3D_EGL_DEVICE": "77"}, "MODSIM3D_EGL_DEVICE='77': use a number from 0 to "),
+        (
+            {"MODSIM3D_GL": "egl", "__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent"},
+            "(the environment has __EGL_VENDOR_LIBRARY_DIRS='/nonexistent': try without)",
+        ),
     ],
-    ids=["backend", "device"],
+    ids=["backend", "device", "no driver"],
 )
 def test_unknown_renderers_are_told_by_a_real_process(
     inputs: Inputs, tmp_path: Path, asked: dict[str, str], told: str

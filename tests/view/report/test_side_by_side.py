@@ -146,6 +146,17 @@ def test_a_second_camera_stands_beside_the_first(browser, mistaken_page):
     browser.press("g")
     assert browser.run("player.panes.length") == 1
     assert browser.run("document.querySelector('#picture2')") is None
+    browser.press("g")  # another camera than the first, and drawn at once
+    assert browser.run("player.panes.map(pane => pane.facts.name)") == ["bow", "quay"]
+    image = "document.querySelector('#picture2').toDataURL()"
+    at_once = browser.run(image)
+    assert (
+        browser.run("new Promise(done => requestAnimationFrame(() => { player.draw(); done(" + image + ") }))")
+        == at_once
+    )
+    assert browser.run("document.querySelector('#beside').value") == "quay"
+    browser.press("g")
+    assert browser.run("player.panes.length") == 1
 
 
 def test_from_above_vessels_are_where_the_scene_has_them(browser, mistaken_page, mistaken_folder):

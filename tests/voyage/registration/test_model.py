@@ -48,9 +48,10 @@ def test_an_edge_that_the_truth_hides_is_found_hidden(quay: Voyage, model: BoxMo
     predicted = predict(model, Hiding.of(quay.scene, model), none(model), np.unique(times_of(quay, known)))
     frame = np.searchsorted(np.unique(known.step), known.step)
     rows = {pair: row for row, pair in enumerate(zip(predicted.frame.tolist(), predicted.vessel.tolist(), strict=True))}
-    usable = np.array(
-        [predicted.usable[rows[pair]] for pair in zip(frame.tolist(), known.vessel.tolist(), strict=True)]
-    )
+    pairs = list(zip(frame.tolist(), known.vessel.tolist(), strict=True))
+    # A vessel is not predicted if all its edges are behind the box around another, whose mesh may show some of it.
+    usable = np.array([predicted.usable[rows[pair]] if pair in rows else np.zeros(4, bool) for pair in pairs])
+    assert np.mean([pair in rows for pair in pairs]) > 0.99
     assert gone.sum() > 30
     assert not np.any(usable & gone)
     assert usable.mean() > 0.6

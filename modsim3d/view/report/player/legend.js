@@ -37,7 +37,7 @@ function legendOf(recording, overview) {
   const [colour] = colours.vessels, alarm = colourOf('--alarm'), strip = `<path d="M2 4h26v7H2z" fill="${colour}"/>`;
   const parts = [
     entries('Image', SYMBOLS.filter(there).map(([kind, text]) => [symbolOf(kind, colours), text])),
-    entries('Detector', states.map((name, state) => [swatchOf(colours.states[state]), name])),
+    entries('Detector', [...states.map((name, state) => [swatchOf(colours.states[state]), name]), ['weather is not drawn']]),
     entries('Strips', [
       [laneSymbol(strip), 'seen'],
       [laneSymbol(`<path d="M2 4h26v7H2z" fill="${colourOf('--hidden')}" stroke="${colourOf('--edge')}"/>`), 'hidden'],

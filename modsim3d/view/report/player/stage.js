@@ -46,11 +46,12 @@ class Stage {
       this.add(new Pane(this.recordings[0], camera, 1));
     }
     this.player.changePane();
-    this.home();
+    this.player.home(); // it has no view before
+    keepAddress(this.player);
   }
 
   nextBeside() {
-    const names = ['', ...this.recordings[0].facts.cameras.map(({ name }) => name)];
+    const names = ['', ...this.recordings[0].facts.cameras.map(({ name }) => name).filter((name) => name !== this.panes[0].facts.name)];
     this.beside(names[(names.indexOf(this.besideName ?? '') + 1) % names.length]);
   }
 

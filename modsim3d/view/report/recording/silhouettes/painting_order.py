@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter, defaultdict
-from dataclasses import replace
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.truth.occlusion_order import order_of_pairs
-from modsim3d.truth.outlines import Outlines, Part
+from modsim3d.truth.occlusion_order import in_boxes, order_of_pairs
+from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.overlaps import overlapping_pairs
-from modsim3d.vessels.vessel import shoebox
 
 
 def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
@@ -31,7 +29,7 @@ def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[I
     Returns:
         The rows that may be hidden, shape (p,), and for each of them the one that may hide it, shape (p,).
     """
-    boxes = replace(outlines, parts=tuple(map(_in_a_box, outlines.parts)))
+    boxes = in_boxes(outlines)
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
     others = outlines.occluder[first] != outlines.occluder[second]
     first, second = first[others], second[others]
@@ -57,18 +55,6 @@ def _depths_m(outlines: Outlines) -> tuple[Array, Array]:
         depths_m = part.vertices_camera[..., 2]
         nearest_m[part.rows], farthest_m[part.rows] = depths_m.min(axis=1), depths_m.max(axis=1)
     return nearest_m, farthest_m
-
-
-def _in_a_box(part: Part) -> Part:
-    """Boxes around solids that are not convex, whose vertices are those of one solid, stretched and placed."""
-    if part.solid.convex:
-        return part
-    unit = part.solid.vertices
-    low, high = unit.min(axis=0), unit.max(axis=0)
-    corners = low + (high - low) * (shoebox().vertices + np.array([0.5, 0.5, 0.0]))
-    placed = np.linalg.pinv(np.column_stack([unit, np.ones(len(unit))])) @ part.vertices_camera
-    boxes = np.column_stack([corners, np.ones(len(corners))]) @ placed
-    return Part(shoebox(), part.rows, boxes, np.full((*boxes.shape[:2], 2), np.nan))
 
 
 def _keys(outlines: Outlines, hidden: Indices, hider: Indices, occluder_count: int) -> Indices:

@@ -1,0 +1,18 @@
+"""Pictures as the content of files, written by imageio."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+def encoded(picture: Image, ending: str = ".png", **options: Any) -> bytes:
+    """The content of a PNG or JPEG file of a picture without a palette; options are those of the format."""
+    import imageio.v3 as iio
+
+    content: bytes = iio.imwrite("<bytes>", np.asarray(picture), extension=ending, **options)
+    return content

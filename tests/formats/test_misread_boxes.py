@@ -1,0 +1,156 @@
+"""Boxes that their images cannot hold, in truth, in detections or in both, are named; honest ones are read."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from modsim3d.errors import InputError
+from modsim3d.formats.reading.builder import ReadOptions
+from modsim3d.formats.reading.pair import read_pair, read_truth
+from tests.formats.labelled_files import CHANGES, HEIGHT, WIDTH, Video, coco, mot, yolo
+
+SIZED = ReadOptions(image_size_px=(WIDTH, HEIGHT), labels=("boat", "sailboat", "ship"))
+WRITERS = {
+    "COCO": (coco, "right", ReadOptions()),
+    "MOT": (mot, "right", ReadOptions()),
+    "YOLO": (yolo, "centres", SIZED),
+}
+TOLD = {
+    "corners": "but are the corners x_min, y_min, x_max, y_max",
+    "exchanged": "x and y of the boxes are exchanged",
+    "shares": "the boxes are shares of the image",
+    "larger": "of the boxes lie outside their images",
+}
+CASES = [
+    (kind, *case) for kind in WRITERS for case in TOLD.items() if kind != "YOLO" or case[0] in ("corners", "larger")
+]
+
+
+@pytest.mark.parametrize("wrong", ["truth", "detections", "both"])
+@pytest.mark.parametrize(("kind", "change", "told"), CASES)
+def test_boxes_that_images_cannot_hold_are_refused_with_the_reading_that_fits(tmp_path, kind, change, told, wrong):
+    write, right, options = WRITERS[kind]
+    changes = [CHANGES[change if wrong in (each, "both") else right] for each in ("truth", "detections")]
+    source = "detections" if wrong == "detections" else "ground truth"
+    with pytest.raises(InputError) as error:
+        read_pair("day", *write(tmp_path, Video.of(), *changes), options)
+    assert told in str(error.value) or (kind == "YOLO" and "must be shares" in str(error.value)), error.value
+    assert str(error.value).startswith(source)
+    if wrong != "detections" and kind != "YOLO":
+        with pytest.raises(InputError):
+            read_truth(tmp_path / ("gt.json" if kind == "COCO" else "gt.txt"), options)
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_half_a_box_of_difference_is_refused_and_in_both_files_where_edges_show_it(tmp_path, kind):
+    write, right, options = WRITERS[kind]
+    other = "top left" if kind == "YOLO" else "centres"
+    form = CHANGES["right" if kind == "YOLO" else other]
+    for changes in ((CHANGES[right], form), (form, CHANGES[right])):
+        with pytest.raises(InputError, match="but are"):
+            read_pair("day", *write(tmp_path, Video.of(), *changes), options)
+    true = Video.of().true
+    true[:, :2, 0], true[:, 2:, 0] = WIDTH - true[:, :2, 2], 0  # at both edges of the image, which cuts them
+    with pytest.raises(InputError, match="but are"):
+        read_pair("day", *write(tmp_path, Video(true, true), form, form), options)
+
+
+@pytest.mark.parametrize("kind", ["COCO", "MOT"])
+def test_images_whose_width_and_height_are_exchanged_are_named(tmp_path, kind):
+    write, right, options = WRITERS[kind]
+    with pytest.raises(InputError, match=f"or width and height of the images are: {HEIGHT} x {WIDTH}"):
+        read_pair("day", *write(tmp_path, Video.of(), CHANGES[right], CHANGES[right], (HEIGHT, WIDTH)), options)
+
+
+def test_corners_near_the_upper_left_edge_are_named_though_all_are_inside(tmp_path):
+    video = Video.of()
+    small = Video(video.true / 3, video.found / 3)
+    with pytest.raises(InputError, match=TOLD["corners"]):
+        read_pair("day", *coco(tmp_path, small, *[CHANGES["corners"]] * 2))
+    read_pair("day", *coco(tmp_path, small, *[CHANGES["right"]] * 2))
+
+
+def grown(video, by_px):
+    return np.concatenate([video.true[..., :2] - by_px, video.true[..., 2:] + 2 * by_px], -1)
+
+
+def honest():
+    """Files that are as they should be, and yet have something of those that are not."""
+    video, near = Video.of(), np.array([[20.0, 15, 900, 700], [40, 30, 930, 690], [10, 12, 870, 720]])
+    yield "noisy", Video.of(1, noise_px=6)
+    yield "too large", Video.of(2, bias=1.25)
+    yield "too small", Video.of(3, bias=0.7)
+    yield "biased by a tenth of the box", Video(video.true, video.found + np.array([9.0, 4, 0, 0]))
+    yield "small", Video(video.true * [1, 1, 0.1, 0.15], video.found * [1, 1, 0.1, 0.15])
+    yield "overhang by a little", Video(grown(video, 4), grown(video, 4.5))
+    yield "few", Video(video.true[:1, :3], video.found[:1, :3])
+    yield "one near vessel", Video(np.tile(near[:1], (30, 1))[:, None], np.tile(near[1:2], (30, 1))[:, None])
+    yield "near vessels", Video(np.tile(near, (9, 1, 1)), np.tile(near + 3, (9, 1, 1)))
+    steps = np.arange(30.0)
+    closing = np.stack([400 - 10 * steps, 300 - 5 * steps, 450 + 20 * steps, 320 + 10 * steps], -1)[:, None]
+    yield "one that comes near", Video(closing, closing + np.random.default_rng(5).normal(0, 4, closing.shape))
+    yield "upper left", Video(video.true * 0.2, video.found * 0.2)
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+@pytest.mark.parametrize(("name", "video"), list(honest()), ids=[name for name, _ in honest()])
+def test_honest_boxes_are_read_without_a_remark_on_them(tmp_path, kind, name, video):
+    write, right, options = WRITERS[kind]
+    length = {"length": len(video.true)} if kind == "MOT" else {}
+    labelled = read_pair("day", *write(tmp_path, video, CHANGES[right], CHANGES[right], **length), options)
+    assert len(labelled.annotations) == video.true.shape[0] * video.true.shape[1]
+    biased = "such a bias" if "biased" in name else "eighth column"
+    assert not [note for note in labelled.notes if "eighth column" not in note and biased not in note]
+
+
+def test_whole_boxes_of_cut_vessels_are_a_remark(tmp_path):
+    video = Video.of()
+    whole = video.true + np.where(video.true[..., :1] + video.true[..., 2:3] >= WIDTH - 1, [0, 0, 60, 0], 0)
+    whole[:, -1, 1] = HEIGHT - 20.0  # below the lower edge
+    for changes in ("right", "right"), ("centres", "centres"):
+        write = coco if changes[0] == "right" else yolo
+        labelled = read_pair("day", *write(tmp_path, Video(whole, whole), *(CHANGES[c] for c in changes)), SIZED)
+        assert any("boxes are not cut at the edge of the image" in note for note in labelled.notes)
+
+
+def test_boxes_of_a_log_are_held_against_the_images_of_their_camera(tmp_path):
+    from modsim3d.scene.reading import load_scene
+    from modsim3d.voyage.logs.log import LogOptions
+    from modsim3d.voyage.logs.reading import read_log
+    from modsim3d.voyage.on_scene import on_scene
+
+    scene, video = load_scene("strait"), Video.of()
+    names = {"left,top,width,height": "right", "left,top,right,bottom": "corners", "x1,y1,x2,y2": "corners"}
+
+    def look(columns, change):
+        boxes = [(k / 5, *map(float, CHANGES[change](*box))) for k, each in enumerate(video.found) for box in each]
+        (tmp_path / "log.csv").write_text(f"time_s,{columns}\n" + "".join(f"{str(b)[1:-1]}\n" for b in boxes))
+        return on_scene(read_log(tmp_path / "log.csv", LogOptions(frame_rate_hz=5)), scene, "bow")
+
+    for columns, right in names.items():
+        assert not any("edge of the image" in note for note in look(columns, right).notes)
+    with pytest.raises(InputError, match=TOLD["corners"]):
+        look("left,top,width,height", "corners")
+    with pytest.raises(InputError, match=TOLD["exchanged"]):
+        look("left,top,width,height", "exchanged")
+    for columns in list(names)[1:]:
+        with pytest.raises(InputError, match=r"has no area(.|\n)*are the last two width and height\?"):
+            look(columns, "right")
+    mot(tmp_path, video, detections=CHANGES["corners"])
+    frames: list[object] = []
+    for k, each in enumerate(video.found):
+        boxes = [{"box_px": [y, x, y + h, x + w]} for x, y, w, h in each.tolist()]
+        frames.append({"time_s": k / 5, "detections": boxes})
+    (tmp_path / "log.jsonl").write_text("".join(f"{json.dumps(frame)}\n" for frame in frames))
+    truth, _ = coco(tmp_path, video, CHANGES["right"], CHANGES["corners"])
+    timed = json.loads(truth.read_text())
+    for image in timed["images"]:
+        image["time_s"] = image["id"] / 5
+    truth.write_text(json.dumps(timed))
+    for log, told in (("det.txt", "corners"), ("log.jsonl", "exchanged"), ("dt.json", "corners")):
+        with pytest.raises(InputError, match=TOLD[told]):
+            images = truth if log == "dt.json" else None
+            on_scene(read_log(tmp_path / log, LogOptions(images=images)), scene, "bow")
