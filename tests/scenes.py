@@ -245,3 +245,30 @@ def mistaken_strait(folder: Path, steps: int = 130) -> Path:
     path = folder / "mistakes.yaml"
     path.write_text(yaml.safe_dump(scene), encoding="utf-8")
     return path
+
+
+def random_rafts(
+    rng: np.random.Generator,
+) -> tuple[list[tuple[Vessel, tuple[float, float], float]], Intrinsics, Mount]:
+    """1 to 4 rafts of 2 to 6 boats with faces in one plane: side by side or astern, overlapping, touching or apart."""
+    intrinsics, mount = random_view(rng)
+    half_view = np.arctan(intrinsics.image_size_px[0] / 2 / intrinsics.focal_px[0])
+    places: list[tuple[Vessel, tuple[float, float], float]] = []
+    hulls: list[tuple[NDArray[np.float64], float]] = []
+    for _ in range(int(rng.integers(1, 5))):
+        length, distance = float(np.exp(rng.uniform(1, 4))), float(np.exp(rng.uniform(np.log(20), np.log(2000))))
+        beam, height = length * rng.uniform(0.15, 0.5), length * rng.uniform(0.1, 0.6)
+        bearing, heading = mount.yaw_rad + rng.uniform(-0.8, 0.8) * half_view, float(rng.uniform(-np.pi, np.pi))
+        count, overlap = int(rng.integers(2, 7)), float(rng.choice([0.1, 0.1, 0.0, 1.0, -0.01]))
+        along, across = rng.permutation([1.0 - overlap, 0.0])
+        radius = count * length
+        centre = distance * np.array([np.cos(bearing), np.sin(bearing)])
+        if distance < radius + 1 or any(math.dist(centre, c) < radius + r for c, r in hulls):
+            continue
+        hulls.append((centre, radius))
+        for i in rng.permutation(count):
+            at = centre + world_R_vehicle(heading)[:2, :2] @ [along * length * i, across * beam * i]
+            air = height * rng.choice([1.0, 1.0, rng.uniform(0.5, 1.5)])
+            places.append((vessel(f"v{len(places)}", length, beam, air), (at[0], at[1]), heading))
+    order = rng.permutation(len(places))
+    return [places[i] for i in order], intrinsics, mount

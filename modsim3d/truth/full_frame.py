@@ -105,7 +105,8 @@ class _Drawing:
     def of(cls, outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> _Drawing:
         width, height = intrinsics.image_size_px
         image = Region(0, 0, width * supersample, height * supersample)
-        return cls(outlines, triangles_of(outlines, intrinsics, supersample), image, renderer, supersample)
+        triangles = triangles_of(outlines, intrinsics, supersample, facing_only=True)
+        return cls(outlines, triangles, image, renderer, supersample)
 
     def region(self, row: int) -> Region:
         """The buffer pixels that the silhouette of a row can touch."""
