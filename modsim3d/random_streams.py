@@ -59,6 +59,7 @@ class Purpose(Enum):
     AIS_COMPASS = "ais.compass", 1, "constant error of a compass (vessel)"
     ATTITUDE_NOISE = "attitude_noise", 3, "noise of measured roll, pitch and heading (vessel)"
     ATTITUDE_BIAS = "attitude_bias", 3, "offset of measured roll, pitch and heading (vessel)"
+    CHECK = "check", None, "frames that the cross-check draws (ordinal)"
     PLUGIN = "plug-in", None, "whatever a plug-in draws (name of the plug-in, names of its choice)"
 
     STATE = "detector.state", 1, "transitions of the performance state (camera, if each has its own chain)"

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from modsim3d.runs.counts import Counts
     from modsim3d.runs.run import RunResult
     from modsim3d.scene.scene import Scene
+    from modsim3d.truth.crosscheck.comparison import Checked
 
 Row = tuple[str, str, str]
 """Name, value and meaning."""
@@ -71,13 +72,30 @@ def scene_warnings(scene: Scene) -> list[str]:
 
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
     """What happened in a run; each share is of a number that stands in another row."""
-    return _frame_rows(scene, result) + detection_rows(result.counts) + _model_rows(result) + _time_rows(result)
+    rows = _frame_rows(scene, result) + detection_rows(result.counts) + _model_rows(result)
+    return rows + _check_rows(scene, result.checked) + _time_rows(result)
 
 
 def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
     counts, cameras = result.counts, len(scene.cameras)
     many = f"{cameras} camera{'s' if cameras > 1 else ''}, {result.steps} steps, mode {scene.annotation.mode}"
     return [("frames", str(counts.frames), many), *vessel_rows(counts)]
+
+
+def _check_rows(scene: Scene, checked: Checked | None) -> list[Row]:
+    """What the cross-check compared; of the truth that was kept, if the detector alone has run."""
+    if checked is None:
+        return []
+    annotation = scene.annotation
+    if annotation.source != "rendered":
+        return [("cross-checked", "nothing", f"source {annotation.source}: nothing was drawn")]
+    if not checked.frames:
+        return [("cross-checked", "nothing", f"annotation.check: {annotation.check}")]
+    ties = f" but for {checked.tie_pixels} tie{'s' * (checked.tie_pixels > 1)}" if checked.tie_pixels else ""
+    boxes = f"boxes within {checked.largest_box_px:.2f} px of corner projection"
+    tips = f", {checked.sharp_tips} sharp tip{'s' * (checked.sharp_tips > 1)}" if checked.sharp_tips else ""
+    meaning = f"{checked.vessels} vessels: pixels equal{ties}, {boxes}{tips}"
+    return [("cross-checked", f"{checked.frames} frames", meaning)]
 
 
 def vessel_rows(counts: Counts) -> list[Row]:

@@ -66,6 +66,7 @@ def detect_run(
         block_workers,
         lambda _: facts,
         overwrite=overwrite,
+        truth_run=run.settings,
         most_steps=max(1, BLOCK_VESSELS // len(scene.vessels)),  # no images, so that only the rows count
         progress=progress,
     )

@@ -19,6 +19,7 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.motion.poses import LivePoses
 from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.runs.blocks import Block, CameraBlock, Frame, frames_of
+from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.checks import place_problems
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
@@ -177,6 +178,13 @@ def detected_block(
     return Block(first, scene.timestamps(first, stop), parts)
 
 
+def _checked_truth(scene: Scene, first: int, stop: int, renderer: IdRenderer | None) -> Truth:
+    """The truth of a block, of whose frames the first and then one in a thousand were checked."""
+    truth = truth_block(scene, first, stop, renderer)
+    check_block(scene, truth, first, stop, renderer, streamed=True)
+    return truth
+
+
 class Simulation:
     """A scene with its detector, which turns the truth of a block into truth and detections."""
 
@@ -269,7 +277,7 @@ def simulate_blocks(scene: Scene, most_steps: int | None = None) -> Iterator[Blo
         if renderer is not None and (most_steps is not None or isinstance(scene.poses, LivePoses)):
             renderer.prepare()  # who waits for single steps would wait for this at one of them
         blocks: Iterable[tuple[Truth, int, int]]
-        blocks = ((truth_block(scene, *steps, renderer), *steps) for steps in step_ranges(scene, most_steps))
+        blocks = ((_checked_truth(scene, *steps, renderer), *steps) for steps in step_ranges(scene, most_steps))
         if scene.detector.needs_census:
             blocks = list(blocks)
         simulation = Simulation(scene, scene_census(scene, blocks))

@@ -112,7 +112,7 @@ def _inputs(folder: Path, scene: Scene, listed: FileList) -> list[str]:
 def _ours(settings: dict[str, Any]) -> frozenset[str]:
     """Entries of `run.json` that need not be the same."""
     later = frozenset(
-        {"traffic_seed", "traffic_sha256"} - settings.keys()
+        {"traffic_seed", "traffic_sha256", "crosscheck"} - settings.keys()
     )  # older runs do not say where their traffic came from
     return _NOT_REPEATED | later | (_OF_LIVE_RUNS if "poses_sha256" in settings else frozenset())
 

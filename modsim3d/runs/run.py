@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
@@ -22,6 +22,7 @@ from modsim3d.runs.files.run_directory import RunDirectory, locked_run
 from modsim3d.runs.pipeline import Range, check_scene, step_ranges
 from modsim3d.runs.workers import BlockMaker, BlockWorkers, Tally, backend_of, open_block_workers
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.crosscheck.comparison import Checked
 
 FORMAT = 2
 """Format 1 had no counts for each camera, and only the centre form of the detections' boxes."""
@@ -42,6 +43,7 @@ class RunResult:
         intersecting: Pairs of vessels or obstacles that overlap in space: the analytic source cannot tell what is
             visible of them.
         truncation: How resampling shifts the box errors, by state, as in `run.json`.
+        checked: What the cross-check of the truth found; None if the truth is that of a run before there was one.
     """
 
     folder: Path
@@ -52,6 +54,7 @@ class RunResult:
     damaged_blocks: int
     intersecting: tuple[tuple[str, str], ...]
     truncation: dict[str, dict[str, Any]]
+    checked: Checked | None = None
 
     def __repr__(self) -> str:
         """Where it is, and its counts, in a line."""
@@ -133,6 +136,7 @@ def write_run(
     settings_by: Callable[[BlockWorkers], dict[str, Any]],
     *,
     most_steps: int | None = None,
+    truth_run: Mapping[str, Any] | None = None,
     overwrite: bool = False,
     resume: bool = False,
     thesis_json: bool = True,
@@ -146,6 +150,7 @@ def write_run(
         opened_workers: From `open_block_workers`.
         settings_by: Gives the settings, see `settings_of`.
         most_steps: Most steps of a block, as for `step_ranges`.
+        truth_run: The content of `run.json` of the run whose truth is taken.
         overwrite: Replace a run that is there.
         resume: Continue an interrupted run that is there.
         thesis_json: Write the thesis's JSON.
@@ -170,7 +175,10 @@ def write_run(
                 truncation = total.boxes.truncation(scene)
             known = {**settings, **directory.live_settings(total.steps)}
             seconds = time.perf_counter() - started
-            directory.finish({**known, **_counts_of(total), "truncation": truncation}, _log(total, seconds))
+            checked = {"crosscheck": asdict(total.checked)}
+            if truth_run is not None:
+                checked = {key: truth_run[key] for key in checked if key in truth_run}
+            directory.finish({**known, **_counts_of(total), "truncation": truncation, **checked}, _log(total, seconds))
     names = scene.occluder_names
     intersecting = tuple((names[one], names[other]) for one, other in sorted(total.intersecting))
     return RunResult(
@@ -182,6 +190,7 @@ def write_run(
         total.damaged_blocks,
         intersecting,
         truncation,
+        Checked(**checked["crosscheck"]) if checked else None,
     )
 
 
@@ -224,7 +233,8 @@ def _write_blocks(
     # After a census all truth is taken from what it kept, and only the census knows what was kept before.
     if not counted.steps:
         return total
-    return replace(total, resumed_steps=counted.resumed_steps, damaged_blocks=counted.damaged_blocks)
+    kept = {name: getattr(counted, name) for name in ("resumed_steps", "damaged_blocks", "checked")}
+    return replace(total, **kept)
 
 
 def _take_census(

@@ -16,7 +16,9 @@ from modsim3d.runs.files.block_files import BlockFiles, finished_truth, kept_tru
 from modsim3d.runs.files.reading import truth_of
 from modsim3d.runs.files.stored_tables import StoredTable
 from modsim3d.runs.pipeline import Range, Simulation, open_renderer, scene_census, truth_block
+from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.truth_record import Truth
 
 if TYPE_CHECKING:
@@ -36,6 +38,7 @@ class Tally:
         boxes: A sample of the detected boxes.
         intersecting: Pairs of vessels or obstacles that overlap in space, as indices: the analytic source cannot tell
             what is visible of them.
+        checked: What the cross-check found.
     """
 
     steps: int = 0
@@ -44,6 +47,7 @@ class Tally:
     camera_counts: dict[str, Counts] = field(default_factory=dict)
     boxes: BoxSample = field(default_factory=BoxSample)
     intersecting: frozenset[tuple[int, int]] = frozenset()
+    checked: Checked = field(default_factory=Checked)
 
     def __add__(self, other: Tally) -> Tally:
         """Both together."""
@@ -54,6 +58,7 @@ class Tally:
             {name: self._of(name) + other._of(name) for name in {**self.camera_counts, **other.camera_counts}},
             self.boxes + other.boxes,
             self.intersecting | other.intersecting,
+            self.checked + other.checked,
         )
 
     def _of(self, camera: str) -> Counts:
@@ -75,7 +80,8 @@ class BlockMaker:
         """The census of a block's targets, with a tally of its steps; its truth is kept in the folder."""
         first, stop = steps
         with self._truth(folder, first, stop) as (truth, resumed_steps, damaged):
-            return Tally(stop - first, resumed_steps, damaged), scene_census(self._scene, [(truth, first, stop)])
+            tally = Tally(stop - first, resumed_steps, damaged, checked=self._check(truth, first, stop))
+            return tally, scene_census(self._scene, [(truth, first, stop)])
 
     def make(self, steps: Range, folder: Path, census: TargetCensus, kinds: Sequence[str]) -> tuple[Tally, BlockFiles]:
         """What happened in a block, and what it adds to the files.
@@ -88,6 +94,7 @@ class BlockMaker:
         """
         first, stop = steps
         with self._truth(folder, first, stop) as (truth, resumed_steps, damaged_blocks):
+            checked = Checked() if self._scene.detector.needs_census else self._check(truth, first, stop)
             if self._simulation is None:
                 self._simulation = Simulation(self._scene, census)
             block = self._simulation.detect(truth, first, stop)
@@ -98,8 +105,13 @@ class BlockMaker:
                 camera_counts=camera_counts(block, self._scene),
                 boxes=BoxSample.of(block, self._scene),
                 intersecting=frozenset((one, other) for one, other in truth.intersections[:, 2:].tolist()),
+                checked=checked,
             )
             return tally, BlockFiles.of(block, self._scene, kinds)
+
+    def _check(self, truth: Truth, first: int, stop: int) -> Checked:
+        """The cross-check of a block's truth, before the detector sees it; also of a truth that was kept."""
+        return check_block(self._scene, truth, first, stop, self._renderer)
 
     @contextmanager
     def _truth(self, folder: Path, first: int, stop: int) -> Iterator[tuple[Truth, int, int]]:

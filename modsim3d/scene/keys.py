@@ -112,6 +112,7 @@ class AnnotationKeys(Strict):
     min_visible_fraction: Probability = 0.0
     min_box_px: NotNegative = 0.0
     allow_camera_inside: Annotated[bool, Field(strict=True)] = False
+    check: Literal["sample", "off", "all"] = "sample"
 
 
 class AxisKeys(Strict):

@@ -43,6 +43,7 @@ def full_frame_occlusion(
         silhouette_px=silhouettes.px / area,
         visible_px=visible.px / area,
         hidden=HiddenPixels.of(row, hider, np.array(list(hiders.values()), dtype=np.float64) / area),
+        drawn=np.ones(len(outlines), dtype=bool),
     )
 
 

@@ -26,6 +26,7 @@ class Annotation:
         min_visible_px: A vessel with fewer visible pixels is not annotated.
         min_visible_fraction: A vessel with a smaller visible fraction is not annotated.
         min_box_px: A vessel whose box is narrower or lower is not annotated.
+        check: How many frames the cross-check draws: a `sample`, `all`, or none (`off`).
         allow_camera_inside: Whether a camera may be inside another vessel's volume.
     """
 
@@ -37,6 +38,7 @@ class Annotation:
     min_visible_fraction: float = 0.0
     min_box_px: float = 0.0
     allow_camera_inside: bool = False
+    check: str = "sample"
 
 
 def annotation_boxes(truth: Truth, mode: int) -> Array:

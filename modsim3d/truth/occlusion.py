@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, run_starts
+from modsim3d.arrays import Array, Indices, Mask, run_starts
 from modsim3d.truth.outlines import Outlines, new_numbers
 from modsim3d.truth.truth_record import Truth
 
@@ -57,6 +57,7 @@ class Occlusion:
         visible_px: Pixels of it that are visible, shape (n,).
         hidden: Who hides how much of which row.
         intersecting: Pairs of rows whose solids intersect, shape (k, 2).
+        drawn: Which rows OpenGL has drawn, shape (n,); None for a source that draws nothing.
     """
 
     full_boxes_px: Array
@@ -65,6 +66,7 @@ class Occlusion:
     visible_px: Array
     hidden: HiddenPixels
     intersecting: Indices = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    drawn: Mask | None = None
 
     @classmethod
     def joined(cls, parts: list[Occlusion]) -> Occlusion:
@@ -80,6 +82,7 @@ class Occlusion:
                 np.concatenate([part.hidden.px for part in parts]),
             ),
             intersecting=np.concatenate([part.intersecting + first for part, first in zip(parts, before, strict=True)]),
+            drawn=np.concatenate([part.was_drawn() for part in parts]),
         )
 
     @property
@@ -101,6 +104,7 @@ class Occlusion:
             visible_px=self.visible_px[rows],
             hidden=HiddenPixels(hidden_row[kept], self.hidden.occluder[kept], self.hidden.px[kept]),
             intersecting=pairs[(pairs >= 0).all(axis=1)],
+            drawn=self.was_drawn()[rows],
         )
 
     def among(self, rows: Indices, count: int) -> Occlusion:
@@ -119,6 +123,10 @@ class Occlusion:
             hidden=HiddenPixels(rows[self.hidden.row], self.hidden.occluder, self.hidden.px),
             intersecting=rows[self.intersecting],
         )
+
+    def was_drawn(self) -> Mask:
+        """Whether OpenGL has drawn each row, shape (n,)."""
+        return np.zeros(len(self.silhouette_px), dtype=bool) if self.drawn is None else self.drawn
 
     def visible_fraction(self) -> Array:
         """visible_px / silhouette_px, NaN where there is no silhouette pixel, shape (n,)."""
@@ -150,6 +158,7 @@ class Occlusion:
             occluder=self.hidden.occluder,
             occluder_px=self.hidden.px,
             annotated=np.zeros(len(step), dtype=bool),
+            drawn=self.was_drawn(),
             intersections=np.column_stack([pair_step, pair_camera, outlines.occluder[self.intersecting]]),
         )
         return truth if outlines.boxed.all() else truth.take(outlines.boxed)

@@ -109,3 +109,17 @@ def hidden_by(hiding: Hiding, areas_px: Array, occluder: Indices) -> HiddenPixel
     """Who hides how much of which row, from the m areas of `hidden_areas`, shape (m,), without rounding errors."""
     real = areas_px > NOTHING_PX2
     return HiddenPixels.of(hiding.hidden[real], occluder[hiding.hiders[real]], areas_px[real])
+
+
+def boundary_pixels(regions: Polygons, supersample: int) -> Array:
+    """How many buffer pixels the boundary of each region can cross: |dx| + |dy| + 2 for each edge, shape (n,).
+
+    Only these pixels can be counted otherwise than by their share of the area, each by less than one. Regions are
+    polygons in image pixels, shape (n,).
+    """
+    boundaries = shapely.boundary(regions)
+    points, row = shapely.get_coordinates(boundaries, return_index=True)
+    steps = np.abs(np.diff(points, axis=0)).sum(axis=1) * supersample + 2
+    steps[row[1:] != row[:-1]] = 0.0
+    crossed: Array = np.bincount(row[1:], steps, minlength=len(regions)).astype(np.float64)
+    return crossed

@@ -12,7 +12,8 @@ therefore exactly that of `full_frame`, which draws everything and is the refere
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,7 +24,7 @@ from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.truth.buffer_drawing import BufferDrawing, fits_a_buffer, tiles_of
 from modsim3d.truth.cluster_visibility import Ordered, Visibility, visibility_in, visibility_in_order
 from modsim3d.truth.clusters import Batch, Cluster, ClusteredPairs, batches_of, clusters_of
-from modsim3d.truth.full_frame import full_frame_occlusion
+from modsim3d.truth.full_frame import full_frame_occlusion, vessel_masks
 from modsim3d.truth.nearer_first import ranks_of
 from modsim3d.truth.occlusion import HiddenPixels, Occlusion
 from modsim3d.truth.outlines import Outlines
@@ -64,15 +65,67 @@ def _portions(outlines: Outlines, supersample: int) -> list[tuple[int, int]]:
     return list(pairwise([0, *later.tolist(), len(outlines)]))
 
 
-def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> Occlusion:
+def rendered_spans(
+    outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1, *, full: bool = False
+) -> tuple[Spans, Spans]:
+    """The pixels that `rendered_occlusion` counts of each row with a box: whole silhouettes, and their visible parts.
+
+    With `full`, those that `full_frame_occlusion` counts.
+    """
+    found = None
+    if intrinsics.distortion is None and not full:
+        found = _found(outlines, intrinsics, renderer, supersample)
+    if found is None:
+        masks = list(vessel_masks(outlines, intrinsics, renderer, supersample))
+        return _spans_of((row, each.silhouette, each.region) for row, each in masks), _spans_of(
+            (row, each.visible, each.region) for row, each in masks
+        )
+    cut = np.zeros(len(outlines), dtype=bool)
+    cut[found.seen.rows] = True
+    uncut, parts = found.silhouettes.take(~cut[found.silhouettes.row]), found.seen.visible
+    return found.silhouettes, joined_spans([uncut, parts.take(cut[parts.row])])
+
+
+def _spans_of(masks: Iterable[tuple[int, Mask, Region]]) -> Spans:
+    parts = [Spans.none()]
+    for row, mask, region in masks:
+        spans = spans_of_ids(mask * np.uint32(row + 1))
+        parts.append(spans.moved(region.x, region.y))
+    return joined_spans(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """The pixels of n outlines: whole silhouettes, what is visible of those that are hidden in part, and which of the
+    rows (n,) OpenGL has drawn.
+    """
+
+    silhouettes: Spans
+    full_px: Array
+    full_boxes: Array
+    seen: Visibility
+    drawn: Mask
+
+
+def _found(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> _Found | None:
+    """The pixels of all rows with a box; None if no buffer holds what must be drawn."""
     drawing = BufferDrawing(outlines, intrinsics, renderer, supersample)
     whole = within_guard(outlines, intrinsics, supersample)
-    silhouettes = _silhouettes(drawing, whole)
+    silhouettes, drawn = _silhouettes(drawing, whole)
     full_px, full_boxes = counts_and_boxes(silhouettes, len(outlines))
     boxes = np.where(outlines.boxed[:, None], full_boxes, drawing.pixel_boxes)
     seen = _seen(drawing, silhouettes, boxes, whole)
     if seen is None:
+        return None
+    drawn[seen[1]] = True
+    return _Found(silhouettes, full_px, full_boxes, seen[0], drawn)
+
+
+def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> Occlusion:
+    found = _found(outlines, intrinsics, renderer, supersample)
+    if found is None:
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)  # which draws in tiles
+    full_px, full_boxes, seen = found.full_px, found.full_boxes, found.seen
     visible_px, visible_boxes = full_px.copy(), full_boxes.copy()
     if len(seen.rows):
         drawn_px, drawn_boxes = counts_and_boxes(seen.visible, len(outlines))
@@ -85,32 +138,33 @@ def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer,
         silhouette_px=full_px / supersample**2,
         visible_px=visible_px / supersample**2,
         hidden=replace(hidden, px=hidden.px / supersample**2),
+        drawn=found.drawn,
     )
 
 
-def _seen(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, whole: Mask) -> Visibility | None:
+def _seen(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, whole: Mask) -> tuple[Visibility, Indices] | None:
     """What is visible of the vessels whose boxes (n, 4) of whole pixels overlap others; None if no buffer holds them.
 
-    For `silhouettes` and `whole` see `_silhouettes`.
+    With it come the rows that were drawn for it. For `silhouettes` and `whole` see `_silhouettes`.
     """
-    outlines = drawing.outlines
+    outlines, nothing = drawing.outlines, np.empty(0, dtype=np.int64)
     pairs = ClusteredPairs.of(outlines, boxes)
     if not len(pairs.first):
-        return Visibility.none()
+        return Visibility.none(), nothing
     ordered = _in_order(drawing, silhouettes, boxes, pairs, whole)
     in_order = visibility_in_order(ordered, outlines.boxed, (drawing.image.width, drawing.image.height))
     if len(ordered.pairs.first) == len(pairs.first):
-        return in_order
+        return in_order, nothing
     to_draw = ~np.isin(pairs.cluster, ordered.pairs.cluster)
     clusters = clusters_of(outlines, boxes, pairs.take(to_draw))
     if not all(fits_a_buffer((cluster.shared.width, cluster.shared.height)) for cluster in clusters):
         return None
     drawn = [visibility_in(drawing, silhouettes, batch) for batch in batches_of(clusters)]
-    return Visibility.joined([in_order, *drawn])
+    return Visibility.joined([in_order, *drawn]), np.concatenate([nothing, *(each.rows for each in drawn)])
 
 
-def _silhouettes(drawing: BufferDrawing, whole: Mask) -> Spans:
-    """The spans of all vessels' whole silhouettes: by scan conversion where that is exact, otherwise drawn alone.
+def _silhouettes(drawing: BufferDrawing, whole: Mask) -> tuple[Spans, Mask]:
+    """The spans of all vessels' whole silhouettes: by scan conversion where that is exact, otherwise drawn alone (n,).
 
     Scan conversion needs a closed solid that is `whole` (n,), of which nothing is cut off. Meshes with holes, and
     solids that the near plane cuts or that reach far outside the image, are drawn alone.
@@ -120,7 +174,7 @@ def _silhouettes(drawing: BufferDrawing, whole: Mask) -> Spans:
     to_draw = boxed & ~whole
     to_draw[refused] = True
     alone = _drawn_alone(drawing, np.flatnonzero(to_draw))
-    return joined_spans([found, *alone]).ordered() if alone else found
+    return (joined_spans([found, *alone]).ordered() if alone else found), to_draw
 
 
 def _scan_converted(drawing: BufferDrawing, rows: Mask) -> tuple[Spans, Indices]:

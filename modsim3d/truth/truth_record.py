@@ -34,6 +34,7 @@ class Truth:
         occluder: Index into the scene's occluder names, shape (m,).
         occluder_px: Number of pixels of the row that this occluder hides, shape (m,).
         annotated: Whether the annotation mode and filters keep the row, shape (n,).
+        drawn: Whether OpenGL has drawn the row, rather than exact spans; false in a truth from a table, shape (n,).
         intersections: Step, camera and two occluders, a vessel among them, that overlap in the image and in space, so
             that the analytic source cannot tell what is visible of them, shape (k, 4).
     """
@@ -52,6 +53,7 @@ class Truth:
     occluder: Indices
     occluder_px: Array
     annotated: Mask
+    drawn: Mask
     intersections: Indices
 
     def __len__(self) -> int:
@@ -100,7 +102,7 @@ def no_truth() -> Truth:
         **dict.fromkeys(("step", "camera", "vessel", "occluder"), np.empty(0, dtype=np.int64)),
         **dict.fromkeys(("full_boxes_px", "visible_boxes_px"), np.empty((0, 4))),
         "occluder_offsets": np.zeros(1, dtype=np.int64),
-        "annotated": np.empty(0, dtype=bool),
+        **dict.fromkeys(("annotated", "drawn"), np.empty(0, dtype=bool)),
         "intersections": np.empty((0, 4), dtype=np.int64),
     }
     return Truth(**columns)

@@ -15,7 +15,7 @@ from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.crosscheck.clipping import cut
 from modsim3d.truth.crosscheck.drawing import Drawing, tiles_of
-from modsim3d.truth.crosscheck.possible_ids import could_show, tie_pixels
+from modsim3d.truth.crosscheck.possible_ids import possible_ids, tie_pixels, undecided
 from modsim3d.truth.crosscheck.world_triangles import vessel_triangles
 from modsim3d.truth.full_frame import vessel_masks
 from modsim3d.vessels.vessel import Vessel
@@ -104,18 +104,17 @@ def test_equal_boats_side_by_side_tie_where_their_faces_are_one() -> None:
     centre = column + 0.5
     common = (centre > 400 - 1000 * 5 / 55) & (centre < 400 - 1000 * 4 / 55)
     np.testing.assert_array_equal(ties[2:-2], common[2:-2])
-    both = np.flatnonzero(ties)
-    for ids in (1, 2):
-        assert could_show(drawing, column[both], row[both], np.full(len(both), ids)).all()
-    assert not could_show(drawing, column[both], row[both], np.zeros(len(both), dtype=np.int64)).any()
+    for each in (1, 2):
+        np.testing.assert_array_equal(undecided(drawing, column, row, each), ties)
+    assert not possible_ids(drawing, column[ties], row[ties])[1][:, 0].any()
 
 
 def test_a_boat_clearly_in_front_never_ties() -> None:
     drawing = drawing_of([(vessel("a"), (60.0, 0.0), 0.0), (vessel("b"), (61.0 + 10.0, 1.0), 0.0)])
     x, y = np.meshgrid(np.arange(320, 380), np.arange(300, 320))
-    inside = could_show(drawing, x.ravel(), y.ravel(), np.full(x.size, 1))
-    assert inside.all()
-    assert not could_show(drawing, x.ravel(), y.ravel(), np.full(x.size, 2)).any()
+    ids, possible = possible_ids(drawing, x.ravel(), y.ravel())
+    assert ids.tolist() == [0, 1, 2]
+    np.testing.assert_array_equal(possible, np.tile([False, True, False], (x.size, 1)))
 
 
 def test_the_triangles_of_a_vessel_are_those_of_its_trimesh() -> None:

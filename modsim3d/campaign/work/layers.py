@@ -28,6 +28,7 @@ from modsim3d.runs.camera_sequences import sequences_of
 from modsim3d.runs.files.block_files import TABLES
 from modsim3d.runs.pipeline import Simulation, open_renderer, scene_census, step_ranges, truth_block
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.trackers.registry import NamedTracker, named_tracker
 from modsim3d.tracking.trackers.running import tracked
@@ -116,6 +117,8 @@ class Layers:
         if stored is not None:
             return TruthLayer.of_table(stored["truth"], scene)
         blocks = [(truth_block(scene, first, stop, renderer), first, stop) for first, stop in step_ranges(scene)]
+        for block in blocks:
+            check_block(scene, *block, renderer)
         truth = TruthLayer.of_blocks(blocks, scene)
         if self._stored.keeps("truth"):
             self._stored.write("truth", key, {"truth": truth.table})

@@ -41,7 +41,7 @@ def _has_form(columns: Mapping[str, NDArray[Any]]) -> bool:
 
 def _kinds(name: str) -> str:
     """Kinds of NumPy's types that a column may have."""
-    return "b" if name == "annotated" else "i" if name in _INTEGERS else "if"
+    return "b" if name in ("annotated", "drawn") else "i" if name in _INTEGERS else "if"
 
 
 def _has_places(truth: Truth, scene: Scene, first: int, stop: int) -> bool:

@@ -45,6 +45,7 @@ def truth_of(table: pa.Table, scene: Scene) -> Truth:
         occluder=occluders.name,
         occluder_px=occluders.px,
         annotated=flags(table, "annotated"),
+        drawn=np.zeros(len(table), dtype=bool),
         intersections=np.empty((0, 4), dtype=np.int64),
     )
 

@@ -16,6 +16,7 @@ from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.validation import Count, Number, Strict, describe, shown
 from modsim3d.runs.counts import Counts
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.crosscheck.comparison import Checked
 
 Sha256 = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
 Text = Annotated[str, Field(strict=True)]
@@ -41,6 +42,18 @@ def _has_every_count(counts: dict[str, float]) -> dict[str, float]:
 
 RunCounts = Annotated[
     dict[Text, Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]], AfterValidator(_has_every_count)
+]
+
+
+def _is_a_check(found: dict[str, float]) -> dict[str, float]:
+    """Refuse what `Checked` does not have."""
+    if wrong := sorted(found.keys() ^ {field.name for field in fields(Checked)}):
+        raise ValueError(f"these entries are missing or unknown: {', '.join(wrong)}")
+    return found
+
+
+Crosscheck = Annotated[
+    dict[Text, Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]], AfterValidator(_is_a_check)
 ]
 
 
@@ -99,12 +112,14 @@ class RunFile(Settings):
         files: Size and checksum of each file that the run has written, by its path in the run directory; None in a run
             that was written before this was kept.
         poses_sha256: Checksum of the poses that a live scene received.
+        crosscheck: What the cross-check of the truth found, see `Checked`; None in a run before there was one.
     """
 
     counts: RunCounts
     camera_counts: dict[Text, RunCounts] | None = None
     truncation: dict[Text, Truncation]
     poses_sha256: Sha256 | None = None
+    crosscheck: Crosscheck | None = None
     files: dict[Text, FileEntry] | None = None
 
     @field_validator("files")
@@ -195,7 +210,7 @@ def check_same_scene(settings: Settings, scene: Scene, source: Path) -> None:
         "detector_seed": scene.detector_seed,
         "steps": scene.steps,
         "cameras": [camera.name for camera in scene.cameras],
-        **{f"annotation.{key}": value for key, value in asdict(scene.annotation).items()},
+        **{f"annotation.{key}": value for key, value in asdict(scene.annotation).items() if key != "check"},
     }
     found = settings.model_dump() | {f"annotation.{key}": value for key, value in settings.annotation.items()}
     for name, value in expected.items():

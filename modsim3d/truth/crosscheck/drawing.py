@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, distinct, occurring
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 from modsim3d.truth.crosscheck.clipping import HalfSpace, cut
@@ -24,8 +24,8 @@ GUARD_PX, LENS_GUARD_PX = 2048.0, 1.0
 may fold what lies far outside back into the image."""
 MARGIN_PX = 2
 """Of a buffer around the corners of what is drawn into it."""
-TILE_PX = 4096
-"""Side of the largest buffer that is drawn at once."""
+TILE_PX = (4096, 256)
+"""Width and height of the largest buffer that is drawn at once: large ones take long to make."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class Drawing:
         width, height = self.size_px
         x, y = np.eye(2)
         inside, source = cut(corners, [(x, 0.0), (-x, -float(width)), (y, 0.0), (-y, -float(height))])
-        solids, place = np.unique(occluder[source], return_inverse=True)
+        solids, place = occurring(occluder[source], int(occluder.max(initial=-1)) + 1)
         boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (len(solids), 1))
         np.minimum.at(boxes[:, :2], place, inside.min(axis=1))
         np.maximum.at(boxes[:, 2:], place, inside.max(axis=1))
@@ -107,10 +107,11 @@ class Drawing:
     def ids(self, renderer: IdRenderer, region: Region) -> Ids:
         """Occluder index + 1 of what is in front at each pixel of a region, zero where nothing is, (height, width)."""
         corners, inverse_depth, occluder = self._drawn
-        if region.width <= TILE_PX and region.height <= TILE_PX:
+        tiles = list(tiles_of(region))
+        if len(tiles) == 1:
             return renderer.draw(corners, inverse_depth, occluder + 1, region)
         out = np.empty((region.height, region.width), dtype=np.uint32)
-        for tile in tiles_of(region):
+        for tile in tiles:
             x, y = tile.x - region.x, tile.y - region.y
             out[y : y + tile.height, x : x + tile.width] = renderer.draw(corners, inverse_depth, occluder + 1, tile)
         return out
@@ -137,12 +138,12 @@ def _field_of_view(pinhole: Intrinsics, guard_px: float) -> list[HalfSpace]:
 
 
 def _pieces(straight_px: Array, inverse_depth: Array, longest_px: float) -> tuple[Array, Indices]:
-    """Triangles (T, 3, 2) in pieces with short edges: x, y and near / c3 (D, 3, 3); the triangle of each piece, (D,)."""
+    """Triangles (T, 3, 2) in pieces with short edges: x, y and near / c3 (D, 3, 3); the triangle of each, (D,)."""
     corners = np.concatenate([straight_px, inverse_depth[..., None]], axis=-1)
     edges = np.linalg.norm(np.roll(straight_px, -1, axis=1) - straight_px, axis=-1)
     counts = np.maximum(np.ceil(edges.max(axis=1, initial=0.0) / longest_px), 1).astype(np.int64)
     pieces, sources = [corners[:0]], [np.empty(0, dtype=np.int64)]
-    for count in np.unique(counts).tolist():
+    for count in distinct(counts).tolist():
         chosen = np.flatnonzero(counts == count)
         weights = _lattice(count)
         pieces.append((weights @ corners[chosen, None]).reshape(-1, 3, 3))
@@ -168,6 +169,6 @@ def _lattice(count: int) -> Array:
 
 def tiles_of(region: Region) -> Iterator[Region]:
     """A region in parts that can each be drawn at once."""
-    for y in range(region.y, region.y + region.height, TILE_PX):
-        for x in range(region.x, region.x + region.width, TILE_PX):
-            yield Region(x, y, TILE_PX, TILE_PX).common(region)
+    for y in range(region.y, region.y + region.height, TILE_PX[1]):
+        for x in range(region.x, region.x + region.width, TILE_PX[0]):
+            yield Region(x, y, *TILE_PX).common(region)

@@ -29,17 +29,12 @@ def tie_pixels(drawing: Drawing, x: Indices, y: Indices) -> Mask:
     return ties
 
 
-def could_show(drawing: Drawing, x: Indices, y: Indices, ids: Indices) -> Mask:
-    """Whether an ID may be seen at a pixel, for k pixels by buffer column and row, all shapes (k,).
-
-    An ID is an occluder index + 1, or 0 for nothing.
-    """
-    known, possible = possible_ids(drawing, x, y)
-    place = np.searchsorted(known, ids)
-    here = place < len(known)
-    here[here] = known[place[here]] == ids[here]
-    shown: Mask = here & possible[np.arange(len(ids)), np.where(here, place, 0)]
-    return shown
+def undecided(drawing: Drawing, x: Indices, y: Indices, wanted: int) -> Mask:
+    """At which of k pixels rounding decides whether an ID is seen, or anything else or nothing, shape (k,)."""
+    ids, possible = possible_ids(drawing, x, y)
+    this = ids == wanted
+    decided: Mask = possible[:, this].any(axis=1) & possible[:, ~this].any(axis=1)
+    return decided
 
 
 def possible_ids(drawing: Drawing, x: Indices, y: Indices) -> tuple[Indices, Mask]:
@@ -56,7 +51,7 @@ def possible_ids(drawing: Drawing, x: Indices, y: Indices) -> tuple[Indices, Mas
 
 def _straight(drawing: Drawing, x: Indices, y: Indices) -> Array:
     """The centres of pixels in the image of the pinhole, shape (k, 2)."""
-    centres: Array = np.stack([x, y], axis=-1) + 0.5
+    centres: Array = np.stack([x, y], axis=-1).astype(np.float64) + 0.5
     if drawing.intrinsics.distortion is None:
         return centres
     ray = drawing.intrinsics.unproject(centres / drawing.supersample, np.full(len(centres), 1.0))

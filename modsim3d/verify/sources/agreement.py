@@ -15,7 +15,6 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 
 import numpy as np
-import shapely
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
@@ -24,7 +23,7 @@ from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.overlaps import overlapping_pairs
 from modsim3d.truth.pixel_masks import PixelMasks, counted_from, mask_fits
-from modsim3d.truth.polygon_occlusion import Polygons
+from modsim3d.truth.polygon_occlusion import boundary_pixels
 
 
 class Agreement(IntEnum):
@@ -217,20 +216,6 @@ def _agreement(fits: bool, rendered_px: Array, analytic_px: Array, if_smaller: A
     outside = np.concatenate([analytic_px[:2] - rendered_px[:2], rendered_px[2:] - analytic_px[2:]])
     larger = (nothing_exact and not nothing_drawn) or bool(np.any(outside > 1))
     return Agreement.BOUNDARY_ROUNDING if larger else if_smaller
-
-
-def boundary_pixels(regions: Polygons, supersample: int) -> Array:
-    """How many buffer pixels the boundary of each region can cross: |dx| + |dy| + 2 for each edge, shape (n,).
-
-    Only these pixels can be counted otherwise than by their share of the area, each by less than one. Regions are
-    polygons in image pixels, shape (n,).
-    """
-    boundaries = shapely.boundary(regions)
-    points, row = shapely.get_coordinates(boundaries, return_index=True)
-    steps = np.abs(np.diff(points, axis=0)).sum(axis=1) * supersample + 2
-    steps[row[1:] != row[:-1]] = 0.0
-    crossed: Array = np.bincount(row[1:], steps, minlength=len(regions)).astype(np.float64)
-    return crossed
 
 
 def fraction_bound(regions: VisibleRegions, analytic: Occlusion, supersample: int) -> Array:
