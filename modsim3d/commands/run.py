@@ -30,6 +30,7 @@ from modsim3d.commands.shared import (
     WorkersOption,
 )
 from modsim3d.commands.terminal import say, say_json, tell_files, timed
+from modsim3d.errors import ModsimError
 
 if TYPE_CHECKING:
     from modsim3d.scene.scene import Scene
@@ -117,7 +118,12 @@ def run_command(
     folder = out if out is not None else Path("runs") / loaded.name
     total = None if loaded.live else loaded.steps
     kept = f"in {folder / 'unfinished'}" if loaded.live else "go on with --resume"
-    with timed("truth, detections and files"), _interruptible(kept), progress(loaded.name, total) as advance:
+    with (
+        timed("truth, detections and files"),
+        _with_picture(folder),
+        _interruptible(kept),
+        progress(loaded.name, total) as advance,
+    ):
         result = run_scene(
             loaded,
             folder,
@@ -142,6 +148,24 @@ def _draw_sheet(folder: Path, scene: Scene) -> None:
 
     with claimed([folder / SHEET_FILE], overwrite=True, inputs=scene.copy.read):  # it is a part of the run
         draw_contact_sheet(open_run(folder))
+
+
+@contextmanager
+def _with_picture(folder: Path) -> Iterator[None]:
+    """Draw what differs if the cross-check stops the run, beside the blocks that are kept, and name the picture."""
+    from modsim3d.runs.files.replacing import UNFINISHED
+    from modsim3d.runs.truth_check import TruthCheckError
+
+    try:
+        yield
+    except TruthCheckError as error:
+        from modsim3d.view.pictures.id_buffer import write_difference
+
+        path = folder / UNFINISHED / "cross_check.png"
+        if not error.masks[0].size:
+            raise
+        write_difference(error.masks, path)
+        raise ModsimError(f"{error}\n  {path} shows the truth, what was drawn, and where they differ") from None
 
 
 @contextmanager

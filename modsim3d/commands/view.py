@@ -48,6 +48,7 @@ def view_command(
     map_: options.Map = False,
     at: options.At = None,
     sheet: options.Sheet = False,
+    ids: options.IdBuffer = False,
     camera: options.Cameras = None,
     from_: options.From = None,
     to: options.To = None,
@@ -79,7 +80,7 @@ def view_command(
     from modsim3d.runs.selection import select_cameras
     from modsim3d.runs.stored_run import open_run
 
-    _check_task(film, frame, map_, at, sheet)
+    _check_task(film, frame, map_, at, sheet, ids)
     _check_tracks(tracks, film, frame)
     style, boxes_on_scene = _style(film, look, visibility, night)
     opened = open_run(run)
@@ -90,6 +91,9 @@ def view_command(
     cameras = select_cameras(opened, camera or [])
     if map_:
         _draw_map(opened, cameras, at, width, out, overwrite)
+    if ids and frame is not None:
+        _write_ids(opened, cameras, frame, out, overwrite)
+        return
     if film is None and frame is None:
         return
     selection = _select(opened, cameras, frame, from_, to, every, only_with_vessels)
@@ -104,10 +108,12 @@ def view_command(
         say(followed.sentence())
 
 
-def _check_task(film: Film | None, frame: str | None, map_: bool, at: str | None, sheet: bool) -> None:
+def _check_task(film: Film | None, frame: str | None, map_: bool, at: str | None, sheet: bool, ids: bool) -> None:
     """Check that the options ask for something, and for one thing only."""
     if film is None and frame is None and not sheet and not map_:
         raise ModsimError("nothing to draw: give --film detections, --frame 255, --map or --sheet")
+    if ids and (frame is None or film is not None or map_):
+        raise ModsimError("--ids writes one ID buffer: give --frame 255 too, and neither --film nor --map")
     if at is not None and not map_:
         raise ModsimError(f"--at works with --map only; for one picture of a camera's image use --frame {at}")
     if map_ and (film is not None or frame is not None):
@@ -190,6 +196,26 @@ def _draw_map(
     with claimed_file(path, run, overwrite), timed("map"):
         _say_what_there_is(run)
         say(f"map  {save_map(BirdsEye(run.scene, run.steps, cameras), step, path, width or WIDTH_PX)}")
+
+
+def _write_ids(run: StoredRun, cameras: tuple[int, ...], frame: str, out: Path | None, overwrite: bool) -> None:
+    from modsim3d.runs.selection import find_step
+    from modsim3d.view.pictures.id_buffer import write_id_buffer
+
+    names = [run.scene.cameras[index].name for index in cameras]
+    if len(names) > 1:
+        raise ModsimError(f"--ids writes the buffer of one camera: give --camera {' or --camera '.join(names)}")
+    step = find_step(run, frame)
+    path = out_file(out, run.folder / f"id_buffer_{names[0]}_{step:06d}.png")
+    if path.suffix.lower() not in (".png", ".npy"):
+        raise ModsimError(f"{path}: the name of an ID buffer must end in .png or .npy")
+    image = run.frame(names[0], step).id_image()
+    with claimed_file(path, run, overwrite):
+        write_id_buffer(image, path)
+    height, width = image.ids.shape
+    say(f"ID buffer  {path}\n           {width} × {height} px, 0 where nothing is")
+    for number, pixels in image.counts():
+        say(f"{number:>9}  {image.names[number]}: {pixels} px")
 
 
 def _plan(

@@ -54,6 +54,10 @@ At = Annotated[
     typer.Option(metavar="STEP|TIME", help="Step or time that --map shows.", show_default="the last step"),
 ]
 Sheet = Annotated[bool, typer.Option("--sheet", help="Draw contact_sheet.png of the run again, with --overwrite.")]
+IdBuffer = Annotated[
+    bool,
+    typer.Option("--ids", help="With --frame: write the ID at each pixel, as a PNG of 16 bits or, by --out, as .npy."),
+]
 Cameras = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME", help="Camera whose images are drawn; repeatable.", show_default="all cameras"),

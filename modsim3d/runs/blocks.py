@@ -11,6 +11,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.records import KINDS, Detections
+from modsim3d.errors import ModsimError
 from modsim3d.runs.frame_views import (
     detections_html,
     detections_in_words,
@@ -23,6 +24,7 @@ from modsim3d.runs.frame_views import (
     truth_in_words,
 )
 from modsim3d.scene.scene import Scene
+from modsim3d.scene.snapshot import IdImage, Snapshot
 from modsim3d.truth.modes import annotation_boxes
 from modsim3d.truth.truth_record import Truth
 
@@ -217,6 +219,29 @@ class Frame:
     def _repr_png_(self) -> bytes | None:
         """A notebook's picture; None without matplotlib."""
         return frame_png(self)
+
+    def id_image(self) -> IdImage:
+        """What is in front at each pixel: `ids` of shape (height, width), 0 for nothing, and the `names` of IDs.
+
+        Raises:
+            ModsimError: The frame was made without a scene.
+            RendererError: There is no OpenGL library.
+        """
+        return self._snapshot().render_ids(self.camera)
+
+    def silhouette(self, vessel: str) -> Mask:
+        """The pixels of a vessel drawn alone, parts that others hide included, of the shape of `id_image().ids`.
+
+        Raises:
+            ModsimError: There is no such vessel, or the frame was made without a scene.
+            RendererError: There is no OpenGL library.
+        """
+        return self._snapshot().render_silhouette(self.camera, vessel)
+
+    def _snapshot(self) -> Snapshot:
+        if self.scene is None:
+            raise ModsimError("this frame has no scene that could be drawn: take one from simulate_frames or open_run")
+        return self.scene.at(self.step)
 
     def table(self, name: str) -> pa.Table:
         """Its rows of a run's table: `frames`, `truth` or `detections`, with the columns of `StoredRun.table`.

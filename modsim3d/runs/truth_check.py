@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Indices, Mask
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Purpose, Streams
 from modsim3d.scene.scene import Scene
-from modsim3d.scene.sight import Sight
-from modsim3d.truth.crosscheck.comparison import Checked, Difference, VesselTruth, check_frame
+from modsim3d.truth.crosscheck.comparison import Checked, Difference, SaidOfFrame, check_frame
 from modsim3d.truth.crosscheck.visible_areas import visible_areas
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.pixel_spans import Spans
@@ -130,9 +130,10 @@ def _has_a_vessel(scene: Scene, step: int, index: int) -> bool:
 def frame_count(scene: Scene) -> int:
     """How many frames a sample has: three at least, and more of long runs, small images and few vessels."""
     frames = scene.steps * len(scene.cameras)
-    pixels = max(np.prod(camera.intrinsics.image_size_px) for camera in scene.cameras) * scene.annotation.supersample**2
+    sizes = [math.prod(camera.intrinsics.image_size_px) for camera in scene.cameras]
+    pixels = max(sizes) * scene.annotation.supersample**2
     effort = 2 * (1 + pixels / PIXELS_A_UNIT + len(scene.vessels) / VESSELS_A_UNIT)
-    return min(max(MIN_FRAMES, round(frames**0.5 / effort)), scene.steps)
+    return min(max(MIN_FRAMES, round(math.sqrt(frames) / effort)), scene.steps)
 
 
 def _frames_of_stream(scene: Scene, first: int, stop: int) -> set[FrameKey]:
@@ -148,93 +149,39 @@ def _frames_of_stream(scene: Scene, first: int, stop: int) -> set[FrameKey]:
 
 def _check_frames(scene: Scene, truth: Truth, camera: int, steps: Indices, renderer: IdRenderer) -> Checked:
     """Check frames of a camera at ascending steps; of the scene's first frame, the whole image."""
+    from modsim3d.truth.rendered import rendered_spans
+
     sight, supersample = scene.sight(scene.cameras[camera], steps), scene.annotation.supersample
-    frames, checked = _TruthOfFrames.of(scene, sight, truth.of_camera(camera), renderer), Checked()
+    outlines, lens = sight.outlines(), sight.camera.intrinsics
+    spans = rendered_spans(outlines, lens, renderer, supersample, full=scene.annotation.render == "full")
+    areas, bounds = visible_areas(outlines, lens, supersample)
+    checked, seen = Checked(), truth.of_camera(camera)
     for frame, step in enumerate(steps.tolist()):
+        rows = np.flatnonzero((outlines.frame == frame) & outlines.boxed & ~np.isnan(areas))
+        said = SaidOfFrame(
+            seen.take(slice(*np.searchsorted(seen.step, (step, step + 1)).tolist())),
+            _of_frame(spans[0], outlines, frame),
+            _of_frame(spans[1], outlines, frame),
+            {int(outlines.occluder[row]): (float(areas[row]), float(bounds[row])) for row in rows.tolist()},
+        )
         boxed, whole = set(np.flatnonzero(sight.others[frame]).tolist()), step == _whole_step(scene)
         try:
-            drawing, said = sight.drawing(frame, supersample), frames.vessels(frame)
+            drawing = sight.drawing(frame, supersample)
             checked += check_frame(drawing, renderer, said, boxed, scene.occluder_names, whole=whole)
-            checked += frames.check_areas(frame)
         except Difference as difference:
             raise TruthCheckError(_in_words(scene, camera, step, difference), difference.masks) from None
     return checked
 
 
+def _of_frame(spans: Spans, outlines: Outlines, frame: int) -> Spans:
+    """The spans of a frame, by index of the vessel in place of the row of the outlines."""
+    chosen = spans.take(outlines.frame[spans.row] == frame)
+    return replace(chosen, row=outlines.occluder[chosen.row])
+
+
 def _whole_step(scene: Scene) -> int:
     """The step of the frame that is drawn whole: the first that is checked."""
     return min(_sample(scene, 0, 1), default=(0, 0))[0] if scene.annotation.check == "sample" and not scene.live else 0
-
-
-@dataclass(frozen=True, eq=False)
-class _TruthOfFrames:
-    """What a truth has of some frames of a camera, beside its pixels and the areas that geometry gives."""
-
-    sight: Sight
-    outlines: Outlines
-    truth: Truth
-    spans: tuple[Spans, Spans]
-    areas: tuple[Array, Array]
-    supersample: int
-
-    @classmethod
-    def of(cls, scene: Scene, sight: Sight, truth: Truth, renderer: IdRenderer) -> _TruthOfFrames:
-        from modsim3d.truth.rendered import rendered_spans
-
-        outlines, annotation, lens = sight.outlines(), scene.annotation, sight.camera.intrinsics
-        spans = rendered_spans(outlines, lens, renderer, annotation.supersample, full=annotation.render == "full")
-        areas = visible_areas(outlines, lens, annotation.supersample)
-        return cls(sight, outlines, truth, spans, areas, annotation.supersample)
-
-    def vessels(self, frame: int) -> dict[int, VesselTruth]:
-        """What the truth has of each vessel in a frame."""
-        ss, truth = self.supersample, self.truth
-        rows = self._rows(frame)
-        return {
-            int(truth.vessel[row]): VesselTruth(
-                full_box=truth.full_boxes_px[row] * ss,
-                visible_box=truth.visible_boxes_px[row] * ss,
-                silhouette_px=truth.silhouette_px[row] * ss**2,
-                visible_px=truth.visible_px[row] * ss**2,
-                hidden_by={occluder: px * ss**2 for occluder, px in truth.occluders_of(row)},
-                silhouette=self._spans(0, frame, row),
-                visible=self._spans(1, frame, row),
-            )
-            for row in rows
-        }
-
-    def check_areas(self, frame: int) -> Checked:
-        """Compare visible pixels with visible areas.
-
-        Raises:
-            Difference: They differ by more than pixels on a boundary explain.
-        """
-        checked = Checked()
-        for row in self._rows(frame):
-            place = self._place(frame, row)
-            area, bound = (each[place] for each in self.areas) if place is not None else (np.nan, np.nan)
-            off = abs(self.truth.visible_px[row] - area)
-            if off > bound:
-                vessel, px = int(self.truth.vessel[row]), self.truth.visible_px[row]
-                nothing = np.zeros((0, 0), dtype=bool)
-                raise Difference(vessel, "visible pixels", f"{px:g}", f"{area:g} px² by geometry", (nothing, nothing))
-            if not np.isnan(off):
-                checked += Checked(geometry_vessels=1, largest_area_px=float(off))
-        return checked
-
-    def _rows(self, frame: int) -> range:
-        step = self.sight.steps[frame]
-        return range(*np.searchsorted(self.truth.step, (step, step + 1)).tolist())
-
-    def _place(self, frame: int, row: int) -> int | None:
-        """The row of the outlines that a row of the truth is of; None if there is none."""
-        outlines = self.outlines
-        same = (outlines.frame == frame) & (outlines.occluder == self.truth.vessel[row]) & outlines.boxed
-        return int(same.argmax()) if same.any() else None
-
-    def _spans(self, which: int, frame: int, row: int) -> Spans:
-        place, spans = self._place(frame, row), self.spans[which]
-        return spans.take(spans.row == place) if place is not None else Spans.none()
 
 
 def _in_words(scene: Scene, camera: int, step: int, difference: Difference) -> str:
@@ -244,6 +191,7 @@ def _in_words(scene: Scene, camera: int, step: int, difference: Difference) -> s
         "cross-check: the truth is not what OpenGL draws, which is an error in modsim3d or in OpenGL: "
         f"vessel '{vessel}' in camera {name} at step {step} (time {time_s} s): {difference.what}: "
         f"{difference.truth} in the truth, {difference.drawn} drawn. To see what is drawn:\n"
-        f"  modsim3d run {scene.path} --seed {scene.seed} --steps {step + 1} --set annotation.check=off --out unchecked\n"
+        f"  modsim3d run {scene.path} --seed {scene.seed} --steps {step + 1} --set annotation.check=off "
+        "--out unchecked\n"
         f"  modsim3d view unchecked --ids --frame {step} --camera {name}"
     )

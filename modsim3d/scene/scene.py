@@ -257,8 +257,8 @@ class Scene:
             raise ModsimError(f"{self.title}: there is no step {step}; the scene has steps 0 to {self.steps - 1}")
         steps = np.array([step])
         vessel_poses = self.motion.at(steps)
-        camera_poses = tuple(self.camera_poses(camera, vessel_poses, steps) for camera in self.cameras)
-        return Snapshot(self.vessels, vessel_poses, self.obstacles, self.cameras, camera_poses)
+        sights = tuple(self.sight(camera, steps, vessel_poses) for camera in self.cameras)
+        return Snapshot(self.vessels, vessel_poses, self.obstacles, sights, self.annotation.supersample)
 
     def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
         """The sea's side of the horizon in a camera's images at ascending steps of shape (S,), shape (S, 3).

@@ -12,8 +12,7 @@ therefore exactly that of `full_frame`, which draws everything and is the refere
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -49,9 +48,9 @@ def rendered_occlusion(
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)
     portions = _portions(outlines, supersample)
     if len(portions) == 1:
-        return _occlusion(outlines, intrinsics, renderer, supersample)
+        return _occlusion(outlines, intrinsics, renderer, supersample)[0]
     return Occlusion.joined(
-        [_occlusion(outlines.between(*rows), intrinsics, renderer, supersample) for rows in portions]
+        [_occlusion(outlines.between(*rows), intrinsics, renderer, supersample)[0] for rows in portions]
     )
 
 
@@ -72,95 +71,73 @@ def rendered_spans(
 
     With `full`, those that `full_frame_occlusion` counts.
     """
-    found = None
     if intrinsics.distortion is None and not full:
-        found = _found(outlines, intrinsics, renderer, supersample)
-    if found is None:
-        masks = list(vessel_masks(outlines, intrinsics, renderer, supersample))
-        return _spans_of((row, each.silhouette, each.region) for row, each in masks), _spans_of(
-            (row, each.visible, each.region) for row, each in masks
-        )
-    cut = np.zeros(len(outlines), dtype=bool)
-    cut[found.seen.rows] = True
-    uncut, parts = found.silhouettes.take(~cut[found.silhouettes.row]), found.seen.visible
-    return found.silhouettes, joined_spans([uncut, parts.take(cut[parts.row])])
+        _, silhouettes, seen = _occlusion(outlines, intrinsics, renderer, supersample)
+        if seen is not None:
+            cut = np.zeros(len(outlines), dtype=bool)
+            cut[seen.rows] = True
+            uncut, parts = silhouettes.take(~cut[silhouettes.row]), seen.visible
+            return silhouettes, joined_spans([uncut, parts.take(cut[parts.row])])
+    masks = list(vessel_masks(outlines, intrinsics, renderer, supersample))
+    whole = [_spans_of(row, each.silhouette, each.region) for row, each in masks]
+    shown = [_spans_of(row, each.visible, each.region) for row, each in masks]
+    return joined_spans([Spans.none(), *whole]), joined_spans([Spans.none(), *shown])
 
 
-def _spans_of(masks: Iterable[tuple[int, Mask, Region]]) -> Spans:
-    parts = [Spans.none()]
-    for row, mask, region in masks:
-        spans = spans_of_ids(mask * np.uint32(row + 1))
-        parts.append(spans.moved(region.x, region.y))
-    return joined_spans(parts)
+def _spans_of(row: int, mask: Mask, region: Region) -> Spans:
+    return spans_of_ids(mask * np.uint32(row + 1)).moved(region.x, region.y)
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """The pixels of n outlines: whole silhouettes, what is visible of those that are hidden in part, and which of the
-    rows (n,) OpenGL has drawn.
-    """
-
-    silhouettes: Spans
-    full_px: Array
-    full_boxes: Array
-    seen: Visibility
-    drawn: Mask
-
-
-def _found(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> _Found | None:
-    """The pixels of all rows with a box; None if no buffer holds what must be drawn."""
+def _occlusion(
+    outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int
+) -> tuple[Occlusion, Spans, Visibility | None]:
+    """The occlusion, with the spans of silhouettes, and how they were cut; None where the image was drawn in tiles."""
     drawing = BufferDrawing(outlines, intrinsics, renderer, supersample)
     whole = within_guard(outlines, intrinsics, supersample)
     silhouettes, drawn = _silhouettes(drawing, whole)
     full_px, full_boxes = counts_and_boxes(silhouettes, len(outlines))
     boxes = np.where(outlines.boxed[:, None], full_boxes, drawing.pixel_boxes)
-    seen = _seen(drawing, silhouettes, boxes, whole)
+    seen = _seen(drawing, silhouettes, boxes, whole, drawn)
     if seen is None:
-        return None
-    drawn[seen[1]] = True
-    return _Found(silhouettes, full_px, full_boxes, seen[0], drawn)
-
-
-def _occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> Occlusion:
-    found = _found(outlines, intrinsics, renderer, supersample)
-    if found is None:
-        return full_frame_occlusion(outlines, intrinsics, renderer, supersample)  # which draws in tiles
-    full_px, full_boxes, seen = found.full_px, found.full_boxes, found.seen
+        return full_frame_occlusion(outlines, intrinsics, renderer, supersample), silhouettes, None
     visible_px, visible_boxes = full_px.copy(), full_boxes.copy()
     if len(seen.rows):
         drawn_px, drawn_boxes = counts_and_boxes(seen.visible, len(outlines))
         visible_px[seen.rows], visible_boxes[seen.rows] = drawn_px[seen.rows], drawn_boxes[seen.rows]
     # In buffer pixels all counts are whole numbers, whose sums are exact; only then are they divided.
     hidden = HiddenPixels.of(seen.hidden_row, outlines.occluder[seen.hider], seen.px.astype(np.float64))
-    return Occlusion(
+    occlusion = Occlusion(
         full_boxes_px=np.where(full_px[:, None] > 0, full_boxes / supersample, outlines.boxes_px),
         visible_boxes_px=np.where(visible_px[:, None] > 0, visible_boxes / supersample, np.nan),
         silhouette_px=full_px / supersample**2,
         visible_px=visible_px / supersample**2,
         hidden=replace(hidden, px=hidden.px / supersample**2),
-        drawn=found.drawn,
+        drawn=drawn,
     )
+    return occlusion, silhouettes, seen
 
 
-def _seen(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, whole: Mask) -> tuple[Visibility, Indices] | None:
+def _seen(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, whole: Mask, drawn: Mask) -> Visibility | None:
     """What is visible of the vessels whose boxes (n, 4) of whole pixels overlap others; None if no buffer holds them.
 
-    With it come the rows that were drawn for it. For `silhouettes` and `whole` see `_silhouettes`.
+    The rows that are drawn for it are marked in `drawn` (n,). For `silhouettes` and `whole` see `_silhouettes`.
     """
-    outlines, nothing = drawing.outlines, np.empty(0, dtype=np.int64)
+    outlines = drawing.outlines
     pairs = ClusteredPairs.of(outlines, boxes)
     if not len(pairs.first):
-        return Visibility.none(), nothing
+        return Visibility.none()
     ordered = _in_order(drawing, silhouettes, boxes, pairs, whole)
     in_order = visibility_in_order(ordered, outlines.boxed, (drawing.image.width, drawing.image.height))
     if len(ordered.pairs.first) == len(pairs.first):
-        return in_order, nothing
+        return in_order
     to_draw = ~np.isin(pairs.cluster, ordered.pairs.cluster)
     clusters = clusters_of(outlines, boxes, pairs.take(to_draw))
     if not all(fits_a_buffer((cluster.shared.width, cluster.shared.height)) for cluster in clusters):
         return None
-    drawn = [visibility_in(drawing, silhouettes, batch) for batch in batches_of(clusters)]
-    return Visibility.joined([in_order, *drawn]), np.concatenate([nothing, *(each.rows for each in drawn)])
+    parts = [visibility_in(drawing, silhouettes, batch) for batch in batches_of(clusters)]
+    for part in parts:
+        drawn[part.rows] = True
+    return Visibility.joined([in_order, *parts])
 
 
 def _silhouettes(drawing: BufferDrawing, whole: Mask) -> tuple[Spans, Mask]:

@@ -13,7 +13,7 @@ HalfSpace = tuple[Array, float]
 
 
 def cut(triangles: Array, half_spaces: Sequence[HalfSpace]) -> tuple[Array, Indices]:
-    """The parts of triangles, shape (T, 3, D), inside all half-spaces, as triangles, with the triangle of each."""
+    """The parts of triangles, shape (T, 3, D), inside all half-spaces, in order, with the triangle of each."""
     source = np.arange(len(triangles))
     for normal, offset in half_spaces:
         height = triangles @ normal - offset
@@ -43,7 +43,9 @@ def _cut(triangles: Array, height: Array) -> tuple[Array, Indices]:
             pieces = [(to_b, b, c), (to_b, c, to_c)]
         parts += [np.stack(piece, axis=1) for piece in pieces]
         sources += [rows] * len(pieces)
-    return np.concatenate(parts), np.concatenate(sources)
+    source = np.concatenate(sources)
+    order = np.argsort(source, kind="stable")
+    return np.concatenate(parts)[order], source[order]
 
 
 def _crossing(inner: Array, at_inner: Array, outer: Array, at_outer: Array) -> Array:

@@ -17,8 +17,10 @@ import numpy as np
 from modsim3d.arrays import Array, Mask
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 from modsim3d.truth.crosscheck.drawing import MARGIN_PX, Drawing, tiles_of
-from modsim3d.truth.crosscheck.possible_ids import EDGE_PX, LENS_EDGE_PX, tie_pixels, undecided
+from modsim3d.truth.crosscheck.possible_ids import EDGE_PX, LENS_EDGE_PX, undecided
+from modsim3d.truth.pixel_masks import mask_box
 from modsim3d.truth.pixel_spans import Spans
+from modsim3d.truth.truth_record import Truth
 
 NOT_ROUNDED_PX = 1e-6
 """Sides of boxes are whole buffer pixels; this is what dividing by the supersampling and multiplying again leaves."""
@@ -85,46 +87,37 @@ class Difference(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class VesselTruth:
-    """What the truth has of a vessel in a frame, in buffer pixels.
+class SaidOfFrame:
+    """What the truth and exact geometry say of one frame.
 
     Attributes:
-        full_box: Of its silhouette, shape (4,).
-        visible_box: Of what is visible, NaN if nothing is, shape (4,).
-        silhouette_px: Number of pixels of its silhouette.
-        visible_px: Number of those that are visible.
-        hidden_by: How many of them each occluder hides, by its index.
-        silhouette: The pixels of its silhouette.
-        visible: Those that are visible.
+        truth: Its rows.
+        silhouettes: Their pixels; `row` is the index of the vessel.
+        visible: Those that are visible, likewise.
+        areas: Area of a vessel's visible part, and by how much its pixels may differ, where geometry tells.
     """
 
-    full_box: Array
-    visible_box: Array
-    silhouette_px: float
-    visible_px: float
-    hidden_by: dict[int, float]
-    silhouette: Spans
+    truth: Truth
+    silhouettes: Spans
     visible: Spans
-
-
-NO_TRUTH = VesselTruth(np.full(4, np.nan), np.full(4, np.nan), 0.0, 0.0, {}, Spans.none(), Spans.none())
+    areas: Mapping[int, tuple[float, float]]
 
 
 def check_frame(
     drawing: Drawing,
     renderer: IdRenderer,
-    truth: Mapping[int, VesselTruth],
+    said: SaidOfFrame,
     boxed: Set[int],
     names: Sequence[str],
     *,
     whole: bool = False,
 ) -> Checked:
-    """Draw a frame and compare it with its truth.
+    """Draw a frame and compare it with what is said of it.
 
     Args:
         drawing: The frame.
         renderer: Draws it.
-        truth: What the truth has, by index of the vessel.
+        said: See above.
         boxed: Indices of the vessels that get a box if they are in the image.
         names: Of the scene's occluders.
         whole: Draw the whole image, not only the rectangle around all vessels.
@@ -132,41 +125,50 @@ def check_frame(
     Raises:
         Difference: They differ by more than ties.
     """
-    vessels = sorted({*truth, *(boxed & drawing.boxes_px.keys())})
-    found = [_VesselPixels(drawing, vessel, truth.get(vessel, NO_TRUTH), names) for vessel in vessels]
+    row_of = {vessel: row for row, vessel in enumerate(said.truth.vessel.tolist())}
+    vessels = sorted({*row_of, *(boxed & drawing.boxes_px.keys())})
+    found = [_VesselPixels(drawing, said, vessel, row_of.get(vessel), names) for vessel in vessels]
     for tile in tiles_of(drawing.image if whole else drawing.region(*vessels)):
         seen = drawing.ids(renderer, tile)
         for pixels in found:
             pixels.compare(renderer, seen, tile)
-        if whole:
+        if whole and seen.any():
             _look_beside(found, seen, tile)
-    one = Checked(frames=1, empty_frames=int(not truth), whole_frames=int(whole), vessels=len(truth))
+    one = Checked(frames=1, empty_frames=int(not row_of), whole_frames=int(whole), vessels=len(row_of))
     return sum((pixels.checked() for pixels in found), one)
 
 
 def _look_beside(found: Sequence[_VesselPixels], seen: Ids, tile: Region) -> None:
     """Refuse vessels whose IDs `seen` in a tile has outside the rectangles around them; what is inside is cleared."""
-    for pixels in found if seen.any() else ():
+    for pixels in found:
         ids = pixels.part(seen, tile, pixels.region.common(tile))
         ids[ids == pixels.vessel + 1] = 0
-    left = seen[seen > 0] if seen.any() else seen[:0]
-    for pixels in found if len(left) else ():
-        if beside := int(np.count_nonzero(left == pixels.vessel + 1)):
+    for pixels in found if seen.any() else ():
+        if beside := int(np.count_nonzero(seen == pixels.vessel + 1)):
             pixels.refuse("pixels outside the box of its corners", "0", str(beside))
 
 
 class _VesselPixels:
-    """The pixels of a vessel in a frame, compared tile by tile."""
+    """The pixels of a vessel in a frame, compared tile by tile; `row` is its row of the truth, None if it has none."""
 
-    def __init__(self, drawing: Drawing, vessel: int, truth: VesselTruth, names: Sequence[str]) -> None:
-        self.drawing, self.vessel, self.truth, self.names = drawing, vessel, truth, names
-        self.alone = drawing.only(vessel)
-        box = drawing.boxes_px.get(vessel, truth.full_box)
-        around = np.concatenate([np.fmin(box, truth.full_box)[:2], np.fmax(box, truth.full_box)[2:]])
-        self.region = Region.around(around, drawing.size_px, MARGIN_PX)
-        self.full, self.visible, self.hidden_by = _Counted(), _Counted(), Counter[int]()
-        self.ties = self.hidden_ties = 0
+    def __init__(self, drawing: Drawing, said: SaidOfFrame, vessel: int, row: int | None, names: Sequence[str]) -> None:
+        self.drawing, self.alone, self.vessel, self.row, self.names = drawing, drawing.only(vessel), vessel, row, names
+        self.said, ss = said, drawing.supersample
+        self.spans = [spans.take(spans.row == vessel) for spans in (said.silhouettes, said.visible)]
+        self.full_box, self.visible_box = np.full((2, 4), np.nan)
+        if row is not None:
+            self.full_box, self.visible_box = said.truth.full_boxes_px[row] * ss, said.truth.visible_boxes_px[row] * ss
+        self.corners = drawing.boxes_px.get(vessel, self.full_box)
+        low, high = np.fmin(self.corners, self.full_box)[:2], np.fmax(self.corners, self.full_box)[2:]
+        self.region = Region.around(np.concatenate([low, high]), drawing.size_px, MARGIN_PX)
+        self.px, self.hidden_by, self.ties = [0, 0], Counter[int](), 0
+        self.boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (2, 1))
         self.masks = np.zeros((0, 0), dtype=bool), np.zeros((0, 0), dtype=bool)
+
+    @staticmethod
+    def part(seen: Ids, tile: Region, region: Region) -> Ids:
+        """The IDs in a region of a tile."""
+        return seen[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
 
     def compare(self, renderer: IdRenderer, seen: Ids, tile: Region) -> None:
         """Compare its pixels in a tile, of which `seen` are the IDs.
@@ -180,36 +182,31 @@ class _VesselPixels:
         ids = self.part(seen, tile, region)
         alone = self.alone.ids(renderer, region) > 0
         shown = alone & ((ids == self.vessel + 1) | (ids == 0))
-        full, visible = _mask(self.truth.silhouette, region), _mask(self.truth.visible, region)
-        self._compare(self.alone, "silhouette", full, alone, region)
-        self._compare(self.drawing, "visible", visible, shown, region)
-        self.full.add(full, region)
-        self.visible.add(visible, region)
-        hidden = alone & ~shown
-        if hidden.any():
+        for which, (what, of, drawn) in enumerate(
+            (("silhouette", self.alone, alone), ("visible", self.drawing, shown))
+        ):
+            said = mask_of(self.spans[which], region)
+            self._compare(of, what, said, drawn, region)
+            if said.any():
+                self.px[which] += int(np.count_nonzero(said))
+                box = mask_box(said, region)
+                self.boxes[which, :2] = np.minimum(self.boxes[which, :2], box[:2])
+                self.boxes[which, 2:] = np.maximum(self.boxes[which, 2:], box[2:])
+        if (hidden := alone & ~shown).any():
             counts = np.bincount(ids[hidden])
-            self.hidden_by.update({int(each) - 1: int(counts[each]) for each in counts.nonzero()[0]})
-            if self.hidden_by != self.truth.hidden_by:
-                y, x = np.nonzero(hidden)
-                self.hidden_ties += int(tie_pixels(self.drawing, x + region.x, y + region.y).sum())
+            self.hidden_by.update({int(each) - 1: int(counts[each]) for each in np.flatnonzero(counts)})
 
-    @staticmethod
-    def part(seen: Ids, tile: Region, region: Region) -> Ids:
-        """The IDs in a region of a tile."""
-        return seen[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
-
-    def _compare(self, drawing: Drawing, what: str, truth: Mask, drawn: Mask, region: Region) -> None:
-        self.masks = truth, drawn
-        differing = truth ^ drawn
+    def _compare(self, drawing: Drawing, what: str, said: Mask, drawn: Mask, region: Region) -> None:
+        self.masks, differing = (said, drawn), said ^ drawn
         if not differing.any():
             return
         y, x = np.nonzero(differing)
         ties = undecided(drawing, x + region.x, y + region.y, self.vessel + 1)
+        self.ties += len(x)
         if not ties.all():
             column, row = int(x[~ties][0]) + region.x, int(y[~ties][0]) + region.y
             where = f"{np.count_nonzero(~ties)} pixels differ, one of them at column {column}, row {row}"
-            self.refuse(f"{what} pixels", f"{np.count_nonzero(truth)}", f"{np.count_nonzero(drawn)} ({where})")
-        self.ties += len(x)
+            self.refuse(f"{what} pixels", f"{np.count_nonzero(said)}", f"{np.count_nonzero(drawn)} ({where})")
 
     def checked(self) -> Checked:
         """What was compared, once all tiles were.
@@ -217,74 +214,65 @@ class _VesselPixels:
         Raises:
             Difference: Numbers or boxes of the truth are not those of its pixels, or not those of the corners.
         """
-        truth = self.truth
-        for what, counted, px, box in (
-            ("silhouette", self.full, truth.silhouette_px, truth.full_box),
-            ("visible", self.visible, truth.visible_px, truth.visible_box),
+        if self.row is None:
+            return Checked()
+        truth, ss = self.said.truth, self.drawing.supersample
+        for which, (what, px, box) in enumerate(
+            (
+                ("silhouette", truth.silhouette_px[self.row], self.full_box),
+                ("visible", truth.visible_px[self.row], self.visible_box),
+            )
         ):
-            if counted.px != round(px):
-                self.refuse(f"{what} pixels", f"{px:g}", f"{counted.px}")
-            if counted.px and np.abs(counted.box - box).max() > NOT_ROUNDED_PX:
-                self.refuse(f"{what} box", _in_words(box), _in_words(counted.box))
-        self._check_occluders()
-        sides = self._beyond_corners()
-        tip = sides.min(initial=0.0) < -1.0
-        size = float(np.abs(sides).max(initial=0.0)) / self.drawing.supersample
-        return Checked(
-            pixels=self.full.px,
-            tie_pixels=self.ties + self.hidden_ties,
-            sharp_tips=int(tip),
-            largest_box_px=0.0 if tip else size,
-            largest_tip_px=size if tip else 0.0,
-        )
+            if self.px[which] != round(px * ss**2):
+                self.refuse(f"{what} pixels", f"{px:g}", f"{self.px[which] / ss**2:g}")
+            if self.px[which] and np.abs(self.boxes[which] - box).max() > NOT_ROUNDED_PX:
+                self.refuse(f"{what} box", _in_words(box / ss), _in_words(self.boxes[which] / ss))
+        for occluder, px in (dict.fromkeys(self.hidden_by, 0.0) | dict(truth.occluders_of(self.row))).items():
+            drawn = self.hidden_by[occluder]
+            off = abs(round(px * ss**2) - drawn)
+            if off > self.ties and off > self.ties + self._ties_behind(occluder):
+                self.refuse(f"pixels behind '{self.names[occluder]}'", f"{px:g}", f"{drawn / ss**2:g}")
+        return self._checked_by_geometry()
 
-    def _check_occluders(self) -> None:
-        """Refuse another number of pixels behind an occluder than ties can move from one to another."""
-        for occluder in {*self.hidden_by, *self.truth.hidden_by}:
-            said, drawn = self.truth.hidden_by.get(occluder, 0.0), self.hidden_by[occluder]
-            if abs(round(said) - drawn) > self.ties + self.hidden_ties:
-                self.refuse(f"pixels behind '{self.names[occluder]}'", f"{said:g}", f"{drawn}")
+    def _ties_behind(self, occluder: int) -> int:
+        """Pixels of the vessel at which rounding decides whether an occluder is in front."""
+        y, x = np.nonzero(np.ones((self.region.height, self.region.width)))
+        return int(undecided(self.drawing, x + self.region.x, y + self.region.y, occluder + 1).sum())
 
-    def _beyond_corners(self) -> Array:
-        """How far each side of the truth's full box lies outside the box of the projected corners, shape (4,)."""
-        box, said = self.drawing.boxes_px.get(self.vessel), self.truth.full_box
-        if box is None or self.truth is NO_TRUTH:
-            return np.empty(0)
-        beyond = np.concatenate([box[:2] - said[:2], said[2:] - box[2:]])
+    def _checked_by_geometry(self) -> Checked:
+        """Compare the full box with that of the projected corners, and visible pixels with the visible area."""
+        beyond = np.concatenate([self.corners[:2] - self.full_box[:2], self.full_box[2:] - self.corners[2:]])
         edge_px = EDGE_PX if self.drawing.intrinsics.distortion is None else LENS_EDGE_PX
-        if beyond.max() > 0.5 + edge_px or (not self.full.px and beyond.min() < -1.0):
-            self.refuse("full box", _in_words(said), f"{_in_words(box)} around the projected corners")
-        return beyond
+        tip = beyond.min() < -1.0
+        if beyond.max() > 0.5 + edge_px or (tip and not self.px[0]):
+            ss = self.drawing.supersample
+            self.refuse("full box", _in_words(self.full_box / ss), f"{_in_words(self.corners / ss)} around the corners")
+        area, bound = self.said.areas.get(self.vessel, (np.nan, np.nan))
+        off, size = abs(self.said.truth.visible_px[self.row] - area), float(np.abs(beyond).max())
+        if off > bound:
+            self.refuse("visible pixels", f"{self.said.truth.visible_px[self.row]:g}", f"{area:g} px² by geometry")
+        return Checked(
+            pixels=self.px[0],
+            tie_pixels=self.ties,
+            geometry_vessels=int(not np.isnan(off)),
+            sharp_tips=int(tip),
+            largest_box_px=0.0 if tip else size / self.drawing.supersample,
+            largest_tip_px=size / self.drawing.supersample if tip else 0.0,
+            largest_area_px=0.0 if np.isnan(off) else float(off),
+        )
 
     def refuse(self, what: str, truth: str, drawn: str) -> NoReturn:
         """Say what differs."""
         raise Difference(self.vessel, what, truth, drawn, self.masks)
 
 
-class _Counted:
-    """Pixels counted so far, and the box around them."""
-
-    def __init__(self) -> None:
-        self.px, self.box = 0, np.array([np.inf, np.inf, -np.inf, -np.inf])
-
-    def add(self, mask: Mask, region: Region) -> None:
-        """Count the pixels of a mask (h, w) at a region."""
-        rows, columns = mask.any(axis=1).nonzero()[0], mask.any(axis=0).nonzero()[0]
-        if not len(rows):
-            return
-        self.px += int(np.count_nonzero(mask))
-        low = columns[0] + region.x, rows[0] + region.y
-        high = columns[-1] + 1 + region.x, rows[-1] + 1 + region.y
-        self.box = np.concatenate([np.minimum(self.box[:2], low), np.maximum(self.box[2:], high)])
-
-
-def _mask(spans: Spans, region: Region) -> Mask:
+def mask_of(spans: Spans, region: Region) -> Mask:
     """The pixels of spans in a region, shape (height, width)."""
     edges = np.zeros((region.height, region.width + 1), dtype=np.int64)
     inside = (spans.y >= region.y) & (spans.y < region.y + region.height)
-    y = spans.y[inside] - region.y
     for ends, step in ((spans.start, 1), (spans.stop, -1)):
-        np.add.at(edges, (y, np.clip(ends[inside] - region.x, 0, region.width)), step)
+        place = spans.y[inside] - region.y, np.clip(ends[inside] - region.x, 0, region.width)
+        np.add.at(edges, place, step)
     mask: Mask = edges.cumsum(axis=1)[:, :-1] > 0
     return mask
 

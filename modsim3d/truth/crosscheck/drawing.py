@@ -1,8 +1,9 @@
 """One frame drawn as ID buffers in the most obvious way: each corner projected, each triangle drawn, a depth test.
 
 A corner x of a solid is at R · x + s in the world, at R_c · (x − s_c) in the camera and at K of that in the image.
-What is nearer than the near plane is cut off. So is what reaches far outside the image, where OpenGL would cut edges
-itself and move them. Triangles that are turned away from the camera are drawn too: the depth test hides them.
+What is nearer than the near plane is cut off, and the section there closes the solid again. What reaches far outside
+the image is cut off too, since OpenGL would cut edges there itself and move them. Triangles that are turned away from
+the camera are drawn as well: the depth test hides them.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import shapely
 
 from modsim3d.arrays import Array, Indices, distinct, occurring
 from modsim3d.geometry.camera import Intrinsics
@@ -59,10 +61,14 @@ class Drawing:
         pinhole, near_m = intrinsics.pinhole, intrinsics.near_clip_m
         corners = (triangles.corners_m - camera_m) @ camera_R_world.T
         guard_px = GUARD_PX / supersample if intrinsics.distortion is None else LENS_GUARD_PX
-        corners, source = cut(corners, [(np.array([0.0, 0.0, 1.0]), near_m), *_field_of_view(pinhole, guard_px)])
+        corners, source = cut(corners, [(np.array([0.0, 0.0, 1.0]), near_m)])
+        sections, of = _sections(corners, triangles.closed[source], near_m)
+        occluder = triangles.occluder[np.concatenate([source, source[of]])]
+        order = np.argsort(occluder, kind="stable")
+        corners, source = cut(np.concatenate([corners, sections])[order], _field_of_view(pinhole, guard_px))
         depth = np.maximum(corners[..., 2], near_m)
         pixels = (corners @ pinhole.matrix.T)[..., :2] / depth[..., None]
-        return cls(intrinsics, supersample, pixels * supersample, near_m / depth, triangles.occluder[source])
+        return cls(intrinsics, supersample, pixels * supersample, near_m / depth, occluder[order][source])
 
     def only(self, occluder: int) -> Drawing:
         """One solid alone."""
@@ -126,6 +132,26 @@ class Drawing:
         return bent, pieces[..., 2], self.occluder[source]
 
 
+def _sections(corners: Array, closed: Indices, near_m: float) -> tuple[Array, Indices]:
+    """The sections of closed solids at the near plane as triangles (k, 3, 3), and a triangle of the solid of each (k,).
+
+    Otherwise the camera would look into a solid that it is close to. `corners` (T, 3, 3) are cut there; for `closed`
+    (T,) see `WorldTriangles`.
+    """
+    on_plane = corners[..., 2] <= near_m * (1 + 1e-9)
+    edge = np.flatnonzero((on_plane.sum(axis=1) == 2) & (closed > 0))
+    sections, sources = [corners[:0]], [edge[:0]]
+    for number in distinct(closed[edge]).tolist():
+        own = edge[closed[edge] == number]
+        ends = corners[own][on_plane[own]].reshape(-1, 2, 3)[..., :2]
+        area = shapely.build_area(shapely.node(shapely.multilinestrings(shapely.linestrings(ends))))
+        pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(area))
+        flat = shapely.get_coordinates(pieces).reshape(-1, 4, 2)[:, :3]
+        sections.append(np.concatenate([flat, np.full((len(flat), 3, 1), near_m)], axis=-1))
+        sources.append(np.full(len(flat), own[0]))
+    return np.concatenate(sections), np.concatenate(sources)
+
+
 def _field_of_view(pinhole: Intrinsics, guard_px: float) -> list[HalfSpace]:
     """The half-spaces that project to an image and a band around it: x >= −guard is (f1, s, a1 + guard) · p >= 0."""
     (x, y, depth), (width, height) = pinhole.matrix, pinhole.image_size_px
@@ -148,7 +174,9 @@ def _pieces(straight_px: Array, inverse_depth: Array, longest_px: float) -> tupl
         weights = _lattice(count)
         pieces.append((weights @ corners[chosen, None]).reshape(-1, 3, 3))
         sources.append(np.repeat(chosen, len(weights)))
-    return np.concatenate(pieces), np.concatenate(sources)
+    source = np.concatenate(sources)
+    order = np.argsort(source, kind="stable")
+    return np.concatenate(pieces)[order], source[order]
 
 
 def _lattice(count: int) -> Array:

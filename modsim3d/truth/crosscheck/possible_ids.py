@@ -25,16 +25,14 @@ MOST_PAIRS = 2_000_000
 
 def tie_pixels(drawing: Drawing, x: Indices, y: Indices) -> Mask:
     """At which of k pixels, by buffer column and row, rounding decides what is seen, shape (k,)."""
-    ties: Mask = possible_ids(drawing, x, y)[1].sum(axis=1) > 1
-    return ties
+    return np.asarray(possible_ids(drawing, x, y)[1].sum(axis=1) > 1)
 
 
 def undecided(drawing: Drawing, x: Indices, y: Indices, wanted: int) -> Mask:
     """At which of k pixels rounding decides whether an ID is seen, or anything else or nothing, shape (k,)."""
     ids, possible = possible_ids(drawing, x, y)
     this = ids == wanted
-    decided: Mask = possible[:, this].any(axis=1) & possible[:, ~this].any(axis=1)
-    return decided
+    return np.asarray(possible[:, this].any(axis=1) & possible[:, ~this].any(axis=1))
 
 
 def possible_ids(drawing: Drawing, x: Indices, y: Indices) -> tuple[Indices, Mask]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,27 +11,35 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.curved_sea import drop_m
 from modsim3d.vessels.obstacles import Obstacle
-from modsim3d.vessels.vessel import Vessel
+from modsim3d.vessels.vessel import Solid, Vessel
 
 
 @dataclass(frozen=True, eq=False)
 class WorldTriangles:
-    """T triangles of solids, in no order.
+    """T triangles, those of a solid together, in order of occluder.
 
     Attributes:
         corners_m: In WCF, shape (T, 3, 3).
         occluder: Index into the scene's occluder names of the solid of each, shape (T,).
+        closed: Number of the closed solid that it bounds, 1 or more; 0 for a surface with holes, shape (T,).
     """
 
     corners_m: Array
     occluder: Indices
+    closed: Indices
 
     @classmethod
     def joined(cls, parts: Sequence[WorldTriangles]) -> WorldTriangles:
         """The triangles of several lists."""
-        nothing = cls(np.empty((0, 3, 3)), np.empty(0, dtype=np.int64))
-        parts = [nothing, *parts]
-        return cls(np.concatenate([p.corners_m for p in parts]), np.concatenate([p.occluder for p in parts]))
+        none = np.empty(0, dtype=np.int64)
+        parts = [cls(np.empty((0, 3, 3)), none, none), *parts]
+        return cls(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)))
+
+    @classmethod
+    def of_solid(cls, corners_m: Array, solid: Solid, occluder: int, number: int) -> WorldTriangles:
+        """The triangles of one solid, whose number is not below 1."""
+        count = len(corners_m)
+        return cls(corners_m, np.full(count, occluder), np.full(count, number if solid.closed else 0))
 
 
 def vessel_triangles(
@@ -48,7 +56,7 @@ def vessel_triangles(
     parts = []
     for index in np.flatnonzero(present).tolist():
         corners = vessels[index].triangles_m @ world_R_vessel[index].T + positions_m[index]
-        parts.append(WorldTriangles(corners, np.full(len(corners), index)))
+        parts.append(WorldTriangles.of_solid(corners, vessels[index].solid, index, index + 1))
     return WorldTriangles.joined(parts)
 
 
@@ -64,13 +72,15 @@ def obstacle_triangles(obstacles: tuple[Obstacle, ...], first_occluder: int, cam
     corners = triangles.corners_m.copy()
     drops = np.array([drop_m(obstacle.centre_m, camera_m) for obstacle in obstacles])
     corners[..., 2] -= drops[triangles.occluder - first_occluder, None]
-    return WorldTriangles(corners, triangles.occluder)
+    return replace(triangles, corners_m=corners)
 
 
 @lru_cache(maxsize=4)
 def _standing(obstacles: tuple[Obstacle, ...], first_occluder: int) -> WorldTriangles:
-    parts = []
-    for index, obstacle in enumerate(obstacles):
-        for solid, vertices in obstacle.solids:
-            parts.append(WorldTriangles(vertices[solid.faces], np.full(len(solid.faces), first_occluder + index)))
-    return WorldTriangles.joined(parts)
+    solids = [(index, *each) for index, obstacle in enumerate(obstacles) for each in obstacle.solids]
+    return WorldTriangles.joined(
+        [
+            WorldTriangles.of_solid(vertices[solid.faces], solid, first_occluder + index, first_occluder + number + 1)
+            for number, (index, solid, vertices) in enumerate(solids)
+        ]
+    )

@@ -1,0 +1,338 @@
+"""The cross-check of a run: each planted error stops it, and nothing else does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import modsim3d
+from modsim3d.cli import app, main
+from modsim3d.runs.detect_run import detect_run
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.truth_check import STREAM_STEPS, TruthCheckError, _sample, frame_count
+from modsim3d.scene import sight
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+from modsim3d.truth import buffer_drawing, nearer_first, outlines, rendered, triangles
+from modsim3d.truth.crosscheck.comparison import Checked
+from modsim3d.truth.occlusion import Occlusion
+from modsim3d.truth.pixel_spans import Spans
+from tests.scenes import write_scene
+
+BOATS = {
+    "far": ([10, 4, 3], [[0, 150, 5], [100, 151, 5]]),
+    "near": ([10, 4, 3], [[0, 100, 3], [100, 101, 3]]),
+    "ship": ([60, 10, 12], [[0, 190, 20], [100, 191, 19]]),  # its depths overlap those of the next, which it hides
+    "beside": ([10, 4, 8], [[0, 214, 12], [100, 215, 12]]),
+    "raft": ([12, 4, 3], [[0, 60, -12], [100, 61, -12]]),  # intersects the next: OpenGL draws both
+    "rafted": ([10, 4, 4], [[0, 61, -9], [100, 62, -9]]),
+    "close": ([10, 4, 3], [[0, 31, 6], [100, 32, 5]]),  # crosses the near plane
+}
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    return load_scene(write_boats(tmp_path))
+
+
+def write_boats(folder: Path, steps: int = 4, **annotation: Any) -> Path:
+    path = write_scene(folder, BOATS, steps, annotation={"mode": 2, **annotation})
+    content = json.loads(path.read_text())
+    content["cameras"]["C0"]["near_clip_m"] = 30
+    path.write_text(json.dumps(content))
+    return path
+
+
+def unchecked(scene: Scene) -> Scene:
+    return replace(scene, annotation=replace(scene.annotation, check="off"))
+
+
+def patched(monkeypatch: pytest.MonkeyPatch, module: Any, name: str, change: Callable[..., Any]) -> None:
+    """Change the result of a function: `change` gets it, and then the arguments."""
+    original = getattr(module, name)
+    monkeypatch.setattr(module, name, lambda *args, **kwargs: change(original(*args, **kwargs), *args))
+
+
+def wrong_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
+    patched(monkeypatch, rendered, "ranks_of", lambda found, *_: (found[0].max() - found[0], found[1]))
+
+
+def wrong_side_of_a_plane(monkeypatch: pytest.MonkeyPatch) -> None:
+    def exchanged(order: Any, *_: Any) -> Any:
+        return replace(order, first_can_hide=order.second_can_hide, second_can_hide=order.first_can_hide)
+
+    patched(monkeypatch, nearer_first, "order_of_pairs", exchanged)
+
+
+def near_and_far_exchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+    patched(
+        monkeypatch,
+        buffer_drawing,
+        "triangles_of",
+        lambda found, *_: replace(found, inverse_depth=found.inverse_depth.min() / found.inverse_depth),
+    )
+
+
+def corners_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+    def moved(bodies: list[Any], *_: Any) -> list[Any]:
+        vertices = bodies[0].vertices_m.copy()
+        vertices[1] += (0.0, 0.2, 0.0)
+        return [replace(bodies[0], vertices_m=vertices), *bodies[1:]]
+
+    patched(monkeypatch, sight, "vessel_bodies", moved)
+
+
+def vessel_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(bodies: list[Any], *_: Any) -> list[Any]:
+        present = bodies[0].present.copy()
+        present[:, 1] = False
+        return [replace(bodies[0], present=present), *bodies[1:]]
+
+    patched(monkeypatch, sight, "vessel_bodies", lost)
+
+
+def near_plane_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (triangles, outlines):
+        original = module.cut_faces
+        monkeypatch.setattr(
+            module,
+            "cut_faces",
+            lambda vertices, crosses, lens, *rest, original=original, **kwargs: original(
+                vertices, crosses, replace(lens, near_clip_m=28.0), *rest, **kwargs
+            ),
+        )
+
+
+def span_off_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def longer(found: tuple[Spans, Any], *_: Any) -> tuple[Spans, Any]:
+        spans, odd = found
+        stop = spans.stop.copy()
+        stop[len(stop) // 2 :: 97] += 1
+        return replace(spans, stop=stop), odd
+
+    patched(monkeypatch, rendered, "scan_convert", longer)
+
+
+def occluder_misnamed(monkeypatch: pytest.MonkeyPatch) -> None:
+    original = Occlusion.truth
+
+    def misnamed(self: Occlusion, *args: Any) -> Any:
+        truth = original(self, *args)
+        return replace(truth, occluder=np.where(truth.occluder == 1, 3, truth.occluder))
+
+    monkeypatch.setattr(Occlusion, "truth", misnamed)
+
+
+def box_one_pixel_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    original = Occlusion.truth
+
+    def wide(self: Occlusion, *args: Any) -> Any:
+        truth = original(self, *args)
+        return replace(truth, full_boxes_px=truth.full_boxes_px + np.array([0.0, 0.0, 1.0, 0.0]))
+
+    monkeypatch.setattr(Occlusion, "truth", wide)
+
+
+PLANTED = [
+    wrong_ranks,
+    wrong_side_of_a_plane,
+    near_and_far_exchanged,
+    corners_moved,
+    vessel_lost,
+    near_plane_ignored,
+    span_off_by_one,
+    occluder_misnamed,
+    box_one_pixel_off,
+]
+
+
+@pytest.mark.parametrize("plant", PLANTED)
+def test_a_planted_error_stops_a_run_that_is_checked(
+    plant: Callable[[pytest.MonkeyPatch], None], scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant(monkeypatch)
+    with pytest.raises(TruthCheckError, match=r"vessel '\w+' in camera C0 at step \d"):
+        run_scene(scene, tmp_path / "checked")
+    assert not (tmp_path / "checked" / "run.json").exists()
+    run_scene(unchecked(scene), tmp_path / "off")
+
+
+def test_a_run_without_an_error_is_checked_and_says_so(scene: Scene, tmp_path: Path) -> None:
+    result = run_scene(scene, tmp_path / "run")
+    checked = result.checked
+    assert checked is not None
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["crosscheck"] == asdict(checked)
+    assert (checked.frames, checked.whole_frames, checked.empty_frames) == (3, 1, 0)
+    assert checked.vessels == 3 * len(BOATS)
+    assert checked.tie_pixels == 0
+    assert checked.from_spans + checked.from_buffers == 4 * len(BOATS)
+    assert checked.from_buffers == 4 * 3  # the raft, and what crosses the near plane
+    assert 0 < checked.largest_box_px < 1
+
+
+def test_all_checks_every_frame_and_off_none(scene: Scene, tmp_path: Path) -> None:
+    every = replace(scene, annotation=replace(scene.annotation, check="all"))
+    found = run_scene(every, tmp_path / "all").checked
+    assert found is not None
+    assert found.frames == 4
+    none = run_scene(unchecked(scene), tmp_path / "off").checked
+    assert none is not None
+    assert (none.frames, none.from_spans + none.from_buffers) == (0, 4 * len(BOATS))
+    for name in ("truth", "detections", "frames"):
+        one, other = ((tmp_path / run / f"{name}.parquet").read_bytes() for run in ("all", "off"))
+        assert one == other
+
+
+@pytest.mark.parametrize("source", ["analytic", "rectangles"])
+def test_nothing_is_drawn_for_other_sources(source: str, tmp_path: Path) -> None:
+    result = run_scene(load_scene(write_boats(tmp_path, source=source)), tmp_path / "run")
+    assert result.checked == Checked()
+
+
+def test_a_lens_and_full_images_are_checked_too(tmp_path: Path) -> None:
+    path = write_boats(tmp_path, supersample=2)
+    content = json.loads(path.read_text())
+    content["cameras"]["C0"]["distortion"] = {"k1": -0.1}
+    path.write_text(json.dumps(content))
+    bent = run_scene(load_scene(path), tmp_path / "bent").checked
+    whole = run_scene(load_scene(write_boats(tmp_path, render="full")), tmp_path / "whole").checked
+    assert bent is not None
+    assert whole is not None
+    assert bent.from_spans == whole.from_spans == 0
+    assert bent.vessels == whole.vessels == 3 * len(BOATS)
+
+
+def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path: Path, monkeypatch: Any) -> None:
+    scene = load_scene(write_boats(tmp_path, steps=9))
+    plain = run_scene(scene, tmp_path / "plain")
+    monkeypatch.setattr("modsim3d.runs.pipeline.MOST_BLOCK_STEPS", 2)
+    assert run_scene(scene, tmp_path / "blocks").checked == plain.checked
+    assert run_scene(scene, tmp_path / "workers", workers=2).checked == plain.checked
+
+    def stop(_: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(scene, tmp_path / "resumed", progress=stop)
+    resumed = run_scene(scene, tmp_path / "resumed", resume=True)
+    assert resumed.resumed_steps
+    assert resumed.checked == plain.checked
+
+
+def test_a_detector_that_needs_a_census_sees_no_truth_that_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = load_scene(write_boats(tmp_path))
+    census = replace(scene, detector=load_scene("strait").detector) if not scene.detector.needs_census else scene
+    monkeypatch.setattr(type(census.detector), "needs_census", property(lambda _: True))
+    checked = run_scene(scene, tmp_path / "good").checked
+    assert checked is not None
+    assert checked.frames == 3
+    box_one_pixel_off(monkeypatch)
+    with pytest.raises(TruthCheckError):
+        run_scene(scene, tmp_path / "bad")
+
+
+def test_detect_repeats_what_the_check_of_the_truth_said(scene: Scene, tmp_path: Path) -> None:
+    first = run_scene(scene, tmp_path / "first")
+    second = detect_run(tmp_path / "first", tmp_path / "second", seed=3)
+    assert second.checked == first.checked
+    one, other = (json.loads((tmp_path / run / "run.json").read_text()) for run in ("first", "second"))
+    assert one["crosscheck"] == other["crosscheck"]
+
+
+def test_frames_in_memory_and_streams_are_checked_from_the_first_on(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    box_one_pixel_off(monkeypatch)
+    with pytest.raises(TruthCheckError, match="step 0"):
+        next(iter(simulate_frames(scene)))
+    assert next(iter(simulate_frames(unchecked(scene)))).step == 0
+    assert STREAM_STEPS == 1000
+
+
+def test_another_seed_samples_other_frames_and_longer_runs_more() -> None:
+    scene = load_scene("simulation_1")
+    samples = [_sample(replace(scene, seed=seed), 0, scene.steps) for seed in (0, 0, 1)]
+    assert samples[0] == samples[1] != samples[2]
+    assert len(samples[0]) == frame_count(scene) == 8
+    assert frame_count(replace(scene, steps=5)) == 3
+    assert frame_count(replace(scene, steps=150_000)) > 50
+
+
+def test_the_command_names_vessel_and_command_and_draws_the_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    span_off_by_one(monkeypatch)
+    path = write_boats(tmp_path)
+    monkeypatch.setattr("sys.argv", ["modsim3d", "run", str(path), "--out", str(tmp_path / "run"), "--no-sheet"])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    text = " ".join(capsys.readouterr().err.split())
+    assert "silhouette pixels" in text
+    assert "view unchecked --ids --frame" in text
+    assert (tmp_path / "run" / "unfinished" / "cross_check.png").is_file()
+    assert "cross_check.png" in text
+
+
+def test_the_summary_has_a_row(tmp_path: Path) -> None:
+    path = write_boats(tmp_path)
+    for option, row in (("check=sample", "pixels equal, boxes within"), ("source=analytic", "nothing was drawn")):
+        line = ["run", str(path), "--set", f"annotation.{option}", "--out", str(tmp_path / option), "--no-sheet"]
+        done = CliRunner().invoke(app, line)
+        assert done.exit_code == 0, done.output
+        assert row in " ".join(done.output.split())
+
+
+@pytest.mark.parametrize("supersample", [1, 2])
+def test_counting_pixels_of_public_id_buffers_gives_the_numbers_of_the_truth(tmp_path: Path, supersample: int) -> None:
+    run_scene(load_scene(write_boats(tmp_path, supersample=supersample)), tmp_path / "run")
+    run = modsim3d.open_run(tmp_path / "run")
+    frame = run.frame("C0", 2)
+    image = frame.id_image()
+    assert image.ids.shape == (600 * supersample, 800 * supersample)
+    assert image.ids.dtype == np.uint32
+    rows = [row for row in run.table("truth").to_pylist() if row["step"] == 2]
+    assert len(rows) == len(BOATS)
+    number = {name: each for each, name in image.names.items()}
+    for row in rows:
+        whole, seen = frame.silhouette(row["vessel"]), image.ids == number[row["vessel"]]
+        assert whole.sum() / supersample**2 == row["silhouette_px"]
+        assert seen.sum() / supersample**2 == row["visible_px"]
+        for mask, kind in ((whole, "full"), (seen, "visible")):
+            y, x = np.nonzero(mask)
+            box = np.array([x.min(), y.min(), x.max() + 1, y.max() + 1]) / supersample
+            assert box.tolist() == [row[f"{kind}_{side}_px"] for side in ("x_min", "y_min", "x_max", "y_max")]
+    np.testing.assert_array_equal(run.scene.at(2).render_ids("C0").ids, image.ids)
+
+
+def test_view_writes_an_id_buffer_as_png_or_npy(scene: Scene, tmp_path: Path) -> None:
+    from PIL import Image
+
+    run_scene(scene, tmp_path / "run")
+    expected = scene.at(1).render_ids("C0").ids
+    command = ["view", str(tmp_path / "run"), "--ids", "--frame", "1"]
+    for line in (command, [*command, "--out", str(tmp_path / "ids.npy")]):
+        done = CliRunner().invoke(app, line)
+        assert done.exit_code == 0, done.output
+        assert "near" in done.output
+    np.testing.assert_array_equal(np.array(Image.open(tmp_path / "run" / "id_buffer_C0_000001.png")), expected)
+    np.testing.assert_array_equal(np.load(tmp_path / "ids.npy"), expected)
+    refused = CliRunner().invoke(app, ["view", str(tmp_path / "run"), "--ids"])
+    assert refused.exit_code != 0
+
+
+def test_unknown_names_are_refused(scene: Scene) -> None:
+    with pytest.raises(modsim3d.errors.ModsimError, match="no camera 'C9'"):
+        scene.at(0).render_ids("C9")
+    with pytest.raises(modsim3d.errors.ModsimError, match="no vessel 'neer'"):
+        next(iter(simulate_frames(scene))).silhouette("neer")
