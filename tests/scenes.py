@@ -17,6 +17,8 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import Mount, poses_ashore
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.scene.reading import data_folder
+from modsim3d.truth.crosscheck.drawing import Drawing
+from modsim3d.truth.crosscheck.world_triangles import vessel_triangles
 from modsim3d.truth.outlines import Outlines, outline
 from modsim3d.vessels.bodies import vessel_bodies
 from modsim3d.vessels.vessel import Vessel
@@ -42,6 +44,20 @@ def outlines_of(
     present = np.ones((1, len(places)), dtype=bool)
     bodies = vessel_bodies(vessels, present, positions, world_R_vehicle(headings))
     return outline(intrinsics, poses_ashore(mount, 1), bodies)
+
+
+def drawing_of(
+    places: Sequence[tuple[Vessel, tuple[float, float], float]],
+    intrinsics: Intrinsics = INTRINSICS,
+    mount: Mount | None = None,
+    supersample: int = 1,
+) -> Drawing:
+    """The cross-check's drawing of what `outlines_of` projects."""
+    camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
+    present, positions = np.ones(len(places), dtype=bool), np.array([[*place, 0.0] for _, place, _ in places])
+    headings = np.array([heading for _, _, heading in places])
+    triangles = vessel_triangles([each for each, _, _ in places], present, positions, world_R_vehicle(headings))
+    return Drawing.of(triangles, camera.camera_R_world[0], camera.positions_m[0], intrinsics, supersample)
 
 
 def random_places(

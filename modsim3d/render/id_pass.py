@@ -7,8 +7,8 @@ would hold there.
 
 The reciprocal of depth is linear in the image, so each triangle has three coefficients, and a pixel's depth is a sum of
 their products with its column and row. Triangles in one plane, as the decks of two rafted boats, have the same
-coefficients when these are rounded, and therefore the same depth at every pixel, in any buffer: the one that comes first
-is in front. Beyond a triangle's edge, where rounded corners reach, its depth stays between those of its corners.
+coefficients when these are rounded, and therefore the same depth at every pixel, in any buffer: the first is in front.
+Beyond a triangle's edge, where rounded corners reach, its depth stays between those of its corners.
 """
 
 from __future__ import annotations
@@ -38,9 +38,7 @@ NO_AREA_PX = 1e-9
 KEPT_BUFFERS_PX = 12_000_000
 """Buffers are kept and used again until together they have more pixels than this."""
 
-_VERTEX = np.dtype(
-    [("position", np.float32, 2), ("plane", np.float32, 3), ("range", np.float32, 2), ("id", np.uint32)]
-)
+_VERTEX = np.dtype([("position", np.float32, 2), ("plane", np.float32, 3), ("range", np.float32, 2), ("id", np.uint32)])
 
 _VERTEX_SHADER = """#version 330 core
 layout(location = 0) in vec2 position;

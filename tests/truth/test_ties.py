@@ -33,7 +33,7 @@ def pixels_inside(corners_m: np.ndarray) -> np.ndarray:
 def test_deck_that_two_vessels_share_is_that_of_the_first_in_the_scene(renderer, heading):
     places = raft(heading, 0.6)
     corners = np.array([(-10, 3, 5), (10, 3, 5), (10, 2.4, 5), (-10, 2.4, 5)]) @ world_R_vehicle(heading).T
-    shared = pixels_inside(corners + (60.0, 5.0, 0.0))
+    shared = pixels_inside(corners + np.array([60.0, 5.0, 0.0]))
     assert shared.sum() > 300
     for order in (places, places[::-1]):
         triangles = triangles_of(outlines_of(order, mount=ABOVE), INTRINSICS)

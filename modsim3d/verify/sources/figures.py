@@ -82,6 +82,14 @@ class Figures:
         format: Version of the file's layout.
         supersample: Buffer pixels per image pixel and axis of the rendered source.
         vessel_frames: Number of vessels in these frames.
+        silhouettes_drawn: Vessels that OpenGL drew, each alone in a buffer.
+        scene_buffers_drawn: Frames that it drew, in the rectangle around all vessels.
+        pixels_compared: Pixels of silhouettes, each compared with the rendered source alone and in the scene.
+        tie_pixels: Those that differ because rounding decides what is seen there.
+        differs_from_drawn: Vessel-frames of which the rendered source has other pixels than were drawn, ties apart.
+        missing: Vessels in frames that were drawn, but that the rendered source does not have.
+        from_spans: Vessel-frames that the rendered source took from exact spans, without OpenGL.
+        from_buffers: Those that it took from buffers.
         occluded: Vessel-frames with a hidden pixel.
         unexplained: Number of differences that nothing explains.
         visible_at_all_differs: Vessel-frames that are visible to one source only.
@@ -97,6 +105,14 @@ class Figures:
     steps: int
     frames: int
     vessel_frames: int
+    silhouettes_drawn: int
+    scene_buffers_drawn: int
+    pixels_compared: int
+    tie_pixels: int
+    differs_from_drawn: int
+    missing: int
+    from_spans: int
+    from_buffers: int
     occluded: int
     unexplained: int
     full_box: BoxFigures
@@ -112,7 +128,7 @@ class Figures:
 
 def figures_of(findings: Findings, scene: str, supersample: int, steps: int) -> Figures:
     """The figures of the findings in all frames of some steps."""
-    differences, frames = findings.differences, max(findings.frames, 1)
+    differences, checked, frames = findings.differences, findings.drawn.checked, max(findings.frames, 1)
     compared = differences.visible != Agreement.INTERSECTING
     return Figures(
         format=1,
@@ -121,6 +137,14 @@ def figures_of(findings: Findings, scene: str, supersample: int, steps: int) -> 
         steps=steps,
         frames=findings.frames,
         vessel_frames=len(differences.full),
+        silhouettes_drawn=checked.vessels,
+        scene_buffers_drawn=checked.frames - checked.empty_frames,
+        pixels_compared=checked.pixels,
+        tie_pixels=checked.tie_pixels,
+        differs_from_drawn=findings.drawn.differing,
+        missing=findings.drawn.missing,
+        from_spans=checked.from_spans,
+        from_buffers=checked.from_buffers,
         occluded=findings.rule.occluded,
         unexplained=findings.unexplained,
         full_box=_box_figures(differences.full_side_px, differences.full),

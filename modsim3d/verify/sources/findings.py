@@ -13,6 +13,7 @@ from modsim3d.boxes import areas
 from modsim3d.truth.modes import SOURCES
 from modsim3d.truth.outlines import Outlines
 from modsim3d.verify.sources.agreement import Agreement, Comparison, concatenate_comparisons
+from modsim3d.verify.sources.fast_path import DrawnFrames
 from modsim3d.vessels.vessel import Vessel
 from modsim3d.view.pictures.comparison_picture import SourceBoxes
 
@@ -120,6 +121,7 @@ class Findings:
     """What was found in some frames.
 
     Attributes:
+        drawn: What OpenGL drew, and whether the rendered source has the same.
         differences: Rendered against analytic truth, a row for each vessel in a frame.
         rule: The rectangle rule against the rendered source.
         intersecting: Pair of vessels or obstacles that intersect, as "a and b" → number of frames.
@@ -129,6 +131,7 @@ class Findings:
     """
 
     frames: int
+    drawn: DrawnFrames
     differences: Comparison
     rule: RectangleRuleCheck
     intersecting: Mapping[str, int]
@@ -142,6 +145,7 @@ class Findings:
         shown = [difference for part in parts for difference in part.worst]
         return cls(
             sum(part.frames for part in parts),
+            sum((part.drawn for part in parts), DrawnFrames()),
             concatenate_comparisons([part.differences for part in parts]),
             sum((part.rule for part in parts), RectangleRuleCheck()),
             _summed([part.intersecting for part in parts]),
@@ -152,9 +156,9 @@ class Findings:
 
     @property
     def unexplained(self) -> int:
-        """Number of differences that nothing explains, in full or visible boxes."""
-        differences = self.differences
-        return sum(int((column == Agreement.UNEXPLAINED).sum()) for column in (differences.full, differences.visible))
+        """Number of differences that nothing explains, in full boxes or visible parts, and of missing vessels."""
+        columns = self.differences.full, self.differences.visible
+        return self.drawn.missing + sum(int((column == Agreement.UNEXPLAINED).sum()) for column in columns)
 
 
 _Value = TypeVar("_Value", int, float, ShoeboxFit)
