@@ -16,10 +16,14 @@ from numpy.typing import NDArray
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import Mount, poses_ashore
 from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.scene.reading import data_folder
+from modsim3d.truth.crosscheck.comparison import mask_of
 from modsim3d.truth.crosscheck.drawing import Drawing
 from modsim3d.truth.crosscheck.world_triangles import vessel_triangles
 from modsim3d.truth.outlines import Outlines, outline
+from modsim3d.truth.pixel_masks import PixelMasks
+from modsim3d.truth.rendered import rendered_spans
 from modsim3d.vessels.bodies import vessel_bodies
 from modsim3d.vessels.vessel import Vessel
 
@@ -58,6 +62,16 @@ def drawing_of(
     headings = np.array([heading for _, _, heading in places])
     triangles = vessel_triangles([each for each, _, _ in places], present, positions, world_R_vehicle(headings))
     return Drawing.of(triangles, camera.camera_R_world[0], camera.positions_m[0], intrinsics, supersample)
+
+
+def pixel_masks(
+    outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, row: int, supersample: int = 1
+) -> PixelMasks:
+    """The pixels of one vessel, a row of the outlines, from whole images."""
+    size = intrinsics.image_size_px[0] * supersample, intrinsics.image_size_px[1] * supersample
+    region = Region.around(outlines.boxes_px[row] * supersample, size)
+    spans = rendered_spans(outlines, intrinsics, renderer, supersample, full=True)
+    return PixelMasks(region, *(mask_of(each.take(each.row == row), region) for each in spans))
 
 
 def random_places(

@@ -93,14 +93,14 @@ def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indi
     spans = rendered_spans(outlines, intrinsics, renderer, supersample, full=full)
     fast = FastPath(outlines, sources["rendered"], spans)
     drawings = [sight.drawing(row, supersample) for row in range(len(steps))]
-    drawn = fast.compare(drawings, sight.others, scene.occluder_names, renderer)
+    checked, differing, missing = fast.compare(drawings, sight.others, scene.occluder_names, renderer)
 
     def masks_of(row: int) -> PixelMasks:
         return fast.masks(row, drawings)
 
     differences = compare_with_analytic(outlines, intrinsics, sources["rendered"], masks_of, supersample)
     boxed = np.flatnonzero(outlines.boxed)
-    words = {int(boxed.searchsorted(row)): text for row, text in drawn.words.items()}
+    words = {int(boxed.searchsorted(row)): text for row, text in differing.items()}
     differences.visible[list(words)] = Agreement.UNEXPLAINED
     seen = {source: occlusion.take(boxed) for source, occlusion in sources.items()}
     vessels = _Vessels(camera, steps, outlines.take(boxed), seen)
@@ -112,7 +112,9 @@ def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indi
     pairs = outlines.occluder[sources["analytic"].intersecting].tolist()
     return Findings(
         frames=len(steps),
-        drawn=drawn,
+        drawn=checked,
+        differing=len(words),
+        missing=missing,
         differences=differences,
         rule=_check_rule(vessels),
         intersecting=Counter(f"{names[first]} and {names[second]}" for first, second in pairs),

@@ -7,7 +7,7 @@ the fast path, nor with the analytic source.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,27 +19,6 @@ from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.pixel_masks import PixelMasks
 from modsim3d.truth.pixel_spans import Spans
-
-
-@dataclass(frozen=True)
-class DrawnFrames:
-    """What was found when some frames were drawn. Those of different frames add up.
-
-    Attributes:
-        checked: How much was drawn and compared.
-        differing: Vessels in these frames of which the fast path has other pixels, counts, boxes or occluders.
-        missing: Those that were drawn, but that the fast path does not have.
-        words: Row of the outlines → how it differs; not in a sum.
-    """
-
-    checked: Checked = field(default_factory=Checked)
-    differing: int = 0
-    missing: int = 0
-    words: dict[int, str] = field(default_factory=dict)
-
-    def __add__(self, other: DrawnFrames) -> DrawnFrames:
-        """The counts of both."""
-        return DrawnFrames(self.checked + other.checked, self.differing + other.differing, self.missing + other.missing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +44,7 @@ class FastPath:
 
     def compare(
         self, drawings: Sequence[Drawing], boxed: Mask, names: Sequence[str], renderer: IdRenderer
-    ) -> DrawnFrames:
+    ) -> tuple[Checked, dict[int, str], int]:
         """Draw the F frames, and compare.
 
         Args:
@@ -73,27 +52,30 @@ class FastPath:
             boxed: Which of the scene's V vessels get a box if they are in the image, shape (F, V).
             names: Of the scene's occluders.
             renderer: Draws them.
+
+        Returns:
+            How much was drawn; row → how it differs; and the number of vessels that were drawn and have no row.
         """
         truth = self.occlusion.truth(self.outlines, np.arange(len(drawings)), camera=0)
-        found = DrawnFrames(Checked(from_spans=int((~truth.drawn).sum()), from_buffers=int(truth.drawn.sum())))
+        checked = Checked(from_spans=int((~truth.drawn).sum()), from_buffers=int(truth.drawn.sum()))
         words: dict[int, str] = {}
+        missing = 0
         for frame, drawing in enumerate(drawings):
-            said = SaidOfFrame(
-                truth.take(truth.step == frame), *(self._of_frame(frame, each) for each in self.spans), {}
-            )
+            silhouettes, visible = (self._of_frame(frame, each) for each in self.spans)
+            said = SaidOfFrame(truth.take(truth.step == frame), silhouettes, visible, areas={})
             vessels = set(np.flatnonzero(boxed[frame]).tolist())
             while True:  # until all vessels that differ are left out
                 try:
-                    found += DrawnFrames(check_frame(drawing, renderer, said, vessels, names))
+                    checked += check_frame(drawing, renderer, said, vessels, names)
                     break
                 except Difference as each:
                     own = said.truth.vessel == each.vessel
                     said, vessels = replace(said, truth=said.truth.take(~own)), vessels - {each.vessel}
-                    found += DrawnFrames(differing=int(own.sum()), missing=int(not own.any()))
+                    missing += not own.any()
                     row = self.outlines.boxed & (self.outlines.frame == frame) & (self.outlines.occluder == each.vessel)
                     text = f"{each.what}: {each.truth} in the truth, {each.drawn} drawn"
                     words |= dict.fromkeys(np.flatnonzero(row).tolist(), text)
-        return replace(found, words=words)
+        return checked, words, missing
 
     def _of_frame(self, frame: int, spans: Spans) -> Spans:
         """The spans of a frame, by index of the vessel in place of the row."""

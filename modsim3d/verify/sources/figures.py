@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement
 from modsim3d.verify.sources.findings import Findings, RectangleRuleCheck, ShoeboxFit
 
@@ -82,14 +83,9 @@ class Figures:
         format: Version of the file's layout.
         supersample: Buffer pixels per image pixel and axis of the rendered source.
         vessel_frames: Number of vessels in these frames.
-        silhouettes_drawn: Vessels that OpenGL drew, each alone in a buffer.
-        scene_buffers_drawn: Frames that it drew, in the rectangle around all vessels.
-        pixels_compared: Pixels of silhouettes, each compared with the rendered source alone and in the scene.
-        tie_pixels: Those that differ because rounding decides what is seen there.
-        differs_from_drawn: Vessel-frames of which the rendered source has other pixels than were drawn, ties apart.
+        drawn: How much OpenGL drew, and the rendered source was compared with: as in `run.json`.
+        differs_from_drawn: Vessel-frames of which the rendered source has other pixels, ties apart.
         missing: Vessels in frames that were drawn, but that the rendered source does not have.
-        from_spans: Vessel-frames that the rendered source took from exact spans, without OpenGL.
-        from_buffers: Those that it took from buffers.
         occluded: Vessel-frames with a hidden pixel.
         unexplained: Number of differences that nothing explains.
         visible_at_all_differs: Vessel-frames that are visible to one source only.
@@ -105,14 +101,9 @@ class Figures:
     steps: int
     frames: int
     vessel_frames: int
-    silhouettes_drawn: int
-    scene_buffers_drawn: int
-    pixels_compared: int
-    tie_pixels: int
+    drawn: Checked
     differs_from_drawn: int
     missing: int
-    from_spans: int
-    from_buffers: int
     occluded: int
     unexplained: int
     full_box: BoxFigures
@@ -128,7 +119,7 @@ class Figures:
 
 def figures_of(findings: Findings, scene: str, supersample: int, steps: int) -> Figures:
     """The figures of the findings in all frames of some steps."""
-    differences, checked, frames = findings.differences, findings.drawn.checked, max(findings.frames, 1)
+    differences, frames = findings.differences, max(findings.frames, 1)
     compared = differences.visible != Agreement.INTERSECTING
     return Figures(
         format=1,
@@ -137,14 +128,9 @@ def figures_of(findings: Findings, scene: str, supersample: int, steps: int) -> 
         steps=steps,
         frames=findings.frames,
         vessel_frames=len(differences.full),
-        silhouettes_drawn=checked.vessels,
-        scene_buffers_drawn=checked.frames - checked.empty_frames,
-        pixels_compared=checked.pixels,
-        tie_pixels=checked.tie_pixels,
-        differs_from_drawn=findings.drawn.differing,
-        missing=findings.drawn.missing,
-        from_spans=checked.from_spans,
-        from_buffers=checked.from_buffers,
+        drawn=findings.drawn,
+        differs_from_drawn=findings.differing,
+        missing=findings.missing,
         occluded=findings.rule.occluded,
         unexplained=findings.unexplained,
         full_box=_box_figures(differences.full_side_px, differences.full),

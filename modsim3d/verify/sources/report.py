@@ -35,17 +35,14 @@ def verdict_rows(figures: Figures) -> list[tuple[str, str, str]]:
 
 def figure_rows(figures: Figures) -> Rows:
     """What was drawn, whether the rendered truth is the same, and how it differs from the analytic truth."""
-    fraction = figures.visible_fraction
+    fraction, drawn = figures.visible_fraction, figures.drawn
     return [
         ("vessel-frames compared", f"{figures.vessel_frames} in {figures.frames} frames"),
-        (
-            "drawn by OpenGL",
-            f"{figures.silhouettes_drawn} silhouettes alone, {figures.scene_buffers_drawn} buffers of the scene",
-        ),
-        ("pixels compared with what was drawn", f"{figures.pixels_compared} of silhouettes, alone and in the scene"),
-        ("rendered truth", f"{figures.from_spans} vessel-frames from spans, {figures.from_buffers} from buffers"),
+        ("drawn by OpenGL", f"{drawn.vessels} silhouettes alone, {drawn.frames - drawn.empty_frames} scenes"),
+        ("pixels compared with what was drawn", f"{drawn.pixels} of silhouettes, alone and in the scene"),
+        ("rendered truth", f"{drawn.from_spans} vessel-frames from spans, {drawn.from_buffers} from buffers"),
         ("not as it was drawn", f"{figures.differs_from_drawn} vessel-frames, and {figures.missing} missing"),
-        ("pixels that differ where rounding decides", str(figures.tie_pixels)),
+        ("pixels that differ where rounding decides", str(drawn.tie_pixels)),
         ("partly or wholly hidden", _share(figures.occluded, figures.vessel_frames)),
         ("full box, side differences", _sides(figures.full_box)),
         ("visible box, side differences", _sides(figures.visible_box)),
@@ -230,7 +227,7 @@ def _introduction(figures: Figures) -> list[str]:
         )
     method = (
         f"{figures.steps} steps, supersampling {figures.supersample}. OpenGL drew each vessel alone and with all else, "
-        "into ID buffers with a depth test, by a projection and clipping of their own. The rendered source, which takes "
+        "in ID buffers with a depth test, by a projection and clipping of their own. The rendered source, which takes "
         "exact spans where it knows who is in front, must have the same pixels, counts, boxes and occluders. "
         "The analytic source cuts silhouette polygons by those in front of them; separating planes say which are in "
         "front. Where its boxes differ by more than a pixel, every pixel of the vessel was checked: it must be set if "
