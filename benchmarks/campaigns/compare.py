@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import shapely
 
+from modsim3d.render.id_pass import IdRenderer
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.rendered import rendered_occlusion, rendered_spans
@@ -93,33 +94,38 @@ def largest(sides_px: np.ndarray) -> float:
     return float(np.nanmax(np.abs(sides_px), initial=0.0))
 
 
-def look_at(seeds: range, kind: int) -> tuple[Tally, str]:
-    """Compare some scenes of a kind, a key of `TITLES`; also says what drew them."""
-    from modsim3d.render.context import open_context
-    from modsim3d.render.id_pass import IdRenderer
+def compare_scene(seed: int, kind: int, renderer: IdRenderer) -> Tally:
+    """Compare one scene of a kind, a key of `TITLES`."""
+    tally, supersample = Tally(), max(kind, 1)
+    places, intrinsics, mount = (random_scene if kind else random_rafts)(np.random.default_rng(seed))
+    outlines = outlines_of(places, intrinsics, mount)
+    asked = outlines, intrinsics, renderer, supersample
+    fast = FastPath(outlines, rendered_occlusion(*asked), rendered_spans(*asked))
+    drawings = [drawing_of(places, intrinsics, mount, supersample)]
+    names, boxed = [each.name for each, _, _ in places], np.ones((1, len(places)), dtype=bool)
+    tally.drawn, differing, missing = fast.compare(drawings, boxed, names, renderer)
 
-    tally, supersample, random = Tally(), max(kind, 1), random_scene if kind else random_rafts
+    def masks_of(row: int):
+        return fast.masks(row, drawings)
+
+    found = compare_with_analytic(outlines, intrinsics, fast.occlusion, masks_of, supersample)
+    found.visible[list(differing)] = Agreement.UNEXPLAINED
+    tally.add(seed, fast.occlusion, found, [names[i] for i in outlines.occluder])
+    tally.differs_from_drawn = len(differing) + missing
+    if missing:
+        tally.unexplained.append({"seed": seed, "vessel": f"{missing} that were drawn and have no row"})
+    return tally
+
+
+def look_at(seeds: range, kind: int) -> tuple[Tally, str]:
+    """Compare some scenes of a kind; also says what drew them."""
+    from modsim3d.render.context import open_context
+
+    tally = Tally()
     with open_context() as context:
         renderer = IdRenderer(context)
         for seed in seeds:
-            places, intrinsics, mount = random(np.random.default_rng(seed))
-            outlines = outlines_of(places, intrinsics, mount)
-            asked = outlines, intrinsics, renderer, supersample
-            fast = FastPath(outlines, rendered_occlusion(*asked), rendered_spans(*asked))
-            drawings = [drawing_of(places, intrinsics, mount, supersample)]
-            names, boxed = [each.name for each, _, _ in places], np.ones((1, len(places)), dtype=bool)
-            drawn, differing, missing = fast.compare(drawings, boxed, names, renderer)
-
-            def masks_of(row: int):
-                return fast.masks(row, drawings)  # noqa: B023 (used at once)
-
-            found = compare_with_analytic(outlines, intrinsics, fast.occlusion, masks_of, supersample)
-            found.visible[list(differing)] = Agreement.UNEXPLAINED
-            tally.add(seed, fast.occlusion, found, [names[i] for i in outlines.occluder])
-            tally.drawn += drawn
-            tally.differs_from_drawn += len(differing) + missing
-            if missing:
-                tally.unexplained.append({"seed": seed, "vessel": f"{missing} that were drawn and have no row"})
+            tally.join(compare_scene(seed, kind, renderer))
         return tally, context.description
 
 

@@ -283,9 +283,23 @@ def test_campaign_writes_the_same_bytes_again(monkeypatch, tmp_path):
     assert all(sum(column["full"].values()) == column["vessel_frames"] > 0 for column in found.values())
 
 
-def test_committed_campaign_is_that_of_two_thousand_scenes_without_anything_unexplained():
-    found = json.loads((ROOT / "docs" / "campaigns" / "compare.json").read_text())["supersample"]
-    assert [column["scenes"] for column in found.values()] == [2000, 300]
+@pytest.mark.parametrize("seed", range(30))
+def test_rafts_are_rendered_as_they_are_drawn(renderer, seed):
+    """A sample of the campaign's ten thousand."""
+    tally = campaign.compare_scene(seed, 0, renderer)
+    assert tally.unexplained == []
+    assert tally.differs_from_drawn == 0
+    assert tally.drawn.vessels == tally.vessel_frames
+    assert tally.drawn.tie_pixels < 20
+
+
+def test_committed_campaign_is_that_of_two_thousand_scenes_and_ten_thousand_rafts_without_anything_unexplained():
+    figures = json.loads((ROOT / "docs" / "campaigns" / "compare.json").read_text())
+    found = figures["supersample"] | {"rafts": figures["rafts"]}
+    assert [column["scenes"] for column in found.values()] == [2000, 300, 10_000]
     for factor, column in found.items():
         assert column["unexplained"] == []
-        assert column["largest_agreed_full_side_px"] <= {"1": 1.0, "4": 0.3}[factor]
+        assert column["differs_from_drawn"] == 0
+        assert column["drawn"]["vessels"] == column["vessel_frames"]
+        assert column["drawn"]["tie_pixels"] < 1e-6 * column["drawn"]["pixels"]
+        assert column["largest_agreed_full_side_px"] <= {"1": 1.0, "4": 0.3, "rafts": 1.0}[factor]
