@@ -28,7 +28,7 @@ STREAM_STEPS = 1000
 """A stream's first frames are checked, and then one step in so many."""
 PIXELS_A_UNIT, VESSELS_A_UNIT = 8_000_000, 10
 """An image with so many pixels, and a scene with so many vessels, double the effort of a frame that is checked."""
-MOST_DRAWS = 4
+MOST_DRAWS = 3
 """How often a frame is drawn, until one has a vessel."""
 BATCH_FRAMES = 16
 """Frames that are checked together; it bounds the memory where all are."""
@@ -92,7 +92,7 @@ def _frames_to_check(scene: Scene, first: int, stop: int, streamed: bool) -> Ite
         for index, camera in enumerate(scene.cameras):
             yield from ((step, index) for step in scene.frame_steps(camera, first, stop).tolist())
     elif check == "sample":
-        drawn = (_frames_of_stream if streamed else _sample)(scene, first, stop)
+        drawn = _frames_of_stream(scene, first, stop) if streamed else _sample(scene, first, stop)
         yield from ((step, index) for step, index in drawn if first <= step < stop)
 
 
@@ -107,7 +107,7 @@ def _sample(scene: Scene, first: int, stop: int) -> set[FrameKey]:
 @lru_cache(maxsize=8)
 def _frame_of_part(scene: Scene, part: int, first: int, stop: int) -> FrameKey | None:
     """A frame of steps first to stop − 1, drawn anew a few times if no vessel is in it; None if none was taken."""
-    draw = Streams(scene.seed).generator(Purpose.CHECK, step=part)
+    draw = _streams(scene).generator(Purpose.CHECK, step=part)
     frame = None
     for _ in range(MOST_DRAWS):
         index = int(draw.integers(len(scene.cameras)))
@@ -117,6 +117,11 @@ def _frame_of_part(scene: Scene, part: int, first: int, stop: int) -> FrameKey |
             if _has_a_vessel(scene, step, index):
                 break
     return frame
+
+
+def _streams(scene: Scene) -> Streams:
+    """Random numbers of a truth: if no seed changes it, none changes which frames are checked."""
+    return Streams(scene.seed if scene.truth_has_seed else 0)
 
 
 def _has_a_vessel(scene: Scene, step: int, index: int) -> bool:
@@ -132,19 +137,24 @@ def frame_count(scene: Scene) -> int:
     frames = scene.steps * len(scene.cameras)
     sizes = [math.prod(camera.intrinsics.image_size_px) for camera in scene.cameras]
     pixels = max(sizes) * scene.annotation.supersample**2
-    effort = 2 * (1 + pixels / PIXELS_A_UNIT + len(scene.vessels) / VESSELS_A_UNIT)
+    effort = 4 * (1 + pixels / PIXELS_A_UNIT + len(scene.vessels) / VESSELS_A_UNIT)
     return min(max(MIN_FRAMES, round(math.sqrt(frames) / effort)), scene.steps)
 
 
 def _frames_of_stream(scene: Scene, first: int, stop: int) -> set[FrameKey]:
-    """The frame of one camera at each of the first steps, and at one step in a thousand."""
-    streams = Streams(scene.seed)
-    drawn = {step: step % len(scene.cameras) for step in range(MIN_FRAMES)}
-    for part in range(first // STREAM_STEPS, (stop - 1) // STREAM_STEPS + 1):
-        draw = streams.generator(Purpose.CHECK, step=part)
-        drawn[part * STREAM_STEPS + int(draw.integers(STREAM_STEPS))] = int(draw.integers(len(scene.cameras)))
-    inside = ((step, index) for step, index in drawn.items() if first <= step < stop)
-    return {(step, i) for step, i in inside if len(scene.frame_steps(scene.cameras[i], step, step + 1))}
+    """The frames of steps first to stop − 1 that a stream checks."""
+    parts = range(first // STREAM_STEPS, (stop - 1) // STREAM_STEPS + 1)
+    drawn = ((step, index) for part in parts for step, index in stream_part(scene, part).items())
+    return {(step, i) for step, i in drawn if len(scene.frame_steps(scene.cameras[i], step, step + 1))}
+
+
+@lru_cache(maxsize=2)
+def stream_part(scene: Scene, part: int) -> dict[int, int]:
+    """The steps that a stream checks among a thousand, and a camera for each: one step, and the first of all."""
+    draw = _streams(scene).generator(Purpose.CHECK, step=part)
+    step, camera = part * STREAM_STEPS + int(draw.integers(STREAM_STEPS)), int(draw.integers(len(scene.cameras)))
+    first = {step: step % len(scene.cameras) for step in range(0 if part else MIN_FRAMES)}
+    return {step: camera} | first
 
 
 def _check_frames(scene: Scene, truth: Truth, camera: int, steps: Indices, renderer: IdRenderer) -> Checked:

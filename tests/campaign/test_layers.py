@@ -5,7 +5,9 @@ from __future__ import annotations
 import shutil
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pytest
@@ -17,6 +19,8 @@ from modsim3d.campaign.work import layers
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.stored_layers import StoredLayers
 from modsim3d.errors import OutputError
+from modsim3d.truth.occlusion import Occlusion
+from modsim3d.truth.truth_record import Truth
 
 CAMPAIGN = """
 scene: harbour
@@ -138,3 +142,18 @@ def test_a_layer_that_cannot_be_kept_ends_the_campaign_and_crashes_no_run(tmp_pa
     (tmp_path / "cache").write_text("a file")
     with pytest.raises(OutputError, match="cannot be written"):
         run(tmp_path, "full", "sort", "truth", tmp_path / "cache")
+
+
+def test_a_truth_that_is_not_what_is_drawn_makes_its_runs_crash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = Occlusion.truth
+
+    def wide(self: Occlusion, *arguments: Any) -> Truth:
+        truth = original(self, *arguments)
+        return replace(truth, full_boxes_px=truth.full_boxes_px + 1.0)
+
+    monkeypatch.setattr(Occlusion, "truth", wide)
+    table = run(tmp_path, "wrong", "reference").table
+    assert table["status"].to_pylist() == ["crashed", "crashed"]
+    assert all(error.startswith("TruthCheckError: cross-check: ") for error in table["error"].to_pylist())

@@ -263,9 +263,9 @@ def test_another_seed_samples_other_frames_and_longer_runs_more() -> None:
     scene = load_scene("simulation_1")
     samples = [_sample(replace(scene, seed=seed), 0, scene.steps) for seed in (0, 0, 1)]
     assert samples[0] == samples[1] != samples[2]
-    assert len(samples[0]) == frame_count(scene) == 8
+    assert len(samples[0]) == frame_count(scene) == 4
     assert frame_count(replace(scene, steps=5)) == 3
-    assert frame_count(replace(scene, steps=150_000)) > 50
+    assert frame_count(replace(scene, steps=150_000)) > 30
 
 
 def test_the_command_names_vessel_and_command_and_draws_the_picture(
@@ -310,8 +310,11 @@ def test_counting_pixels_of_public_id_buffers_gives_the_numbers_of_the_truth(tmp
         assert seen.sum() / supersample**2 == row["visible_px"]
         for mask, kind in ((whole, "full"), (seen, "visible")):
             y, x = np.nonzero(mask)
-            box = np.array([x.min(), y.min(), x.max() + 1, y.max() + 1]) / supersample
-            assert box.tolist() == [row[f"{kind}_{side}_px"] for side in ("x_min", "y_min", "x_max", "y_max")]
+            said = [row[f"{kind}_{side}_px"] for side in ("x_min", "y_min", "x_max", "y_max")]
+            if len(x):
+                assert said == (np.array([x.min(), y.min(), x.max() + 1, y.max() + 1]) / supersample).tolist()
+            else:
+                assert said == [None] * 4
     np.testing.assert_array_equal(run.scene.at(2).render_ids("C0").ids, image.ids)
 
 

@@ -46,7 +46,7 @@ def test_shipped_scenes_have_the_same_truth_either_way(renderer, name, first, st
         truth_block(load_scene(name, mode=2, render=render), first, stop, renderer) for render in ("regions", "full")
     )
     assert (full.visible_fraction < 1).sum() > 15
-    for column in COLUMNS:
+    for column in set(COLUMNS) - {"drawn"}:
         np.testing.assert_array_equal(getattr(fast, column), getattr(full, column), err_msg=column)
 
 

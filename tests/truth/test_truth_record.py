@@ -23,6 +23,7 @@ def two_rows(step: int, vessels: tuple[int, int], hider: int) -> Truth:
         occluder=np.array([hider]),
         occluder_px=np.array([10.0 * hider]),
         annotated=numbers > 0,
+        drawn=numbers < 1,
         intersections=np.array([[step, 0, *vessels]]),
     )
 

@@ -268,12 +268,12 @@ class _VesselPixels:
 
 def mask_of(spans: Spans, region: Region) -> Mask:
     """The pixels of spans in a region, shape (height, width)."""
-    edges = np.zeros((region.height, region.width + 1), dtype=np.int64)
+    edges = np.zeros((region.height, region.width + 1), dtype=np.int8)
     inside = (spans.y >= region.y) & (spans.y < region.y + region.height)
     for ends, step in ((spans.start, 1), (spans.stop, -1)):
         place = spans.y[inside] - region.y, np.clip(ends[inside] - region.x, 0, region.width)
         np.add.at(edges, place, step)
-    mask: Mask = edges.cumsum(axis=1)[:, :-1] > 0
+    mask: Mask = edges.cumsum(axis=1, dtype=np.int8)[:, :-1] > 0
     return mask
 
 

@@ -1,7 +1,8 @@
 """Whether the rendered truth agrees with the analytic truth of the same outlines, and if it does not, why.
 
-The rendered source draws ID buffers with a depth buffer. The analytic source cuts polygons by polygons, in an order
-that comes from separating planes. They may differ only because pixels sample regions at their centres.
+The rendered source counts pixels of exact spans, and of ID buffers with a depth test. The analytic source cuts polygons
+by polygons, in an order that comes from separating planes. They may differ only because pixels sample regions at their
+centres.
 
 Where they differ by more than a pixel, all pixels of the vessel are drawn again and checked. A pixel must be set where
 its centre is inside the exact region, and nowhere else, except in a band along the boundary as wide as the rasteriser's
