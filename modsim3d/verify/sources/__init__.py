@@ -1,1 +1,1 @@
-"""The sources of truth side by side: rendered against analytic, and the thesis's rectangle rule against rendered."""
+"""The sources of truth side by side: rendered against drawn, analytic, and the thesis's rectangle rule."""
