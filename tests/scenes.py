@@ -16,9 +16,15 @@ from numpy.typing import NDArray
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import Mount, poses_ashore
 from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.scene.reading import data_folder
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.crosscheck.comparison import mask_of
+from modsim3d.truth.crosscheck.drawing import Drawing
+from modsim3d.truth.crosscheck.world_triangles import vessel_triangles
 from modsim3d.truth.outlines import Outlines, outline
+from modsim3d.truth.pixel_masks import PixelMasks
+from modsim3d.truth.rendered import rendered_spans
 from modsim3d.vessels.bodies import vessel_bodies
 from modsim3d.vessels.vessel import Vessel
 
@@ -51,6 +57,30 @@ def harbour_of_shoeboxes(**options) -> Scene:
     for vessel in data["vessels"].values():
         del vessel["mesh"]
     return Scene.from_dict({**data, "detector": "thesis"}, **options)
+
+
+def drawing_of(
+    places: Sequence[tuple[Vessel, tuple[float, float], float]],
+    intrinsics: Intrinsics = INTRINSICS,
+    mount: Mount | None = None,
+    supersample: int = 1,
+) -> Drawing:
+    """The cross-check's drawing of what `outlines_of` projects."""
+    camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
+    present, positions = np.ones(len(places), dtype=bool), np.array([[*place, 0.0] for _, place, _ in places])
+    headings = np.array([heading for _, _, heading in places])
+    triangles = vessel_triangles([each for each, _, _ in places], present, positions, world_R_vehicle(headings))
+    return Drawing.of(triangles, camera.camera_R_world[0], camera.positions_m[0], intrinsics, supersample)
+
+
+def pixel_masks(
+    outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, row: int, supersample: int = 1
+) -> PixelMasks:
+    """The pixels of one vessel, a row of the outlines, from whole images."""
+    size = intrinsics.image_size_px[0] * supersample, intrinsics.image_size_px[1] * supersample
+    region = Region.around(outlines.boxes_px[row] * supersample, size)
+    spans = rendered_spans(outlines, intrinsics, renderer, supersample, full=True)
+    return PixelMasks(region, *(mask_of(each.take(each.row == row), region) for each in spans))
 
 
 def random_places(
@@ -254,3 +284,30 @@ def mistaken_strait(folder: Path, steps: int = 130) -> Path:
     path = folder / "mistakes.yaml"
     path.write_text(yaml.safe_dump(scene), encoding="utf-8")
     return path
+
+
+def random_rafts(
+    rng: np.random.Generator,
+) -> tuple[list[tuple[Vessel, tuple[float, float], float]], Intrinsics, Mount]:
+    """1 to 4 rafts of 2 to 6 boats with faces in one plane: side by side or astern, overlapping, touching or apart."""
+    intrinsics, mount = random_view(rng)
+    half_view = np.arctan(intrinsics.image_size_px[0] / 2 / intrinsics.focal_px[0])
+    places: list[tuple[Vessel, tuple[float, float], float]] = []
+    hulls: list[tuple[NDArray[np.float64], float]] = []
+    for _ in range(int(rng.integers(1, 5))):
+        length, distance = float(np.exp(rng.uniform(1, 4))), float(np.exp(rng.uniform(np.log(20), np.log(2000))))
+        beam, height = length * rng.uniform(0.15, 0.5), length * rng.uniform(0.1, 0.6)
+        bearing, heading = mount.yaw_rad + rng.uniform(-0.8, 0.8) * half_view, float(rng.uniform(-np.pi, np.pi))
+        count, overlap = int(rng.integers(2, 7)), float(rng.choice([0.1, 0.1, 0.0, 1.0, -0.01]))
+        along, across = rng.permutation([1.0 - overlap, 0.0])
+        radius = count * length
+        centre = distance * np.array([np.cos(bearing), np.sin(bearing)])
+        if distance < radius + 1 or any(math.dist(centre, c) < radius + r for c, r in hulls):
+            continue
+        hulls.append((centre, radius))
+        for i in rng.permutation(count):
+            at = centre + world_R_vehicle(heading)[:2, :2] @ [along * length * i, across * beam * i]
+            air = height * rng.choice([1.0, 1.0, rng.uniform(0.5, 1.5)])
+            places.append((vessel(f"v{len(places)}", length, beam, air), (at[0], at[1]), heading))
+    order = rng.permutation(len(places))
+    return [places[i] for i in order], intrinsics, mount

@@ -52,7 +52,7 @@ def compare_command(
     verbose: VerboseOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Check the rendered truth of a scene against exact geometry, and the idealised rectangle rule against both.
+    """Check the rendered truth of a scene against ID buffers and geometry, and the idealised rectangle rule against it.
 
     Exit status 1 if a difference is unexplained.
 
@@ -94,7 +94,7 @@ def _print_figures(console: Console, figures: Figures) -> None:
     from modsim3d.verify.sources import report as compare_report
 
     for title, rows in (
-        ("rendered against analytic", compare_report.figure_rows(figures)),
+        ("rendered against drawn and analytic", compare_report.figure_rows(figures)),
         ("agreement: full box, visible part", compare_report.verdict_rows(figures)),
         ("idealised rectangle rule against rendered", compare_report.rule_rows(figures)),
         ("shoebox against mesh", compare_report.shoebox_rows(figures)),

@@ -1,9 +1,14 @@
 """ID buffers: which solid is front-most at each pixel centre.
 
 Solids are projected in double precision before they get here. OpenGL is only a rasteriser with a depth buffer: it gets
-corners in pixels and the reciprocal of their depth, which is linear in the image. Corners are rounded to 1/256 px, the
-precision of Mesa's rasteriser. An offset by whole pixels then changes nothing, so a region of the image holds exactly
-the pixels that the whole image would hold there.
+corners in pixels and the plane of each triangle. Corners are rounded to 1/256 px, the precision of Mesa's rasteriser.
+An offset by whole pixels then changes nothing, so a region of the image holds exactly the pixels that the whole image
+would hold there.
+
+The reciprocal of depth is linear in the image, so each triangle has three coefficients, and a pixel's depth is a sum of
+their products with its column and row. Triangles in one plane, as the decks of two rafted boats, have the same
+coefficients when these are rounded, and therefore the same depth at every pixel, in any buffer: the first is in front.
+Beyond a triangle's edge, where rounded corners reach, its depth stays between those of its corners.
 """
 
 from __future__ import annotations
@@ -28,21 +33,33 @@ corners of what is drawn: OpenGL then cuts no edges, which would move corners. I
 most 2048 px outside fit; in a wider supersampled image, edges far outside a tile may be cut."""
 MAX_REGION_PX = 12_288
 SMALLEST_BUFFER_PX = 64
+NO_AREA_PX = 1e-9
+"""Triangles of less than half of this area in square pixels have no gradient of depth."""
 KEPT_BUFFERS_PX = 12_000_000
 """Buffers are kept and used again until together they have more pixels than this."""
 
-_VERTEX = np.dtype([("position", np.float32, 3), ("id", np.uint32)])
+_VERTEX = np.dtype([("position", np.float32, 2), ("plane", np.float32, 3), ("range", np.float32, 2), ("id", np.uint32)])
 
 _VERTEX_SHADER = """#version 330 core
-layout(location = 0) in vec3 position;
-layout(location = 1) in uint id;
+layout(location = 0) in vec2 position;
+layout(location = 1) in vec3 plane;
+layout(location = 2) in vec2 range;
+layout(location = 3) in uint id;
+flat out vec3 depth;
+flat out vec2 ends;
 flat out uint solid;
-void main() { solid = id; gl_Position = vec4(position, 1.0); }
+void main() { depth = plane; ends = range; solid = id; gl_Position = vec4(position, 0.0, 1.0); }
 """
 _FRAGMENT_SHADER = """#version 330 core
+uniform vec2 to_image;  // from the buffer
+flat in vec3 depth;
+flat in vec2 ends;
 flat in uint solid;
 layout(location = 0) out uint pixel;
-void main() { pixel = solid; }
+void main() {
+  pixel = solid;
+  gl_FragDepth = clamp(dot(depth, vec3(gl_FragCoord.xy + to_image, 1.0)), ends.x, ends.y);
+}
 """
 
 Ids = NDArray[np.uint32]
@@ -117,12 +134,15 @@ class IdRenderer:
         """OpenGL, once the shaders are compiled and the state is set that all drawings share."""
         gl = self.context.gl
         gl.glBindVertexArray(gl.glGenVertexArrays(1))
-        gl.glUseProgram(_program(gl))
+        program = _program(gl)
+        gl.glUseProgram(program)
+        self._to_image = gl.glGetUniformLocation(program, "to_image")
         gl.glBindBuffer(gl.GL_ARRAY_BUFFER, gl.glGenBuffers(1))
-        gl.glEnableVertexAttribArray(0)
-        gl.glVertexAttribPointer(0, 3, gl.GL_FLOAT, False, _VERTEX.itemsize, None)
-        gl.glEnableVertexAttribArray(1)
-        gl.glVertexAttribIPointer(1, 1, gl.GL_UNSIGNED_INT, _VERTEX.itemsize, ctypes.c_void_p(12))
+        for place, size, first in ((0, 2, 0), (1, 3, 8), (2, 2, 20)):
+            gl.glEnableVertexAttribArray(place)
+            gl.glVertexAttribPointer(place, size, gl.GL_FLOAT, False, _VERTEX.itemsize, ctypes.c_void_p(first))
+        gl.glEnableVertexAttribArray(3)
+        gl.glVertexAttribIPointer(3, 1, gl.GL_UNSIGNED_INT, _VERTEX.itemsize, ctypes.c_void_p(28))
         gl.glEnable(gl.GL_DEPTH_TEST)
         gl.glDepthFunc(gl.GL_GREATER)
         gl.glClearDepth(0.0)
@@ -191,6 +211,7 @@ class IdRenderer:
         for (x, y), region, (left, top), first, count in places:
             gl.glViewport(x + left, y + top, VIEWPORT_PX, VIEWPORT_PX)
             gl.glScissor(x, y, region.width, region.height)
+            gl.glUniform2f(self._to_image, region.x - x, region.y - y)
             gl.glDrawArrays(gl.GL_TRIANGLES, 3 * first, 3 * count)
         gl.glDisable(gl.GL_SCISSOR_TEST)
         gl.glReadPixels(0, 0, width, height, gl.GL_RED_INTEGER, gl.GL_UNSIGNED_INT, out)
@@ -223,10 +244,26 @@ def _vertices(
     some = counts > 0
     origins[some] = np.minimum.reduceat(np.floor(snapped.min(axis=1)), (np.cumsum(counts) - counts)[some])
     origins = np.clip(origins, side - VIEWPORT_PX, 0)
-    vertices["position"][..., :2] = (snapped - np.repeat(origins, counts, axis=0)[:, None]) * (2 / VIEWPORT_PX) - 1
-    vertices["position"][..., 2] = inverse_depth
+    vertices["position"] = (snapped - np.repeat(origins, counts, axis=0)[:, None]) * (2 / VIEWPORT_PX) - 1
+    vertices["plane"] = _planes(corners_px, inverse_depth)[:, None]
+    vertices["range"] = np.stack([inverse_depth.min(axis=1), inverse_depth.max(axis=1)], axis=1)[:, None]
     vertices["id"] = np.asarray(ids)[:, None]
     return vertices.reshape(-1), origins.astype(np.int64)
+
+
+def _planes(corners_px: Array, inverse_depth: Array) -> Array:
+    """Coefficients of column, row and 1 whose sum is the inverse depth of each triangle, shape (T, 3).
+
+    Of a triangle without area in the image it is that of its corners' mean.
+    """
+    (ax, ay), (bx, by) = (corners_px[:, 1:] - corners_px[:, :1]).transpose(1, 2, 0)
+    a, b = (inverse_depth[:, 1:] - inverse_depth[:, :1]).T
+    area = ax * by - bx * ay
+    flat = np.abs(area) < NO_AREA_PX
+    area = np.where(flat, np.inf, area)
+    along_x, along_y = (a * by - b * ay) / area, (ax * b - bx * a) / area
+    x, y = corners_px.mean(axis=1).T
+    return np.stack([along_x, along_y, inverse_depth.mean(axis=1) - along_x * x - along_y * y], axis=1)
 
 
 def _buffer_side(pixels: int) -> int:

@@ -61,18 +61,6 @@ def vessel_masks(
                 yield row, masks
 
 
-def pixel_masks(
-    outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, row: int, supersample: int = 1
-) -> PixelMasks:
-    """Draw the pixels of one vessel, a row of the outlines, once more."""
-    drawing = _Drawing.of(outlines, intrinsics, renderer, supersample)
-    frame = slice(*np.searchsorted(outlines.frame, (outlines.frame[row], outlines.frame[row] + 1)))
-    region = drawing.region(row)
-    silhouette = drawing.draw_in_tiles(slice(row, row + 1), region) > 0
-    visible = drawing.draw_in_tiles(frame, region) == outlines.occluder[row] + 1
-    return PixelMasks(region, silhouette, visible)
-
-
 @dataclass(frozen=True, eq=False)
 class _Counts:
     """Pixels counted so far, and the boxes around them, in buffer pixels; shapes (n,) and (n, 4)."""
@@ -106,7 +94,8 @@ class _Drawing:
     def of(cls, outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> _Drawing:
         width, height = intrinsics.image_size_px
         image = Region(0, 0, width * supersample, height * supersample)
-        return cls(outlines, triangles_of(outlines, intrinsics, supersample), image, renderer, supersample)
+        triangles = triangles_of(outlines, intrinsics, supersample, facing_only=True)
+        return cls(outlines, triangles, image, renderer, supersample)
 
     def region(self, row: int) -> Region:
         """The buffer pixels that the silhouette of a row can touch."""
@@ -118,14 +107,6 @@ class _Drawing:
         ids = self.outlines.occluder[self.triangles.row[chosen]] + 1
         corners = self.triangles.corners_px[chosen] * self.supersample
         return self.renderer.draw(corners, self.triangles.inverse_depth[chosen], ids, region)
-
-    def draw_in_tiles(self, rows: slice, region: Region) -> Ids:
-        """The same for a region that may be larger than a buffer."""
-        ids = np.empty((region.height, region.width), dtype=np.uint32)
-        for tile in tiles_of(region):
-            y, x = tile.y - region.y, tile.x - region.x
-            ids[y : y + tile.height, x : x + tile.width] = self.draw(rows, tile)
-        return ids
 
 
 def _count(

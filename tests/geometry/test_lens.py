@@ -15,12 +15,11 @@ from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
-from modsim3d.truth.full_frame import pixel_masks
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.silhouettes import silhouette_polygons
 from modsim3d.truth.triangles import subdivided
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
-from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, random_scene, vessel, write_scene
+from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, pixel_masks, random_scene, vessel, write_scene
 
 BARREL = Distortion(k1=-0.21, k2=0.07, p1=0.0013, p2=-0.0021, k3=-0.011)
 PINCUSHION = Distortion(k1=0.15, k2=0.03, p1=-0.001, p2=0.002)

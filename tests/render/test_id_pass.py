@@ -169,3 +169,24 @@ def test_ids_in_the_image_are_those_of_the_vessels_drawn(renderer, seed):
     triangles = triangles_of(outlines, INTRINSICS)
     image = renderer.draw(triangles.corners_px, triangles.inverse_depth, outlines.occluder[triangles.row] + 1, WHOLE)
     assert set(np.unique(image)) <= {0, *(outlines.occluder + 1)}
+
+
+def test_depth_beyond_the_edge_of_a_triangle_is_that_of_its_nearest_corner(renderer):
+    """Rounded corners reach a pixel centre 1/2000 px beside a triangle that is seen almost edge-on."""
+    thin = [[10.5005, 5.0], [10.5030, 5.0], [10.5005, 25.0]]
+    corners = np.array([thin, [[0.0, 0.0], [80.0, 0.0], [0.0, 80.0]]])
+    depths = np.array([[0.2, 0.3, 0.2], [0.19, 0.19, 0.19]])  # at the centre, the plane of the first is at 0.18
+    image = renderer.draw(corners, depths, np.array([1, 2]), Region(0, 0, 40, 40))
+    assert (image == 1).sum() > 5
+
+
+@pytest.mark.parametrize("region", [WHOLE, Region(37, 11, 50, 40)])
+def test_of_triangles_in_one_plane_the_first_is_in_front(renderer, region):
+    rng = np.random.default_rng(4)
+    corners = rng.uniform(-100, 700, (12, 3, 2))
+    depths = 0.1 + corners @ [2e-4, 3e-4] + 1e-12 * rng.uniform(-1, 1, (12, 3))
+    shown = renderer.draw(corners, depths, np.arange(1, 13), region)
+    first = np.zeros_like(shown)
+    for i in reversed(range(12)):
+        first[renderer.draw(corners[i : i + 1], depths[i : i + 1], np.ones(1, dtype=int), region) > 0] = i + 1
+    np.testing.assert_array_equal(shown, first)

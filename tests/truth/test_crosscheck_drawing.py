@@ -54,7 +54,7 @@ def check_against_plain_drawing(seed: int, renderer: IdRenderer, *, lens: bool) 
             (masks.visible, seen[here] == occluder + 1, drawing),
         ):
             y, x = np.nonzero(plain ^ own)
-            assert lens or not len(x)
+            assert lens or len(x) < 2  # where two vessels touch, one pixel may be either's
             assert tie_pixels(of, x + region.x, y + region.y).all()
 
 

@@ -10,7 +10,6 @@ from scipy.optimize import linprog
 from modsim3d.geometry.rotations import rotation, world_R_vehicle
 from modsim3d.truth import occlusion_order
 from modsim3d.truth.analytic import analytic_occlusion, image_silhouettes
-from modsim3d.truth.full_frame import pixel_masks
 from modsim3d.truth.occlusion_order import order_of
 from modsim3d.truth.outlines import Part
 from modsim3d.truth.rectangle_rule import rectangle_occlusion
@@ -18,7 +17,7 @@ from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.separating_axes import axis_count, candidate_axes
 from modsim3d.verify.sources.agreement import compare_with_analytic
 from modsim3d.vessels.vessel import shoebox
-from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, vessel
+from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, pixel_masks, vessel
 
 SHIP, BOAT = 0, 1
 

@@ -6,10 +6,9 @@ import pytest
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.truth import buffer_drawing
 from modsim3d.truth.analytic import analytic_occlusion
-from modsim3d.truth.full_frame import pixel_masks
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
-from tests.scenes import INTRINSICS, outlines_of, random_places, random_scene, vessel
+from tests.scenes import INTRINSICS, outlines_of, pixel_masks, random_places, random_scene, vessel
 
 SMALL = Intrinsics((500.0, 500.0), (200.0, 150.0), (400, 300))
 FACTORS = (1, 2, 4, 8)

@@ -8,10 +8,9 @@ from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
 from modsim3d.truth.analytic import analytic_occlusion
-from modsim3d.truth.full_frame import pixel_masks
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
-from tests.scenes import mirrored, moved, outlines_at, outlines_of, random_scene
+from tests.scenes import mirrored, moved, outlines_at, outlines_of, pixel_masks, random_scene
 
 SEEDS = st.sampled_from(range(60))
 """The laws share scenes, so that each is drawn and worked out once."""

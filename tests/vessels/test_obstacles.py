@@ -14,7 +14,7 @@ from modsim3d.runs.pipeline import open_renderer, simulate_frames, truth_block
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.camera_inside import first_body_around
-from modsim3d.truth.full_frame import full_frame_occlusion, pixel_masks
+from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.occlusion_order import order_of
 from modsim3d.truth.outlines import outline
 from modsim3d.truth.rendered import rendered_occlusion
@@ -22,7 +22,7 @@ from modsim3d.truth.truth_record import COLUMNS, concatenate
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from modsim3d.vessels.bodies import vessel_bodies
 from modsim3d.vessels.obstacles import Obstacle, extruded, obstacle_bodies
-from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, random_scene, vessel, write_scene
+from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, pixel_masks, random_scene, vessel, write_scene
 
 SQUARE = [[-10.0, -10.0], [10.0, -10.0], [10.0, 10.0], [-10.0, 10.0]]
 

@@ -1,1 +1,1 @@
-"""The sources of truth side by side: rendered against analytic, and the idealised rectangle rule against rendered."""
+"""The sources of truth side by side: rendered against drawn and analytic, and the idealised rectangle rule."""

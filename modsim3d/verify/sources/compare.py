@@ -1,7 +1,8 @@
 """Compares the sources of truth on a scene: the check that an auditor can run.
 
-Every difference between the rendered and the analytic truth is explained. The idealised rectangle rule is held against
-the rendered truth.
+OpenGL draws every frame, with a projection and an order of its own, and the rendered source must have the same pixels
+(`fast_path`). Every difference between these and the analytic truth is explained. The idealised rectangle rule
+is held against the rendered truth.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ from modsim3d.errors import ModsimError
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import analytic_occlusion
-from modsim3d.truth.full_frame import full_frame_occlusion, pixel_masks
+from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.pixel_masks import PixelMasks
 from modsim3d.truth.rectangle_rule import rectangle_occlusion
-from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.truth.rendered import rendered_occlusion, rendered_spans
 from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
+from modsim3d.verify.sources.fast_path import FastPath
 from modsim3d.verify.sources.figures import Figures, figures_of
 from modsim3d.verify.sources.findings import Findings, RectangleRuleCheck, VesselDifference, shoebox_fits
 from modsim3d.vessels.vessel import shoebox
@@ -50,7 +52,7 @@ class SourceComparison:
 def compare_sources(
     scene: Scene, renderer: IdRenderer, *, every: int = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> SourceComparison:
-    """Compare rendered, analytic and rectangle truth on every camera of a scene.
+    """Compare rendered, drawn, analytic and rectangle truth on every camera of a scene.
 
     Args:
         every: Compare every K-th frame of each camera.
@@ -82,16 +84,24 @@ def compare_sources(
 def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indices) -> Findings:
     """Compare the sources on the frames that a camera takes at some steps."""
     intrinsics, supersample = scene.cameras[camera].intrinsics, scene.annotation.supersample
+    full = scene.annotation.render == "full"
     started = time.perf_counter()
     sight = scene.sight(scene.cameras[camera], steps)
     outlines = sight.outlines()
     sources, seconds = _occlusions(scene, renderer, camera, outlines, shared_s=time.perf_counter() - started)
 
-    def draw_masks(row: int) -> PixelMasks:
-        return pixel_masks(outlines, intrinsics, renderer, row, supersample)
+    spans = rendered_spans(outlines, intrinsics, renderer, supersample, full=full)
+    fast = FastPath(outlines, sources["rendered"], spans)
+    drawings = [sight.drawing(row, supersample) for row in range(len(steps))]
+    checked, differing, missing = fast.compare(drawings, sight.others, scene.occluder_names, renderer)
 
-    differences = compare_with_analytic(outlines, intrinsics, sources["rendered"], draw_masks, supersample)
+    def masks_of(row: int) -> PixelMasks:
+        return fast.masks(row, drawings)
+
+    differences = compare_with_analytic(outlines, intrinsics, sources["rendered"], masks_of, supersample)
     boxed = np.flatnonzero(outlines.boxed)
+    words = {int(boxed.searchsorted(row)): text for row, text in differing.items()}
+    differences.visible[list(words)] = Agreement.UNEXPLAINED
     seen = {source: occlusion.take(boxed) for source, occlusion in sources.items()}
     vessels = _Vessels(camera, steps, outlines.take(boxed), seen)
     fits = {}
@@ -102,12 +112,15 @@ def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indi
     pairs = outlines.occluder[sources["analytic"].intersecting].tolist()
     return Findings(
         frames=len(steps),
+        drawn=checked,
+        differing=len(words),
+        missing=missing,
         differences=differences,
         rule=_check_rule(vessels),
         intersecting=Counter(f"{names[first]} and {names[second]}" for first, second in pairs),
         shoebox_fits=fits,
         seconds=seconds,
-        worst=_worst(differences, vessels),
+        worst=_worst(differences, vessels, words),
     )
 
 
@@ -152,15 +165,18 @@ class _Vessels:
         return VesselDifference(self.camera, step, vessel, badness, reason, boxes)
 
 
-def _worst(differences: Comparison, vessels: _Vessels) -> tuple[VesselDifference, ...]:
-    """The largest differences: unexplained ones first, those that are left to pixels last."""
+def _worst(differences: Comparison, vessels: _Vessels, words: dict[int, str]) -> tuple[VesselDifference, ...]:
+    """The largest differences: unexplained ones first, those that are left to pixels last.
+
+    `words` say of rows how the rendered source differs from what was drawn.
+    """
     sides = np.abs(np.concatenate([differences.full_side_px, differences.visible_side_px], axis=1))
     size_px: Array = np.nan_to_num(sides).max(axis=1, initial=0.0) + np.where(differences.seen_differs, 1.0, 0.0)
     size_px[differences.visible == Agreement.INTERSECTING] *= 1e-3
     badness = size_px + 1e6 * (differences.worst == Agreement.UNEXPLAINED)
     reasons = [EXPLANATIONS[Agreement(reason)] for reason in differences.worst.tolist()]
     return tuple(
-        vessels.difference(row, float(badness[row]), f"{reasons[row]}: {size_px[row]:.2f} px")
+        vessels.difference(row, float(badness[row]), f"{reasons[row]}: {words.get(row, f'{size_px[row]:.2f} px')}")
         for row in np.argsort(-badness)[:WORST].tolist()
     )
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement
 from modsim3d.verify.sources.findings import Findings, RectangleRuleCheck, ShoeboxFit
 
@@ -82,6 +83,9 @@ class Figures:
         format: Version of the file's layout.
         supersample: Buffer pixels per image pixel and axis of the rendered source.
         vessel_frames: Number of vessels in these frames.
+        drawn: How much OpenGL drew, and the rendered source was compared with: as in `run.json`.
+        differs_from_drawn: Vessel-frames of which the rendered source has other pixels, ties apart.
+        missing: Vessels in frames that were drawn, but that the rendered source does not have.
         occluded: Vessel-frames with a hidden pixel.
         unexplained: Number of differences that nothing explains.
         visible_at_all_differs: Vessel-frames that are visible to one source only.
@@ -97,6 +101,9 @@ class Figures:
     steps: int
     frames: int
     vessel_frames: int
+    drawn: Checked
+    differs_from_drawn: int
+    missing: int
     occluded: int
     unexplained: int
     full_box: BoxFigures
@@ -121,6 +128,9 @@ def figures_of(findings: Findings, scene: str, supersample: int, steps: int) -> 
         steps=steps,
         frames=findings.frames,
         vessel_frames=len(differences.full),
+        drawn=findings.drawn,
+        differs_from_drawn=findings.differing,
+        missing=findings.missing,
         occluded=findings.rule.occluded,
         unexplained=findings.unexplained,
         full_box=_box_figures(differences.full_side_px, differences.full),

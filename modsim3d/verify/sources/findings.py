@@ -10,6 +10,7 @@ import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.boxes import areas
+from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.modes import SOURCES
 from modsim3d.truth.outlines import Outlines
 from modsim3d.verify.sources.agreement import Agreement, Comparison, concatenate_comparisons
@@ -120,6 +121,9 @@ class Findings:
     """What was found in some frames.
 
     Attributes:
+        drawn: How much OpenGL drew, and the rendered source was compared with.
+        differing: Vessel-frames of which the rendered source has other pixels, ties apart.
+        missing: Vessels in frames that were drawn, but that the rendered source does not have.
         differences: Rendered against analytic truth, a row for each vessel in a frame.
         rule: The rectangle rule against the rendered source.
         intersecting: Pair of vessels or obstacles that intersect, as "a and b" → number of frames.
@@ -129,6 +133,9 @@ class Findings:
     """
 
     frames: int
+    drawn: Checked
+    differing: int
+    missing: int
     differences: Comparison
     rule: RectangleRuleCheck
     intersecting: Mapping[str, int]
@@ -142,6 +149,9 @@ class Findings:
         shown = [difference for part in parts for difference in part.worst]
         return cls(
             sum(part.frames for part in parts),
+            sum((part.drawn for part in parts), Checked()),
+            sum(part.differing for part in parts),
+            sum(part.missing for part in parts),
             concatenate_comparisons([part.differences for part in parts]),
             sum((part.rule for part in parts), RectangleRuleCheck()),
             _summed([part.intersecting for part in parts]),
@@ -152,9 +162,9 @@ class Findings:
 
     @property
     def unexplained(self) -> int:
-        """Number of differences that nothing explains, in full or visible boxes."""
-        differences = self.differences
-        return sum(int((column == Agreement.UNEXPLAINED).sum()) for column in (differences.full, differences.visible))
+        """Number of differences that nothing explains, in full boxes or visible parts, and of missing vessels."""
+        columns = self.differences.full, self.differences.visible
+        return self.missing + sum(int((column == Agreement.UNEXPLAINED).sum()) for column in columns)
 
 
 _Value = TypeVar("_Value", int, float, ShoeboxFit)

@@ -34,17 +34,22 @@ def verdict_rows(figures: Figures) -> list[tuple[str, str, str]]:
 
 
 def figure_rows(figures: Figures) -> Rows:
-    """How rendered and analytic truth differ."""
-    fraction = figures.visible_fraction
+    """What was drawn, whether the rendered truth is the same, and how it differs from the analytic truth."""
+    fraction, drawn = figures.visible_fraction, figures.drawn
     return [
         ("vessel-frames compared", f"{figures.vessel_frames} in {figures.frames} frames"),
+        ("drawn by OpenGL", f"{drawn.vessels} silhouettes alone, {drawn.frames - drawn.empty_frames} scenes"),
+        ("pixels compared with what was drawn", f"{drawn.pixels} of silhouettes, alone and in the scene"),
+        ("rendered truth", f"{drawn.from_spans} vessel-frames from spans, {drawn.from_buffers} from buffers"),
+        ("not as it was drawn", f"{figures.differs_from_drawn} vessel-frames, and {figures.missing} missing"),
+        ("pixels that differ where rounding decides", str(drawn.tie_pixels)),
         ("partly or wholly hidden", _share(figures.occluded, figures.vessel_frames)),
         ("full box, side differences", _sides(figures.full_box)),
         ("visible box, side differences", _sides(figures.visible_box)),
         ("visible fraction, differences", _up_to(fraction.max, fraction.p99, 4)),
         ("fraction differences that boundary pixels do not explain", str(fraction.above_bound)),
         ("visible to one source only", str(figures.visible_at_all_differs)),
-        ("every pixel checked", f"{figures.pixels_looked_at} vessel-frames"),
+        ("every pixel checked against geometry", f"{figures.pixels_looked_at} vessel-frames"),
         ("UNEXPLAINED", str(figures.unexplained)),
     ]
 
@@ -172,7 +177,7 @@ def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, rest
                 ("Rectangle rule wrong", f"{rule.wrong_share:.1%}", f"of {rule.occluded:,} occluded vessel-frames"),
             ]
         ),
-        page.heading("Rendered against analytic"),
+        page.heading("Rendered against drawn and analytic"),
         page.folded(said, page.table(figure_rows(figures)) + agreed, opened=figures.unexplained > 0),
         page.heading("The idealised rectangle rule against rendered"),
         page.table(rule_rows(figures)),
@@ -209,17 +214,22 @@ def _shoebox_table(figures: Figures) -> str:
 def _introduction(figures: Figures) -> list[str]:
     """The answer, and how it was found."""
     if figures.unexplained:
-        answer = f"{figures.unexplained} differences between the rendered and the analytic truth are unexplained."
+        answer = (
+            f"{figures.unexplained} differences of the rendered truth from what was drawn, or from the analytic truth, "
+            "are unexplained."
+        )
     else:
         answer = (
-            "Pixel sampling explains every difference between the rendered and the analytic truth of "
-            f"{figures.vessel_frames} vessel-frames."
+            f"The rendered truth of {figures.vessel_frames} vessel-frames is what OpenGL draws, and pixel sampling "
+            "explains every difference from the analytic truth."
         )
     method = (
-        f"{figures.steps} steps, supersampling {figures.supersample}. The rendered source counts pixels of exact "
-        "spans, and of ID buffers where these do not do. The analytic source cuts silhouette polygons by those in "
-        "front of them; separating planes say which are in front. Where two boxes differ by more than a pixel, every "
-        "pixel of the vessel was checked: it must be set if its centre is inside the exact region, and only then."
+        f"{figures.steps} steps, supersampling {figures.supersample}. OpenGL drew each vessel alone and with all else, "
+        "in ID buffers with a depth test, by a projection and clipping of their own. The rendered source, which takes "
+        "exact spans where it knows who is in front, must have the same pixels, counts, boxes and occluders. "
+        "The analytic source cuts silhouette polygons by those in front of them; separating planes say which are in "
+        "front. Where its boxes differ by more than a pixel, every pixel of the vessel was checked: it must be set if "
+        "its centre is inside the exact region, and only then."
     )
     return [page.paragraph(answer, "bad" if figures.unexplained else "lead"), page.paragraph(method, "soft")]
 
