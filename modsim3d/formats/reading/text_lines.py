@@ -10,7 +10,7 @@ from pathlib import Path
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems
 from modsim3d.inputs.budgets import MAX_LINE_CHARACTERS
-from modsim3d.inputs.misreadings import LOST, has_lost_digits
+from modsim3d.inputs.misreadings import LOST, has_lost_digits, no_commas
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
 
@@ -36,9 +36,8 @@ def number_lines(
     begin = list(islice(filter(str.strip, lines), _LOOKED_AT_LINES))
     if begin and not any(map(_is_number, _cells(begin, separator))):
         form = "white space" if separator is None else f"'{separator}'"
-        raise InputError(
-            f"{what} {path}", [f"its first lines hold no numbers, must be numbers with {form} between them"]
-        )
+        told = f"its first lines hold no numbers, must be numbers with {form} between them{_why(begin[0], separator)}"
+        raise InputError(f"{what} {path}", [told])
     for index, line in enumerate(lines):
         if not line.strip():
             continue
@@ -50,7 +49,7 @@ def number_lines(
             cells = line.strip().removesuffix(separator or "").split(separator)
             numbers = [float(part) for part in cells]
         except ValueError:
-            problems.add(f"{where}: must be numbers (got {shown(line)})")
+            problems.add(f"{where}: must be numbers (got {shown(line)}){_why(line, separator)}")
             continue
         if len(numbers) < least:
             problems.add(f"{where}: has {len(numbers)} numbers, must have at least {least} (got {shown(line)})")
@@ -60,6 +59,11 @@ def number_lines(
             problems.add(f"{where}: must be finite (got {shown(line)})")
         else:
             yield where, numbers
+
+
+def _why(line: str, separator: str | None) -> str:
+    """Why the numbers of a line cannot be read, to be added to a message; empty if that is not known."""
+    return no_commas(line) if separator else ": commas stand neither between nor in them" * ("," in line)
 
 
 def _cells(lines: Iterable[str], separator: str | None) -> Iterator[str]:
