@@ -61,10 +61,8 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
     matched = match(labelled, settings.rule, settings.threshold)
     if not matched.sought.any():
         raise ModsimError("no annotation is there to be detected: nothing can be learned")
-    sought, counted = np.count_nonzero(matched.sought), np.count_nonzero(matched.counts)
-    if not len(labelled.results):
-        raise ModsimError(f"there is no detection that matches any of {sought:,} annotations: nothing can be learned")
     if not len(matched.pairs[0]):
+        sought, counted = np.count_nonzero(matched.sought), np.count_nonzero(matched.counts)
         raise ModsimError(
             f"none of {len(labelled.results):,} detections matches any of {sought:,} annotations ({settings.rule}), "
             f"and {counted:,} of them have a confidence of at least {settings.threshold:g}: they may be of other "

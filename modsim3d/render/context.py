@@ -166,8 +166,7 @@ def _refuse_crashes(backend: str) -> None:
     if language.isdecimal() and int(language) < 450:
         raise RendererError(f"MESA_GLSL_VERSION_OVERRIDE={language!r}: OpenGL 4.5 has 450: unset the variable")
     if any(word.startswith("-") for word in extensions.split()):
-        taken = "it takes away extensions, which OpenGL 4.5 needs: unset the variable"
-        raise RendererError(f"MESA_EXTENSION_OVERRIDE={extensions!r}: {taken}")
+        raise RendererError(f"MESA_EXTENSION_OVERRIDE={extensions!r} takes away what OpenGL 4.5 needs: unset it")
 
 
 def _use_reversed_depth(get_address: GetAddress) -> None:

@@ -241,9 +241,9 @@ def test_cvats_folders_are_read_as_they_are_and_classes_without_names_are_told(t
      ("classes.txt", "boat\n\nship\n", "the class 1, counted from 0, has no name"),
      ("data.yaml", 'names: [boat, "", ship]\n', "the class 1, counted from 0, has no name"),
      ("data.yaml", "names: [boat, ~, ship]\n", "the class 1, counted from 0, has no name"),
-     ("classes.txt", "# classes\nboat\nsailboat\nship\n", "the class 0, counted from 0, would be '# classes'"),
-     ("classes.txt", "0: boat\n1: sailboat\n2: ship\n", "the names begin with their numbers, as '0: boat'"),
-     ("obj.names", "0 boat\n1 sailboat\n2 ship\n", "the names begin with their numbers, as '0 boat'")],
+     ("classes.txt", "# classes\nboat\nsailboat\nship\n", "the first class would be '# classes'"),
+     ("classes.txt", "0: boat\n1: sailboat\n2: ship\n", "the first class would be '0: boat'"),
+     ("obj.names", "0 boat\n1 sailboat\n2 ship\n", "the first class would be '0 boat'")],
 )  # fmt: skip
 def test_files_of_names_that_have_none_are_refused(tmp_path, file, text, told):
     folders = yolo(tmp_path, VIDEO)

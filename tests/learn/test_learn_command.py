@@ -435,7 +435,7 @@ def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remar
     assert "100% of the matches have the label after" in remarks(2.0, shift=1)[0]
     moved = "In MOT, --labels can give the numbers of both files one name; in COCO, --category-offset -1 moves results"
     assert moved in remarks(2.0, shift=1)[0]
-    with pytest.raises(ModsimError, match="no detection that matches any of 40 annotations"):
+    with pytest.raises(ModsimError, match="none of 0 detections matches any of 40 annotations"):
         learn_detector(blank(20), settings, LearnOptions())
 
 

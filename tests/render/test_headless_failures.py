@@ -11,7 +11,7 @@ from modsim3d.render.context import library_found
 
 NO_DISPLAY = "EGL gave no display without a surface: Mesa's EGL (libegl-mesa0) is needed"
 NO_CONTEXT = "EGL gave no OpenGL 4.5 context: Mesa 18 or a newer driver of the card is needed"
-TAKEN_AWAY = "it takes away extensions, which OpenGL 4.5 needs: unset the variable"
+TAKEN_AWAY = " takes away what OpenGL 4.5 needs: unset it"
 WITHOUT = [
     f"MESA_EXTENSION_OVERRIDE={words}"
     for words in ("-GL_ARB_framebuffer_object", "-GL_ARB_clip_control", "+GL_EXT_abgr -GL_ARB_texture_float")

@@ -66,8 +66,7 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
     found = {place.label for place in annotations.places + results.places}
     numbers = sorted({*range(len(names)), *found})
     whole = [names[number] if number < len(names) else f"class_{number}" for number in numbers]
-    known = {*options.labels, *(name for number, name in enumerate(names) if name != f"class_{number}")}
-    if nameless := [name for name in whole if name not in known]:
+    if nameless := [n for k, n in zip(numbers, whole, strict=True) if n == f"class_{k}" and n not in options.labels]:
         notes.append(f"{truth}: no name is known of {', '.join(nameless[:8])}: give --labels or {_LISTS[0]}")
     to_label = {number: label for label, number in enumerate(numbers)}
     for rows in (annotations, results):
@@ -220,8 +219,6 @@ def _checked(source: str, names: list[str]) -> tuple[str, ...]:
     """The names, which must be some, without remarks or numbers that stand before them."""
     if "" in names:
         raise InputError(source, [f"the class {names.index('')}, counted from 0, has no name"])
-    if names and names[0].startswith("#"):
-        raise InputError(source, [f"the class 0, counted from 0, would be {shown(names[0])}: leave that line out"])
-    if names and all(re.match(rf"{number}\b[:\s]", name) for number, name in enumerate(names)):
-        raise InputError(source, [f"the names begin with their numbers, as {shown(names[0])}: leave the numbers out"])
+    if names and (names[0][0] == "#" or all(re.match(rf"{number}[:\s]", name) for number, name in enumerate(names))):
+        raise InputError(source, [f"the first class would be {shown(names[0])}: leave remarks, or all numbers, out"])
     return tuple(names)
