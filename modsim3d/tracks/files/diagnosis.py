@@ -207,7 +207,7 @@ def implausible(rows: BoxRows) -> Misreading | None:
     if beyond.mean() <= _MOST_BEYOND:
         return _inside(rows, size, alone)
     found = f"{beyond.mean():.0%} of them reach beyond their images by more than {_BEYOND_PX:g} px"
-    outside = ((now_px[:, :2] >= image_px) | (now_px[:, 2:] <= 0)).any(axis=1)
+    outside = np.asarray(((now_px[:, :2] >= image_px) | (now_px[:, 2:] <= 0)).any(axis=1))
     edges_px = np.hstack([np.zeros_like(image_px), image_px])
     for reading in _form_readings(rows):
         snug = np.abs(reading.boxes_px - edges_px)[beyond].min(axis=1) <= _SNUG_PX
