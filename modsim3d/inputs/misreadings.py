@@ -23,7 +23,8 @@ def no_commas(first_line: str) -> str:
         return ": line 1 is for spreadsheets alone, leave it out"
     marks = {";": "semicolons", "\t": "tabs", "|": "bars"}
     found = [word for mark, word in marks.items() if first_line.count(mark) > first_line.count(",")]
-    return f": its cells have {found[0]} between them, must have commas" if found else ""
+    points = ", and points in numbers" * bool(re.search("[0-9],[0-9]", first_line))
+    return f": its cells have {found[0]} between them, must have commas{points}" if found else ""
 
 
 def has_lost_digits(identity: str) -> bool:

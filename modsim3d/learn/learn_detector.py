@@ -61,7 +61,7 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
     matched = match(labelled, settings.rule, settings.threshold)
     if not matched.sought.any():
         raise ModsimError("no annotation is there to be detected: nothing can be learned")
-    if len(labelled.results) and not len(matched.pairs[0]):
+    if not len(matched.pairs[0]):
         sought, counted = np.count_nonzero(matched.sought), np.count_nonzero(matched.counts)
         raise ModsimError(
             f"none of {len(labelled.results):,} detections matches any of {sought:,} annotations ({settings.rule}), "
@@ -184,9 +184,6 @@ def _remarks(observed: Observed) -> Iterator[str]:
             f"the run's operating_threshold dropped detections below {observed.threshold:g}: the rates are those from "
             "there on, and it is the detector file's confidence_threshold"
         )
-    if not len(found):
-        yield "nothing matches: annotations and detections may belong to other images, or have boxes in other pixels"
-        return
     yield from _remarks_on_labels(labelled.results.label[found] - labelled.annotations.label[annotation])
 
 
@@ -196,8 +193,8 @@ def _remarks_on_labels(shift: Indices) -> Iterator[str]:
         if (shift == 0).mean() < _HARDLY_ANY and (shift == step).mean() > _ALMOST_ALL:
             yield (
                 f"{(shift == step).mean():.0%} of the matches have the label {where} that of the annotation in the "
-                f"list of categories: do results count from another number (--category-offset {-step})? In MOT, "
-                "--labels can give the numbers of both files one name"
+                "list of categories: do results count from another number? In MOT, --labels can give the numbers of "
+                f"both files one name; in COCO, --category-offset {-step} moves results"
             )
 
 

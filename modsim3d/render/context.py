@@ -159,11 +159,14 @@ def prepare_environment(backend: str) -> None:
 
 def _refuse_crashes(backend: str) -> None:
     """Refuse variables of the environment with which Mesa ends the process instead of reporting an error."""
-    driver, language = (os.environ.get(name, "") for name in ("GALLIUM_DRIVER", "MESA_GLSL_VERSION_OVERRIDE"))
+    names = ("GALLIUM_DRIVER", "MESA_GLSL_VERSION_OVERRIDE", "MESA_EXTENSION_OVERRIDE")
+    driver, language, extensions = (os.environ.get(name, "") for name in names)
     if driver not in ("", "llvmpipe") and backend == "osmesa":
         raise RendererError(f"GALLIUM_DRIVER={driver!r}: OSMesa has llvmpipe only: unset it, or set MODSIM3D_GL=egl")
     if language.isdecimal() and int(language) < 450:
         raise RendererError(f"MESA_GLSL_VERSION_OVERRIDE={language!r}: OpenGL 4.5 has 450: unset the variable")
+    if any(word.startswith("-") for word in extensions.split()):
+        raise RendererError(f"MESA_EXTENSION_OVERRIDE={extensions!r} takes away what OpenGL 4.5 needs: unset it")
 
 
 def _use_reversed_depth(get_address: GetAddress) -> None:

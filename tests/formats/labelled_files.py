@@ -20,6 +20,8 @@ CHANGES: dict[str, Change] = {
     "top left": lambda x, y, w, h: (x - w / 2, y - h / 2, w, h),
     "exchanged": lambda x, y, w, h: (y, x, h, w),
     "shares": lambda x, y, w, h: (x / WIDTH, y / HEIGHT, w / WIDTH, h / HEIGHT),
+    "per cent": lambda x, y, w, h: (100 * x / WIDTH, 100 * y / HEIGHT, 100 * w / WIDTH, 100 * h / HEIGHT),
+    "from below": lambda x, y, w, h: (x, HEIGHT - y - h, w, h),
     "larger": lambda x, y, w, h: (2 * x, 2 * y, 2 * w, 2 * h),
 }
 """What files may have of a left, top, width and height; those of YOLO have centres, where `centres` is right."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,8 +74,41 @@ def test_places_in_the_world_are_neither_classes_nor_visibility(tmp_path, place,
         read_mot(tmp_path, tail=tail, found_tail="0.9,1,-1,-1")
     for part in ("gt.txt line 1: has no class", f"places in the world, as in MOT15 (gt.txt line 1: {place:g}"):
         assert part in str(error.value)
+    truth, found = mot(tmp_path, VIDEO, tail=tail)
+    found.write_text("1,-1,10,20,30,40,7.5,-1,-1,-1\n")
+    with pytest.raises(InputError) as error:
+        read_pair("day", truth, found)
+    assert "places in the world" not in str(error.value)
+    truth.write_text(truth.read_text().replace("1,1,", "1,1.5,", 1))
+    with pytest.raises(InputError) as error:
+        read_pair("day", truth, found)
+    assert "identity must be" in str(error.value) and "places in the world" not in str(error.value)
     with pytest.raises(InputError, match=rf"class must be a whole number \(got {place:g}\)"):
         read_mot(tmp_path, tail=lambda k, j: f"1,{place + 0.7 * j:g},0.9")
+
+
+@pytest.mark.parametrize(
+    ("mark", "told"),
+    [
+        (lambda text: text.replace(",", ";"), "its cells have semicolons between them, must have commas"),
+        (lambda text: text.replace(",", "\t"), "its cells have tabs between them, must have commas"),
+        (lambda text: f"sep=,\n{text}", "line 1 is for spreadsheets alone, leave it out"),
+        (lambda text: "sep=;\n" + text.replace(",", ";"), "line 1 is for spreadsheets alone, leave it out"),
+        (lambda text: text.replace(",", ";").replace(".", ","), "must have commas, and points in numbers"),
+        (lambda text: text.replace(",", "\t").replace(".", ","), "must have commas, and points in numbers"),
+    ],
+)
+def test_separators_of_spreadsheets_and_decimal_commas_are_named(tmp_path, mark, told):
+    for wrong in (0, 1):
+        files = mot(tmp_path, VIDEO)
+        files[wrong].write_text(mark(files[wrong].read_text()))
+        with pytest.raises(InputError, match=told):
+            read_pair("day", *files)
+    folders = yolo(tmp_path, VIDEO)
+    for text in ("0,0.5,0.5,0.1,0.1\n", "0 0,5 0,5 0,1 0,1\n"):
+        (folders[0] / "labels" / "003.txt").write_text(text)
+        with pytest.raises(InputError, match=r"must be numbers.*: commas stand neither between nor in them"):
+            read_pair("day", *folders, SIZED)
 
 
 def test_columns_of_other_data_sets_are_no_visibility_and_what_is_read_is_told(tmp_path):
@@ -94,7 +128,8 @@ def test_columns_of_other_data_sets_are_no_visibility_and_what_is_read_is_told(t
 
 WRONG_TAILS = {
     "1,1,87": r"visibility must be from 0 to 1, or -1 if it is not known \(got 87\)(.|\n)*per cent must be divided",
-    "0.87,1,1": r"the seventh number, the flag, must be 0 or 1, false or true \(got 0.87\)",
+    "0.87,1,1": r"the flag, must be 0 or 1, false or true \(got 0.87\)(.|\n)*the seventh column may be confidences",
+    "2,1,1": r"the seventh number, the flag, must be 0 or 1, false or true \(got 2\)",
     "1,1.5,1": r"class must be a whole number \(got 1.5\)",
 }
 
@@ -186,7 +221,10 @@ def test_names_of_classes_are_found_in_the_files_of_other_programs(tmp_path, fil
 
 def test_cvats_folders_are_read_as_they_are_and_classes_without_names_are_told(tmp_path):
     truth, found = yolo(tmp_path, VIDEO)
-    assert has(read_pair("day", truth, found, SIZED), "no name is known of class_0, class_1, class_2: give --labels")
+    assert (
+        f"{truth}: no name is known of class_0, class_1, class_2: give --labels or classes.txt"
+        in read_pair("day", truth, found, SIZED).notes
+    )
     (truth / "labels").rename(truth / "obj_train_data")
     (truth / "obj.names").write_text("boat\nsailboat\nship\n")
     (truth / "obj.data").write_text("classes = 3\nnames = data/obj.names\n")
@@ -200,13 +238,26 @@ def test_cvats_folders_are_read_as_they_are_and_classes_without_names_are_told(t
     ("file", "text", "told"),
     [("data.yaml", "names: boat sailboat ship\n", r"names: must be a list of names \(got 'boat sailboat ship'\)"),
      ("dataset.yaml", "names: 3\n", r"names: must be a list of names \(got 3\)"),
-     ("classes.txt", "boat\n\nship\n", "the class 1, counted from 0, has no name")],
+     ("classes.txt", "boat\n\nship\n", "the class 1, counted from 0, has no name"),
+     ("data.yaml", 'names: [boat, "", ship]\n', "the class 1, counted from 0, has no name"),
+     ("data.yaml", "names: [boat, ~, ship]\n", "the class 1, counted from 0, has no name"),
+     ("classes.txt", "# classes\nboat\nsailboat\nship\n", "the first class would be '# classes'"),
+     ("classes.txt", "0: boat\n1: sailboat\n2: ship\n", "the first class would be '0: boat'"),
+     ("obj.names", "0 boat\n1 sailboat\n2 ship\n", "the first class would be '0 boat'")],
 )  # fmt: skip
 def test_files_of_names_that_have_none_are_refused(tmp_path, file, text, told):
     folders = yolo(tmp_path, VIDEO)
     (folders[0] / file).write_text(text)
     with pytest.raises(InputError, match=told):
         read_pair("day", *folders, SIZED)
+
+
+def test_a_gap_in_the_numbers_of_names_is_told(tmp_path):
+    folders = yolo(tmp_path, VIDEO)
+    (folders[0] / "data.yaml").write_text("names: {0: boat, 2: ship}\n")
+    labelled = read_pair("day", *folders, SIZED)
+    assert labelled.labels == ("boat", "class_1", "ship") and has(labelled, "no name is known of class_1: give")
+    assert not has(read_pair("day", *folders, replace(SIZED, labels=("a", "class_1", "b"))), "no name is known")
 
 
 def test_the_marks_of_a_seqinfo_are_passed_over_and_truth_alone_says_the_same(tmp_path):

@@ -116,6 +116,91 @@ def test_whole_boxes_of_cut_vessels_are_a_remark(tmp_path):
         assert any("boxes are not cut at the edge of the image" in note for note in labelled.notes)
 
 
+def crossing(start, seed=0):
+    """Whole boxes of four vessels that leave the image by its right edge, and what is detected of the whole boxes."""
+    size = np.array([[160.0, 60], [200, 80], [120, 50], [90, 40]])
+    left = np.array([start, start + 100, start + 50, 100.0]) + np.arange(40)[:, None] * np.array([4, 3, 2, 1])
+    true = np.stack([left, np.broadcast_to(np.array([480.0, 500, 470, 700]), left.shape)], -1)
+    true = np.concatenate([true, np.broadcast_to(size, true.shape)], -1)
+    return Video(true, true + np.random.default_rng(seed).normal(0, 2, true.shape))
+
+
+def test_whole_boxes_at_the_right_edge_of_upright_images_are_a_remark(tmp_path):
+    files = coco(tmp_path, crossing(830), *[CHANGES["right"]] * 2, size=(1080, 1920))
+    for note in read_pair("day", *files).notes:
+        assert "boxes are not cut at the edge of the image" in note or "lie outside their image" in note
+
+
+def test_whole_boxes_outside_are_a_remark_where_detections_inside_lie_on_them(tmp_path):
+    video = crossing(1820)
+    truth, found = coco(tmp_path, video, *[CHANGES["right"]] * 2)
+    with pytest.raises(InputError, match=TOLD["larger"]):
+        read_pair("day", truth, found)
+    results = [entry for entry in json.loads(found.read_text()) if entry["bbox"][0] < WIDTH - 20]
+    for entry in results:
+        entry["bbox"][2] = min(entry["bbox"][2], WIDTH - entry["bbox"][0])
+    found.write_text(json.dumps(results))
+    notes = read_pair("day", truth, found).notes
+    assert any(note.startswith("ground truth") and TOLD["larger"] in note for note in notes)
+
+
+def test_one_vessel_that_comes_near_and_to_the_right_is_a_remark(tmp_path):
+    steps = np.arange(60.0)
+    true = np.stack([60 + 9 * steps, 50 + 1.5 * steps, 110 + 9.4 * steps, 60 + 3 * steps], -1)[:, None]
+    video = Video(true, true + np.random.default_rng(5).normal(0, 2, true.shape))
+    notes = read_pair("day", *coco(tmp_path, video, *[CHANGES["right"]] * 2)).notes
+    assert sum(TOLD["corners"] in note for note in notes) == 2
+    mixed = true[np.random.default_rng(1).permutation(len(true))]  # photographs with a boat each
+    for video in (Video(mixed, mixed), Video.of()):
+        with pytest.raises(InputError, match=TOLD["corners"]):
+            read_pair("day", *coco(tmp_path, video, *[CHANGES["right" if video.true is mixed else "corners"]] * 2))
+
+
+@pytest.mark.parametrize("kind", ["COCO", "MOT"])
+def test_boxes_in_per_cent_are_named(tmp_path, kind):
+    write, right, options = WRITERS[kind]
+    share, right = CHANGES["per cent"], CHANGES[right]
+    told = "all boxes lie within 100 x 100 of 1920 x 1080 px: are they in per cent? must be in pixels"
+    notes = read_pair("day", *write(tmp_path, Video.of(), share, share), options).notes
+    assert sum(told in note for note in notes) == 2
+    with pytest.raises(InputError, match="those of an image of 100 x 100 px"):
+        read_pair("day", *write(tmp_path, Video.of(), right, share), options)
+    notes = read_pair("day", *write(tmp_path, Video.of(), share, right), options).notes
+    assert sum(told in note for note in notes) == 1
+
+
+@pytest.mark.parametrize("change", ["from below", "half"])
+@pytest.mark.parametrize("wrong", ["truth", "detections"])
+def test_where_images_do_not_tell_which_file_is_wrong_both_are_named(tmp_path, change, wrong):
+    form = CHANGES.get(change, lambda x, y, w, h: (x / 2, y / 2, w / 2, h / 2))
+    changes = (form, CHANGES["right"]) if wrong == "truth" else (CHANGES["right"], form)
+    truth, found = coco(tmp_path, Video.of(), *changes)
+    with pytest.raises(InputError) as error:
+        read_pair("day", truth, found)
+    assert str(error.value).startswith(f"detections {found}")
+    assert f"or ground truth {truth} is wrong, the other way round" in str(error.value)
+
+
+@pytest.mark.parametrize("first_px", [0, 1])
+@pytest.mark.parametrize("alike", [True, False])
+def test_frames_off_by_one_are_told_alike_in_both_directions(tmp_path, alike, first_px):
+    rng, steps = np.random.default_rng(3), np.arange(40.0)[:, None]
+    speed = 6.0 if alike else np.array([8.0, -6, 5, 9])
+    left = np.array([300.0, 900, 500, 700]) + steps * speed
+    true = np.stack([left, 500 + 60 * np.arange(4) + 0 * left, 60 + 0 * left, 24 + 0 * left], -1)
+    said = []
+    for step in (-1, 1):
+        truth, found = mot(tmp_path, Video(true, true + rng.normal(0, 0.2, true.shape) + first_px - 1))
+        lines = [line.split(",", 1) for line in found.read_text().splitlines()]
+        kept = [(int(frame) + step, rest) for frame, rest in lines if 1 <= int(frame) + step <= 40]
+        found.write_text("".join(f"{frame},{rest}\n" for frame, rest in kept))
+        try:
+            said.append([note for note in read_pair("day", truth, found).notes if "frames" in note])
+        except InputError as error:
+            said.append(str(error))
+    assert type(said[0]) is type(said[1]) and all("frames" in str(each) for each in said), said
+
+
 def test_boxes_of_a_log_are_held_against_the_images_of_their_camera(tmp_path):
     from modsim3d.scene.reading import load_scene
     from modsim3d.voyage.logs.log import LogOptions

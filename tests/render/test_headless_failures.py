@@ -11,10 +11,15 @@ from modsim3d.render.context import library_found
 
 NO_DISPLAY = "EGL gave no display without a surface: Mesa's EGL (libegl-mesa0) is needed"
 NO_CONTEXT = "EGL gave no OpenGL 4.5 context: Mesa 18 or a newer driver of the card is needed"
+TAKEN_AWAY = " takes away what OpenGL 4.5 needs: unset it"
+WITHOUT = [
+    f"MESA_EXTENSION_OVERRIDE={words}"
+    for words in ("-GL_ARB_framebuffer_object", "-GL_ARB_clip_control", "+GL_EXT_abgr -GL_ARB_texture_float")
+]
 OSMESA_WAYS = {
     "MESA_GL_VERSION_OVERRIDE=3.3": "no OpenGL 4.5 context",
     "MESA_GL_VERSION_OVERRIDE=2.1": "no OpenGL 4.5 context",
-    "MESA_EXTENSION_OVERRIDE=-GL_ARB_clip_control": "no OpenGL 4.5 context",
+    **dict.fromkeys(WITHOUT, TAKEN_AWAY),
     "MESA_GLSL_VERSION_OVERRIDE=130": "OpenGL 4.5 has 450: unset the variable",
     "GALLIUM_DRIVER=nonsense": "OSMesa has llvmpipe only: unset it",
     "GALLIUM_DRIVER=d3d12": "MODSIM3D_GL=egl",
@@ -24,14 +29,20 @@ EGL_WAYS = {
     "MESA_GL_VERSION_OVERRIDE=3.3": NO_CONTEXT,
     "MESA_GL_VERSION_OVERRIDE=2.1": NO_CONTEXT,
     "MESA_GLSL_VERSION_OVERRIDE=130": "OpenGL 4.5 has 450: unset the variable",
-    "MESA_EXTENSION_OVERRIDE=-GL_ARB_clip_control": NO_CONTEXT,
+    **dict.fromkeys(WITHOUT, TAKEN_AWAY),
     "GALLIUM_DRIVER=nonsense": "EGL gave no ",
     "GALLIUM_DRIVER=softpipe": "EGL gave no ",
     "LIBGL_DRIVERS_PATH=/nonexistent": NO_DISPLAY,
     "__EGL_VENDOR_LIBRARY_DIRS=/nonexistent": NO_DISPLAY,
     "__EGL_VENDOR_LIBRARY_FILENAMES=/dev/null": NO_DISPLAY,
 }
-HARMLESS = ("PYOPENGL_PLATFORM=nonsense", "PYOPENGL_PLATFORM=glx", "EGL_PLATFORM=x11", "GALLIUM_DRIVER=llvmpipe")
+HARMLESS = (
+    "PYOPENGL_PLATFORM=nonsense",
+    "PYOPENGL_PLATFORM=glx",
+    "EGL_PLATFORM=x11",
+    "GALLIUM_DRIVER=llvmpipe",
+    "MESA_EXTENSION_OVERRIDE=+GL_EXT_abgr",
+)
 ATTEMPTS = """
 import json, os, sys, traceback
 from modsim3d.errors import RendererError

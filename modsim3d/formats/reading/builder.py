@@ -109,7 +109,8 @@ def read_flag(value: Any, name: str, where: str, problems: Problems) -> bool:
     """A flag, as number, truth value or text; false where it is not given, and with a problem where it is none."""
     flag = False if value is None else _FLAGS.get(str(value).strip().lower().removesuffix(".0"))
     if flag is None:
-        problems.add(f"{where}: {name} must be 0 or 1, false or true (got {shown(value)})")
+        got = f"{value:g}" if is_number(value) else shown(value)
+        problems.add(f"{where}: {name} must be 0 or 1, false or true (got {got})")
     return bool(flag)
 
 

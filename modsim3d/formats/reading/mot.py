@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import configparser
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,11 +70,12 @@ class SequenceInfo:
 
 @dataclass(frozen=True)
 class _Known:
-    """What a line may name: a class by its number, where the lines of `classed` name classes, and a frame."""
+    """What a line may name, a class where the lines of `classed` name classes, and a frame; and remarks on columns."""
 
     to_label: Mapping[int, int]
     classed: str
     most_frames: int
+    said: Sequence[str]
 
 
 Line = tuple[str, list[float]]
@@ -104,7 +105,7 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     own = {name: number for number, name in reversed(names.items())}  # several numbers may have one name
     order = list(dict.fromkeys(names.values()))
     to_label = {number: order.index(name) for number, name in names.items()}
-    known = _Known(to_label, "detections" if detected else "other lines", min(spanned, MAX_FRAMES))
+    known = _Known(to_label, "detections" if detected else "other lines", min(spanned, MAX_FRAMES), said)
     annotations = _annotations(annotated, known, problems)
     confidences = Confidences.of(((where, numbers[6]) for where, numbers in detected), options.confidence_scale, wrong)
     results = _results(detected, known, confidences, wrong)
@@ -139,9 +140,8 @@ def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[L
     wide = len(classed) > 0 and all(len(numbers) > 9 for _, numbers in classed)
     if wide and 2 * len(broken) > len(classed):
         where, got = broken[0][0], ", ".join(f"{number:g}" for number in broken[0][1][7:10])
-        problems.hint = f"{file}: columns eight to ten are places in the world, as in MOT15 ({where}: {got})"
-        said = [f"{problems.hint}: neither class nor visibility is read"]
-        return [(where, numbers[:7]) for where, numbers in lines], said
+        told = f"{file}: columns eight to ten are places in the world, as in MOT15 ({where}: {got})"
+        return [(where, numbers[:7]) for where, numbers in lines], [f"{told}: neither class nor visibility is read"]
     for where, numbers in broken:
         problems.add(f"{where}: class must be a whole number (got {numbers[7]:g})")
     lines = [(where, numbers) for where, numbers in lines if len(numbers) < 8 or numbers[7] == int(numbers[7])]
@@ -206,6 +206,8 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
             considered = flag is None or read_flag(flag, "the seventh number, the flag,", where, problems)
             if problems.count > before and identity is None:
                 problems.hint = "this may be a file of detections, whose boxes have no track"
+            elif flag is not None and 0 < flag < 1:
+                problems.hint = "the seventh column may be confidences: in truth it is 1, or 0 for what is left out"
             if problems.count == before:
                 rows.add(place, not considered, False, identity, math.nan if visible is None else visible)
     return rows
@@ -241,6 +243,7 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
     elif to_label and number not in to_label:
         got = f"{numbers[7]:g}" if len(numbers) > 7 else "none"
         problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {got})")
+        problems.hint = next((told for told in known.said if told.startswith(where.partition(" line ")[0])), "")
     elif valid_box(numbers[2:6], where, problems):
         return Place(int(frame) - 1, to_label[number] if to_label else 0, numbers[2:6])
     return None

@@ -19,7 +19,7 @@ from modsim3d.formats.reading.yolo import read_yolo
 from modsim3d.inputs.validation import shown
 from modsim3d.paths import StrPath, as_path
 from modsim3d.tracks.files.box_forms import CENTRE, MOT, TOP_LEFT, BoxForm
-from modsim3d.tracks.files.diagnosis import BoxRows, KnownBoxes, implausible, misreading
+from modsim3d.tracks.files.diagnosis import BoxRows, KnownBoxes, agree, implausible, misreading
 
 _FORMS = {"COCO": TOP_LEFT, "MOT": MOT, "YOLO": CENTRE}
 _UNUSED = {
@@ -47,12 +47,12 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
     read = {"COCO": read_coco, "MOT": read_mot, "YOLO": read_yolo}[kinds[0]]
     labelled = _plausible(read(condition, truth, detections, options), _FORMS[kinds[0]], truth, detections)
     found, annotated = _compared(labelled, _FORMS[kinds[0]])
-    problem, source = misreading(*found), f"detections {detections}"
+    problem, files = misreading(*found), [f"detections {detections}", f"ground truth {truth}"]
     if problem is None:
-        problem, source = misreading(*annotated, only_forms=True), f"ground truth {truth}"
+        problem, files = misreading(*annotated, only_forms=True), files[::-1]
     if problem:
         if not problem.slight:
-            raise InputError(source, [problem.told])
+            raise InputError(files[0], [f"{problem.told}, or {files[1]} is wrong, the other way round"])
         note = f"{condition}: {problem.told}, or the detector has such a bias, which is learned"
         labelled = replace(labelled, notes=(*labelled.notes, note))
     given = (option for option, name in _UNUSED[kinds[0]].items() if getattr(options, name))
@@ -65,12 +65,15 @@ def _plausible(labelled: LabelledSet, form: BoxForm, truth: Path, detections: Pa
     """The set with remarks on boxes that are odd in their images, and on those that are hidden.
 
     Raises:
-        InputError: Boxes are in another form, or of other images.
+        InputError: Boxes are in another form, or of other images; not if they are the truth, and detections confirm it.
     """
     rows, notes = labelled.annotations, list(labelled.notes)
-    for source, part in ((f"ground truth {truth}", rows), (f"detections {detections}", labelled.results)):
-        if problem := implausible(_box_rows(labelled.images, part.image, part.boxes_px, form)):
-            if not problem.slight:
+    parts = [_box_rows(labelled.images, part.image, part.boxes_px, form) for part in (rows, labelled.results)]
+    problems = [implausible(part) for part in parts]
+    confirmed = problems[1] is None and agree(parts[1], KnownBoxes("an annotation", rows.image, rows.boxes_px))
+    for source, problem in zip((f"ground truth {truth}", f"detections {detections}"), problems, strict=True):
+        if problem:
+            if not problem.slight and not confirmed:
                 raise InputError(source, [problem.told])
             notes.append(f"{source}: {problem.told}")
     if hidden := int(((rows.visible_fraction == 0) & ~rows.ignored).sum()):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems
 from modsim3d.inputs.budgets import MAX_LINE_CHARACTERS
-from modsim3d.inputs.misreadings import LOST, has_lost_digits
+from modsim3d.inputs.misreadings import LOST, has_lost_digits, no_commas
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
 
@@ -34,11 +34,11 @@ def number_lines(
     """
     lines = read_text(path, what).splitlines()
     begin = list(islice(filter(str.strip, lines), _LOOKED_AT_LINES))
-    if begin and not any(map(_is_number, _cells(begin, separator))):
+    cells = (cell for line in begin for cell in line[:MAX_LINE_CHARACTERS].split(separator))
+    if begin and not any(map(_is_number, cells)):
         form = "white space" if separator is None else f"'{separator}'"
-        raise InputError(
-            f"{what} {path}", [f"its first lines hold no numbers, must be numbers with {form} between them"]
-        )
+        told = f"its first lines hold no numbers, must be numbers with {form} between them{_why(begin[0], separator)}"
+        raise InputError(f"{what} {path}", [told])
     for index, line in enumerate(lines):
         if not line.strip():
             continue
@@ -47,24 +47,24 @@ def number_lines(
             problems.add(f"{where}: has {len(line):,} characters, must have at most {MAX_LINE_CHARACTERS:,}")
             continue
         try:
-            cells = line.strip().removesuffix(separator or "").split(separator)
-            numbers = [float(part) for part in cells]
+            parts = line.strip().removesuffix(separator or "").split(separator)
+            numbers = [float(part) for part in parts]
         except ValueError:
-            problems.add(f"{where}: must be numbers (got {shown(line)})")
+            problems.add(f"{where}: must be numbers (got {shown(line)}){_why(line, separator)}")
             continue
         if len(numbers) < least:
             problems.add(f"{where}: has {len(numbers)} numbers, must have at least {least} (got {shown(line)})")
-        elif separator and has_lost_digits(cells[1]):  # of MOT, whose second number is an identity
-            problems.add(f"{where}: identity {LOST} (got {shown(cells[1])})")
+        elif separator and has_lost_digits(parts[1]):  # of MOT, whose second number is an identity
+            problems.add(f"{where}: identity {LOST} (got {shown(parts[1])})")
         elif not all(map(math.isfinite, numbers)):
             problems.add(f"{where}: must be finite (got {shown(line)})")
         else:
             yield where, numbers
 
 
-def _cells(lines: Iterable[str], separator: str | None) -> Iterator[str]:
-    for line in lines:
-        yield from line[:MAX_LINE_CHARACTERS].split(separator)
+def _why(line: str, separator: str | None) -> str:
+    """Why the numbers of a line cannot be read, to be added to a message; empty if that is not known."""
+    return no_commas(line) if separator else ": commas stand neither between nor in them" * ("," in line)
 
 
 def _is_number(text: str) -> bool:

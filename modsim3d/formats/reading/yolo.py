@@ -8,6 +8,7 @@ line, adds others. An image without a file of labels, or with an empty one, has 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -65,8 +66,8 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
     found = {place.label for place in annotations.places + results.places}
     numbers = sorted({*range(len(names)), *found})
     whole = [names[number] if number < len(names) else f"class_{number}" for number in numbers]
-    if nameless := [name for number, name in zip(numbers, whole, strict=True) if number >= len(names)]:
-        notes.append(f"{shown(truth)}: no name is known of {', '.join(nameless[:8])}: give --labels or {_LISTS[0]}")
+    if nameless := [n for k, n in zip(numbers, whole, strict=True) if n == f"class_{k}" and n not in options.labels]:
+        notes.append(f"{truth}: no name is known of {', '.join(nameless[:8])}: give --labels or {_LISTS[0]}")
     to_label = {number: label for label, number in enumerate(numbers)}
     for rows in (annotations, results):
         rows.places = [replace(place, label=to_label[place.label]) for place in rows.places]
@@ -200,9 +201,7 @@ def _listed_names(path: Path) -> tuple[str, ...]:
     lines = [line.strip() for line in read_text(path, "classes").strip().splitlines()]
     if len(lines) == 1 and "," in lines[0]:
         lines = [name.strip(" '\"") for name in lines[0].strip("[]").rstrip(",").split(",")]
-    if "" in lines:
-        raise InputError(f"classes {path}", [f"the class {lines.index('')}, counted from 0, has no name"])
-    return tuple(lines)
+    return _checked(f"classes {path}", lines)
 
 
 def _tabled_names(path: Path, names: Any) -> tuple[str, ...]:
@@ -213,4 +212,13 @@ def _tabled_names(path: Path, names: Any) -> tuple[str, ...]:
     wrong = [name for name in names if isinstance(name, dict | list)] if isinstance(names, list) else [names]
     if wrong:
         raise InputError(f"data {path}", [f"names: must be a list of names (got {shown(wrong[0])})"])
-    return tuple(str(name) for name in names)
+    return _checked(f"data {path}", ["" if name is None else str(name) for name in names])
+
+
+def _checked(source: str, names: list[str]) -> tuple[str, ...]:
+    """The names, which must be some, without remarks or numbers that stand before them."""
+    if "" in names:
+        raise InputError(source, [f"the class {names.index('')}, counted from 0, has no name"])
+    if names and (names[0][0] == "#" or all(re.match(rf"{number}[:\s]", name) for number, name in enumerate(names))):
+        raise InputError(source, [f"the first class would be {shown(names[0])}: leave remarks, or all numbers, out"])
+    return tuple(names)

@@ -24,14 +24,15 @@ this share of them is nearer than as the file is. Of four trackers on four scene
 """
 _MUCH, _CLOSE, _FRAME = 2.0, 1.25, 1.5
 """By what factor boxes must be nearer: read very differently, a pixel or half a box elsewhere, or a frame off."""
-_NEAR, _EXACT = 0.001, 0.0001
-"""So near, two pixels of a large image, are no boxes that are read in a very different way, or in any."""
+_NEAR, _EXACT, _AGREE = 0.001, 0.0001, 0.01
+"""So near, two pixels of a large image, are no boxes that are read in another way; or so near are right ones."""
 _SIZES_PX = (
     *((320, 320), (416, 416), (512, 512), (640, 360), (640, 480), (640, 640), (800, 600), (960, 540)),
-    *((1024, 768), (1280, 720), (1280, 1280), (1920, 1080), (2560, 1440), (3840, 2160)),
+    *((1024, 768), (1280, 720), (1280, 1280), (1920, 1080), (2560, 1440), (3840, 2160), (1000, 1000), (100, 100)),
 )
 """Sizes to which images are often scaled for a detector or a tracker; halves and doubles of their own are tried too."""
-_MOST_NORMALISED = 2.0
+_MOST_NORMALISED, _PER_CENT, _MANY_PX = 2.0, 100, 400
+"""Numbers up to these are shares, or may be in per cent if each side of the images has so many pixels or more."""
 _CLEARLY = 1.0
 """By how many standard deviations of a sign test boxes must be nearer to the truth too if a bias looks the same."""
 _LATE, _EXCHANGED = "frames are one too high", "x and y of the boxes are exchanged"
@@ -40,8 +41,8 @@ _BEYOND_PX, _MOST_BEYOND = 5.0, 0.1
 _FITS_BETTER, _FOLLOWS = 0.2, 0.1
 """Another reading is meant if it leaves at most this share of such boxes; and width and height are corners if at most
 this share of their variance is left when the upper left corner is subtracted."""
-_NEARLY_ALL = 0.98
-_SNUG_PX, _MANY_SNUG = 2.0, 0.5
+_NEARLY_ALL, _MANY = 0.98, 0.5
+_SNUG_PX = 2.0
 """Boxes that an image has cut end so near to its edge."""
 
 
@@ -161,7 +162,7 @@ def misreading(
     as_it_is = known.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / diagonal_px
     now, best, meant, agreed = _median(as_it_is), _FITS, None, False
     for reading in (_form_readings if only_forms else _readings)(rows):
-        if reading.told == _LATE and truth is not None:
+        if reading.told.startswith(_LATE) and truth is not None:
             continue  # a tracker with a latency of one frame looks the same
         away = known.distances(reading.frame, reading.boxes_px) / diagonal_px
         both, half = np.isfinite(away) & np.isfinite(as_it_is), _median(away)
@@ -183,42 +184,60 @@ def misreading(
     return Misreading(f"{meant.told} (then half of them lie within {fits})", slight)
 
 
+def agree(rows: BoxRows, known: KnownBoxes) -> bool:
+    """Whether there are some boxes of which half, or more, lie near known ones."""
+    rows = rows.spread()
+    away = known.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / np.hypot(*rows.image_px.T)
+    return len(away) >= _LEAST_ROWS and _median(away) < _AGREE
+
+
 def implausible(rows: BoxRows) -> Misreading | None:
     """What is wrong with boxes that their images cannot hold, whatever they should lie near."""
     if not len(rows.frame):
         return None
+    alone = len(np.unique(rows.frame)) == len(rows.frame)
     rows = rows.spread()
     numbers, image_px, now_px = rows.numbers, rows.image_px, rows.form.boxes_px(rows.numbers)
     if np.abs(numbers).max() <= _MOST_NORMALISED:
         return Misreading(f"the boxes are shares of the image, must be in pixels: {rows.form.meaning}", False)
     beyond = _beyond(now_px, image_px)
+    size = " x ".join(f"{side:g}" for side in image_px[np.argmax(beyond)].tolist())
     if len(numbers) < _LEAST_ROWS:
         return None
     if beyond.mean() <= _MOST_BEYOND:
-        x_min, y_min, x_max, y_max = numbers.T
-        ordered = np.mean((x_min < x_max) & (y_min < y_max)) >= _NEARLY_ALL
-        follows = np.var(x_max - x_min) < _FOLLOWS * np.var(x_max)
-        if _like(rows.form, TOP_LEFT) and ordered and follows:
-            told = f"the boxes are read as {rows.form.meaning}, but are {CORNERS.meaning}"
-            return Misreading(f"{told} (each third and fourth number is above the first and second)", False)
-        return None
-    size = " x ".join(f"{side:g}" for side in image_px[np.argmax(beyond)].tolist())
+        return _inside(rows, size, alone)
     found = f"{beyond.mean():.0%} of them reach beyond their images by more than {_BEYOND_PX:g} px"
+    outside = np.asarray(((now_px[:, :2] >= image_px) | (now_px[:, 2:] <= 0)).any(axis=1))
     edges_px = np.hstack([np.zeros_like(image_px), image_px])
     for reading in _form_readings(rows):
         snug = np.abs(reading.boxes_px - edges_px)[beyond].min(axis=1) <= _SNUG_PX
         moved = np.allclose(sizes(reading.boxes_px), sizes(now_px))  # as whole boxes that are cut nowhere may be
         fits = _beyond(reading.boxes_px, image_px).mean() <= _FITS_BETTER * beyond.mean()
-        if fits and (not moved or snug.mean() > _MANY_SNUG):
+        cut = reading.told == _EXCHANGED and outside[beyond].mean() < _MANY  # whole boxes in upright images
+        if fits and not cut and (not moved or snug.mean() > _MANY):
             either = f", or width and height of the images are: {size}" if reading.told == _EXCHANGED else ""
             return Misreading(f"{reading.told}{either} ({found})", False)
     reach = "{:.4g}, {:.4g} to {:.4g}, {:.4g}".format(*now_px[:, :2].min(axis=0), *now_px[:, 2:].max(axis=0))
     reached = f"the first is of {size} px, and boxes reach from {reach}"
-    outside = ((now_px[:, :2] >= image_px) | (now_px[:, 2:] <= 0)).any(axis=1)
     if outside.mean() > _MOST_BEYOND:
         told = f"{outside.mean():.0%} of the boxes lie outside their images: {reached}; is the size of the images right"
         return Misreading(f"{told} (--image-size or seqinfo.ini in MOT, width and height in COCO)?", False)
     return Misreading(f"boxes are not cut at the edge of the image: {found}; {reached}", True)
+
+
+def _inside(rows: BoxRows, size: str, alone: bool) -> Misreading | None:
+    """What may be wrong with boxes that are in their images, as of a size, and perhaps alone there."""
+    x_min, y_min, x_max, y_max = rows.numbers.T
+    ordered = np.mean((x_min < x_max) & (y_min < y_max)) >= _NEARLY_ALL
+    follows = np.var(x_max - x_min) < _FOLLOWS * np.var(x_max)
+    if rows.form.to_corners is TOP_LEFT.to_corners and ordered and follows:
+        told = f"the boxes are read as {rows.form.meaning}, but are {CORNERS.meaning}"
+        one = alone and bool(np.median(np.abs(np.diff(x_min))) < _FOLLOWS * np.ptp(x_min))
+        also = ", or one vessel comes near as it moves right" * one
+        return Misreading(f"{told} (each third and fourth number is above the first and second){also}", one)
+    if np.abs(rows.numbers).max() <= _PER_CENT + rows.form.first_px and rows.image_px.min() >= _MANY_PX:
+        return Misreading(f"all boxes lie within 100 x 100 of {size} px: are they in per cent? must be in pixels", True)
+    return None
 
 
 def _beyond(boxes_px: Array, image_px: Array) -> Mask:
@@ -278,7 +297,7 @@ def _form_readings(rows: BoxRows) -> Iterator[_Reading]:
 
 
 def _other_forms(form: BoxForm) -> list[BoxForm]:
-    return [each for each in (CORNERS, CENTRE, TOP_LEFT) if each.meaning != form.meaning and not _like(each, form)]
+    return [each for each in (CORNERS, CENTRE, TOP_LEFT) if each.to_corners is not form.to_corners]
 
 
 def _close_readings(rows: BoxRows, as_it_is: Array) -> Iterator[_Reading]:
@@ -287,15 +306,10 @@ def _close_readings(rows: BoxRows, as_it_is: Array) -> Iterator[_Reading]:
     pixels = f"pixels are counted from {first}, must be counted from {right}"
     frames = "frames count from 0, must count from 1" if rows.form is MOT else "frames are one too low"
     yield _Reading(pixels, as_it_is + step, rows.frame, _CLOSE)
-    yield _Reading(frames, as_it_is, rows.frame_after, _FRAME)
-    yield _Reading(f"{frames}, and {pixels}", as_it_is + step, rows.frame_after, _FRAME)
-    yield _Reading(_LATE, as_it_is, rows.frame_before, _FRAME)
+    for told, frame in ((frames, rows.frame_after), (_LATE, rows.frame_before)):
+        yield _Reading(told, as_it_is, frame, _FRAME)
+        yield _Reading(f"{told}, and {pixels}", as_it_is + step, frame, _FRAME)
     if rows.form is CORNERS:  # in the other forms these are the other forms
         half, told = np.tile(sizes(as_it_is) / 2, 2), "the corners lie half a box too far"
         yield _Reading(f"{told} right and down: is x_min, y_min the centre?", as_it_is - half, rows.frame, _CLOSE)
         yield _Reading(f"{told} left and up: is x_max, y_max the centre?", as_it_is + half, rows.frame, _CLOSE)
-
-
-def _like(one: BoxForm, other: BoxForm) -> bool:
-    """Whether two forms differ by the number of the first pixel alone."""
-    return one.to_corners is other.to_corners
