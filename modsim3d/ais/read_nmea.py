@@ -174,7 +174,7 @@ def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:
             else:
                 tag = line.tag and line.tag.rpartition("*")[0]
                 time_s = time_beside(tag, line.before, line.after)
-                yield _Part(sentence, time_s, number, f"{line.before} {line.after}".strip())
+                yield _Part(sentence, time_s, number, f"{line.before}{tag or ''} {line.after}".strip())
 
 
 def _lines(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
