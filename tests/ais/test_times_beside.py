@@ -157,6 +157,28 @@ def test_a_warning_comes_first_where_most_positions_are_lost(
     assert (said in (tmp_path / "scene" / "ais.html").read_text(encoding="utf-8")) == warned
 
 
+def test_one_log_of_three_receivers_is_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = old_file(tmp_path, *[row(second) for second in (0, 30) for _ in range(3)])
+    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene") == 0
+    assert "warning" not in capsys.readouterr().err
+    report = read_json(tmp_path / "scene" / "report.json")
+    assert report["warning"] is None and report["messages"]["dropped"] == {"duplicate": 4}
+
+
+@pytest.mark.parametrize("length", [3000, 2_500_000])
+def test_lines_that_are_too_long_are_counted(tmp_path: Path, length: int) -> None:
+    for begin in (f"{MOMENT_S:.0f} {TYPE_1}", ""):
+        for end in ("", f",{TYPE_1}") if begin else (f",{TYPE_1}",):
+            long = begin + "x" * length + end
+            (chunk,) = read_nmea(log(tmp_path, f"{MOMENT_S:.0f} {TYPE_1}", long, f"{MOMENT_S:.0f} {TYPE_1}", long))
+            assert (len(chunk.positions), dict(chunk.dropped)) == (2, {"too_long": 2 * long.count("AIVDM")})
+            assert chunk.problems[0] == "line 2: has sentences, and more than 2048 bytes"
+    (chunk,) = read_nmea(log(tmp_path, f"{MOMENT_S:.0f} {TYPE_1}", "x" * length + "VDM", "comment VDO"))
+    assert not chunk.dropped
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
