@@ -102,20 +102,22 @@ def sift(
     return positions, dropped
 
 
-def in_order(positions: Positions) -> tuple[Positions, int]:
+def in_order(positions: Positions) -> tuple[Positions, int, int]:
     """Sort by vessel and time and drop duplicates: one report of a vessel is kept for each time.
 
     Which of them is decided by their values, known before unknown, so that the order of rows changes nothing.
 
     Returns:
-        What was kept, and the number of duplicates.
+        What was kept, the number of duplicates, and how many of these say the same in all columns.
     """
     columns = (positions.heading_deg, positions.course_deg, positions.speed_kn)
     places = (positions.longitude_deg, positions.latitude_deg)
-    ordered = positions.take(np.lexsort((*columns, *places, positions.time_s, positions.mmsi)))
+    order = np.lexsort((*columns, *places, positions.time_s, positions.mmsi))
+    ordered, values = positions.take(order), np.column_stack((*columns, *places))[order]
     again = np.zeros(len(ordered), dtype=bool)
     again[1:] = (np.diff(ordered.mmsi) == 0) & (np.diff(ordered.time_s) == 0)
-    return ordered.take(~again), int(again.sum())
+    same = again[1:] & np.all((values[1:] == values[:-1]) | np.isnan(values[1:] + values[:-1]), axis=1)
+    return ordered.take(~again), int(again.sum()), int(same.sum())
 
 
 def blank_unknown(positions: Positions) -> Positions:

@@ -35,6 +35,7 @@ from modsim3d.errors import InputError
 from modsim3d.inputs.validation import shown
 
 SENTENCE = re.compile(r"[!$][A-Z]{2}VD[MO],[^*]*\*[0-9A-Fa-f]{2}")
+START = re.compile(rb"[!$][A-Z]{2}VD[MO],")
 OTHER_SENTENCE = re.compile(r"[\\!$]")
 POSITIONS, PARTICULARS, STATIONS, LONG_RANGE = {1, 2, 3, 18, 19}, {5, 19, 24}, {4, 9, 11, 21}, 27
 PENDING_S = 60.0
@@ -160,6 +161,8 @@ def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:
     from pyais.messages import AISSentence, NMEASentenceFactory
 
     for number, raw in _lines(stream):
+        if not raw:
+            rows.drop("too_long", number, f"has sentences, and more than {LONGEST_LINE} bytes")
         for line in _split(raw.decode("ascii", "replace")):
             try:
                 sentence = NMEASentenceFactory.produce(line.sentence.encode("ascii"))
@@ -174,30 +177,35 @@ def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:
             else:
                 tag = line.tag and line.tag.rpartition("*")[0]
                 time_s = time_beside(tag, line.before, line.after)
-                yield _Part(sentence, time_s, number, f"{line.before} {line.after}".strip())
+                yield _Part(sentence, time_s, number, f"{line.before}{tag or ''} {line.after}".strip())
 
 
 def _lines(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Numbers and texts of the lines that may hold a sentence: they have its letters, and are not too long for one."""
+    """Numbers and texts of the lines that may hold a sentence, by its letters; no text for each of a line too long."""
     number, rest = 1, b""
     while piece := stream.read(READ_AT_ONCE):
         block = rest + piece
         stop = block.rfind(b"\n") + 1
         yield from _telling(block[:stop], number)
         number += block.count(b"\n")
-        rest = block[max(stop, len(block) - LONGEST_LINE - 1) :]  # of a line that is too long, enough to know it
+        rest = block[stop:]
+        if len(rest) > LONGEST_LINE:
+            yield from _telling(rest, number)
+            rest = b" " * (LONGEST_LINE + 1)  # enough to know it
     yield from _telling(rest, number)
 
 
 def _telling(block: bytes, first: int) -> Iterator[tuple[int, bytes]]:
-    """Lines of a block that have a sentence's letters, of at most the longest length, numbered from `first`."""
+    """Lines of a block that have a sentence's letters, numbered from `first`; nothing for each of a line too long."""
     at, counted = block.find(b"VD"), 0
     while at >= 0:
         begin, end = block.rfind(b"\n", 0, at) + 1, block.find(b"\n", at)
         end = len(block) if end < 0 else end
         first, counted = first + block.count(b"\n", counted, begin), begin
-        if end - begin <= LONGEST_LINE:
-            yield first, block[begin:end]
+        too_long = end - begin > LONGEST_LINE
+        yield from (
+            [(first, b"") for _ in START.finditer(block, begin, end)] if too_long else [(first, block[begin:end])]
+        )
         at = block.find(b"VD", end)
 
 

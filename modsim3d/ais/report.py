@@ -17,6 +17,7 @@ REASONS = {
     "unreadable": "rows with a cell that cannot be read",
     "checksum": "sentences that do not match their checksum",
     "undecodable": "messages that cannot be decoded",
+    "too_long": "sentences in lines of more than 2,048 bytes",
     "incomplete": "sentences whose other parts are missing",
     "no_time": "sentences without a time",
     "not_a_ship": "base stations, aids to navigation, aircraft, beacons",
@@ -123,10 +124,11 @@ def messages_used(traffic: Traffic) -> int:
 def warning(traffic: Traffic) -> str | None:
     """What comes first where more messages were lost to faults of the files than were used."""
     lost = {name: count for name, count in _dropped(traffic).items() if name not in NO_FAULTS}
+    lost["duplicate"] = lost.get("duplicate", 0) - traffic.repeated  # of several receivers
     used, count = messages_used(traffic), sum(lost.values())
     if count <= used:
         return None
-    reasons = ", ".join(f"{name} {lost[name]:,}" for name in sorted(lost, key=lambda name: -lost[name]))
+    reasons = ", ".join(f"{name} {lost[name]:,}" for name in sorted(lost, key=lambda name: -lost[name]) if lost[name])
     return f"{count:,} of {count + used:,} messages were lost ({reasons}): are their times and identities right?"
 
 

@@ -37,6 +37,7 @@ class Traffic:
         elsewhere: Identities of vessels with usable positions that are there at no step.
         left_out: Reason → number of positions dropped, of each sender of whom no position is left.
         camera: A place to look from.
+        repeated: Number of duplicates that say the same as another, as those of several receivers do.
     """
 
     options: Options
@@ -48,6 +49,7 @@ class Traffic:
     elsewhere: list[int]
     left_out: dict[int, dict[str, int]]
     camera: Viewpoint
+    repeated: int
 
 
 def read_traffic(paths: Sequence[Path], options: Options) -> Traffic:
@@ -60,7 +62,7 @@ def read_traffic(paths: Sequence[Path], options: Options) -> Traffic:
     options.check()
     gathered = gather(paths, options)
     dropped = gathered.dropped
-    positions, dropped["duplicate"] = in_order(gathered.positions)
+    positions, dropped["duplicate"], repeated = in_order(gathered.positions)
     if not len(positions):
         raise _nothing_left(gathered, options)
     grid = time_grid(positions, options)
@@ -78,9 +80,9 @@ def read_traffic(paths: Sequence[Path], options: Options) -> Traffic:
     vessels = [track for track in tracks if len(track.steps)]
     if not vessels:
         raise _nothing_left(gathered, options)
-    elsewhere = [track.mmsi for track in tracks if not len(track.steps)]
+    elsewhere, camera = [track.mmsi for track in tracks if not len(track.steps)], _camera(vessels)
     left_out = _left_out(senders, {track.mmsi for track in tracks})
-    return Traffic(options, gathered.files, dropped, origin, grid, vessels, elsewhere, left_out, _camera(vessels))
+    return Traffic(options, gathered.files, dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated)
 
 
 def _left_out(senders: Counter[tuple[int, str]], kept: set[int]) -> dict[int, dict[str, int]]:

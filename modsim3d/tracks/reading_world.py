@@ -25,7 +25,7 @@ def is_world(path: StrPath) -> bool:
     if path.suffix.lower() in BAG_ENDINGS:
         return True
     try:
-        columns = header(path)
+        columns = ",".join(header(path)).translate(str.maketrans(";\t|", ",,,")).split(",")  # which the reader refuses
     except InputError:  # whoever reads it says so
         return False
     return IN_IMAGE not in columns and any(name in columns for name in IN_SCENE + ON_EARTH)

@@ -14,6 +14,7 @@ from modsim3d.ais.geography import local_metres, wrapped_deg
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.inputs import budgets
+from modsim3d.inputs.misreadings import no_commas
 from modsim3d.inputs.opening import open_input
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
@@ -71,6 +72,8 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
     """
     source = source_of(path)
     columns = header(path)
+    if marks := no_commas(line := ",".join(columns)):
+        raise InputError(source, [f"line 1 must name the columns, with commas between them (got {shown(line)}){marks}"])
     groups = _groups(source, columns)
     table = _table(path, source, columns)
 

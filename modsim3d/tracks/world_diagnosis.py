@@ -14,9 +14,10 @@ from modsim3d.geometry.closest_approach import HullTracks
 
 _LOOKED_AT, _LEAST_ROWS, _LEAST_STEP_ROWS = 2000, 8, 30
 """Rows, spread over the file; fewer fit by chance, and more are needed where little changes."""
-_FITS, _NEARER, _MUCH, _STEP = 0.1, 0.6, 3.0, 1.5
-"""Another reading is meant if half of its positions are at most this share of the vessels' extent from one, this share
-of them is nearer than as the file is, and by this factor, or by that where they are a step off."""
+_FITS, _FITS_M, _NEARER, _MUCH, _STEP = 0.03, 50.0, 0.6, 3.0, 1.5
+"""Another reading is meant if positions are at most this share of the vessels' extent from one, and this far, the gate
+of `score`; this share of them is, and nearer than as the file is; and half of them by this factor, or by that where
+they are a step off. A looser fit says nothing: so near to some vessel come tracks that are poor or false."""
 _SCALES = {"kilometres": 1000.0, "nautical miles": 1852.0, "feet": 0.3048, "centimetres": 0.01, "millimetres": 0.001}
 _MIRRORED = {"w1_m counts": (-1, 1), "w2_m counts": (1, -1), "w1_m and w2_m count": (-1, -1)}
 _RELATIVE = "the positions are relative to own ship, must be from the scene's zero"
@@ -34,11 +35,12 @@ def world_misreading(time_s: Array, position_m: Array, hulls: HullTracks, own: t
     step = np.rint(np.interp(time_s[rows], hulls.times_s, np.arange(len(hulls.times_s)))).astype(np.int64)
     as_it_is = _nearest_m(position_m[rows], vessels_m[step])
     now, meant = float(np.median(as_it_is)), ""
-    best = _FITS * float(np.hypot(*(np.nanmax(vessels_m, axis=(0, 1)) - np.nanmin(vessels_m, axis=(0, 1)))))
+    extent_m = float(np.hypot(*(np.nanmax(vessels_m, axis=(0, 1)) - np.nanmin(vessels_m, axis=(0, 1)))))
+    best = limit = min(_FITS * extent_m, _FITS_M)
     for told, places_m, at in _readings(position_m[rows], step, hulls, own):
         away = _nearest_m(places_m, vessels_m[at])
         factor, least = (_MUCH, _LEAST_ROWS) if at is step else (_STEP, _LEAST_STEP_ROWS)
-        half, nearer = float(np.median(away)), (away < as_it_is).mean() >= _NEARER
+        half, nearer = float(np.median(away)), ((away < as_it_is) & (away < limit)).mean() >= _NEARER
         if half < best and now > factor * half and nearer and len(rows) >= least:
             best, meant = half, told
     return meant and f"{meant} (then half of them are within {best:.3g} m of a vessel instead of {now:.3g} m)"
@@ -49,6 +51,8 @@ def _readings(
 ) -> Iterator[tuple[str, Array, Indices]]:
     """What is wrong in each other reading, and the places and steps of the rows in it."""
     yield "w1_m and w2_m of the positions are exchanged", position_m[:, ::-1], step
+    for signs in ((1, -1), (-1, 1)):
+        yield "the positions are turned by a right angle", position_m[:, ::-1] * signs, step
     for told, signs in _MIRRORED.items():
         yield f"{told} the other way round in the positions, as in mirrored or turned axes", position_m * signs, step
     for unit, scale in _SCALES.items():

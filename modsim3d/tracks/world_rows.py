@@ -11,6 +11,7 @@ from modsim3d.ais.geography import local_metres
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
 from modsim3d.inputs.misreadings import LOST, has_lost_digits, other_unit
+from modsim3d.inputs.validation import shown
 from modsim3d.motion.encounters import hull_tracks
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracks.world_diagnosis import world_misreading
@@ -58,7 +59,8 @@ def checked(rows: WorldRows, run: StoredRun) -> WorldTracks:
     names, track = np.unique(np.array(rows.track, dtype=object).astype(str), return_inverse=True)
     track = np.asarray(track, dtype=np.int64).reshape(-1)
     _report(rows, np.array([not name for name in rows.track], dtype=bool), "track is empty")
-    _report(rows, np.array([has_lost_digits(name) for name in rows.track], dtype=bool), f"track {LOST}")
+    lost = [has_lost_digits(name) and any(mark in name for mark in ".,+") for name in rows.track]  # 1e10 may be a name
+    _report(rows, np.array(lost, dtype=bool), f"track {LOST}", lambda row: f" (got {shown(rows.track[row])})")
     _report(rows, ~np.isfinite(rows.time_s), "has no time")
     _report(rows, _in_row(~np.isfinite(rows.position_m)), "has no position")
     _report(rows, _in_row(np.isinf(rows.velocity_m_s)), "the velocity is not finite")
@@ -77,10 +79,10 @@ def _in_row(flags: Mask) -> Mask:
     return np.asarray(flags.any(axis=tuple(range(1, flags.ndim))), dtype=np.bool_)
 
 
-def _report(rows: WorldRows, wrong: Mask, what: str) -> None:
+def _report(rows: WorldRows, wrong: Mask, what: str, got: Callable[[int], str] = lambda _: "") -> None:
     found = np.flatnonzero(wrong)
     if len(found):
-        problems = [f"{rows.place(int(row))}: {what}" for row in found[:SHOWN_PROBLEMS]]
+        problems = [f"{rows.place(row)}: {what}{got(row)}" for row in found[:SHOWN_PROBLEMS].tolist()]
         if len(found) > SHOWN_PROBLEMS:
             problems.append(f"… and {len(found) - SHOWN_PROBLEMS:,} more")
         raise InputError(rows.source, problems)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,9 +77,10 @@ def on_scene_clock(times_s: Array, kind: Clock, source: str, scene: Scene, clock
     if clock.start_s is None:
         problem = (
             f"its times are UTC (from {time_text(float(times_s.min()))}), and {scene.title} does not say when it "
-            "starts: a scene made by modsim3d ais has report.json beside it, which does; or let its poses have Unix "
-            "times"
+            "starts: a scene of modsim3d ais has report.json beside it, which does; or let its poses have Unix times"
         )
+        if unit := _unit(times_s, kind, clock.length_s):
+            problem = f"has times from {time_text(float(times_s.min()))} if they are Unix times{unit}"
         raise InputError(source, [problem])
     return times_s - clock.start_s
 
@@ -117,7 +119,7 @@ def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneC
     if 2 * outside.sum() <= len(outside):
         return
     spans = f"has frames from {log.span}, and {scene.title} is from {clock.span(log.clock)}"
-    unit = "" if log.clock is Clock.UTC else other_unit(log.time_s, clock.length_s)
+    unit = _unit(log.time_s, log.clock, clock.length_s)
     if not outside.all():
         what = f"{outside.sum():,} of {len(outside):,} frames are before or after the scene"
         raise InputError(log.source, [f"{spans}: {what}{unit or '; give a part of the log, or a longer scene'}"])
@@ -133,6 +135,12 @@ def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneC
         zones = f"; the starts differ by {abs(round(between_starts))} h: is one of the clocks in local time?"
     order = "after the scene's last step" if later else "before the scene's first step"
     raise InputError(log.source, [f"{spans}: the log is {order}, by {_duration(float(apart_s))}{zones}{unit}"])
+
+
+def _unit(times_s: Array, kind: Clock, length_s: float) -> str:
+    """The unit that times are in; Unix times that are in the future are none."""
+    past = kind is Clock.UTC and times_s.max(initial=0.0) < time.time() + 24 * _HOUR_S
+    return "" if past else other_unit(times_s, length_s) or ": they are in the future" * (kind is Clock.UTC)
 
 
 def _duration(seconds: float) -> str:

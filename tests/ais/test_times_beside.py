@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from datetime import UTC, datetime
 from itertools import product
 from pathlib import Path
@@ -25,6 +26,8 @@ TIMES = {
     "2024-02-05T10:44:08Z": 0.0,
     "2024-02-05 10:44:08.053": 0.053,
     "2024-02-05T12:44:08+02:00": 0.0,
+    "2024-02-05T11:44:08+01": 0.0,
+    "2024-02-05 05:44:08.25-05": 0.25,
     "2024/02/05 10:44:08": 0.0,
     "2024-02-05 10:44:08 GMT": 0.0,
     "2024-02-05 10:44:08 AIS": 0.0,
@@ -34,8 +37,9 @@ TIMES = {
     "( MSG: 1, MMSI: 371798000, signalpower: -36.9, timestamp: 20240205104408)": 0.0,
 }
 """What receivers and programs write, and the seconds after the moment that it stands for."""
-NO_TIMES = f"{OWN_MMSI} 002191000 0371798000 636000333 219000111 2602051044 9999999999 1423133 r003669945".split()
-"""The ship's own identity, stations, other ships, yymmddHHMM, a time to come, and shorter numbers."""
+NO_TIMES = f"{OWN_MMSI} 002191000 636000333 219000111 2602051044 9999999999 1000000123 1423133 r003669945".split()
+NO_TIMES.append("0371798000")
+"""The ship's own identity, stations, other ships, yymmddHHMM, a time to come, a counter, shorter numbers."""
 
 
 @pytest.mark.parametrize(("before", "text"), [*product((True, False), TIMES)])
@@ -54,10 +58,44 @@ def test_other_numbers_are_no_times_and_are_quoted(tmp_path: Path, text: str) ->
     assert chunk.positions.time_s.tolist() == [MOMENT_S] * 2
 
 
-@pytest.mark.parametrize("text", ["02/05/2024 10:44:08", "2024-02-05 10:44:08 PM", "2024-02-05 10:44:08 CET"])
+LOCAL = ("PM", "p.m.", "CET", "MSK", "EST5EDT", "[Europe/Oslo]", "(CET)", "Europe/Oslo", "local")
+LOCAL += ("+1:00", "+01", "-5", "UTC+1", "GMT+01:00:00")
+"""What may be a zone or half of the day, or may not."""
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["02/05/2024 10:44:08", "2024-02-05 10:44:61", *(f"2024-02-05 10:44:08 {zone}" for zone in LOCAL)]
+    + [f"2024-02-05T10:44:08{zone}" for zone in LOCAL if zone != "+01"],
+)
 def test_dates_that_can_be_several_times_are_quoted(tmp_path: Path, text: str) -> None:
-    with pytest.raises(InputError, match=f"has no times.*stands '{text},'"):
+    with pytest.raises(InputError, match=f"has no times.*stands '{re.escape(text)},'"):
         list(read_nmea(log(tmp_path, f"{text},{TYPE_1}")))
+
+
+def test_a_tag_block_before_1990_gives_way_to_a_time_beside_it_and_is_quoted(tmp_path: Path) -> None:
+    tag = tagged("s:r1,c:315964800", TYPE_1)
+    (chunk,) = read_nmea(log(tmp_path, f"2024-02-05T10:44:08Z {tag}", f"{tag},{MOMENT_S:.0f}"))
+    assert chunk.positions.time_s.tolist() == [MOMENT_S] * 2
+    with pytest.raises(InputError, match=r"has no times.*beside the first stands 's:r1,c:315964800'"):
+        list(read_nmea(log(tmp_path, tag)))
+
+
+def test_unix_times_that_are_days_apart_are_none() -> None:
+    for before, after in (("1234567890,1767265200", ""), ("1234567890", "1767265200"), ("", "1767265200,1234567890")):
+        assert time_beside(None, before, after) is None
+        assert time_beside(None, f"{before} toa: 1767265201", after) == 1767265201
+    assert time_beside(None, "1767265200,1767265203", "") == 1767265200
+    assert time_beside(None, "", "1767265200,1767265203") == 1767265203
+
+
+@pytest.mark.parametrize("name", ["timestamp", "rxtime", "time", "Timestamp"])
+def test_a_date_with_the_name_of_a_time_comes_before_others(tmp_path: Path, name: str) -> None:
+    around = {"eta": "2024-03-01 10:00:00", "seen": "01.03.2024 10:00:00", name: "2024-02-05T10:44:08Z"}
+    for order in (1, -1):
+        line = json.dumps({**dict([*around.items()][::order]), "nmea": [TYPE_1]})
+        (chunk,) = read_nmea(log(tmp_path, line))
+        assert chunk.positions.time_s.tolist() == [MOMENT_S]
 
 
 def test_a_tag_block_without_a_checksum_is_named(tmp_path: Path) -> None:
@@ -117,6 +155,28 @@ def test_a_warning_comes_first_where_most_positions_are_lost(
     assert capsys.readouterr().err.startswith(f"warning: {said}") == warned
     assert (read_json(tmp_path / "scene" / "report.json")["warning"] or "").startswith(said) == warned
     assert (said in (tmp_path / "scene" / "ais.html").read_text(encoding="utf-8")) == warned
+
+
+def test_one_log_of_three_receivers_is_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = old_file(tmp_path, *[row(second) for second in (0, 30) for _ in range(3)])
+    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene") == 0
+    assert "warning" not in capsys.readouterr().err
+    report = read_json(tmp_path / "scene" / "report.json")
+    assert report["warning"] is None and report["messages"]["dropped"] == {"duplicate": 4}
+
+
+@pytest.mark.parametrize("length", [3000, 2_500_000])
+def test_lines_that_are_too_long_are_counted(tmp_path: Path, length: int) -> None:
+    for begin in (f"{MOMENT_S:.0f} {TYPE_1}", ""):
+        for end in ("", f",{TYPE_1}") if begin else (f",{TYPE_1}",):
+            long = begin + "x" * length + end
+            (chunk,) = read_nmea(log(tmp_path, f"{MOMENT_S:.0f} {TYPE_1}", long, f"{MOMENT_S:.0f} {TYPE_1}", long))
+            assert (len(chunk.positions), dict(chunk.dropped)) == (2, {"too_long": 2 * long.count("AIVDM")})
+            assert chunk.problems[0] == "line 2: has sentences, and more than 2048 bytes"
+    (chunk,) = read_nmea(log(tmp_path, f"{MOMENT_S:.0f} {TYPE_1}", "x" * length + "VDM", "comment VDO"))
+    assert not chunk.dropped
 
 
 @pytest.mark.parametrize(

@@ -212,6 +212,7 @@ MISREAD: dict[str, tuple[Any, str]] = {
     "nautical miles": (lambda at: at / 1852, "seem to be nautical miles"),
     "feet": (lambda at: at / 0.3048, "seem to be feet"),
     "cm": (lambda at: at * 100, "seem to be centimetres"),
+    "quarter": (lambda at: at[:, ::-1] * (-1, 1), "the positions are turned by a right angle"),
     "relative": (lambda at: at - OWN_M, "relative to own ship, must be from the scene's zero"),
 }
 
@@ -235,6 +236,19 @@ def test_a_tracker_that_is_late_or_lost_is_not_refused(run: StoredRun, tmp_path:
     late = PLACES_M[np.maximum(np.arange(len(TIMES_S)) - 2, 0)][:, TWO].reshape(-1, 2)
     wild = np.random.default_rng(1).uniform(-100, 300, late.shape)
     for w1, w2 in (late.T, (near(60.0) + 40).T, wild.T):
+        assert len(read_world_tracks(write_csv(tmp_path / "t.csv", changed(w1_m=w1, w2_m=w2)), run)) == 120
+
+
+def test_a_tracker_whose_ranges_are_wrong_is_not_refused(run: StoredRun, tmp_path: Path) -> None:
+    for factor in (0.5, 0.7, 1.3, 1.5, 2.0, 2.5, 3.0):
+        w1, w2 = (OWN_M + (near(5.0) - OWN_M) * factor).T
+        assert len(read_world_tracks(write_csv(tmp_path / "t.csv", changed(w1_m=w1, w2_m=w2)), run)) == 120
+
+
+def test_false_tracks_are_not_refused(run: StoredRun, tmp_path: Path) -> None:
+    for seed in range(30):
+        still = np.random.default_rng(seed).uniform((-100, -100), (300, 100), (2, 2))
+        w1, w2 = np.tile(still, (60, 1)).T
         assert len(read_world_tracks(write_csv(tmp_path / "t.csv", changed(w1_m=w1, w2_m=w2)), run)) == 120
 
 
@@ -262,8 +276,20 @@ def test_marks_and_line_ends_change_nothing(mark: bytes, end: bytes, run: Stored
 
 
 def test_a_track_in_scientific_notation_is_refused(run: StoredRun, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="row 2: track is a number in scientific notation that has lost digits"):
+    says = r"row 2: track is a number in scientific notation that has lost digits.*\(got '2.19E\+08'\)"
+    with pytest.raises(InputError, match=says):
         read_world_tracks(write_csv(tmp_path / "t.csv", changed(track=["2.19E+08", "2.20E+08"] * 60)), run)
+    for names in (["1e10", "12345e06"], ["0e02", "1e03"]):
+        assert len(read_world_tracks(write_csv(tmp_path / "t.csv", changed(track=names * 60)), run)) == 120
+
+
+@pytest.mark.parametrize(("mark", "name"), [(";", "semicolons"), ("\t", "tabs"), ("|", "bars")])
+def test_cells_without_commas_are_named(mark: str, name: str, run: StoredRun, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "t.csv", changed())
+    path.write_text(path.read_text().replace(",", mark))
+    assert is_world(path)
+    with pytest.raises(InputError, match=f"line 1 must name the columns.*its cells have {name} between them"):
+        read_world_tracks(path, run)
 
 
 def test_a_file_that_is_not_there_is_said_to_be_missing(run: StoredRun, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from modsim3d.errors import InputError
 from modsim3d.formats.writing.mcap.definitions import DETECTIONS, VISION_MSGS
 from modsim3d.scene.scene import Scene
+from modsim3d.voyage.clock import SceneClock
 from modsim3d.voyage.logs.log import LogOptions
 from modsim3d.voyage.logs.reading import read_log
 from modsim3d.voyage.on_scene import on_scene
@@ -109,6 +110,18 @@ def test_times_in_another_unit_are_refused(tmp_path: Path, strait: Scene, log: s
     seem = f"22 of 23 frames are before or after the scene: they seem to be {unit}, must be seconds"
     with pytest.raises(InputError, match="are these nanoseconds" if unit == "nanoseconds" else seem):
         on_scene(read_log(tmp_path / name), strait, "bow")
+
+
+@pytest.mark.parametrize("start_s", [None, 1.7e9])
+def test_nanoseconds_that_would_be_in_the_future_are_named(
+    tmp_path: Path, strait: Scene, monkeypatch: pytest.MonkeyPatch, start_s: float | None
+) -> None:
+    monkeypatch.setattr(SceneClock, "of", lambda scene: SceneClock(10.0, 0.0, start_s))
+    path = tmp_path / "log.csv"
+    for scale, says in ((1e9, "they seem to be nanoseconds, must be seconds"), (1e10, "they are in the future")):
+        path.write_text(csv_text([(time * scale) for time in (5.0, 5.2, 5.4)]).replace(NAME, "boat"))
+        with pytest.raises(InputError, match=says):
+            on_scene(read_log(path), strait, "bow")
 
 
 def test_a_log_of_which_most_is_outside_of_the_scene_is_refused(tmp_path: Path, strait: Scene) -> None:

@@ -101,7 +101,7 @@ def read_line(text: str, source: str, number: int) -> tuple[str, Any]:
         raise InputError(source, [f"{where}: is empty; an empty line is the end of a stream"])
     try:
         check_values(text, source)
-        content = parse_json(text.removeprefix("\ufeff"), source, first_line=number, whole="line")
+        content = parse_json(text, source, first_line=number, whole="line")
     except InputError as error:
         raise InputError(source, [p if p.startswith(where) else f"{where}: {p}" for p in error.problems]) from None
     if not isinstance(content, dict) or len(content) != 1:

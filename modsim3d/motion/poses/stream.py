@@ -70,7 +70,7 @@ def read_steps(lines: Iterable[bytes], source: str, names: Sequence[str]) -> Ite
         if len(line) > MAX_LINE_BYTES:
             raise InputError(source, [f"line {number}: is longer than {MAX_LINE_BYTES} bytes"])
         try:
-            text = line.decode("utf-8").strip()
+            text = line.decode("utf-8-sig").strip()
         except UnicodeDecodeError as error:
             raise InputError(source, [f"line {number}: is not UTF-8 text (byte {error.start})"]) from None
         timestamp, entries = read_line(text, source, number)
