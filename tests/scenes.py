@@ -280,6 +280,7 @@ def mistaken_strait(folder: Path, steps: int = 130) -> Path:
     scene = yaml.safe_load((scenes / "strait.yaml").read_text(encoding="utf-8"))
     for name, values in scene["vessels"].items():
         values["label"] = CLASSES.get(name, "motorboat")
+        values.pop("mesh", None)
     scene |= {"steps": steps, "detector": "detector.yaml", "annotation": {"mode": 2, "source": "analytic"}}
     path = folder / "mistakes.yaml"
     path.write_text(yaml.safe_dump(scene), encoding="utf-8")

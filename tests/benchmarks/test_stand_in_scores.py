@@ -48,7 +48,7 @@ class Film:
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Film:
     folder = tmp_path_factory.mktemp("film")
-    scene = load_scene("harbour", steps=24, source="analytic", detector=DETECTOR, detector_seed=SEED, state=STATE)
+    scene = load_scene("harbour", steps=24, source="rectangles", detector=DETECTOR, detector_seed=SEED, state=STATE)
     run_scene(scene, folder / "run")
     return Film("small", folder / "run", *write_coco(labelled_run(folder / "run")[0], folder / "coco"))
 

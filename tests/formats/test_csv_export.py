@@ -115,7 +115,7 @@ def test_every_frame_is_there_with_the_pose_of_the_camera(run: StoredRun, export
     angles = numbers(table, "camera_roll_rad", "camera_pitch_rad", "camera_yaw_rad")
     index = [each.name for each in run.scene.cameras].index(camera)
     for step in (0, 11):
-        true = run.scene.at(step).camera_poses[index]
+        true = run.scene.at(step).sights[index].camera_poses
         turned = camera_R_parent(*angles[step]) @ true.camera_R_world[0].T
         error = np.arccos(np.clip((np.trace(turned) - 1) / 2, -1, 1))
         assert error < 1e-6 if camera == "shore" else 1e-4 < error < 0.06
@@ -133,7 +133,7 @@ def test_with_the_true_attitude_poses_and_own_ship_are_true(run: StoredRun, expo
     assert export(run, tmp_path / "true", "--attitude", "true").exit_code == 0
     frames = read(tmp_path / "true" / "frames_bow.csv")
     angles = numbers(frames, "camera_roll_rad", "camera_pitch_rad", "camera_yaw_rad")
-    true = run.scene.at(7).camera_poses[0].camera_R_world[0]
+    true = run.scene.at(7).sights[0].camera_poses.camera_R_world[0]
     np.testing.assert_allclose(camera_R_parent(*angles[7]), true, atol=1e-7)
     own = run.table("ownship")
     kinds = {"true": ("roll_rad", "pitch_rad"), "exported": ("measured_roll_rad", "measured_pitch_rad")}

@@ -36,6 +36,7 @@ def simulate(
     labels = yaml.safe_load(Path(detector).read_text())["labels"]
     for number, vessel in enumerate(scene["vessels"].values()):
         vessel["label"] = labels[number % len(labels)]
+        vessel.pop("mesh", None)  # exact geometry of shoeboxes is quick
     scene["detector"] = str(detector)
     scene["annotation"] = {"mode": mode, "source": "analytic"}
     scene["seed"] = seed

@@ -43,7 +43,8 @@ def one_by_one(scene: Scene, camera: str, step: int, box: Array) -> tuple[float,
     """Bearing of the centre, and inverse range and place of the foot, by solving for the point of the sea."""
     place = scene.at(step)
     index = [each.name for each in scene.cameras].index(camera)
-    rotation, centre = place.camera_poses[index].camera_R_world[0], place.camera_poses[index].positions_m[0]
+    pose = place.sights[index].camera_poses
+    rotation, centre = pose.camera_R_world[0], pose.positions_m[0]
     lens = scene.cameras[index].intrinsics
     middle, foot = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2], [(box[0] + box[2]) / 2, box[3]]
     ray = rotation.T @ lens.unproject(middle, 1.0)

@@ -15,7 +15,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 
-RUN = ("run", "harbour", "--source", "analytic", "--steps", "800", "--no-sheet")  # several blocks
+RUN = ("run", "harbour", "--source", "rectangles", "--steps", "800", "--no-sheet")  # several blocks
 LONG_S = 120
 
 
@@ -48,7 +48,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """What an undisturbed run writes."""
     folder = tmp_path_factory.mktemp("whole") / "run"
-    run_scene(load_scene("harbour", source="analytic", steps=800), folder)
+    run_scene(load_scene("harbour", source="rectangles", steps=800), folder)
     return contents(folder)
 
 

@@ -30,7 +30,7 @@ from tests.scenes import mistaken_strait
 @pytest.fixture(scope="module")
 def frame():
     """With a missed vessel and a false positive."""
-    frames = simulate_frames(load_scene("harbour", mode=2, seed=3, steps=200, source="analytic"))
+    frames = simulate_frames(load_scene("harbour", mode=2, seed=3, steps=200, source="rectangles"))
     return next(f for f in frames if np.any(f.truth.annotated & ~f.truth.detected) and None in f.detections.vessels)
 
 
