@@ -173,6 +173,7 @@ def _check_frames(scene: Scene, truth: Truth, camera: int, steps: Indices, rende
             _of_frame(spans[0], outlines, frame),
             _of_frame(spans[1], outlines, frame),
             {int(outlines.occluder[row]): (float(areas[row]), float(bounds[row])) for row in rows.tolist()},
+            scene.annotation,
         )
         boxed, whole = set(np.flatnonzero(sight.others[frame]).tolist()), step == _whole_step(scene)
         try:

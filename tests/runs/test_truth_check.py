@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import modsim3d
 from modsim3d.cli import app, main
+from modsim3d.runs import pipeline
 from modsim3d.runs.detect_run import detect_run
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import run_scene
@@ -22,6 +23,7 @@ from modsim3d.scene import sight
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.truth import buffer_drawing, nearer_first, outlines, rendered, triangles
+from modsim3d.truth.crosscheck import comparison
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.pixel_spans import Spans
@@ -141,7 +143,30 @@ def box_one_pixel_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Occlusion, "truth", wide)
 
 
+def change_record(monkeypatch: pytest.MonkeyPatch, change: Callable[[Any], Any]) -> None:
+    original = Occlusion.truth
+    monkeypatch.setattr(Occlusion, "truth", lambda self, *args: change(original(self, *args)))
+
+
+def rows_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    change_record(monkeypatch, lambda truth: truth.take(truth.vessel != 1))
+
+
+def fraction_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    change_record(monkeypatch, lambda truth: replace(truth, visible_fraction=truth.visible_fraction * 0.99))
+
+
+def annotated_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    def changed(found: Any, *_: Any) -> Any:
+        return found & (np.arange(len(found)) % 3 > 0)
+
+    patched(monkeypatch, pipeline, "annotated_rows", changed)
+
+
 PLANTED = [
+    rows_lost,
+    fraction_wrong,
+    annotated_wrong,
     wrong_ranks,
     wrong_side_of_a_plane,
     near_and_far_exchanged,
@@ -208,6 +233,29 @@ def test_a_lens_and_full_images_are_checked_too(tmp_path: Path) -> None:
     assert whole is not None
     assert bent.from_spans == whole.from_spans == 0
     assert bent.vessels == whole.vessels == 3 * len(BOATS)
+
+
+def test_ties_are_looked_for_once_and_only_where_something_is_hidden(tmp_path: Path, monkeypatch: Any) -> None:
+    places = [(60, 3.6, 5), (64, 0, 3), (60, 4, 3), (60, 3.6, 5), (68, 4, 5), (64, 3.6, 5)]
+    rafted = {f"v{i}": ([12, 4, z], [[0, x, y], [100, x + 10, y]]) for i, (x, y, z) in enumerate(places)}
+    path = write_scene(tmp_path, rafted, 3, annotation={"mode": 0})
+    content = json.loads(path.read_text())
+    content["cameras"]["C0"]["distortion"] = {"k1": -0.05}
+    path.write_text(json.dumps(content))
+    looked_at = []
+    original = comparison.possible_ids
+
+    def counted(drawing: Any, x: Any, y: Any) -> Any:
+        looked_at.append(len(x))
+        return original(drawing, x, y)
+
+    monkeypatch.setattr(comparison, "possible_ids", counted)
+    result = run_scene(load_scene(path), tmp_path / "run")
+    assert result.checked is not None
+    assert len(looked_at) <= result.checked.vessels
+    truth = modsim3d.open_run(tmp_path / "run").table("truth").to_pylist()
+    hidden = sum(row["silhouette_px"] - row["visible_px"] for row in truth)
+    assert 0 < sum(looked_at) <= 2 * hidden
 
 
 def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path: Path, monkeypatch: Any) -> None:
