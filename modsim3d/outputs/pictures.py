@@ -9,9 +9,11 @@ import numpy as np
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+    from modsim3d.arrays import Array
 
-def encoded(picture: Image, ending: str = ".png", **options: Any) -> bytes:
-    """The content of a PNG or JPEG file of a picture without a palette; options are those of the format."""
+
+def encoded(picture: Image | Array, ending: str = ".png", **options: Any) -> bytes:
+    """The content of a PNG or JPEG file of a picture without a palette or an array; options are of the format."""
     import imageio.v3 as iio
 
     content: bytes = iio.imwrite("<bytes>", np.asarray(picture), extension=ending, **options)

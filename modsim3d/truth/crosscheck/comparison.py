@@ -188,17 +188,17 @@ class _VesselPixels:
         alone = self.alone.ids(renderer, region) > 0
         shown = alone & ((ids == self.vessel + 1) | (ids == 0))
         saids = [mask_of(spans, region) for spans in self.spans]
-        for which, (what, of, drawn) in enumerate(
-            (("silhouette", self.alone, alone), ("visible", self.drawing, shown))
+        for which, (what, of, said, drawn) in enumerate(
+            (("silhouette", self.alone, saids[0], alone), ("visible", self.drawing, saids[1], shown))
         ):
-            said = saids[which]
             self._compare(of, what, said, drawn, region)
             if said.any():
                 self.px[which] += int(np.count_nonzero(said))
                 box = mask_box(said, region)
                 self.boxes[which, :2] = np.minimum(self.boxes[which, :2], box[:2])
                 self.boxes[which, 2:] = np.maximum(self.boxes[which, 2:], box[2:])
-        self.hidden.append(np.argwhere((alone & ~shown) | (saids[0] & ~saids[1])).T + [[region.y], [region.x]])
+        y, x = np.nonzero((alone & ~shown) | (saids[0] & ~saids[1]))
+        self.hidden.append(np.stack([y + region.y, x + region.x]))
         if (hidden := alone & ~shown).any():
             counts = np.bincount(ids[hidden])
             self.hidden_by.update({int(each) - 1: int(counts[each]) for each in np.flatnonzero(counts)})
@@ -268,7 +268,7 @@ class _VesselPixels:
             self.px[min(rule.mode, 1)] > 0
             and min(box[2:] - box[:2]) / self.drawing.supersample >= rule.min_box_px
             and truth.visible_px[row] >= rule.min_visible_px
-            and (fraction >= rule.min_visible_fraction)
+            and fraction >= rule.min_visible_fraction
         )
         if truth.annotated[row] != kept:
             self.refuse("annotated", str(bool(truth.annotated[row])), f"{kept}, by its pixels,")
