@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
     from PIL.Image import Image
 
-    from modsim3d.arrays import Array
 
-
-def encoded(picture: Image | Array, ending: str = ".png", **options: Any) -> bytes:
+def encoded(picture: Image | ArrayLike, ending: str = ".png", **options: Any) -> bytes:
     """The content of a PNG or JPEG file of a picture without a palette or an array; options are of the format."""
     import imageio.v3 as iio
 

@@ -24,6 +24,7 @@ from modsim3d.runs.truth_check import (
     TruthCheckError,
     _frames_of_stream,
     _sample,
+    check_block,
     frame_count,
     frames_taken,
 )
@@ -326,6 +327,16 @@ def test_ties_are_looked_for_once_and_only_where_something_is_hidden(tmp_path: P
     truth = modsim3d.open_run(tmp_path / "run").table("truth").to_pylist()
     hidden = sum(row["silhouette_px"] - row["visible_px"] for row in truth)
     assert 0 < sum(looked_at) <= 2 * hidden
+
+
+@pytest.mark.parametrize("least", [0.0, 0.5])
+def test_a_vessel_without_a_pixel_is_annotated_in_mode_0_unless_a_filter_is_set(least: float) -> None:
+    scene = load_scene("harbour", steps=151)
+    scene = replace(scene, annotation=replace(scene.annotation, mode=0, check="all", min_visible_fraction=least))
+    with pipeline.open_renderer(scene) as renderer:
+        truth = pipeline.truth_block(scene, 150, 151, renderer)
+        assert truth.annotated[truth.silhouette_px == 0].tolist() == [least == 0]
+        assert check_block(scene, truth, 150, 151, renderer).frames == 1
 
 
 def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path: Path, monkeypatch: Any) -> None:

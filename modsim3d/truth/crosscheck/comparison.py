@@ -263,12 +263,14 @@ class _VesselPixels:
             self.refuse("visible fraction", f"{truth.visible_fraction[row]:g}", f"{fraction:g}")
         if rule is None:
             return
-        box = self.visible_box if rule.mode == 2 else self.full_box
+        # The truth's own numbers, which are equal but for rounding: a filter may be set to just such a number.
+        box = (truth.visible_boxes_px if rule.mode == 2 else truth.full_boxes_px)[row]
+        fraction = truth.visible_fraction[row]
         kept = (
-            self.px[min(rule.mode, 1)] > 0
-            and min(box[2:] - box[:2]) / self.drawing.supersample >= rule.min_box_px
+            (rule.mode == 0 or self.px[1] > 0)
+            and min(box[2:] - box[:2]) >= rule.min_box_px
             and truth.visible_px[row] >= rule.min_visible_px
-            and fraction >= rule.min_visible_fraction
+            and (rule.min_visible_fraction <= 0 or fraction >= rule.min_visible_fraction)
         )
         if truth.annotated[row] != kept:
             self.refuse("annotated", str(bool(truth.annotated[row])), f"{kept}, by its pixels,")
