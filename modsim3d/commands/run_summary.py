@@ -91,12 +91,16 @@ def _check_rows(scene: Scene, checked: Checked | None) -> list[Row]:
     if annotation.source != "rendered":
         return [("cross-checked", "nothing", f"source {annotation.source}: nothing was drawn")]
     if not checked.frames:
-        return [("cross-checked", "nothing", f"annotation.check: {annotation.check}")]
+        none = "annotation.check: off" if annotation.check == "off" else "no camera took a frame"
+        return [("cross-checked", "nothing", none)]
+    frames = f"{checked.frames} frame{'s' * (checked.frames > 1)}"
+    if not checked.vessels:
+        return [("cross-checked", frames, "no vessel in them" if checked.frames > 1 else "no vessel in it")]
     ties = f" but for {checked.tie_pixels} tie{'s' * (checked.tie_pixels > 1)}" if checked.tie_pixels else ""
     boxes = f"boxes within {checked.largest_box_px:.2f} px of corner projection"
     tips = f", {checked.sharp_tips} sharp tip{'s' * (checked.sharp_tips > 1)}" if checked.sharp_tips else ""
-    meaning = f"{checked.vessels} vessels: pixels equal{ties}, {boxes}{tips}"
-    return [("cross-checked", f"{checked.frames} frames", meaning)]
+    meaning = f"{checked.vessels} vessel{'s' * (checked.vessels > 1)}: pixels equal{ties}, {boxes}{tips}"
+    return [("cross-checked", frames, meaning)]
 
 
 def vessel_rows(counts: Counts) -> list[Row]:

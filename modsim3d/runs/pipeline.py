@@ -19,7 +19,7 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.motion.poses import LivePoses
 from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.runs.blocks import Block, CameraBlock, Frame, frames_of
-from modsim3d.runs.truth_check import STREAM_STEPS, check_block, stream_part
+from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.checks import place_problems
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
@@ -181,9 +181,7 @@ def detected_block(
 def _checked_truth(scene: Scene, first: int, stop: int, renderer: IdRenderer | None) -> Truth:
     """The truth of a block, of whose frames the first and then one in a thousand were checked."""
     truth = truth_block(scene, first, stop, renderer)
-    # Most steps of a stream are not checked, and should not wait for it.
-    if stop - first > 1 or scene.annotation.check == "all" or first in stream_part(scene, first // STREAM_STEPS):
-        check_block(scene, truth, first, stop, renderer, streamed=True)
+    check_block(scene, truth, first, stop, renderer, streamed=True)
     return truth
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
+from shlex import quote
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from modsim3d.arrays import Indices, Mask
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Purpose, Streams
+from modsim3d.scene.parts import NO_FILE
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked, Difference, SaidOfFrame, check_frame
 from modsim3d.truth.crosscheck.visible_areas import visible_areas
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
 MIN_FRAMES = 3
 STREAM_STEPS = 1000
-"""A stream's first frames are checked, and then one step in so many."""
+"""A stream's first frames are checked, and then one in so many steps."""
 PIXELS_A_UNIT, VESSELS_A_UNIT = 8_000_000, 10
 """An image with so many pixels, and a scene with so many vessels, double the effort of a frame that is checked."""
 MOST_DRAWS = 3
@@ -74,11 +76,12 @@ def check_block(
         return Checked()
     drawn = int(truth.drawn.sum())
     checked = Checked(from_spans=len(truth) - drawn, from_buffers=drawn)
-    chosen = sorted(_frames_to_check(scene, first, stop, streamed or scene.live))
+    chosen = sorted(set(_frames_to_check(scene, first, stop, streamed or scene.live)))
+    whole = _first_checked(scene, chosen[0], streamed or scene.live) if chosen else None
     for camera in range(len(scene.cameras)):
         steps = np.array([step for step, index in chosen if index == camera], dtype=np.int64)
         for some in np.array_split(steps, -(-len(steps) // BATCH_FRAMES)) if len(steps) else []:
-            checked += _check_frames(scene, truth, camera, some, renderer)
+            checked += _check_frames(scene, truth, camera, some, renderer, whole)
     return checked
 
 
@@ -92,31 +95,62 @@ def _frames_to_check(scene: Scene, first: int, stop: int, streamed: bool) -> Ite
         for index, camera in enumerate(scene.cameras):
             yield from ((step, index) for step in scene.frame_steps(camera, first, stop).tolist())
     elif check == "sample":
-        drawn = _frames_of_stream(scene, first, stop) if streamed else _sample(scene, first, stop)
-        yield from ((step, index) for step, index in drawn if first <= step < stop)
+        yield from _frames_of_stream(scene, first, stop) if streamed else _sample(scene, first, stop)
+
+
+def _first_checked(scene: Scene, frame: FrameKey, streamed: bool) -> FrameKey | None:
+    """The first frame of a block that is checked, if it is the first of the run; it is drawn whole."""
+    if scene.annotation.check == "sample" and not streamed:
+        return min(_sample(scene, 0, frame[0] + 1))
+    return None if _steps_before(scene, frame[0]) else frame
 
 
 def _sample(scene: Scene, first: int, stop: int) -> set[FrameKey]:
-    """Of each of equally long parts of the run one frame; those of steps first to stop − 1 are among them."""
-    count = frame_count(scene)
-    parts = ((part, part * scene.steps // count, (part + 1) * scene.steps // count) for part in range(count))
-    drawn = (_frame_of_part(scene, *each) for each in parts if each[1] < stop and first < each[2])
-    return {frame for frame in drawn if frame is not None}
+    """Of each of equally long parts of the run a frame, or all of a short run: those at steps first to stop − 1."""
+    steps, _ = frames_taken(scene)
+    if len(steps) < MIN_FRAMES:
+        drawn = _frames_of_few(scene)
+    else:
+        parts = enumerate(np.array_split(steps, _bounds(scene)[1:-1]))
+        drawn = [_frame_of_part(scene, i) for i, part in parts if part[0] < stop and first <= part[-1]]
+    return {(step, index) for step, index in drawn if first <= step < stop}
 
 
 @lru_cache(maxsize=8)
-def _frame_of_part(scene: Scene, part: int, first: int, stop: int) -> FrameKey | None:
-    """A frame of steps first to stop − 1, drawn anew a few times if no vessel is in it; None if none was taken."""
-    draw = _streams(scene).generator(Purpose.CHECK, step=part)
-    frame = None
+def frames_taken(scene: Scene) -> tuple[Indices, int]:
+    """The steps at which any camera takes a frame, ascending, shape (n,), and the number of frames of all cameras."""
+    steps = [scene.frame_steps(camera, 0, scene.steps) for camera in scene.cameras]
+    return np.unique(np.concatenate(steps)), sum(map(len, steps))
+
+
+def _bounds(scene: Scene) -> Indices:
+    """Where the parts of a run begin among the steps with frames, and where the last one ends."""
+    count = frame_count(scene)
+    return np.arange(count + 1) * len(frames_taken(scene)[0]) // count
+
+
+@lru_cache(maxsize=8)
+def _frame_of_part(scene: Scene, part: int) -> FrameKey:
+    """A frame of a part of the run, drawn anew a few times if no vessel is in it."""
+    draw, ends = _streams(scene).generator(Purpose.CHECK, step=part), _bounds(scene)
+    first, last = frames_taken(scene)[0][[ends[part], ends[part + 1] - 1]].tolist()
+    steps = [scene.frame_steps(camera, first, last + 1) for camera in scene.cameras]
+    taking = [index for index, own in enumerate(steps) if len(own)]
     for _ in range(MOST_DRAWS):
-        index = int(draw.integers(len(scene.cameras)))
-        step = scene.last_frame(scene.cameras[index], int(draw.integers(first, stop)) + 1)
-        if step is not None and step >= first:
-            frame = step, index
-            if _has_a_vessel(scene, step, index):
-                break
-    return frame
+        index = taking[int(draw.integers(len(taking)))]
+        step = int(steps[index][draw.integers(len(steps[index]))])
+        if _has_a_vessel(scene, step, index):
+            break
+    return step, index
+
+
+@lru_cache(maxsize=8)
+def _frames_of_few(scene: Scene) -> list[FrameKey]:
+    """Frames of a run with fewer steps with frames than `MIN_FRAMES`: those with a vessel first."""
+    steps = [scene.frame_steps(camera, 0, scene.steps).tolist() for camera in scene.cameras]
+    frames = [(step, index) for index, own in enumerate(steps) for step in own]
+    mixed = _streams(scene).generator(Purpose.CHECK, step=0).permutation(len(frames)).tolist()
+    return sorted((frames[i] for i in mixed), key=lambda each: not _has_a_vessel(scene, *each))[: frame_count(scene)]
 
 
 def _streams(scene: Scene) -> Streams:
@@ -134,31 +168,53 @@ def _has_a_vessel(scene: Scene, step: int, index: int) -> bool:
 
 def frame_count(scene: Scene) -> int:
     """How many frames a sample has: three at least, and more of long runs, small images and few vessels."""
-    frames = scene.steps * len(scene.cameras)
+    steps, frames = frames_taken(scene)
     sizes = [math.prod(camera.intrinsics.image_size_px) for camera in scene.cameras]
     pixels = max(sizes) * scene.annotation.supersample**2
     effort = 4 * (1 + pixels / PIXELS_A_UNIT + len(scene.vessels) / VESSELS_A_UNIT)
-    return min(max(MIN_FRAMES, round(math.sqrt(frames) / effort)), scene.steps)
+    return min(max(MIN_FRAMES, round(math.sqrt(frames) / effort)), max(MIN_FRAMES, len(steps)), frames)
 
 
-def _frames_of_stream(scene: Scene, first: int, stop: int) -> set[FrameKey]:
-    """The frames of steps first to stop − 1 that a stream checks."""
-    parts = range(first // STREAM_STEPS, (stop - 1) // STREAM_STEPS + 1)
-    drawn = ((step, index) for part in parts for step, index in stream_part(scene, part).items())
-    return {(step, i) for step, i in drawn if len(scene.frame_steps(scene.cameras[i], step, step + 1))}
+def _frames_of_stream(scene: Scene, first: int, stop: int) -> Iterator[FrameKey]:
+    """The frames of steps first to stop − 1 that a stream checks, which follow from what came before them.
+
+    They are one at each of the first steps with frames, and a camera's first frame at or after each step that is drawn.
+    """
+    taken = [set(scene.frame_steps(camera, first, stop).tolist()) for camera in scene.cameras]
+    for step in sorted(set().union(*taken)):
+        taking = [index for index, steps in enumerate(taken) if step in steps]
+        if (count := _steps_before(scene, step)) < MIN_FRAMES:
+            yield step, taking[count % len(taking)]
+        for index in taking:
+            before = scene.last_frame(scene.cameras[index], step)
+            since = 0 if before is None else before + 1
+            parts = range(since // STREAM_STEPS, step // STREAM_STEPS + 1)
+            drawn = (_step_of_stream(scene, part) for part in parts)
+            if any(since <= each <= step and camera == index for each, camera in drawn):
+                yield step, index
 
 
-@lru_cache(maxsize=2)
-def stream_part(scene: Scene, part: int) -> dict[int, int]:
-    """The steps that a stream checks among a thousand, and a camera for each: one step, and the first of all."""
+def _steps_before(scene: Scene, step: int) -> int:
+    """At how many steps before one any camera took a frame, counted up to `MIN_FRAMES`."""
+    for count in range(MIN_FRAMES):
+        before = [scene.last_frame(camera, step) for camera in scene.cameras]
+        step = max((each for each in before if each is not None), default=-1)
+        if step < 0:
+            return count
+    return MIN_FRAMES
+
+
+@lru_cache(maxsize=8)
+def _step_of_stream(scene: Scene, part: int) -> FrameKey:
+    """The step that is drawn among a thousand, and the camera whose next frame a stream checks."""
     draw = _streams(scene).generator(Purpose.CHECK, step=part)
-    step, camera = part * STREAM_STEPS + int(draw.integers(STREAM_STEPS)), int(draw.integers(len(scene.cameras)))
-    first = {step: step % len(scene.cameras) for step in range(0 if part else MIN_FRAMES)}
-    return {step: camera} | first
+    return part * STREAM_STEPS + int(draw.integers(STREAM_STEPS)), int(draw.integers(len(scene.cameras)))
 
 
-def _check_frames(scene: Scene, truth: Truth, camera: int, steps: Indices, renderer: IdRenderer) -> Checked:
-    """Check frames of a camera at ascending steps; of the scene's first frame, the whole image."""
+def _check_frames(
+    scene: Scene, truth: Truth, camera: int, steps: Indices, renderer: IdRenderer, whole: FrameKey | None
+) -> Checked:
+    """Check frames of a camera at ascending steps; of the frame `whole`, the whole image."""
     from modsim3d.truth.rendered import rendered_spans
 
     sight, supersample = scene.sight(scene.cameras[camera], steps), scene.annotation.supersample
@@ -173,11 +229,12 @@ def _check_frames(scene: Scene, truth: Truth, camera: int, steps: Indices, rende
             _of_frame(spans[0], outlines, frame),
             _of_frame(spans[1], outlines, frame),
             {int(outlines.occluder[row]): (float(areas[row]), float(bounds[row])) for row in rows.tolist()},
+            scene.annotation,
         )
-        boxed, whole = set(np.flatnonzero(sight.others[frame]).tolist()), step == _whole_step(scene)
+        boxed = set(np.flatnonzero(sight.others[frame]).tolist())
         try:
             drawing = sight.drawing(frame, supersample)
-            checked += check_frame(drawing, renderer, said, boxed, scene.occluder_names, whole=whole)
+            checked += check_frame(drawing, renderer, said, boxed, scene.occluder_names, whole=(step, camera) == whole)
         except Difference as difference:
             raise TruthCheckError(_in_words(scene, camera, step, difference), difference.masks) from None
     return checked
@@ -189,19 +246,19 @@ def _of_frame(spans: Spans, outlines: Outlines, frame: int) -> Spans:
     return replace(chosen, row=outlines.occluder[chosen.row])
 
 
-def _whole_step(scene: Scene) -> int:
-    """The step of the frame that is drawn whole: the first that is checked."""
-    return min(_sample(scene, 0, 1), default=(0, 0))[0] if scene.annotation.check == "sample" and not scene.live else 0
-
-
 def _in_words(scene: Scene, camera: int, step: int, difference: Difference) -> str:
     name, vessel = scene.cameras[camera].name, scene.vessel_names[difference.vessel]
     time_s = scene.timestamps(step, step + 1)[0]
-    return (
+    said = (
         "cross-check: the truth is not what OpenGL draws, which is an error in modsim3d or in OpenGL: "
         f"vessel '{vessel}' in camera {name} at step {step} (time {time_s} s): {difference.what}: "
-        f"{difference.truth} in the truth, {difference.drawn} drawn. To see what is drawn:\n"
-        f"  modsim3d run {scene.path} --seed {scene.seed} --steps {step + 1} --set annotation.check=off "
-        "--out unchecked\n"
-        f"  modsim3d view unchecked --ids --frame {step} --camera {name}"
+        f"{difference.truth} in the truth, {difference.drawn} drawn"
+    )
+    if scene.path == NO_FILE:
+        return said
+    return (
+        f"{said}. To see what is drawn:\n"
+        f"  modsim3d run {quote(str(scene.path))} --seed {scene.seed} --steps {step + 1} --set annotation.check=off "
+        f"--set annotation.supersample={scene.annotation.supersample} --out unchecked\n"
+        f"  modsim3d view unchecked --ids --frame {step} --camera {quote(name)}"
     )

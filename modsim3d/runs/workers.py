@@ -16,7 +16,7 @@ from modsim3d.runs.files.block_files import BlockFiles, finished_truth, kept_tru
 from modsim3d.runs.files.reading import truth_of
 from modsim3d.runs.files.stored_tables import StoredTable
 from modsim3d.runs.pipeline import Range, Simulation, open_renderer, scene_census, truth_block
-from modsim3d.runs.truth_check import check_block
+from modsim3d.runs.truth_check import TruthCheckError, check_block
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.truth_record import Truth
@@ -117,8 +117,17 @@ class BlockMaker:
     def _truth(self, folder: Path, first: int, stop: int) -> Iterator[tuple[Truth, int, int]]:
         """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks.
 
-        Truth that is new is kept, at the latest when the context ends.
+        Truth that is new is kept, at the latest when the context ends, unless the cross-check finds it wrong.
         """
+        try:
+            with self._truth_and_kept(folder, first, stop) as found:
+                yield found
+        except TruthCheckError:
+            kept_truth_path(folder, first, stop).unlink(missing_ok=True)
+            raise
+
+    @contextmanager
+    def _truth_and_kept(self, folder: Path, first: int, stop: int) -> Iterator[tuple[Truth, int, int]]:
         if self._stored is not None:
             yield truth_of(self._stored.rows(first, stop).table, self._scene), 0, 0
             return

@@ -14,14 +14,25 @@ from typer.testing import CliRunner
 
 import modsim3d
 from modsim3d.cli import app, main
+from modsim3d.commands.run_summary import _check_rows
+from modsim3d.runs import pipeline
 from modsim3d.runs.detect_run import detect_run
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import run_scene
-from modsim3d.runs.truth_check import STREAM_STEPS, TruthCheckError, _sample, frame_count
+from modsim3d.runs.truth_check import (
+    STREAM_STEPS,
+    TruthCheckError,
+    _frames_of_stream,
+    _sample,
+    check_block,
+    frame_count,
+    frames_taken,
+)
 from modsim3d.scene import sight
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.truth import buffer_drawing, nearer_first, outlines, rendered, triangles
+from modsim3d.truth.crosscheck import comparison
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.pixel_spans import Spans
@@ -141,7 +152,30 @@ def box_one_pixel_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Occlusion, "truth", wide)
 
 
+def change_record(monkeypatch: pytest.MonkeyPatch, change: Callable[[Any], Any]) -> None:
+    original = Occlusion.truth
+    monkeypatch.setattr(Occlusion, "truth", lambda self, *args: change(original(self, *args)))
+
+
+def rows_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    change_record(monkeypatch, lambda truth: truth.take(truth.vessel != 1))
+
+
+def fraction_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    change_record(monkeypatch, lambda truth: replace(truth, visible_fraction=truth.visible_fraction * 0.99))
+
+
+def annotated_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    def changed(found: Any, *_: Any) -> Any:
+        return found & (np.arange(len(found)) % 3 > 0)
+
+    patched(monkeypatch, pipeline, "annotated_rows", changed)
+
+
 PLANTED = [
+    rows_lost,
+    fraction_wrong,
+    annotated_wrong,
     wrong_ranks,
     wrong_side_of_a_plane,
     near_and_far_exchanged,
@@ -163,6 +197,68 @@ def test_a_planted_error_stops_a_run_that_is_checked(
         run_scene(scene, tmp_path / "checked")
     assert not (tmp_path / "checked" / "run.json").exists()
     run_scene(unchecked(scene), tmp_path / "off")
+
+
+def test_truth_that_is_wrong_is_not_kept(scene: Scene, tmp_path: Path) -> None:
+    with pytest.MonkeyPatch.context() as wrong:
+        box_one_pixel_off(wrong)
+        with pytest.raises(TruthCheckError):
+            run_scene(scene, tmp_path / "run")
+    assert not list((tmp_path / "run" / "unfinished").glob("truth_*"))
+    assert run_scene(scene, tmp_path / "run", resume=True).checked
+
+
+def with_camera(scene_path: Path, **changes: Any) -> Scene:
+    """The scene with keys of its camera changed; `cameras` copies of it."""
+    content = json.loads(scene_path.read_text())
+    camera = {**content["cameras"]["C0"], **changes}
+    count = camera.pop("cameras", 1)
+    content["cameras"] = {f"C{i}": camera for i in range(count)}
+    scene_path.write_text(json.dumps(content))
+    return load_scene(scene_path)
+
+
+@pytest.mark.parametrize(
+    ("steps", "changes", "frames"),
+    [
+        (60, {"start_offset_s": 55}, 3),  # none in the first parts
+        (60, {"start_offset_s": 58}, 2),  # two frames in all
+        (60, {"frame_rate_hz": 0.05, "start_offset_s": 17}, 3),  # three in all
+        (1, {"cameras": 4}, 3),
+        (1, {"cameras": 2}, 2),
+    ],
+)
+@pytest.mark.parametrize("check", ["sample", "all"])
+def test_frames_that_exist_are_checked_and_the_first_drawn_whole(
+    steps: int, changes: dict[str, Any], frames: int, check: str, tmp_path: Path
+) -> None:
+    scene = with_camera(write_boats(tmp_path, steps=steps, check=check), **changes)
+    result = run_scene(scene, tmp_path / "run")
+    checked = result.checked
+    assert checked is not None
+    assert checked.frames == (frames if check == "sample" else result.counts.frames)
+    assert checked.whole_frames == 1
+
+
+def test_streams_check_frames_that_exist(tmp_path: Path) -> None:
+    slow = {"frame_rate_hz": 0.01, "start_offset_s": 5}
+    scene = with_camera(write_boats(tmp_path, steps=2500), **slow)
+    found = [frame for step in range(2500) for frame in set(_frames_of_stream(scene, step, step + 1))]
+    taken = frames_taken(scene)[0].tolist()
+    assert [step for step, _ in found[:3]] == taken[:3]
+    assert len(found) >= 3 + 2
+    assert set(found) == set(_frames_of_stream(scene, 0, 2500))
+    assert all(step in taken for step, _ in found)
+
+
+def test_the_row_says_what_was_drawn() -> None:
+    scene = load_scene("simulation_1")
+    rows = [_check_rows(scene, Checked(frames=frames, vessels=max(frames - 1, 0)))[0][1:] for frames in (0, 1, 2)]
+    assert rows == [
+        ("nothing", "no camera took a frame"),
+        ("1 frame", "no vessel in it"),
+        ("2 frames", "1 vessel: pixels equal, boxes within 0.00 px of corner projection"),
+    ]
 
 
 def test_a_run_without_an_error_is_checked_and_says_so(scene: Scene, tmp_path: Path) -> None:
@@ -208,6 +304,39 @@ def test_a_lens_and_full_images_are_checked_too(tmp_path: Path) -> None:
     assert whole is not None
     assert bent.from_spans == whole.from_spans == 0
     assert bent.vessels == whole.vessels == 3 * len(BOATS)
+
+
+def test_ties_are_looked_for_once_and_only_where_something_is_hidden(tmp_path: Path, monkeypatch: Any) -> None:
+    places = [(60, 3.6, 5), (64, 0, 3), (60, 4, 3), (60, 3.6, 5), (68, 4, 5), (64, 3.6, 5)]
+    rafted = {f"v{i}": ([12, 4, z], [[0, x, y], [100, x + 10, y]]) for i, (x, y, z) in enumerate(places)}
+    path = write_scene(tmp_path, rafted, 3, annotation={"mode": 0})
+    content = json.loads(path.read_text())
+    content["cameras"]["C0"]["distortion"] = {"k1": -0.05}
+    path.write_text(json.dumps(content))
+    looked_at = []
+    original = comparison.possible_ids
+
+    def counted(drawing: Any, x: Any, y: Any) -> Any:
+        looked_at.append(len(x))
+        return original(drawing, x, y)
+
+    monkeypatch.setattr(comparison, "possible_ids", counted)
+    result = run_scene(load_scene(path), tmp_path / "run")
+    assert result.checked is not None
+    assert len(looked_at) <= result.checked.vessels
+    truth = modsim3d.open_run(tmp_path / "run").table("truth").to_pylist()
+    hidden = sum(row["silhouette_px"] - row["visible_px"] for row in truth)
+    assert 0 < sum(looked_at) <= 2 * hidden
+
+
+@pytest.mark.parametrize("least", [0.0, 0.5])
+def test_a_vessel_without_a_pixel_is_annotated_in_mode_0_unless_a_filter_is_set(least: float) -> None:
+    scene = load_scene("harbour", steps=151)
+    scene = replace(scene, annotation=replace(scene.annotation, mode=0, check="all", min_visible_fraction=least))
+    with pipeline.open_renderer(scene) as renderer:
+        truth = pipeline.truth_block(scene, 150, 151, renderer)
+        assert truth.annotated[truth.silhouette_px == 0].tolist() == [least == 0]
+        assert check_block(scene, truth, 150, 151, renderer).frames == 1
 
 
 def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path: Path, monkeypatch: Any) -> None:
@@ -272,16 +401,30 @@ def test_the_command_names_vessel_and_command_and_draws_the_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     span_off_by_one(monkeypatch)
-    path = write_boats(tmp_path)
+    (tmp_path / "my boats").mkdir()
+    path = write_boats(tmp_path / "my boats", supersample=2)
     monkeypatch.setattr("sys.argv", ["modsim3d", "run", str(path), "--out", str(tmp_path / "run"), "--no-sheet"])
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 2
     text = " ".join(capsys.readouterr().err.split())
     assert "silhouette pixels" in text
+    assert f"run '{path}' --seed" in text
+    assert "--set annotation.supersample=2" in text
     assert "view unchecked --ids --frame" in text
     assert (tmp_path / "run" / "unfinished" / "cross_check.png").is_file()
     assert "cross_check.png" in text
+
+
+def test_no_command_is_given_for_a_scene_without_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    span_off_by_one(monkeypatch)
+    path = write_boats(tmp_path)
+    content = json.loads(path.read_text())
+    monkeypatch.chdir(tmp_path)
+    scene = modsim3d.Scene.from_dict(content)
+    with pytest.raises(TruthCheckError) as stopped:
+        run_scene(scene, tmp_path / "run")
+    assert "modsim3d run" not in str(stopped.value)
 
 
 def test_the_summary_has_a_row(tmp_path: Path) -> None:

@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import NoReturn
 
 import numpy as np
 
-from modsim3d.arrays import Array, Mask
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 from modsim3d.truth.crosscheck.drawing import MARGIN_PX, Drawing, tiles_of
-from modsim3d.truth.crosscheck.possible_ids import EDGE_PX, LENS_EDGE_PX, undecided
+from modsim3d.truth.crosscheck.possible_ids import EDGE_PX, LENS_EDGE_PX, possible_ids, undecided
+from modsim3d.truth.modes import Annotation
 from modsim3d.truth.pixel_masks import mask_box
 from modsim3d.truth.pixel_spans import Spans
 from modsim3d.truth.truth_record import Truth
@@ -95,12 +97,14 @@ class SaidOfFrame:
         silhouettes: Their pixels; `row` is the index of the vessel.
         visible: Those that are visible, likewise.
         areas: Area of a vessel's visible part, and by how much its pixels may differ, where geometry tells.
+        annotation: The mode and filters that `annotated` of the truth follows; None if it follows none yet.
     """
 
     truth: Truth
     silhouettes: Spans
     visible: Spans
     areas: Mapping[int, tuple[float, float]]
+    annotation: Annotation | None = None
 
 
 def check_frame(
@@ -162,6 +166,7 @@ class _VesselPixels:
         low, high = np.fmin(self.corners, self.full_box)[:2], np.fmax(self.corners, self.full_box)[2:]
         self.region = Region.around(np.concatenate([low, high]), drawing.size_px, MARGIN_PX)
         self.px, self.hidden_by, self.ties = [0, 0], Counter[int](), 0
+        self.hidden = [np.empty((2, 0), dtype=np.int64)]
         self.boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (2, 1))
         self.masks = np.zeros((0, 0), dtype=bool), np.zeros((0, 0), dtype=bool)
 
@@ -182,16 +187,18 @@ class _VesselPixels:
         ids = self.part(seen, tile, region)
         alone = self.alone.ids(renderer, region) > 0
         shown = alone & ((ids == self.vessel + 1) | (ids == 0))
-        for which, (what, of, drawn) in enumerate(
-            (("silhouette", self.alone, alone), ("visible", self.drawing, shown))
+        saids = [mask_of(spans, region) for spans in self.spans]
+        for which, (what, of, said, drawn) in enumerate(
+            (("silhouette", self.alone, saids[0], alone), ("visible", self.drawing, saids[1], shown))
         ):
-            said = mask_of(self.spans[which], region)
             self._compare(of, what, said, drawn, region)
             if said.any():
                 self.px[which] += int(np.count_nonzero(said))
                 box = mask_box(said, region)
                 self.boxes[which, :2] = np.minimum(self.boxes[which, :2], box[:2])
                 self.boxes[which, 2:] = np.maximum(self.boxes[which, 2:], box[2:])
+        y, x = np.nonzero((alone & ~shown) | (saids[0] & ~saids[1]))
+        self.hidden.append(np.stack([y + region.y, x + region.x]))
         if (hidden := alone & ~shown).any():
             counts = np.bincount(ids[hidden])
             self.hidden_by.update({int(each) - 1: int(counts[each]) for each in np.flatnonzero(counts)})
@@ -215,6 +222,8 @@ class _VesselPixels:
             Difference: Numbers or boxes of the truth are not those of its pixels, or not those of the corners.
         """
         if self.row is None:
+            if self.px[0]:
+                self.refuse("silhouette pixels", "no row", f"{self.px[0] / self.drawing.supersample**2:g}")
             return Checked()
         truth, ss = self.said.truth, self.drawing.supersample
         for which, (what, px, box) in enumerate(
@@ -232,12 +241,39 @@ class _VesselPixels:
             off = abs(round(px * ss**2) - drawn)
             if off > self.ties and off > self.ties + self._ties_behind(occluder):
                 self.refuse(f"pixels behind '{self.names[occluder]}'", f"{px:g}", f"{drawn / ss**2:g}")
+        self._compare_annotated(truth, self.row)
         return self._checked_by_geometry()
 
     def _ties_behind(self, occluder: int) -> int:
-        """Pixels of the vessel at which rounding decides whether an occluder is in front."""
-        y, x = np.nonzero(np.ones((self.region.height, self.region.width)))
-        return int(undecided(self.drawing, x + self.region.x, y + self.region.y, occluder + 1).sum())
+        """Pixels that are hidden on either side, at which rounding decides whether an occluder is in front."""
+        ids, possible = self._possible_behind
+        this = ids == occluder + 1
+        return int((possible[:, this].any(axis=1) & possible[:, ~this].any(axis=1)).sum())
+
+    @cached_property
+    def _possible_behind(self) -> tuple[Indices, Mask]:
+        """What may be seen at pixels that are hidden on either side, see `possible_ids`."""
+        y, x = np.concatenate(self.hidden, axis=1)
+        return possible_ids(self.drawing, x, y)
+
+    def _compare_annotated(self, truth: Truth, row: int) -> None:
+        """Compare the visible fraction, and what the annotation keeps, with what follows from the pixels."""
+        fraction, rule = self.px[1] / self.px[0] if self.px[0] else np.nan, self.said.annotation
+        if not np.isclose(truth.visible_fraction[row], fraction, rtol=1e-9, atol=0, equal_nan=True):
+            self.refuse("visible fraction", f"{truth.visible_fraction[row]:g}", f"{fraction:g}")
+        if rule is None:
+            return
+        # The truth's own numbers, which are equal but for rounding: a filter may be set to just such a number.
+        box = (truth.visible_boxes_px if rule.mode == 2 else truth.full_boxes_px)[row]
+        fraction = truth.visible_fraction[row]
+        kept = (
+            (rule.mode == 0 or self.px[1] > 0)
+            and min(box[2:] - box[:2]) >= rule.min_box_px
+            and truth.visible_px[row] >= rule.min_visible_px
+            and (rule.min_visible_fraction <= 0 or fraction >= rule.min_visible_fraction)
+        )
+        if truth.annotated[row] != kept:
+            self.refuse("annotated", str(bool(truth.annotated[row])), f"{kept}, by its pixels,")
 
     def _checked_by_geometry(self) -> Checked:
         """Compare the full box with that of the projected corners, and visible pixels with the visible area."""

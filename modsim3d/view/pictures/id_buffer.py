@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from modsim3d.arrays import Mask
 from modsim3d.errors import ModsimError
+from modsim3d.outputs.pictures import encoded
 from modsim3d.outputs.placing import written_whole
 from modsim3d.scene.snapshot import IdImage
 from modsim3d.view import palette
@@ -30,7 +30,7 @@ def write_id_buffer(image: IdImage, path: Path) -> None:
     if int(image.ids.max(initial=0)) > MOST_IN_PNG:
         raise ModsimError(f"{path}: a PNG holds IDs up to {MOST_IN_PNG}; give --out a name that ends in .npy")
     with written_whole(path) as partial:
-        Image.fromarray(image.ids.astype(np.uint16)).save(partial, format="PNG")
+        partial.write_bytes(encoded(image.ids.astype(np.uint16)))
 
 
 def write_difference(masks: tuple[Mask, Mask], path: Path) -> None:
@@ -41,4 +41,4 @@ def write_difference(masks: tuple[Mask, Mask], path: Path) -> None:
     picture = np.concatenate([panels[0], gap, panels[1], gap, panels[2]], axis=1).astype(np.uint8)
     scale = max(1, -(-MIN_SIDE_PX // max(len(truth), 1)))
     with written_whole(path) as partial:
-        Image.fromarray(np.kron(picture, np.ones((scale, scale, 1), dtype=np.uint8))).save(partial, format="PNG")
+        partial.write_bytes(encoded(np.kron(picture, np.ones((scale, scale, 1), dtype=np.uint8))))
