@@ -180,6 +180,13 @@ def _frames_of_stream(scene: Scene, first: int, stop: int) -> Iterator[FrameKey]
 
     They are one at each of the first steps with frames, and a camera's first frame at or after each step that is drawn.
     """
+    if all(camera.frame_rate_hz is None and not camera.start_offset_s for camera in scene.cameras):
+        for step in range(first, stop):  # at every step, as below, in fewer calls: a live step waits for them
+            if step < MIN_FRAMES:
+                yield step, step % len(scene.cameras)
+            if (drawn := _step_of_stream(scene, step // STREAM_STEPS))[0] == step:
+                yield drawn
+        return
     taken = [set(scene.frame_steps(camera, first, stop).tolist()) for camera in scene.cameras]
     for step in sorted(set().union(*taken)):
         taking = [index for index, steps in enumerate(taken) if step in steps]
@@ -189,8 +196,8 @@ def _frames_of_stream(scene: Scene, first: int, stop: int) -> Iterator[FrameKey]
             before = scene.last_frame(scene.cameras[index], step)
             since = 0 if before is None else before + 1
             parts = range(since // STREAM_STEPS, step // STREAM_STEPS + 1)
-            drawn = (_step_of_stream(scene, part) for part in parts)
-            if any(since <= each <= step and camera == index for each, camera in drawn):
+            asked = (_step_of_stream(scene, part) for part in parts)
+            if any(since <= each <= step and camera == index for each, camera in asked):
                 yield step, index
 
 
