@@ -45,7 +45,7 @@ def time_beside(tag: str | None, before: str, after: str) -> float | None:
 
 
 def _times(numbers: list[str]) -> list[float]:
-    """Those of Unix times that can be of a log of AIS."""
+    """Unix times among some that a log of AIS can have."""
     return [value for value in map(_unix_s, numbers) if _FIRST_LOG_S <= value < time.time() + _DAY_S]
 
 

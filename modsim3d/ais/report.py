@@ -122,7 +122,7 @@ def messages_used(traffic: Traffic) -> int:
 
 
 def warning(traffic: Traffic) -> str | None:
-    """What comes first where more messages were lost to faults of the files than were used."""
+    """Warning that comes first where more messages were lost to faults of the files than were used."""
     lost = {name: count for name, count in _dropped(traffic).items() if name not in NO_FAULTS}
     lost["duplicate"] = lost.get("duplicate", 0) - traffic.repeated  # of several receivers
     used, count = messages_used(traffic), sum(lost.values())

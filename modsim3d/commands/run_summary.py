@@ -84,7 +84,7 @@ def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
 
 
 def _check_rows(scene: Scene, checked: Checked | None) -> list[Row]:
-    """What the cross-check compared; of the truth that was kept, if the detector alone has run."""
+    """Row on what the cross-check compared: of the truth that was kept, if the detector alone has run."""
     if checked is None:
         return []
     annotation = scene.annotation

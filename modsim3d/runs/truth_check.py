@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import lru_cache
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -18,8 +17,6 @@ from modsim3d.scene.parts import NO_FILE
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked, Difference, SaidOfFrame, check_frame
 from modsim3d.truth.crosscheck.visible_areas import visible_areas
-from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.pixel_spans import Spans
 from modsim3d.truth.truth_record import Truth
 
 if TYPE_CHECKING:
@@ -222,7 +219,7 @@ def _check_frames(
     scene: Scene, truth: Truth, camera: int, steps: Indices, renderer: IdRenderer, whole: FrameKey | None
 ) -> Checked:
     """Check frames of a camera at ascending steps; of the frame `whole`, the whole image."""
-    from modsim3d.truth.rendered import rendered_spans
+    from modsim3d.truth.rendered import rendered_spans, spans_of_frame
 
     sight, supersample = scene.sight(scene.cameras[camera], steps), scene.annotation.supersample
     outlines, lens = sight.outlines(), sight.camera.intrinsics
@@ -233,8 +230,8 @@ def _check_frames(
         rows = np.flatnonzero((outlines.frame == frame) & outlines.boxed & ~np.isnan(areas))
         said = SaidOfFrame(
             seen.take(slice(*np.searchsorted(seen.step, (step, step + 1)).tolist())),
-            _of_frame(spans[0], outlines, frame),
-            _of_frame(spans[1], outlines, frame),
+            spans_of_frame(spans[0], outlines, frame),
+            spans_of_frame(spans[1], outlines, frame),
             {int(outlines.occluder[row]): (float(areas[row]), float(bounds[row])) for row in rows.tolist()},
             scene.annotation,
         )
@@ -245,12 +242,6 @@ def _check_frames(
         except Difference as difference:
             raise TruthCheckError(_in_words(scene, camera, step, difference), difference.masks) from None
     return checked
-
-
-def _of_frame(spans: Spans, outlines: Outlines, frame: int) -> Spans:
-    """The spans of a frame, by index of the vessel in place of the row of the outlines."""
-    chosen = spans.take(outlines.frame[spans.row] == frame)
-    return replace(chosen, row=outlines.occluder[chosen.row])
 
 
 def _in_words(scene: Scene, camera: int, step: int, difference: Difference) -> str:

@@ -107,23 +107,6 @@ class Occlusion:
             drawn=self.was_drawn()[rows],
         )
 
-    def among(self, rows: Indices, count: int) -> Occlusion:
-        """The inverse of `take`: these rows as `rows`, shape (k,), of `count`; the others are NaN, and not hidden."""
-
-        def _spread(column: Array) -> Array:
-            wide = np.full((count, *column.shape[1:]), np.nan)
-            wide[rows] = column
-            return wide
-
-        return Occlusion(
-            full_boxes_px=_spread(self.full_boxes_px),
-            visible_boxes_px=_spread(self.visible_boxes_px),
-            silhouette_px=_spread(self.silhouette_px),
-            visible_px=_spread(self.visible_px),
-            hidden=HiddenPixels(rows[self.hidden.row], self.hidden.occluder, self.hidden.px),
-            intersecting=rows[self.intersecting],
-        )
-
     def was_drawn(self) -> Mask:
         """Whether OpenGL has drawn each row, shape (n,)."""
         return np.zeros(len(self.silhouette_px), dtype=bool) if self.drawn is None else self.drawn

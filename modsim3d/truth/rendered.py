@@ -54,6 +54,12 @@ def rendered_occlusion(
     )
 
 
+def spans_of_frame(spans: Spans, outlines: Outlines, frame: int) -> Spans:
+    """The spans of a frame, by index of the vessel in place of the row of the outlines."""
+    chosen = spans.take(outlines.frame[spans.row] == frame)
+    return replace(chosen, row=outlines.occluder[chosen.row])
+
+
 def _portions(outlines: Outlines, supersample: int) -> list[tuple[int, int]]:
     """Runs of whole frames that have about `MOST_LINES` scan lines together, one at least: first row and stop."""
     heights = (outlines.boxes_px[:, 3] - outlines.boxes_px[:, 1]) * supersample

@@ -18,6 +18,7 @@ from benchmarks.resampled_means import (
     TRAFFICS,
     T,
     holds,
+    lower_rate,
     measured,
     moments,
     offers,
@@ -54,6 +55,13 @@ def test_no_mean_is_judged_on_two_seeds_and_the_usual_scores_are_from_ten():
     seeds, place = measured_offers()["seeds"], measured_offers()["confidences"].index(0.95)
     assert all(each is None or each >= 3 for offer in seeds.values() for bound in offer.values() for each in bound)
     assert all(seeds[score][bound][place] <= 10 for score, bound in REQUIRED.items())
+
+
+def test_the_usual_means_have_four_fifths_of_the_power_of_t_from_ten_seeds_on_and_none_fails(figures):
+    cells = [cell for cell in figures["resampled"]["cells"] if cell["score"] in REQUIRED]
+    assert len(cells) == len(REQUIRED) * len(TRAFFICS) * len(TRACKERS) * 6
+    assert all(cell["power"][RULE] >= 0.8 * cell["strict"] for cell in cells if cell["seeds"] >= 10)
+    assert all(lower_rate(cell["wrong"][RULE], figures["resampled"]["campaigns"]) <= 0.05 for cell in cells)
 
 
 def test_each_traffic_has_the_same_seeds_with_each_tracker(scores):

@@ -1,7 +1,5 @@
 """What a source says about occlusion, as rows are chosen, spread and turned into the truth record."""
 
-from dataclasses import fields
-
 import numpy as np
 import shapely
 
@@ -38,22 +36,6 @@ def test_chosen_rows_keep_their_hiders_and_the_pairs_of_which_both_are_chosen():
     assert found.intersecting.tolist() == [[0, 2]]
     np.testing.assert_array_equal(found.silhouette_px, [0.0, 20.0, 30.0])
     assert five_rows().take(np.array([1, 2, 3, 4])).intersecting.tolist() == [[0, 3]]
-
-
-def test_spreading_undoes_choosing_and_says_nothing_of_the_others():
-    rows, whole = np.array([0, 2, 3, 4]), five_rows()
-    spread = whole.take(rows).among(rows, 5)
-    assert spread.occluders == ((), (), ((0, 3.0), (1, 5.0)), (), ((2, 7.0),))
-    assert spread.intersecting.tolist() == [[0, 3]]
-    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
-        np.testing.assert_array_equal(getattr(spread, name)[rows], getattr(whole, name)[rows])
-        assert np.isnan(getattr(spread, name)[1]).all()
-    every = np.arange(5)
-    for field in fields(Occlusion):
-        if field.name != "hidden":
-            np.testing.assert_array_equal(
-                getattr(whole.take(every).among(every, 5), field.name), getattr(whole, field.name)
-            )
 
 
 def test_share_that_is_visible_is_unknown_without_a_pixel():

@@ -24,7 +24,7 @@ def at_step(plan: Plan, place: int, count: int, taken: int) -> Requirement:
 
 
 def stepped(count: int, holds: Callable[[int, int], bool]) -> dict[int, int]:
-    """Which of `count` statements hold together, each with the number of those that held before.
+    """Statements, of `count`, that hold together, each with the number of those that held before.
 
     After Holm (1979), "A simple sequentially rejective multiple test procedure", Scand. J. Stat. 6, 65-70: all are
     tested with α/m; what holds leaves its part to the others, which are tested again with α/(m − k).

@@ -110,7 +110,7 @@ SHARES = frozenset(name for name, facts in _KNOWN.items() if (facts.least, facts
 
 
 def facts_of(score: str, group: str = "") -> ScoreFacts:
-    """What is known of a score, or of that of a part of a run; others are numbers of things, and times, of 0 or more.
+    """Facts of a score, or of that of a part of a run; others are numbers of things, and times, of 0 or more.
 
     The rows have no number of matches by state or camera: `deta` is never above the share that is followed.
     """

@@ -70,7 +70,7 @@ class SequenceInfo:
 
 @dataclass(frozen=True)
 class _Known:
-    """What a line may name, a class where the lines of `classed` name classes, and a frame; and remarks on columns."""
+    """Columns that lines may name: a class where those of `classed` do, and a frame; and remarks on columns."""
 
     to_label: Mapping[int, int]
     classed: str

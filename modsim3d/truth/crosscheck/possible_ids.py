@@ -23,11 +23,6 @@ MOST_PAIRS = 2_000_000
 """Most pixels times triangles that are looked at together; it bounds the memory."""
 
 
-def tie_pixels(drawing: Drawing, x: Indices, y: Indices) -> Mask:
-    """At which of k pixels, by buffer column and row, rounding decides what is seen, shape (k,)."""
-    return np.asarray(possible_ids(drawing, x, y)[1].sum(axis=1) > 1)
-
-
 def undecided(drawing: Drawing, x: Indices, y: Indices, wanted: int) -> Mask:
     """At which of k pixels rounding decides whether an ID is seen, or anything else or nothing, shape (k,)."""
     ids, possible = possible_ids(drawing, x, y)

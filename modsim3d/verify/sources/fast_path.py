@@ -19,6 +19,7 @@ from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.pixel_masks import PixelMasks
 from modsim3d.truth.pixel_spans import Spans
+from modsim3d.truth.rendered import spans_of_frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,7 @@ class FastPath:
         words: dict[int, str] = {}
         missing = 0
         for frame, drawing in enumerate(drawings):
-            silhouettes, visible = (self._of_frame(frame, each) for each in self.spans)
+            silhouettes, visible = (spans_of_frame(each, self.outlines, frame) for each in self.spans)
             said = SaidOfFrame(truth.take(truth.step == frame), silhouettes, visible, areas={})
             vessels = set(np.flatnonzero(boxed[frame]).tolist())
             while True:  # until all vessels that differ are left out
@@ -76,8 +77,3 @@ class FastPath:
                     text = f"{each.what}: {each.truth} in the truth, {each.drawn} drawn"
                     words |= dict.fromkeys(np.flatnonzero(row).tolist(), text)
         return checked, words, missing
-
-    def _of_frame(self, frame: int, spans: Spans) -> Spans:
-        """The spans of a frame, by index of the vessel in place of the row."""
-        chosen = spans.take(self.outlines.frame[spans.row] == frame)
-        return replace(chosen, row=self.outlines.occluder[chosen.row])
