@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -26,12 +25,14 @@ if TYPE_CHECKING:
     from modsim3d.runs.run import run_scene
     from modsim3d.runs.stored_run import open_run
     from modsim3d.scene.camera_placement import camera_placement
+    from modsim3d.scene.from_dict import scene_from_dict
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.scene import Scene
     from modsim3d.tracking.score_run import score_run
     from modsim3d.tracking.track_run import track_run
     from modsim3d.tracking.trackers.interface import TrackedFrame, Tracker
-    from modsim3d.verify.verification import verify_run
+    from modsim3d.verify.verify_run import verify_run
+    from modsim3d.view.frame_plot import plot_frame
     from modsim3d.voyage.learned import learn_voyage
 
     __version__: str
@@ -52,8 +53,10 @@ __all__ = [
     "locate",
     "open_campaign",
     "open_run",
+    "plot_frame",
     "run_campaign",
     "run_scene",
+    "scene_from_dict",
     "score_run",
     "simulate_frames",
     "track_run",
@@ -76,15 +79,16 @@ _HOMES = {
     "locate": "modsim3d.positions.locating",
     "open_campaign": "modsim3d.campaign.campaign",
     "open_run": "modsim3d.runs.stored_run",
+    "plot_frame": "modsim3d.view.frame_plot",
     "run_campaign": "modsim3d.campaign.campaign",
     "run_scene": "modsim3d.runs.run",
+    "scene_from_dict": "modsim3d.scene.from_dict",
     "score_run": "modsim3d.tracking.score_run",
     "simulate_frames": "modsim3d.runs.pipeline",
     "track_run": "modsim3d.tracking.track_run",
-    "verify_run": "modsim3d.verify.verification",
+    "verify_run": "modsim3d.verify.verify_run",
 }
 
-__path__.append(str(Path(__file__).with_name("old_paths")))  # where documented modules are found that have moved
 
 if not TYPE_CHECKING:  # a type checker takes the imports above, and so finds a misspelt name
 

@@ -78,7 +78,7 @@ def modules() -> list[str]:
     """The modules of the package, without those that only keep old names alive."""
     package = Path(modsim3d.__file__).parent
     names = [path.relative_to(package.parent).with_suffix("").parts for path in package.rglob("*.py")]
-    return sorted(".".join(name) for name in names if name[1] != "old_paths" and not name[-1].startswith("__"))
+    return sorted(".".join(name) for name in names if not name[-1].startswith("__"))
 
 
 def answer(connection: socket.socket, inherited: frozenset[str]) -> None:

@@ -60,7 +60,7 @@ def scene_warnings(scene: Scene) -> list[str]:
     """Vessels that found no room, meshes that do not fit, and lines of the detector file that change nothing."""
     from modsim3d.detector.file.unread import dead_lines
     from modsim3d.motion.poses.traffic import DrawnTraffic
-    from modsim3d.vessels.meshes.fit import misfits
+    from modsim3d.vessels.obstacles import misfits
 
     left_out = scene.poses.left_out if isinstance(scene.poses, DrawnTraffic) else {}
     others = [*misfits(scene.vessels, scene.obstacles), *dead_lines(scene.detector)]

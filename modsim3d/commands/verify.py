@@ -49,7 +49,7 @@ def verify_command(
     from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.stored_run import open_run
     from modsim3d.verify import report as verify_report
-    from modsim3d.verify.verification import verify_run
+    from modsim3d.verify.verify_run import verify_run
 
     with timed("opening the run"):
         opened = open_run(run)

@@ -11,19 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import sizes
-from modsim3d.detector.draws import cumulative, log2, low_uniforms, select
+from modsim3d.detector.draws import cumulative, log2, low_uniforms
 from modsim3d.detector.dropout import Dropout
-from modsim3d.detector.records import CameraFrames, Targets
+from modsim3d.detector.records import Targets
 from modsim3d.random_streams import on_grid
-
-if TYPE_CHECKING:
-    from modsim3d.detector.model import DetectorModel
 
 LOG_ODDS_STEP = 1 / 4096
 """Width of a range of log-odds: an anchored rate is off by at most half of it times p·(1 − p), so 3e-5."""
@@ -112,19 +108,3 @@ def _log_odds_rows(dropout: Dropout, state: int, targets: Targets) -> Indices:
     states = np.full(len(targets), state)
     ranges = np.rint(dropout.log_odds(states, targets) / LOG_ODDS_STEP).astype(np.int64)
     return np.column_stack([states, targets.label, ranges])
-
-
-def take_census(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetCensus:
-    """The census that a detector needs of a scene: give the result to `Detector`, whatever the model.
-
-    Args:
-        model: The detector; only targets that pass its gates count.
-        parts: Frames and targets that together are the whole scene. They are not read if the model needs no census;
-            the result is then empty.
-    """
-    if not model.needs_census:
-        return TargetCensus()
-    return TargetCensus.total(
-        TargetCensus.of(model.dropout, select(targets, np.flatnonzero(model.gates.passed(frames, targets))))
-        for frames, targets in parts
-    )

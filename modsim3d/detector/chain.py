@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -274,3 +274,19 @@ def clutter_rates(model: DetectorModel) -> ClutterRates:
     """How many false positives each state of a detector asks for."""
     discovery, per_image = model.column("false_discovery_rate"), model.column("false_positives_per_image")
     return ClutterRates(discovery, per_image, model.confidence_threshold)
+
+
+def take_census(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetCensus:
+    """The census that a detector needs of a scene: give the result to `Detector`, whatever the model.
+
+    Args:
+        model: The detector; only targets that pass its gates count.
+        parts: Frames and targets that together are the whole scene. They are not read if the model needs no census;
+            the result is then empty.
+    """
+    if not model.needs_census:
+        return TargetCensus()
+    return TargetCensus.total(
+        TargetCensus.of(model.dropout, select(targets, np.flatnonzero(model.gates.passed(frames, targets))))
+        for frames, targets in parts
+    )

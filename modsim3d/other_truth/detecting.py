@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.detector.census import take_census
-from modsim3d.detector.chain import Detector
+from modsim3d.detector.chain import Detector, take_census
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock
 from modsim3d.detector.records import CameraFrames, Detections, Targets

@@ -14,8 +14,8 @@ from modsim3d.arrays import Indices
 from modsim3d.detector.model import DetectorModel
 from modsim3d.other_truth.detecting import Part
 from modsim3d.other_truth.sought import Sought
-from modsim3d.runs.files.table_columns import COLUMNS, Column
-from modsim3d.runs.files.tables import BOX_SIDES, ROW_GROUP_ROWS, detection_columns, named, numbers
+from modsim3d.runs.files.table_columns import BOX_SIDES, COLUMNS, Column
+from modsim3d.runs.files.tables import ROW_GROUP_ROWS, detection_columns, named, numbers
 
 IMAGE = Column("image", pa.string(), "", "what the file of truth calls the image: its ID in COCO, the frame in MOT")
 FROM_OVERLAP = Column(

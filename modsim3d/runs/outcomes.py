@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from modsim3d.arrays import Array, Mask
 from modsim3d.boxes import iou
 from modsim3d.detector.records import FALSE_KINDS, KINDS
-from modsim3d.runs.blocks import Frame
+from modsim3d.runs.frames import Frame
 
 FALSE_NAMES = frozenset(KINDS[kind] for kind in FALSE_KINDS)
 GOOD_IOU = 0.5

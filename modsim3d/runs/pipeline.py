@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modsim3d.arrays import Indices, occurring
-from modsim3d.detector.census import TargetCensus, take_census
-from modsim3d.detector.chain import Detector
+from modsim3d.detector.census import TargetCensus
+from modsim3d.detector.chain import Detector, take_census
 from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.motion.poses import LivePoses
 from modsim3d.motion.vessel_motion import PosesInWaves
-from modsim3d.runs.blocks import Block, CameraBlock, Frame, frames_of
+from modsim3d.runs.blocks import Block, CameraBlock, frames_of
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.checks import place_problems
 from modsim3d.scene.scene import Scene

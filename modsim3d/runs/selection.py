@@ -11,7 +11,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.errors import ModsimError
-from modsim3d.runs.blocks import Frame
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.stored_run import StoredRun
 
 NEAR_S = 1e-6

@@ -15,7 +15,7 @@ from modsim3d.display import key_table, listed
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.inputs.validation import nearest
 from modsim3d.paths import StrPath, as_path
-from modsim3d.runs.blocks import Block, Frame, frames_of
+from modsim3d.runs.blocks import Block, frames_of
 from modsim3d.runs.files.block_files import OWN_SHIP, SETTINGS_FILE, TABLES, finished_truth
 from modsim3d.runs.files.reading import detections_of, truth_of
 from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER, UNFINISHED
@@ -31,6 +31,7 @@ from modsim3d.runs.files.run_file import (
 )
 from modsim3d.runs.files.stored_tables import StoredTables
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, detected_block, scene_census
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene

@@ -143,9 +143,9 @@ class Scene:
         Raises:
             InputError: With every problem found, each with its path in the mapping.
         """
-        from modsim3d.scene.from_dict import scene_from_dict
+        import modsim3d  # whose names are imported when they are first used
 
-        return scene_from_dict(
+        return modsim3d.scene_from_dict(
             data,
             name=name,
             seed=seed,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,9 +19,11 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.tracking.oracle.references import reference_tracks
 from modsim3d.tracking.report.numbers import keys_of
+from modsim3d.tracking.report.score_tables import HEADER, conclusion_of, score_rows
+from modsim3d.tracking.run_scores import ScoredTracks, TrackScores, WorldTrackScores
 from modsim3d.tracking.scores.rules import Rules, SetDistance
-from modsim3d.tracking.scores.scoring import Scores, score_tracks
-from modsim3d.tracking.world.scoring import DEFAULT_GATE_M, IN_METRES, WorldScores, score_world
+from modsim3d.tracking.scores.scoring import score_tracks
+from modsim3d.tracking.world.scoring import DEFAULT_GATE_M, IN_METRES, score_world
 from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.reading_world import is_world, read_world_tracks
 from modsim3d.tracks.similarity import Similarity, SimilarityName
@@ -30,64 +32,15 @@ from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 from modsim3d.tracks.world_tracks import WorldTracks
 
 if TYPE_CHECKING:
-    from modsim3d.tracking.detector_seeds import SeedSpread
+    pass
 
 
-@dataclass(frozen=True, eq=False)
-class TrackScores:
-    """The scores of one tracker in the images.
-
-    Attributes:
-        name: What tables call it.
-        path: Where its tracks are; None if they were given in memory.
-        track_set: Its tracks.
-        scores: Their scores.
-    """
-
-    name: str
-    path: Path | None
-    track_set: TrackSet
-    scores: Scores
-
-
-@dataclass(frozen=True, eq=False)
-class WorldTrackScores:
-    """The scores of one tracker in the world.
-
-    Attributes:
-        name: What tables call it.
-        path: Where its tracks are.
-        scores: Their scores.
-    """
-
-    name: str
-    path: Path
-    scores: WorldScores
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RunScores:
+class RunScores(ScoredTracks):
     """How well tracks follow the vessels of a run, from `score_run`.
 
-        scores = modsim3d.score_run("runs/first", ["runs/sort", "runs/reference"])
-        scores.trackers[0].scores.flat()["hota"], scores.conclusion, scores.write("runs/scores")
-
-    Attributes:
-        run: The run.
-        rules: How tracks were scored.
-        trackers: The trackers in the images, the highest HOTA first.
-        references: The scores of the run's own detections with perfect association: `smoothed`, and with `raw` boxes.
-            They are references and no ceilings: a tracker that smooths better may exceed them.
-        seeds: Scores over detector seeds; None unless asked for.
-        world: The trackers in the world.
+    scores = modsim3d.score_run("runs/first", ["runs/sort", "runs/reference"])
+    scores.trackers[0].scores.flat()["hota"], scores.conclusion, scores.write("runs/scores")
     """
-
-    run: StoredRun
-    rules: Rules
-    trackers: tuple[TrackScores, ...]
-    references: dict[str, Scores]
-    seeds: SeedSpread | None
-    world: tuple[WorldTrackScores, ...]
 
     def __repr__(self) -> str:
         """The outcome in a sentence."""
@@ -95,15 +48,11 @@ class RunScores:
 
     def _repr_html_(self) -> str:
         """The outcome, and a line for each tracker."""
-        from modsim3d.tracking.report.score_tables import HEADER, score_rows
-
         return column_table(self.conclusion, HEADER, score_rows(self))
 
     @cached_property
     def conclusion(self) -> str:
         """The outcome in a sentence."""
-        from modsim3d.tracking.report.score_tables import conclusion_of  # the report knows this module
-
         return conclusion_of(self)
 
     def write(self, folder: StrPath, *, overwrite: bool = False) -> tuple[Path, ...]:
@@ -120,7 +69,7 @@ class RunScores:
             OutputError: A file exists, or cannot be written.
             TypeError: The folder is neither text nor a path.
         """
-        from modsim3d.tracking.report.score_page import FILES, write_scores
+        from modsim3d.tracking.report.score_page import FILES, write_scores  # pages take 0.1 s to import
 
         paths = tuple(as_path(folder, "folder") / name for name in FILES)
         given = [each.path for each in self.trackers] + [each.path for each in self.world]

@@ -25,7 +25,8 @@ from modsim3d.outputs.placing import write_files
 from modsim3d.runs.files.columns import NOBODY, indices, integers, numbers
 from modsim3d.runs.files.replacing import read_of_run
 from modsim3d.runs.files.run_file import FileEntry, Sha256, Text
-from modsim3d.runs.files.tables import BOX_SIDES, ROW_GROUP_ROWS
+from modsim3d.runs.files.table_columns import BOX_SIDES
+from modsim3d.runs.files.tables import ROW_GROUP_ROWS
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracks.files.box_forms import CORNERS

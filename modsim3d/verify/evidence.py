@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import at_least_a_pixel
-from modsim3d.detector.census import TargetCensus, take_census
+from modsim3d.detector.census import TargetCensus
+from modsim3d.detector.chain import take_census
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Detections, Targets
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from modsim3d.detector.census import take_census
-from modsim3d.detector.chain import Detector
+from modsim3d.detector.chain import Detector, take_census
 from modsim3d.detector.model import DetectorModel
 from modsim3d.runs.pipeline import DetectorInput, block_ranges, block_steps, detector_inputs, open_renderer, truth_block
 from modsim3d.scene.scene import Scene

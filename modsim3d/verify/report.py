@@ -25,7 +25,7 @@ from modsim3d.verify.parameters import (
     Verdict,
     Verification,
 )
-from modsim3d.verify.verification import VerifiedRun
+from modsim3d.verify.verification import CheckedRun
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.provenance import Provenance, file_input
 from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions
@@ -115,7 +115,7 @@ def _noticed(verdict: Verdict) -> str:
     return " ".join(parts) or "–"
 
 
-def report_data(verified: VerifiedRun) -> dict[str, Any]:
+def report_data(verified: CheckedRun) -> dict[str, Any]:
     """What `verify.json` holds."""
     verification = verified.verification
     cause = verification.cause
@@ -157,14 +157,14 @@ def _finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else value
 
 
-def write_report(verified: VerifiedRun, folder: StrPath, command: str | None = None) -> None:
+def write_report(verified: CheckedRun, folder: StrPath, command: str | None = None) -> None:
     """Write `verify.json` and `verify.html` into a folder; the page names the command, or the call if it is None."""
     target = as_path(folder, "folder")
     data = orjson.dumps(report_data(verified), option=orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY) + b"\n"
     write_files(dict(zip((target / name for name in FILES), (data, _page(verified, command)), strict=True)))
 
 
-def _page(verified: VerifiedRun, command: str | None) -> str:
+def _page(verified: CheckedRun, command: str | None) -> str:
     verification, model, evidence = verified.verification, verified.model, verified.evidence
     found, false = evidence.true_detections, evidence.false_detections
     body = [
@@ -208,7 +208,7 @@ def _notes(verification: Verification) -> Iterator[str]:
             yield page.folded(f"{note[0].upper()}{note[1:]}: {len(found)} entries", page.paragraph(", ".join(found)))
 
 
-def _provenance(verified: VerifiedRun, command: str | None) -> Provenance:
+def _provenance(verified: CheckedRun, command: str | None) -> Provenance:
     run, given = verified.run, verified.detector
     call = f"modsim3d.verify_run({str(run.folder)!r}{'' if given is None else f', {str(given)!r}'}).write(…)"
     named = () if given is None else (file_input("detector file that it is held against", given),)

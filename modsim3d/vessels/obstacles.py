@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING
@@ -14,7 +14,8 @@ from modsim3d.arrays import Array, Indices, read_only
 from modsim3d.geometry.curved_sea import drop_m
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.vessels.bodies import Bodies
-from modsim3d.vessels.vessel import Solid
+from modsim3d.vessels.meshes.fit import misfit
+from modsim3d.vessels.vessel import Solid, Vessel
 
 if TYPE_CHECKING:
     import trimesh
@@ -135,3 +136,18 @@ def _grouped(obstacles: tuple[Obstacle, ...]) -> tuple[tuple[Solid, Indices, Arr
         (solid, np.array([index for index, _ in members]), read_only([vertices for _, vertices in members]))
         for solid, members in members_of.items()
     )
+
+
+def misfits(vessels: Iterable[Vessel], obstacles: Iterable[Obstacle]) -> list[str]:
+    """One sentence for each mesh that does not fit a vessel or an obstacle; it names the first of them."""
+    bodies = [(f"vessel '{each.name}'", f"the mesh {each.shape}", each.solid, each.extents_m) for each in vessels]
+    for each in obstacles:
+        for solid, corners_m in each.solids:  # scaled, and then turned and placed
+            linear = np.linalg.lstsq(np.column_stack([solid.vertices, np.ones(len(corners_m))]), corners_m)[0][:3]
+            bodies.append((f"obstacle '{each.name}'", "the mesh", solid, np.linalg.norm(linear, axis=1)))
+    found: dict[Solid, list[tuple[str, str]]] = {}
+    for name, mesh, solid, size_m in bodies:
+        if problem := misfit(solid, size_m):
+            found.setdefault(solid, []).append((name, f"{mesh} {problem}"))
+    firsts = ((*named[0], len(named) - 1) for named in found.values())
+    return [f"{name}{f' and {more} more' if more else ''}: {problem}" for name, problem, more in firsts]

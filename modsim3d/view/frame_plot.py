@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.errors import ModsimError
 from modsim3d.render.plain_ids import PlainIds
-from modsim3d.runs.blocks import Frame
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.outcomes import NOTHING_WRONG, frame_outcomes
 from modsim3d.scene.scene import Scene
 from modsim3d.view.films.plan import part_around

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from modsim3d.runs.blocks import Frame
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 
 NAMES = {

@@ -58,7 +58,7 @@ def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
 def test_no_name_is_a_modules() -> None:
     """Importing a module of the same name would put it in the place of the function."""
     modules = {module.name for module in pkgutil.iter_modules(modsim3d.__path__)}
-    assert {"learn", "verify", "poses"} <= modules
+    assert {"learn", "verify"} <= modules
     assert set(modsim3d.__all__) & modules == set()
 
 
@@ -94,7 +94,7 @@ def public_parts() -> dict[str, object]:
         "modsim3d.scene.copy": ("SceneCopy",),
         "modsim3d.scene.snapshot": ("Snapshot",),
         "modsim3d.tracking.track_run": ("TrackResult",),
-        "modsim3d.verify.verification": ("VerifiedRun",),
+        "modsim3d.verify.verify_run": ("VerifiedRun",),
     }
     parts: dict[str, object] = {name: getattr(modsim3d, name) for name in modsim3d.__all__}
     parts |= {name: getattr(import_module(module), name) for module, names in results.items() for name in names}

@@ -14,8 +14,7 @@ import numpy as np
 from modsim3d.ais.options import Options
 from modsim3d.ais.scene_folder import write_scene
 from modsim3d.ais.traffic import read_traffic
-from modsim3d.detector.census import take_census
-from modsim3d.detector.chain import Detector
+from modsim3d.detector.chain import Detector, take_census
 from modsim3d.detector.file.reading import load_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run

@@ -28,7 +28,7 @@ from modsim3d.learn.states.states import each_its_own, transitions_of
 from modsim3d.learn.states.transitions import Transitions
 from modsim3d.learn.told.report import NearGate
 from modsim3d.runs.stored_run import open_run
-from modsim3d.verify.verification import verify_run
+from modsim3d.verify.verify_run import verify_run
 from tests.formats.labelled_sets import found, images, random_set, truth
 from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
 

@@ -31,7 +31,7 @@ from modsim3d.learn.learned import Settings
 from modsim3d.learn.numbers.resampling import resample
 from modsim3d.learn.told.report import Report
 from modsim3d.runs.stored_run import open_run
-from modsim3d.verify.verification import verify_run
+from modsim3d.verify.verify_run import verify_run
 from tests.formats.labelled_sets import images
 from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
 

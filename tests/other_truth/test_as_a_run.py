@@ -15,7 +15,7 @@ from scipy import stats
 from modsim3d.detector.records import KINDS
 from modsim3d.other_truth.detect_truth import detect_truth
 from modsim3d.runs.detect_run import detect_run
-from modsim3d.runs.files.tables import BOX_SIDES, ERRORS
+from modsim3d.runs.files.table_columns import BOX_SIDES, ERRORS
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene

@@ -26,7 +26,7 @@ def test_contributing_names_files_and_rooms_that_are_there() -> None:
 
 def test_every_room_of_the_package_is_in_the_architecture() -> None:
     package = README.parent / "modsim3d"
-    rooms = {path.parent.name for path in package.glob("*/__init__.py")} - {"old_paths"}
+    rooms = {path.parent.name for path in package.glob("*/__init__.py")}
     table = (README.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
     assert {name for name in rooms if f"`{name}/`" not in table} == set()
 

@@ -13,7 +13,7 @@ import pytest
 
 from modsim3d.boxes import iou
 from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.blocks import Frame
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import RunResult, run_scene
 from modsim3d.runs.stored_run import open_run

@@ -13,8 +13,7 @@ import pytest
 
 from modsim3d.boxes import centre_form, corner_form
 from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.files.table_columns import COLUMNS, Column, schema_of
-from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM
+from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, COLUMNS, Column, schema_of
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene

@@ -13,7 +13,7 @@ from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.runs.files import tables
 from modsim3d.runs.files.columns import indices, integers, numbers
 from modsim3d.runs.files.reading import truth_of
-from modsim3d.runs.files.tables import BOX_SIDES
+from modsim3d.runs.files.table_columns import BOX_SIDES
 from modsim3d.runs.pipeline import detected_block, step_ranges
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene

@@ -14,8 +14,9 @@ from modsim3d.campaign.work.layers import Made
 from modsim3d.campaign.work.worst_moment import FALSE, LOST, SWITCHED, Mistakes, worst_frame
 from modsim3d.display import counted
 from modsim3d.errors import RendererError
-from modsim3d.runs.blocks import Frame, frames_of
+from modsim3d.runs.blocks import frames_of
 from modsim3d.runs.files.reading import detections_of, truth_of
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.outcomes import NOTHING_WRONG
 from modsim3d.runs.pipeline import detected_block
 from modsim3d.runs.run_rows import RunRows

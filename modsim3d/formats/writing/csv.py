@@ -23,7 +23,7 @@ from modsim3d.positions.locating import Attitude, locate
 from modsim3d.positions.viewpoints import Viewpoints
 from modsim3d.runs.camera_sequences import CameraSequence
 from modsim3d.runs.files.columns import numbers
-from modsim3d.runs.files.tables import BOX_SIDES
+from modsim3d.runs.files.table_columns import BOX_SIDES
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.told import BOX_DECIMALS
 from modsim3d.scene.own_ships import own_ships_at, true_attitudes

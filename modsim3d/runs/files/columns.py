@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.runs.files.tables import BOX_SIDES
+from modsim3d.runs.files.table_columns import BOX_SIDES
 
 NOBODY = -1
 """The index of a name that is null, or not among the names."""

@@ -7,7 +7,8 @@ import pyarrow as pa
 
 from modsim3d.boxes import corner_form
 from modsim3d.runs.files.columns import numbers
-from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM, DETECTIONS
+from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM
+from modsim3d.runs.files.tables import DETECTIONS
 
 _CENTRE_FORM = dict(zip(CENTRE_FORM, ("x_px", "y_px", "width_px", "height_px"), strict=True))
 FORMAT_1_DETECTIONS = pa.schema(

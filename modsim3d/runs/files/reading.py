@@ -23,7 +23,7 @@ from modsim3d.runs.files.columns import (
     positions,
     truth_boxes_px,
 )
-from modsim3d.runs.files.tables import ERRORS, TRUTH_NUMBERS
+from modsim3d.runs.files.table_columns import ERRORS, TRUTH_NUMBERS
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.truth_record import Truth
 

@@ -28,7 +28,7 @@ from modsim3d.runs.files.columns import (
     positions,
     truth_boxes_px,
 )
-from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM, ERRORS
+from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS
 from modsim3d.scene.scene import Scene
 
 ROUNDING = 1e-6

@@ -8,6 +8,11 @@ import pyarrow as pa
 
 from modsim3d.detector.records import KINDS
 
+BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+CENTRE_FORM = ("centre_x_px", "centre_y_px", "width_px", "height_px")
+ERRORS = ("e_x_px", "e_y_px", "e_w_px", "e_h_px")
+TRUTH_NUMBERS = ("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m")
+"""Columns of the truth table that are attributes of `Truth`."""
 _WHOLE = "box around the whole silhouette, hidden parts included, cut at the image edge"
 _VISIBLE = "box around the visible part; null if nothing is visible, or if the source of the truth cannot tell"
 _OWN = "box, cut at the image edge"

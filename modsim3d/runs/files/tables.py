@@ -17,18 +17,13 @@ from modsim3d.boxes import centre_form
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.table_columns import schema_of
+from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS, TRUTH_NUMBERS, schema_of
 from modsim3d.scene.scene import Scene
 
 ROW_GROUP_ROWS = 65_536
 MOST_WAITING = 64
 """So many small tables wait to be written before they are joined: a table of one row takes thousands of bytes."""
 
-BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
-CENTRE_FORM = ("centre_x_px", "centre_y_px", "width_px", "height_px")
-ERRORS = ("e_x_px", "e_y_px", "e_w_px", "e_h_px")
-TRUTH_NUMBERS = ("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m")
-"""Columns of the truth table that are attributes of `Truth`."""
 FRAMES, TRUTH, DETECTIONS = (schema_of(name) for name in ("frames", "truth", "detections"))
 
 

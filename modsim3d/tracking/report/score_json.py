@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
+from modsim3d.tracking.report.score_tables import conclusion_of
 from modsim3d.tracking.report.world_tables import world_data
-from modsim3d.tracking.score_run import RunScores, TrackScores
+from modsim3d.tracking.run_scores import ScoredTracks, TrackScores
 from modsim3d.tracking.scores.rules import Rules
 
 FORMAT = 1
 
 
-def score_data(scores: RunScores) -> dict[str, Any]:
+def score_data(scores: ScoredTracks) -> dict[str, Any]:
     """What `score.json` holds."""
     return {
         "format": FORMAT,
         "scene": scores.run.scene.name,
         "run": scores.run.folder,
-        "conclusion": scores.conclusion,
+        "conclusion": conclusion_of(scores),
         "rules": _rules(scores.rules),
         "trackers": [_tracker(each) for each in scores.trackers],
         "references": {name: found.as_json() for name, found in scores.references.items()},
@@ -54,7 +55,7 @@ def _tracker(each: TrackScores) -> dict[str, Any]:
     }
 
 
-def _seeds(scores: RunScores) -> dict[str, Any] | None:
+def _seeds(scores: ScoredTracks) -> dict[str, Any] | None:
     if scores.seeds is None:
         return None
     return {

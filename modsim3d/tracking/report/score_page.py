@@ -20,6 +20,7 @@ from modsim3d.tracking.report.score_tables import (
     HIDDEN_HEADER,
     OCCLUSION_HEADER,
     SEED_HEADER,
+    conclusion_of,
     hidden_rows,
     key_rows,
     named_scores,
@@ -33,7 +34,7 @@ from modsim3d.tracking.report.score_tables import (
     survived_of,
 )
 from modsim3d.tracking.report.world_tables import world_sections
-from modsim3d.tracking.score_run import RunScores, TrackScores
+from modsim3d.tracking.run_scores import ScoredTracks, TrackScores
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.view.pages import charts, page
@@ -46,7 +47,7 @@ CLOSE = "padding-right: 0.4rem"
 GROUP_TITLES = {"phase": "Before, during and after an occlusion", "occlusion": "By length of the occlusion, s"}
 
 
-def write_scores(scores: RunScores, folder: StrPath, command: str | None = None) -> None:
+def write_scores(scores: ScoredTracks, folder: StrPath, command: str | None = None) -> None:
     """Write `score.json` and `score.html` into a folder; the page names the command, or the call if it is None."""
     target = as_path(folder, "folder")
     options = orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY
@@ -54,11 +55,11 @@ def write_scores(scores: RunScores, folder: StrPath, command: str | None = None)
     write_files(dict(zip((target / name for name in FILES), (data, score_page(scores, command)), strict=True)))
 
 
-def score_page(scores: RunScores, command: str | None = None) -> str:
+def score_page(scores: ScoredTracks, command: str | None = None) -> str:
     """The whole page; it names the command, or the call if it is None."""
     run = scores.run
     of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
-    body = [page.paragraph(scores.conclusion, "lead")]
+    body = [page.paragraph(conclusion_of(scores), "lead")]
     if scores.trackers:
         body += [
             page.table(score_rows(scores), HEADER),
@@ -96,7 +97,7 @@ def score_page(scores: RunScores, command: str | None = None) -> str:
     return page.page(title, [*body, *world_sections(scores)], _provenance(scores, command))
 
 
-def _provenance(scores: RunScores, command: str | None) -> Provenance:
+def _provenance(scores: ScoredTracks, command: str | None) -> Provenance:
     run = scores.run
     given = [(each.name, each.path) for each in scores.trackers]
     given += [(each.name, each.path) for each in scores.world]
@@ -113,7 +114,7 @@ def _provenance(scores: RunScores, command: str | None) -> Provenance:
     )
 
 
-def _alpha_chart(scores: RunScores) -> str:
+def _alpha_chart(scores: ScoredTracks) -> str:
     """HOTA at each threshold of similarity."""
     axes, content = charts.Axes((0, 1), (0, 1.02), width=560), ""
     names: list[str] = []
@@ -135,14 +136,14 @@ def _alpha_chart(scores: RunScores) -> str:
     )
 
 
-def _seeds(scores: RunScores) -> list[str]:
+def _seeds(scores: ScoredTracks) -> list[str]:
     if scores.seeds is None:
         return []
     rows = page.table(seed_rows(scores), SEED_HEADER)
     return [page.heading("Detector seeds"), page.paragraph(seeds_in_words(scores), "soft"), rows]
 
 
-def _breakdowns(scores: RunScores) -> list[str]:
+def _breakdowns(scores: ScoredTracks) -> list[str]:
     """A table for each property, with the trackers and the smoothed reference side by side."""
     shown = [each for each in named_scores(scores) if each[0] != REFERENCES[RAW]]
     parts = []
@@ -184,7 +185,7 @@ def _bar(share: float | None, text: str) -> str:
     return f'<td class="number" style="background: {fill}; min-width: 3.5rem; {CLOSE}">{text}</td>'
 
 
-def _parts(scores: RunScores) -> list[str]:
+def _parts(scores: ScoredTracks) -> list[str]:
     """HOTA and others by state, by camera and by class."""
     found = []
     for title, header, rows in part_tables(scores):

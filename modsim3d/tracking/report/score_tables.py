@@ -11,7 +11,7 @@ from modsim3d.tracking.oracle.references import RAW, REFERENCES, SMOOTHED
 from modsim3d.tracking.report.numbers import COLUMNS, UNKNOWN, keys_of, number, percent
 from modsim3d.tracking.report.sentence import LengthBin, TrackerOutcome, conclusion
 from modsim3d.tracking.report.world_tables import world_conclusion
-from modsim3d.tracking.score_run import RunScores
+from modsim3d.tracking.run_scores import ScoredTracks
 from modsim3d.tracking.scores.breakdown import Bin, Breakdown
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, Occlusion
 from modsim3d.tracking.scores.scoring import Scores, SubsetScores
@@ -43,12 +43,12 @@ NOISY_BOXES = 0.3
 OF_SEEDS = "over detector seeds of this traffic; it says nothing about other traffic"
 
 
-def score_rows(scores: RunScores) -> list[tuple[str, ...]]:
+def score_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
     """A line for each tracker, the highest HOTA first, and for each reference, under `HEADER`."""
     return [(name, *score_cells(found)) for name, found in named_scores(scores)]
 
 
-def named_scores(scores: RunScores) -> list[tuple[str, Scores]]:
+def named_scores(scores: ScoredTracks) -> list[tuple[str, Scores]]:
     """The trackers, then the references, with what tables call them."""
     named = [(each.name, each.scores) for each in scores.trackers]
     return named + [(REFERENCES[name], found) for name, found in scores.references.items()]
@@ -77,7 +77,7 @@ def length_bins(occlusions: Sequence[Occlusion]) -> tuple[LengthBin, ...]:
     return tuple(bins)
 
 
-def remarks_of(scores: RunScores) -> str:
+def remarks_of(scores: ScoredTracks) -> str:
     """What a reader should know before using the scores in the images."""
     raw = keys_of(scores.references[RAW])["hota"]
     if scores.rules.similarity.name != "iou" or raw is None or raw >= NOISY_BOXES:
@@ -88,7 +88,7 @@ def remarks_of(scores: RunScores) -> str:
     )
 
 
-def conclusion_of(scores: RunScores) -> str:
+def conclusion_of(scores: ScoredTracks) -> str:
     """The outcome: of the best tracker in the images, and of each in the world."""
     said = []
     if scores.trackers:
@@ -102,7 +102,7 @@ def conclusion_of(scores: RunScores) -> str:
     return " ".join(said)
 
 
-def seed_rows(scores: RunScores) -> list[tuple[str, ...]]:
+def seed_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
     """A line for each tracker and score over detector seeds, under `SEED_HEADER`."""
     if scores.seeds is None:
         return []
@@ -121,7 +121,7 @@ def seed_rows(scores: RunScores) -> list[tuple[str, ...]]:
     return rows
 
 
-def seeds_in_words(scores: RunScores) -> str:
+def seeds_in_words(scores: ScoredTracks) -> str:
     """What the table of seeds is."""
     if scores.seeds is None:
         return ""
@@ -147,7 +147,7 @@ def occlusion_rows(occlusions: Sequence[Occlusion]) -> list[tuple[str, ...]]:
     ]
 
 
-def hidden_rows(scores: RunScores) -> list[tuple[str, ...]]:
+def hidden_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
     """What tracks do on wholly hidden vessels, a line for each tracker and reference."""
     return [
         (
@@ -183,13 +183,13 @@ def survived_of(each: Bin) -> str:
     return f"{round((each.survived or 0.0) * each.judged)} of {each.judged}" if each.judged else UNKNOWN
 
 
-def key_rows(scores: RunScores) -> list[tuple[str, ...]]:
+def key_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
     """All scores by their keys, a column for each tracker and reference."""
     every = [keys_of(found) for _, found in named_scores(scores)]
     return [(key, *(_any_number(keys[key]) for keys in every)) for key in every[0]]
 
 
-def part_tables(scores: RunScores) -> list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
+def part_tables(scores: ScoredTracks) -> list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
     """Title, header and rows of the scores by performance state, by camera and by class, where there are several."""
     named = named_scores(scores)
     parts: dict[str, list[tuple[str, Mapping[str, Mapping[str, Any]]]]] = {

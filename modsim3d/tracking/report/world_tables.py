@@ -8,7 +8,7 @@ from typing import Any
 
 from modsim3d.display import counted
 from modsim3d.tracking.report.numbers import UNKNOWN, number
-from modsim3d.tracking.score_run import RunScores, WorldTrackScores
+from modsim3d.tracking.run_scores import ScoredTracks, WorldTrackScores
 from modsim3d.tracking.world.encounters import MetVessel
 from modsim3d.view.pages import page
 
@@ -30,7 +30,7 @@ ENCOUNTER_HEADER = (
 )
 
 
-def world_rows(scores: RunScores) -> list[tuple[str, ...]]:
+def world_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
     """A line for each tracker, under `WORLD_HEADER`."""
     return [
         (each.name, *(number(each.scores.flat()[key], decimals) for _, key, decimals in WORLD_COLUMNS))
@@ -60,7 +60,7 @@ def encounter_rows(encounters: Sequence[MetVessel]) -> list[tuple[str, ...]]:
     ]
 
 
-def world_sections(scores: RunScores) -> list[str]:
+def world_sections(scores: ScoredTracks) -> list[str]:
     """The sections of the page; none without tracks in the world."""
     if not scores.world:
         return []
@@ -89,7 +89,7 @@ def _encounters_in_words(each: WorldTrackScores) -> str:
     return f"{said} Red: a camera saw the vessel, and no track followed it." if any(map(_is_missed, met)) else said
 
 
-def world_data(scores: RunScores) -> list[dict[str, Any]]:
+def world_data(scores: ScoredTracks) -> list[dict[str, Any]]:
     """What `score.json` has of them."""
     return [
         {
@@ -105,7 +105,7 @@ def world_data(scores: RunScores) -> list[dict[str, Any]]:
     ]
 
 
-def world_conclusion(scores: RunScores) -> str:
+def world_conclusion(scores: ScoredTracks) -> str:
     """The outcome of tracks in the world, a sentence for each tracker."""
     said = []
     for each in scores.world:

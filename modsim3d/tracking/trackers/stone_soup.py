@@ -62,7 +62,7 @@ class StoneSoup(Tracker):
                 from modsim3d.tracking.trackers.stone_soup_parts import ImageTracker
         except ImportError:
             raise ModsimError('Stone Soup trackers need stonesoup: pip install "modsim3d[trackers]"') from None
-        tracker = ImageTracker(self, camera)
+        tracker = ImageTracker(self, camera, isinstance(self, StoneSoupJpda))
         for frame in frames:
             try:
                 with warnings.catch_warnings(), np.errstate(all="ignore"):

@@ -34,7 +34,6 @@ from stonesoup.updater.kalman import KalmanUpdater
 from modsim3d.arrays import Array
 from modsim3d.boxes import centre_form, corner_form
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame
-from modsim3d.tracking.trackers.stone_soup import StoneSoup, StoneSoupJpda
 
 _START = datetime(2000, 1, 1)
 _STATE = 6
@@ -102,8 +101,14 @@ class _Confirming(MultiMeasurementInitiator):  # type: ignore[misc]
 class ImageTracker:
     """A tracker of boxes in the images of one camera."""
 
-    def __init__(self, settings: StoneSoup, camera: CameraFacts) -> None:
-        """Put the components together."""
+    def __init__(self, settings: Any, camera: CameraFacts, joint: bool) -> None:
+        """Put the components together.
+
+        Args:
+            settings: Those of `stone_soup.StoneSoup`, which imports this file when it is used.
+            camera: What is known of the camera.
+            joint: Whether detections are associated jointly.
+        """
         self._settings = settings
         self._numbers: dict[Any, int] = {}
         moves = ConstantVelocity(settings.acceleration_density_px2_s3)
@@ -115,7 +120,7 @@ class ImageTracker:
         confirming = self._confirming(nearest, updater)
         lost = UpdateTimeDeleter(timedelta(seconds=settings.lost_s))
         self._tracker: Any
-        if isinstance(settings, StoneSoupJpda):
+        if joint:
             joint = _joint(settings, camera, predictor, updater)
             self._tracker = MultiTargetMixtureTracker(confirming, lost, None, joint, updater)
         else:
@@ -181,7 +186,7 @@ class ImageTracker:
         return np.concatenate([centre, own.size_sigma_px**2 + (own.size_sigma_share * size) ** 2], axis=1)
 
 
-def _joint(settings: StoneSoupJpda, camera: CameraFacts, predictor: Any, updater: Any) -> Any:
+def _joint(settings: Any, camera: CameraFacts, predictor: Any, updater: Any) -> Any:
     """Joint association by loopy belief propagation (Williams & Lau (2014)).
 
     Exact methods take seconds a frame where a dozen detections lie in the gates of a dozen tracks.

@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.boxes import centre_form, corner_form, from_top_left, sizes
-from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM
+from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.runs.files.table_columns import Column
-from modsim3d.runs.files.tables import BOX_SIDES, named, numbers
+from modsim3d.runs.files.table_columns import BOX_SIDES, Column
+from modsim3d.runs.files.tables import named, numbers
 from modsim3d.scene.scene import Scene
 from modsim3d.tracks.tracks import Tracks
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import permutations
 from typing import TYPE_CHECKING
@@ -12,8 +11,7 @@ import numpy as np
 from modsim3d.arrays import Array
 
 if TYPE_CHECKING:
-    from modsim3d.vessels.obstacles import Obstacle
-    from modsim3d.vessels.vessel import Solid, Vessel
+    from modsim3d.vessels.vessel import Solid
 
 MAX_STRETCH, CLEARLY_BETTER = 3.0, 2.0
 """Axes do not fit if their scales differ by more, and others fit if they lessen that by such a factor."""
@@ -40,21 +38,6 @@ class FileBox:
     def in_words(self, extents: Array) -> str:
         """Extents in the order of the file's axes."""
         return " × ".join(f"{extents[self.letters.index(letter)]:.4g}" for letter in "xyz")
-
-
-def misfits(vessels: Iterable[Vessel], obstacles: Iterable[Obstacle]) -> list[str]:
-    """One sentence for each mesh that does not fit a vessel or an obstacle; it names the first of them."""
-    bodies = [(f"vessel '{each.name}'", f"the mesh {each.shape}", each.solid, each.extents_m) for each in vessels]
-    for each in obstacles:
-        for solid, corners_m in each.solids:  # scaled, and then turned and placed
-            linear = np.linalg.lstsq(np.column_stack([solid.vertices, np.ones(len(corners_m))]), corners_m)[0][:3]
-            bodies.append((f"obstacle '{each.name}'", "the mesh", solid, np.linalg.norm(linear, axis=1)))
-    found: dict[Solid, list[tuple[str, str]]] = {}
-    for name, mesh, solid, size_m in bodies:
-        if problem := misfit(solid, size_m):
-            found.setdefault(solid, []).append((name, f"{mesh} {problem}"))
-    firsts = ((*named[0], len(named) - 1) for named in found.values())
-    return [f"{name}{f' and {more} more' if more else ''}: {problem}" for name, problem, more in firsts]
 
 
 def misfit(solid: Solid, size_m: Array) -> str | None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from PIL import Image
 
 from modsim3d.render.plain_ids import AnyIdRenderer
-from modsim3d.runs.blocks import Frame
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.selection import StepFrames
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette

@@ -14,7 +14,7 @@ from modsim3d.boxes import areas, intersections
 from modsim3d.outputs.pictures import encoded
 from modsim3d.outputs.placing import put_in_place
 from modsim3d.render.plain_ids import AnyIdRenderer
-from modsim3d.runs.blocks import Frame
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.outcomes import NOTHING_WRONG, frame_outcomes
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view import palette

@@ -10,7 +10,7 @@ from PIL import Image
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.render.plain_ids import AnyIdRenderer
-from modsim3d.runs.blocks import Frame
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette

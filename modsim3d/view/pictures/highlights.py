@@ -14,7 +14,7 @@ from modsim3d.arrays import Array
 from modsim3d.boxes import areas, unions
 from modsim3d.runs.files.columns import flags, numbers
 from modsim3d.runs.files.stored_tables import StoredTables
-from modsim3d.runs.files.tables import BOX_SIDES
+from modsim3d.runs.files.table_columns import BOX_SIDES
 from modsim3d.runs.outcomes import Outcome, having
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.runs.blocks import Frame
+from modsim3d.runs.frames import Frame
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks

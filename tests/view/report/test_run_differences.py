@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.blocks import Frame
+from modsim3d.runs.frames import Frame
 from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run

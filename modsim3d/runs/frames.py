@@ -1,0 +1,402 @@
+"""Frames as users see them: truth and detections of one camera at one step, as arrays, tables, words and pictures."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import centre_form
+from modsim3d.detector.records import FALSE_KINDS, KINDS
+from modsim3d.display import column_table, counted, listed
+from modsim3d.errors import ModsimError
+from modsim3d.inputs.validation import nearest
+from modsim3d.scene.scene import Scene
+from modsim3d.scene.snapshot import IdImage, Snapshot
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import supervision
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PICTURE_DPI = 100
+Columns = Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FrameTruth:
+    """What one camera sees at one step: n vessels as arrays. Boxes are x_min, y_min, x_max, y_max in pixels.
+
+    Attributes:
+        vessels: IDs of the vessels.
+        labels: True classes of the vessels.
+        class_id: Their indices in the detector's labels, `scene.detector.labels`, shape (n,).
+        full_boxes_px: Boxes of the whole silhouettes, cut at the image edge, shape (n, 4).
+        visible_boxes_px: Boxes of the visible pixels; NaN if there are none, shape (n, 4).
+        boxes_px: The boxes that the annotation mode takes: the full or the visible ones, shape (n, 4).
+        silhouette_px: Pixels of the silhouette in the image, shape (n,).
+        visible_px: Pixels of the silhouette that are seen, shape (n,).
+        visible_fraction: visible_px / silhouette_px; NaN if there is no silhouette pixel, shape (n,).
+        in_frame_fraction: Area in the image over area of the silhouette; NaN across the near plane, shape (n,).
+        depth_m: Mean distance along the camera's axis, shape (n,).
+        occluded_by: For each vessel, the names of its occluders and the number of pixels that each hides.
+        annotated: Whether each vessel was given to the detector, shape (n,).
+        detected: Whether each vessel was detected, under whatever label, shape (n,).
+    """
+
+    vessels: tuple[str, ...]
+    labels: tuple[str, ...]
+    class_id: Indices
+    full_boxes_px: Array
+    visible_boxes_px: Array
+    boxes_px: Array
+    silhouette_px: Array
+    visible_px: Array
+    visible_fraction: Array
+    in_frame_fraction: Array
+    depth_m: Array
+    occluded_by: tuple[dict[str, float], ...]
+    annotated: Mask
+    detected: Mask
+
+    def __len__(self) -> int:
+        """Number of vessels."""
+        return len(self.vessels)
+
+    def __repr__(self) -> str:
+        """The vessels, and how many are annotated and detected."""
+        return f"<FrameTruth: {truth_in_words(self)}>"
+
+    def _repr_html_(self) -> str:
+        """A notebook's table."""
+        return truth_html(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FrameDetections:
+    """The detector's output for one frame: m detections as arrays, in shuffled order.
+
+    Attributes:
+        labels: Detected classes.
+        class_id: Their indices in the detector's labels, `scene.detector.labels`, shape (m,).
+        confidence: In [0, 1], shape (m,).
+        boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
+        kinds: Origin of each detection: one of `modsim3d.detector.KINDS`.
+        vessels: ID of the vessel that each detection came from, None for a false positive. A tracker must not read it.
+        errors_px: e_x, e_y, e_w, e_h before clipping, NaN for false positives, shape (m, 4).
+    """
+
+    labels: tuple[str, ...]
+    class_id: Indices
+    confidence: Array
+    boxes_px: Array
+    kinds: tuple[str, ...]
+    vessels: tuple[str | None, ...]
+    errors_px: Array
+
+    def __len__(self) -> int:
+        """Number of detections."""
+        return len(self.labels)
+
+    def __repr__(self) -> str:
+        """How many there are, and of what kinds."""
+        return f"<FrameDetections: {detections_in_words(self)}>"
+
+    def _repr_html_(self) -> str:
+        """A notebook's table."""
+        return detections_html(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Frame:
+    """One camera at one step, from `simulate_frames` or `StoredRun.frames`.
+
+        frame.time_s, frame.truth.boxes_px, frame.detections.confidence
+
+    Attributes:
+        camera: Name of the camera.
+        step: Step, counted from zero.
+        timestamp: The text of the step's time, as files have it.
+        time_s: Time since the scene's first step, in seconds.
+        state: Name of the detector's performance state.
+        truth: What the camera sees.
+        detections: What the detector makes of it.
+        image_size_px: Width and height.
+        sea_half_plane: (a, b, c) with a·x + b·y + c >= 0 on the sea's side of the horizon, shape (3,).
+        scene_vessels: IDs of all vessels of the scene, seen or not; their order gives the colours of pictures.
+        scene: The scene, for the picture; None in a frame that was made without one.
+    """
+
+    camera: str
+    step: int
+    timestamp: str
+    time_s: float
+    state: str
+    truth: FrameTruth
+    detections: FrameDetections
+    image_size_px: tuple[int, int]
+    sea_half_plane: Array
+    scene_vessels: tuple[str, ...]
+    scene: Scene | None = None
+
+    def __repr__(self) -> str:
+        """Camera, step, time and how much is in it."""
+        return f"<Frame: {frame_in_words(self)}>"
+
+    def _repr_html_(self) -> str | None:
+        """A notebook's tables, where it cannot draw the picture."""
+        return frame_html(self)
+
+    def _repr_png_(self) -> bytes | None:
+        """A notebook's picture; None without matplotlib."""
+        return frame_png(self)
+
+    def id_image(self) -> IdImage:
+        """What is in front at each pixel: `ids` of shape (height, width), 0 for nothing, and the `names` of IDs.
+
+        Raises:
+            ModsimError: The frame was made without a scene.
+            RendererError: There is no OpenGL library.
+        """
+        return self._snapshot().render_ids(self.camera)
+
+    def silhouette(self, vessel: str) -> Mask:
+        """The pixels of a vessel drawn alone, parts that others hide included, of the shape of `id_image().ids`.
+
+        Raises:
+            ModsimError: There is no such vessel, or the frame was made without a scene.
+            RendererError: There is no OpenGL library.
+        """
+        return self._snapshot().render_silhouette(self.camera, vessel)
+
+    def _snapshot(self) -> Snapshot:
+        if self.scene is None:
+            raise ModsimError("this frame has no scene that could be drawn: take one from simulate_frames or open_run")
+        return self.scene.at(self.step)
+
+    def table(self, name: str) -> pa.Table:
+        """Its rows of a run's table: `frames`, `truth` or `detections`, with the columns of `StoredRun.table`.
+
+        Raises:
+            ModsimError: There is no such table.
+        """
+        return _rows(self, name)
+
+    def to_supervision(self) -> supervision.Detections:
+        """The detections as `supervision.Detections`: `xyxy`, `confidence`, `class_id` and `data["class_name"]`.
+
+        Raises:
+            ModsimError: supervision is not installed.
+        """
+        return supervision_detections(self)
+
+    def truth_to_supervision(self) -> supervision.Detections:
+        """The annotated vessels as `supervision.Detections`, with the boxes that the annotation mode takes.
+
+        `tracker_id` is the place of each vessel in `scene_vessels`; `data["vessel"]` is its ID. There is no confidence.
+
+        Raises:
+            ModsimError: supervision is not installed.
+        """
+        return supervision_truth(self)
+
+    def plot(self, axes: Axes | None = None, *, zoom: bool = False, labels: bool = True) -> Figure:
+        """Draw the picture of the films, with axes in pixels; a notebook shows the matplotlib figure that is returned.
+
+        Args:
+            axes: Axes to draw into; a new figure if None.
+            zoom: Show only the part of the image with vessels.
+            labels: Write names, classes and confidences.
+
+        Raises:
+            ModsimError: matplotlib is not installed.
+        """
+        import modsim3d  # whose names are imported when they are first used: this room knows no pictures
+
+        return modsim3d.plot_frame(self, axes, zoom=zoom, labels=labels)
+
+
+def frame_in_words(frame: Frame) -> str:
+    """Camera, step and time, and how much is in it."""
+    return (
+        f"camera {frame.camera}, step {frame.step}, {frame.time_s:g} s, detector {frame.state}: "
+        f"{counted(len(frame.truth), 'vessel')}, {counted(len(frame.detections), 'detection')}"
+    )
+
+
+def truth_in_words(truth: FrameTruth) -> str:
+    """The vessels, and how many of them are annotated and detected."""
+    names = f" ({listed(truth.vessels)})" if len(truth) else ""
+    return (
+        f"{counted(len(truth), 'vessel')}{names}, {np.count_nonzero(truth.annotated)} annotated, "
+        f"{np.count_nonzero(truth.detected)} detected"
+    )
+
+
+def detections_in_words(detections: FrameDetections) -> str:
+    """How many there are, and of what kinds."""
+    kinds = [f"{count} {kind}" for kind, count in Counter(detections.kinds).items()]
+    return counted(len(detections), "detection") + (f" ({', '.join(kinds)})" if kinds else "")
+
+
+def truth_html(truth: FrameTruth) -> str:
+    """A row for each vessel."""
+    rows = [
+        (
+            truth.vessels[i],
+            truth.labels[i],
+            _box(truth.boxes_px[i]),
+            f"{truth.visible_fraction[i]:.0%}" if np.isfinite(truth.visible_fraction[i]) else "–",
+            "yes" if truth.annotated[i] else "no",
+            "yes" if truth.detected[i] else "no",
+        )
+        for i in range(len(truth))
+    ]
+    header = ("vessel", "label", "box [px]", "visible", "annotated", "detected")
+    return column_table(f"Truth: {truth_in_words(truth)}", header, rows)
+
+
+def detections_html(detections: FrameDetections) -> str:
+    """A row for each detection."""
+    rows = [
+        (
+            detections.labels[i],
+            f"{detections.confidence[i]:.2f}",
+            _box(detections.boxes_px[i]),
+            detections.kinds[i],
+            detections.vessels[i] or "–",
+        )
+        for i in range(len(detections))
+    ]
+    header = ("label", "confidence", "box [px]", "kind", "vessel")
+    return column_table(f"Detections: {detections_in_words(detections)}", header, rows)
+
+
+def _box(box_px: Array) -> str:
+    return ", ".join(f"{side:.1f}" for side in box_px) if np.isfinite(box_px).all() else "–"
+
+
+def frame_html(frame: Frame) -> str | None:
+    """Both tables; None where the frame can show its picture instead."""
+    if can_be_drawn():
+        return None
+    return f"<p>{escape(frame_in_words(frame))}</p>{truth_html(frame.truth)}{detections_html(frame.detections)}"
+
+
+def frame_png(frame: Frame) -> bytes | None:
+    """The picture of `frame.plot()`; None without matplotlib."""
+    if not can_be_drawn():
+        return None
+    picture = io.BytesIO()
+    frame.plot().savefig(picture, format="png", dpi=PICTURE_DPI)
+    return picture.getvalue()
+
+
+def can_be_drawn() -> bool:
+    """Whether matplotlib is installed."""
+    return find_spec("matplotlib") is not None
+
+
+def supervision_detections(frame: Frame) -> Any:
+    """The detections as `supervision.Detections`; see `Frame.to_supervision`."""
+    found = frame.detections
+    return _supervision().Detections(
+        xyxy=found.boxes_px.copy(),
+        confidence=found.confidence.copy(),
+        class_id=found.class_id.copy(),
+        data={"class_name": np.array(found.labels, dtype=str)},
+    )
+
+
+def supervision_truth(frame: Frame) -> Any:
+    """The annotated vessels as `supervision.Detections`; see `Frame.truth_to_supervision`."""
+    truth = frame.truth
+    rows = np.flatnonzero(truth.annotated)
+    numbers = {name: number for number, name in enumerate(frame.scene_vessels)}
+    return _supervision().Detections(
+        xyxy=truth.boxes_px[rows],
+        class_id=truth.class_id[rows],
+        tracker_id=np.array([numbers[truth.vessels[row]] for row in rows], dtype=np.int64),
+        data={
+            "class_name": np.array([truth.labels[row] for row in rows], dtype=str),
+            "vessel": np.array([truth.vessels[row] for row in rows], dtype=str),
+        },
+    )
+
+
+def _supervision() -> Any:
+    try:
+        import supervision
+    except ImportError:
+        raise ModsimError("this needs the library supervision: pip install 'modsim3d[supervision]'") from None
+    return supervision
+
+
+def _rows(frame: Frame, name: str) -> pa.Table:
+    """The rows of a frame in the table `frames`, `truth` or `detections`, as a run of its scene has them.
+
+    Raises:
+        ModsimError: There is no such table.
+    """
+    import pyarrow as pa  # takes longer than a frame
+
+    from modsim3d.runs.files.table_columns import schema_of
+
+    tables = {"frames": _frame_columns, "truth": _truth_columns, "detections": _detection_columns}
+    if name not in tables:
+        raise ModsimError(f"there is no table '{name}' of a frame ({nearest(name, tables)})")
+    schema = schema_of(name)
+    columns, rows = tables[name](frame), {"frames": 1, "truth": len(frame.truth), "detections": len(frame.detections)}
+    keys = {key: [getattr(frame, key)] * rows[name] for key in ("camera", "step", "timestamp", "state")}
+    every = {**keys, **columns}
+    arrays = [pa.array(every[field.name], field.type, from_pandas=True) for field in schema]  # null for NaN
+    return pa.table(arrays, schema=schema)
+
+
+def _frame_columns(frame: Frame) -> Columns:
+    false = sum(kind in {KINDS[kind] for kind in FALSE_KINDS} for kind in frame.detections.kinds)
+    return {
+        "n_annotated": [np.count_nonzero(frame.truth.annotated)],
+        "n_detected": [len(frame.detections) - false],
+        "n_false": [false],
+    }
+
+
+def _truth_columns(frame: Frame) -> Columns:
+    from modsim3d.runs.files.table_columns import BOX_SIDES, TRUTH_NUMBERS
+
+    truth = frame.truth
+    return {
+        "vessel": truth.vessels,
+        "label": truth.labels,
+        **{f"full_{side}": truth.full_boxes_px[:, i] for i, side in enumerate(BOX_SIDES)},
+        **{f"visible_{side}": truth.visible_boxes_px[:, i] for i, side in enumerate(BOX_SIDES)},
+        **{name: getattr(truth, name) for name in TRUTH_NUMBERS},
+        "occluded_by": [[{"id": name, "px": px} for name, px in each.items()] for each in truth.occluded_by],
+        "annotated": truth.annotated,
+        "detected": truth.detected,
+    }
+
+
+def _detection_columns(frame: Frame) -> Columns:
+    from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS
+
+    found = frame.detections
+    return {
+        "detection": np.arange(len(found)),
+        "label": found.labels,
+        "confidence": found.confidence,
+        **dict(zip(CENTRE_FORM, centre_form(found.boxes_px).T, strict=True)),
+        **dict(zip(BOX_SIDES, found.boxes_px.T, strict=True)),
+        "kind": found.kinds,
+        "vessel": found.vessels,
+        **dict(zip(ERRORS, found.errors_px.T, strict=True)),
+    }
