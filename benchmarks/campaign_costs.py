@@ -28,8 +28,8 @@ from benchmarks.campaign_parts import (
 from benchmarks.measured import BUSY_LOAD, significant, table
 from benchmarks.processes import ROOT, child, modsim3d, say
 from benchmarks.whole_commands import differing_files
-from modsim3d.campaign.results.folder import opened_campaign
-from modsim3d.campaign.results.gather import results_table
+from modsim3d.campaign.done_rows import results_table
+from modsim3d.campaign.folder import opened_campaign
 
 RESULTS = ROOT / "benchmarks" / "CAMPAIGNS.md"
 CAMPAIGN = ROOT / "benchmarks" / "thousand.yaml"

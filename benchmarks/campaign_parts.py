@@ -26,16 +26,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from benchmarks.processes import ROOT, environment
-from modsim3d.campaign.cutting import TASK_S
-from modsim3d.campaign.file.reading import read_campaign
-from modsim3d.campaign.plan.plan import PlannedRun
-from modsim3d.campaign.results.done_rows import plan_columns
-from modsim3d.campaign.results.folder import opened_campaign
-from modsim3d.campaign.results.gather import results_table
-from modsim3d.campaign.running import run_plan
+from modsim3d.campaign.done_rows import plan_columns, results_table
+from modsim3d.campaign.folder import opened_campaign
+from modsim3d.campaign.keys import read_campaign
+from modsim3d.campaign.plan import PlannedRun
+from modsim3d.campaign.running import TASK_S, run_plan
 from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.work.layer_tables import TruthLayer
-from modsim3d.campaign.work.layers import Made, detected, tracks_of
+from modsim3d.campaign.work.layers import Made, TruthLayer, detected, tracks_of
 from modsim3d.campaign.work.row import row_of, rules_of
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.task import Task, TaskReport, Work, store

@@ -134,7 +134,7 @@ def shares(scene: str, looks: int = 25) -> Answer:
     """
     from modsim3d.runs.pipeline import open_renderer, truth_block
     from modsim3d.scene.reading import load_scene
-    from modsim3d.truth.overlaps import overlapping_pairs
+    from modsim3d.truth.occlusion_order import overlapping_pairs
 
     loaded = load_scene(scene)
     rows = overlapping = hidden = wholly = 0

@@ -50,7 +50,7 @@ def detect_again(bench: Bench) -> Found:
 
 def main() -> None:
     """Run the detector over a finished run a few times; print the median of the seconds."""
-    from modsim3d.runs.detect_run import detect_run
+    from modsim3d.runs.run import detect_run
 
     wall, processor = [], []
     with tempfile.TemporaryDirectory() as folder:

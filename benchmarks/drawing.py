@@ -29,8 +29,8 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.view.films.files import EncodedFrame, write_film
 from modsim3d.view.films.plan import FilmPlan
 from modsim3d.view.films.renderer import FilmRenderer, open_shaded_picture_renderer
-from modsim3d.view.pictures.solids import open_id_renderer
-from modsim3d.view.shaded.render_style import PLAIN_STYLE, RenderStyle
+from modsim3d.view.pictures.plain import open_id_renderer
+from modsim3d.view.sea_and_sky import PLAIN_STYLE, RenderStyle
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "DRAWING.md"

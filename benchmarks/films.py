@@ -15,7 +15,7 @@ from benchmarks.measured import significant, table
 from benchmarks.processes import ROOT, modsim3d, say
 from modsim3d.runs.selection import select, select_cameras
 from modsim3d.runs.stored_run import open_run
-from modsim3d.view.films.timetable import Timetable
+from modsim3d.view.films.plan import Timetable
 
 RESULTS = ROOT / "benchmarks" / "FILMS.md"
 KINDS = {

@@ -1,4 +1,4 @@
-"""Compares ways to write a GIF with imageio, frame by frame, with that of `modsim3d.view.films.gif`; prints the table.
+"""Ways to write a GIF with imageio, frame by frame, beside that of `modsim3d.view.films.files`; prints the table.
 
 The film is the first of Simulation 1, 640 px wide, 200 frames of 0.2 s. Each writer runs in a process of its own, gets
 the frames one by one, and chooses the colours itself where it cannot be given them. Memory is the most that the process
@@ -22,7 +22,7 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.measured import table
-from modsim3d.view.films.gif import film_palette, quantised, write_gif
+from modsim3d.view.films.files import film_palette, quantised, write_gif
 
 STEPS, FRAME_MS = 200, 200
 TICKS = FRAME_MS // 10

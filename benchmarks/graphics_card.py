@@ -75,7 +75,7 @@ def draw_images(scene: str, images: int, out: str) -> Answer:
     from modsim3d.render.context import open_context
     from modsim3d.render.id_pass import IdRenderer, Region
     from modsim3d.scene.reading import load_scene
-    from modsim3d.truth.triangles import triangles_of
+    from modsim3d.truth.buffer_drawing import triangles_of
 
     loaded = load_scene(scene)
     times_ms = []

@@ -72,7 +72,7 @@ class PyrenderPass:
 
     def _matrices(self, frame: int) -> list[np.ndarray]:
         """Of the camera and the vessels."""
-        from modsim3d.geometry.rotations import world_R_vehicle
+        from modsim3d.geometry.camera_poses import world_R_vehicle
 
         loaded = self._loaded
         sight = loaded.sight(loaded.cameras[0], np.array([frame]))

@@ -18,7 +18,7 @@ from typing import Any
 from benchmarks.measured import significant, table
 from benchmarks.processes import ROOT, Finished, modsim3d, say
 from modsim3d.runs.stored_run import StoredRun, open_run
-from modsim3d.view.report.player_page import parts_folder
+from modsim3d.view.report.report import parts_folder
 from tests.view.report.browser import Browser, open_browser
 
 RESULTS = ROOT / "benchmarks" / "REPORT_PAGE.md"

@@ -22,13 +22,11 @@ import yaml
 from scipy import stats
 
 import modsim3d
-from modsim3d.campaign.file.keys import ScoreKeys
-from modsim3d.campaign.plan.selection import STATE
-from modsim3d.campaign.verdicts.means import corrected_bounds, half_widths
-from modsim3d.campaign.verdicts.offers import DIFFERENCE, HIGH, LOW
-from modsim3d.campaign.verdicts.proportions import exact_bounds
-from modsim3d.campaign.work.row import SCORES
-from modsim3d.campaign.work.score_bounds import SCORES_BY, score_bounds
+from modsim3d.campaign.keys import ScoreKeys
+from modsim3d.campaign.plan import STATE
+from modsim3d.campaign.verdicts.bounds import corrected_bounds, exact_bounds, half_widths
+from modsim3d.campaign.verdicts.wording import DIFFERENCE, HIGH, LOW
+from modsim3d.campaign.work.row import SCORES, SCORES_BY, score_bounds
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "campaigns"
 STORED = OUT / "sequences_scores.parquet"

@@ -16,19 +16,16 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.tracking.detector_seeds import detector_runs
-from modsim3d.tracking.intervals import half_interval
+from modsim3d.tracking.detector_seeds import detector_runs, half_interval
 from modsim3d.tracking.oracle import oracle_tracks
 from modsim3d.tracking.scores.association import clear, hota, identity
 from modsim3d.tracking.scores.continuity import continuity
-from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, Occlusion, occlusions
-from modsim3d.tracking.scores.rules import Rules
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode, occlusions
+from modsim3d.tracking.scores.scored import Rules, Scored
 from modsim3d.tracking.scores.set_distances import gospa
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked
-from modsim3d.tracks.similarity import Similarity
-from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.tracks.true_tracks import TrueTracks, TruthName
 
 SCENES = ("fairway", "strait", "harbour", "simulation_1", "simulation_2", "simulation_3")
@@ -112,7 +109,7 @@ def scores(rows: RunRows, tracks: Tracks, *, annotated: bool = False) -> dict[st
     }
 
 
-def survived_by_length(found: Sequence[Occlusion]) -> list[list[int]]:
+def survived_by_length(found: Sequence[OcclusionEpisode]) -> list[list[int]]:
     """Of each length: how many occlusions a track could survive, and how many one did."""
     judged = [each for each in found if each.survived is not None]
     bins = np.searchsorted(OCCLUSION_EDGES_S, [each.length_s for each in judged], side="right") - 1

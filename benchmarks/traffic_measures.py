@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import shapely
 
-from modsim3d.arrays import Array
-from modsim3d.geometry.closest_approach import HullTracks, closest_approach, least_hull_distance
-from modsim3d.motion.encounters import Encounter, encounter, hull_tracks, inside, lane_offsets, speeds_m_s
-from modsim3d.motion.poses import read_source
-from modsim3d.motion.poses.traffic import DrawnTraffic, TrafficKeys
-from modsim3d.motion.poses.traffic.craft import Craft
-from modsim3d.motion.poses.traffic.keys import LaneKeys
+from modsim3d.core.types import Array
+from modsim3d.geometry.kinematics import HullTracks, closest_approach, least_hull_distance
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
+from modsim3d.world.encounters import Encounter, encounter, hull_tracks, inside, lane_offsets, speeds_m_s
+from modsim3d.world.poses.registry import read_source
+from modsim3d.world.traffic.generate import DrawnTraffic, TrafficKeys
+from modsim3d.world.traffic.keys import LaneKeys
+from modsim3d.world.traffic.lanes import Craft
 
 SPEED_TOLERANCE = 0.02
 """A vessel's speed may leave its range by this share: a step is the chord of a turn."""

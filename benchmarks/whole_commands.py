@@ -152,7 +152,7 @@ def cold_start(bench: Bench) -> Found:
 
 def imports_text(arguments: Sequence[str | Path]) -> str:
     """What a start imports, by Python's own `-X importtime`."""
-    command = [sys.executable, "-X", "importtime", "-m", "modsim3d.cli", *map(str, arguments)]
+    command = [sys.executable, "-X", "importtime", "-m", "modsim3d.cli.main", *map(str, arguments)]
     done = subprocess.run(command, env=environment(), cwd=ROOT, capture_output=True, text=True, check=True)
     lines = [line.removeprefix("import time:").split("|") for line in done.stderr.splitlines() if "|" in line]
     timed = sorted(((int(own), int(total), name.strip()) for own, total, name in lines[1:]), reverse=True)[:12]

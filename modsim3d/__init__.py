@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from modsim3d.campaign.campaign import Campaign, open_campaign, run_campaign
+    from modsim3d.core.errors import ModsimError
     from modsim3d.detector.file.reading import load_detector
-    from modsim3d.errors import ModsimError
+    from modsim3d.formats.labelled_video.detect_truth import detect_truth
     from modsim3d.learn.learning import learn_detector
-    from modsim3d.other_truth.detect_truth import detect_truth
-    from modsim3d.positions.locating import locate
-    from modsim3d.runs.detect_run import detect_run
+    from modsim3d.learn.voyage.learn_voyage import learn_voyage
+    from modsim3d.runs.locating import locate
     from modsim3d.runs.pipeline import simulate_frames
-    from modsim3d.runs.run import run_scene
+    from modsim3d.runs.run import detect_run, run_scene
     from modsim3d.runs.stored_run import open_run
-    from modsim3d.scene.camera_placement import camera_placement
+    from modsim3d.scene.cameras import camera_placement
     from modsim3d.scene.from_dict import scene_from_dict
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.scene import Scene
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from modsim3d.tracking.trackers.interface import TrackedFrame, Tracker
     from modsim3d.verify.verify_run import verify_run
     from modsim3d.view.frame_plot import plot_frame
-    from modsim3d.voyage.learned import learn_voyage
 
     __version__: str
 
@@ -65,18 +64,18 @@ __all__ = [
 
 _HOMES = {
     "Campaign": "modsim3d.campaign.campaign",
-    "ModsimError": "modsim3d.errors",
+    "ModsimError": "modsim3d.core.errors",
     "Scene": "modsim3d.scene.scene",
     "TrackedFrame": "modsim3d.tracking.trackers.interface",
     "Tracker": "modsim3d.tracking.trackers.interface",
-    "camera_placement": "modsim3d.scene.camera_placement",
-    "detect_run": "modsim3d.runs.detect_run",
-    "detect_truth": "modsim3d.other_truth.detect_truth",
+    "camera_placement": "modsim3d.scene.cameras",
+    "detect_run": "modsim3d.runs.run",
+    "detect_truth": "modsim3d.formats.labelled_video.detect_truth",
     "learn_detector": "modsim3d.learn.learning",
-    "learn_voyage": "modsim3d.voyage.learned",
+    "learn_voyage": "modsim3d.learn.voyage.learn_voyage",
     "load_detector": "modsim3d.detector.file.reading",
     "load_scene": "modsim3d.scene.reading",
-    "locate": "modsim3d.positions.locating",
+    "locate": "modsim3d.runs.locating",
     "open_campaign": "modsim3d.campaign.campaign",
     "open_run": "modsim3d.runs.stored_run",
     "plot_frame": "modsim3d.view.frame_plot",

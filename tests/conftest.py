@@ -17,7 +17,7 @@ import typer.testing
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
-from modsim3d.cli import COLLECT_AFTER
+from modsim3d.cli.main import COLLECT_AFTER
 from modsim3d.render.context import open_context
 from modsim3d.render.id_pass import IdRenderer
 

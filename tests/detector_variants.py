@@ -6,8 +6,8 @@ import copy
 from collections.abc import Callable
 from typing import Any
 
-from modsim3d.inputs.strict_yaml import load_yaml
-from modsim3d.scene.reading import data_folder
+from modsim3d.io.input_files import data_folder
+from modsim3d.io.strict_yaml import load_yaml
 
 Data = dict[str, Any]
 

@@ -108,7 +108,7 @@ def answer(connection: socket.socket, inherited: frozenset[str]) -> None:
         sys.argv = ["modsim3d", *arguments]
         if first := environment.get("FIRST"):
             exec(Path(first).read_text(encoding="utf-8"), {})
-        from modsim3d.cli import main
+        from modsim3d.cli.main import main
 
         sys.exit(main())
     for file in (0, 1, 2, *files):  # a reader of the command's output waits until nobody can write to it

@@ -14,19 +14,17 @@ import yaml
 from numpy.typing import NDArray
 
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.geometry.camera_poses import Mount, poses_ashore
-from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
+from modsim3d.io.input_files import data_folder
 from modsim3d.render.id_pass import IdRenderer, Region
-from modsim3d.scene.reading import data_folder
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.analytic import PixelMasks
 from modsim3d.truth.crosscheck.comparison import mask_of
-from modsim3d.truth.crosscheck.drawing import Drawing
-from modsim3d.truth.crosscheck.world_triangles import vessel_triangles
+from modsim3d.truth.crosscheck.drawing import Drawing, vessel_triangles
 from modsim3d.truth.outlines import Outlines, outline
-from modsim3d.truth.pixel_masks import PixelMasks
 from modsim3d.truth.rendered import rendered_spans
-from modsim3d.vessels.bodies import vessel_bodies
-from modsim3d.vessels.vessel import Vessel
+from modsim3d.world.bodies import vessel_bodies
+from modsim3d.world.vessels import Vessel
 
 CAMERA_HEIGHT_M = 10.0
 INTRINSICS = Intrinsics((1000.0, 1000.0), (400.0, 300.0), (800, 600))

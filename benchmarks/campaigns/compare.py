@@ -27,7 +27,7 @@ from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.rendered import rendered_occlusion, rendered_spans
 from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
-from modsim3d.verify.sources.fast_path import FastPath
+from modsim3d.verify.sources.compare import FastPath
 from tests.scenes import drawing_of, outlines_of, random_rafts, random_scene
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"

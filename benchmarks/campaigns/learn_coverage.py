@@ -24,9 +24,9 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.states.states import each_its_own, transitions_of
+from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.states import each_its_own, transitions_of
 from tests.learn.round_trip import DETECTOR, asked_of, simulate
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
@@ -110,7 +110,7 @@ def _inside(case: Case, run: Path, method: str, seed: int) -> dict[str, Any]:
     states = each_its_own(tuple(file["states"]))
     image_state = states.of_images(labelled.images, labelled.conditions)
     transitions = transitions_of(labelled.images, image_state, len(states.names), file["transition_interval_s"])
-    settings = Settings(Rule(method), replicates=REPLICATES, seed=seed)
+    settings = LearnSettings(Rule(method), replicates=REPLICATES, seed=seed)
     matched = match(labelled, settings.rule, settings.threshold)
     learned = learn(Observed(labelled, matched, states.names, image_state, settings.threshold), transitions, settings)
     asked, other = asked_of(case.path), of_another_model(file, learned.detector())

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from modsim3d.runs.files.differences import SAME_ROWS, difference
+from modsim3d.runs.repeat_run import SAME_ROWS, difference
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "campaigns"
@@ -29,7 +29,7 @@ NO_FMA = "glibc.cpu.hwcaps=-AVX512F,-AVX2,-FMA,-FMA4"
 RUN = """
 import sys
 import modsim3d.runs.pipeline
-from modsim3d.cli import main
+from modsim3d.cli.main import main
 folder, block_steps, scenes, *options = sys.argv[1:]
 modsim3d.runs.pipeline.MOST_BLOCK_STEPS = int(block_steps)
 for scene in scenes.split(","):

@@ -18,19 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.core.types import Array, Indices
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import TRUE
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
-from modsim3d.geometry.sea_points import horizon_inverse_range, inverse_range
-from modsim3d.motion.imu import Imu
-from modsim3d.positions.locating import MOST_RANGE_ERROR, Attitude, first_order, locate, points_of, seen_at
-from modsim3d.positions.viewpoints import Viewpoints
+from modsim3d.geometry.curved_sea import horizon_inverse_range, inverse_range
+from modsim3d.runs.locating import MOST_RANGE_ERROR, Attitude, Viewpoints, first_order, locate, points_of, seen_at
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from modsim3d.verify.evidence import CameraEvidence
-from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.evidence import CameraEvidence, ManyDetections
+from modsim3d.world.vessel_motion import Imu
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
 SCENES = {"simulation_1": 400, "simulation_2": 400, "simulation_3": 400, "harbour": 400, "strait": 300}

@@ -19,13 +19,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.tracker_trials import mean_and_interval
-from modsim3d.campaign.file.keys import CampaignKeys, SearchKeys
-from modsim3d.campaign.plan.drawn import at
-from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.search.folder import batches
-from modsim3d.campaign.search.proposing import Tried, proposed
-from modsim3d.campaign.search.trials import planned_trial
-from modsim3d.campaign.work.layers import Layers
+from modsim3d.campaign.keys import CampaignKeys, SearchKeys
+from modsim3d.campaign.plan import Plan, at
+from modsim3d.campaign.search_folder import Tried, batches, planned_trial, proposed
+from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.row import row_of, rules_of
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
@@ -92,7 +89,7 @@ def keys_of(problem: dict[str, Any], seed: int, budget: int) -> CampaignKeys:
     )
 
 
-def scorer(keys: CampaignKeys, layers: Layers) -> Callable[[int, dict[str, Any]], float | None]:
+def scorer(keys: CampaignKeys, layers: RunLayers) -> Callable[[int, dict[str, Any]], float | None]:
     """Gives the HOTA of a traffic seed and values."""
     plan, rules = Plan.of(keys), rules_of(keys.score)
 
@@ -103,7 +100,7 @@ def scorer(keys: CampaignKeys, layers: Layers) -> Callable[[int, dict[str, Any]]
     return score
 
 
-def searched(keys: CampaignKeys, layers: Layers) -> list[float | None]:
+def searched(keys: CampaignKeys, layers: RunLayers) -> list[float | None]:
     """The scores of a search, in order."""
     search, score, tried = _search(keys), scorer(keys, layers), list[Tried]()
     for batch in range(batches(search)):
@@ -112,7 +109,7 @@ def searched(keys: CampaignKeys, layers: Layers) -> list[float | None]:
     return [each.value for each in tried]
 
 
-def drawn(keys: CampaignKeys, layers: Layers) -> list[float | None]:
+def drawn(keys: CampaignKeys, layers: RunLayers) -> list[float | None]:
     """The scores of as many random trials."""
     search, score, rng = _search(keys), scorer(keys, layers), np.random.default_rng([3, keys.seed])
     return [
@@ -135,7 +132,7 @@ def best(scores: list[float | None]) -> list[float]:
 def repetition(problem: dict[str, Any], seed: int, budget: int) -> dict[str, list[float]]:
     """Best scores of a search and of random trials."""
     keys = keys_of(problem, seed, budget)
-    with closing(Layers(keys, Path(), Path("cache"))) as layers:
+    with closing(RunLayers(keys, Path(), Path("cache"))) as layers:
         return {"search": best(searched(keys, layers)), "random": best(drawn(keys, layers))}
 
 

@@ -29,15 +29,15 @@ from benchmarks.resampled_means import (
     summary,
     summary_of_differences,
 )
-from modsim3d.campaign.verdicts.betting import log_capital
-from modsim3d.campaign.verdicts.means import t_bounds
-from modsim3d.campaign.verdicts.offers import DIFFERENCE, HIGH, LOW, OFFERS
-from modsim3d.campaign.verdicts.proportions import (
+from modsim3d.campaign.verdicts.bounds import (
     clean_seeds_needed,
     clean_seeds_needed_sequential,
     exact_bounds,
+    log_capital,
     mixture_log_capital,
+    t_bounds,
 )
+from modsim3d.campaign.verdicts.wording import DIFFERENCE, HIGH, LOW, OFFERS
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "campaigns"
@@ -259,7 +259,7 @@ with 10 seeds and still with 100. No verdict rests on it.
 
 ## A mean of real scores, looked at once
 
-A mean is judged by Student's t corrected for skewness, `corrected_bounds` in `modsim3d/campaign/verdicts/means.py`.
+A mean is judged by Student's t corrected for skewness, `corrected_bounds` in `modsim3d/campaign/verdicts/bounds.py`.
 That is an approximation, so how often it errs was measured. {seeds} traffic seeds of each of five traffics were run
 with `sort`, `bytetrack` and `reference`: 300 steps of `fairway`, and the bay, the basin, the roads and the narrows of
 `benchmarks/traffics`. `script/campaign sequences --scores` runs them again, in about an hour; their scores are in

@@ -21,7 +21,7 @@ from benchmarks.stand_in.rungs import LEAST_CONFIDENCE, RUNGS, learned_files
 from benchmarks.stand_in.stored import restore_films, store
 from benchmarks.stand_in.tell_apart import told_apart
 from benchmarks.stand_in.weights import PACKAGE, SHA256
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "campaigns" / "stand_in.json"
 

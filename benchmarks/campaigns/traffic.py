@@ -24,9 +24,9 @@ import shapely
 from scipy import stats
 
 from benchmarks.traffic_measures import Drawn, look_at
-from modsim3d.motion.poses.traffic import TrafficKeys
-from modsim3d.motion.poses.traffic.keys import LaneKeys
 from modsim3d.scene.scene import Scene
+from modsim3d.world.traffic.generate import TrafficKeys
+from modsim3d.world.traffic.keys import LaneKeys
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
 SCENE, SEEDS, FAMILY = "fairway", 200, 0.01

@@ -28,11 +28,10 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.verify.box_error_checks import box_error_checks
 from modsim3d.verify.class_checks import class_checks
-from modsim3d.verify.clutter_checks import clutter_checks
 from modsim3d.verify.confidence_checks import confidence_checks
 from modsim3d.verify.error_fit import MomentTable
-from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.evidence import Evidence, ManyDetections
+from modsim3d.verify.false_positive_checks import clutter_checks
 from modsim3d.verify.parameters import Parameter, judge
 from modsim3d.verify.state_checks import state_checks
 from modsim3d.verify.verification import verify

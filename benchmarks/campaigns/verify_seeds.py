@@ -22,10 +22,11 @@ from typing import Any
 import numpy as np
 
 from modsim3d.detector.file.reading import load_detector, parse_detector
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.io.input_files import data_folder
+from modsim3d.scene.reading import load_scene
 from modsim3d.verify.error_fit import MomentTable
+from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.independence_checks import GROUP as INDEPENDENCE
-from modsim3d.verify.many_seeds import ManyDetections
 from modsim3d.verify.verification import verify
 from tests.detector_variants import CHANGES, variant
 

@@ -23,15 +23,15 @@ from typing import NoReturn
 PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
 PATIENCE_S = 180
 PREPARED = (
-    "modsim3d.cli",
-    "modsim3d.runs.detect_run",
+    "modsim3d.cli.main",
+    "modsim3d.runs.run",
     "modsim3d.runs.run",
     "modsim3d.scene.reading",
     "modsim3d.truth.rendered",
-    "modsim3d.ais.traffic",
-    "modsim3d.ais.scene_folder",
+    "modsim3d.scene.ais.traffic",
+    "modsim3d.scene.ais.scene_folder",
     "modsim3d.formats.writing.coco",
-    "modsim3d.learn.told.tables",
+    "modsim3d.learn.report_page",
     "modsim3d.verify.report",
     "modsim3d.view.report.report",
     "modsim3d.view.films.film",
@@ -181,7 +181,7 @@ def start(arguments: Sequence[object], *, held: bool = False, first: Callable[[]
 
 
 def _run(arguments: list[str], first: Callable[[], object] | None) -> NoReturn:
-    from modsim3d.cli import main
+    from modsim3d.cli.main import main
 
     status = 1
     try:

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.stand_in.scores import OpenFilm, found_vessels, track_lengths_s
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.tracking.scores.continuity import false_track_lengths_s
-from modsim3d.tracking.scores.frame_times import stretches
+from modsim3d.tracking.scores.scored import stretches
 
 if TYPE_CHECKING:
-    from modsim3d.runs.told import Told
+    from modsim3d.runs.tracker_view import TrackerDetections
     from modsim3d.tracking.scores.scored import Scored
 
 Samples = dict[str, Array]
@@ -39,7 +39,7 @@ _SAME = 1e-9
 """Distances of exchanges that are equal but for rounding count as equal."""
 
 
-def of_detections(opened: OpenFilm, detections: Told) -> Samples:
+def of_detections(opened: OpenFilm, detections: TrackerDetections) -> Samples:
     """The values of each of `OF_DETECTIONS` in a film."""
     found, row = found_vessels(opened, detections)
     gaps, runs = gaps_and_runs(opened.truth.identity, opened.truth.frame, opened.truth.scored, found)

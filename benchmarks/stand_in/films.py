@@ -25,16 +25,16 @@ from benchmarks.processes import ROOT, say
 from benchmarks.stand_in.pixel_detector import Found, PixelDetector, open_session
 from benchmarks.stand_in.places import PLACES, WEATHERS, place_scene, style_of
 from benchmarks.stand_in.weights import fetched_weights
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled import Results
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import coco_results, ground_truth
-from modsim3d.outputs.placing import write_files
+from modsim3d.io.atomic_write import write_files
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.view.films.renderer import open_shaded_picture_renderer
-from modsim3d.view.pictures.solids import Solids
-from modsim3d.view.pictures.window import Window
+from modsim3d.view.pictures.canvas import Window
+from modsim3d.view.pictures.plain import Solids
 
 WORK = ROOT / "runs" / "stand_in"
 RATE_HZ = 4.0

@@ -38,9 +38,9 @@ from benchmarks.stand_in.scores import (
     scores_of,
     simulated_detections,
 )
-from modsim3d.arrays import Array, Mask
-from modsim3d.errors import ModsimError
-from modsim3d.runs.told import Told
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array, Mask
+from modsim3d.runs.tracker_view import TrackerDetections
 from modsim3d.tracking.trackers.registry import named_tracker
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def measured_film(job: Job) -> Measured:
     return Measured(facts_of(opened, real), outputs)
 
 
-def output(opened: OpenFilm, detections: Told, trackers: Sequence[str]) -> Output:
+def output(opened: OpenFilm, detections: TrackerDetections, trackers: Sequence[str]) -> Output:
     """Score the trackers behind one set of detections."""
     scored = {name: scored_tracks(opened, detections, name) for name in trackers}
     return Output(
@@ -158,7 +158,7 @@ def output(opened: OpenFilm, detections: Told, trackers: Sequence[str]) -> Outpu
     )
 
 
-def facts_of(opened: OpenFilm, real: Told) -> dict[str, Any]:
+def facts_of(opened: OpenFilm, real: TrackerDetections) -> dict[str, Any]:
     """What a film is, and what the detector that looks at pixels does in it."""
     film, scored = opened.film, opened.truth.scored
     found, row = found_vessels(opened, real)

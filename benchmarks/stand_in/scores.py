@@ -11,28 +11,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.stand_in.margins import SCORES
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.runs.camera_sequences import CameraSequence, sequences_of
-from modsim3d.runs.files.reading import truth_of
+from modsim3d.runs.files.stored_tables import truth_of
 from modsim3d.runs.pipeline import Simulation, block_ranges, block_steps, scene_census
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
-from modsim3d.runs.told import Told, told
-from modsim3d.scene.detector_choice import choose_detector
-from modsim3d.tracking.scores.association import clear_of, hota_of, identity_of
+from modsim3d.runs.tracker_view import TrackerDetections, anonymised
+from modsim3d.scene.settings import choose_detector
+from modsim3d.tracking.scores.association import clear_of, hota_of, identity_of, sequence
 from modsim3d.tracking.scores.breakdown import association_of_pairs
 from modsim3d.tracking.scores.continuity import false_track_lengths_s
-from modsim3d.tracking.scores.rules import Rules
-from modsim3d.tracking.scores.scored import Scored
-from modsim3d.tracking.scores.sequence import sequence
+from modsim3d.tracking.scores.scored import Rules, Scored
 from modsim3d.tracking.scores.set_distances import gospa
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked
-from modsim3d.tracks.following import follow
 from modsim3d.tracks.tracks import Tracks
-from modsim3d.tracks.true_tracks import TrueTracks
-from modsim3d.truth.truth_record import Truth
+from modsim3d.tracks.true_tracks import TrueTracks, follow
+from modsim3d.truth.record import Truth
 
 if TYPE_CHECKING:
     from benchmarks.stand_in.films import Film
@@ -100,7 +97,7 @@ def open_film(film: Film) -> OpenFilm:
     return OpenFilm(film, rows, sequences_of(rows, (0,))[0], TrueTracks.of(rows, RULES.truth, RULES.gap_s), blocks)
 
 
-def real_detections(opened: OpenFilm, threshold: float) -> Told:
+def real_detections(opened: OpenFilm, threshold: float) -> TrackerDetections:
     """What the detector that looks at pixels found, from a confidence on.
 
     Raises:
@@ -120,7 +117,7 @@ def real_detections(opened: OpenFilm, threshold: float) -> Told:
         raise ModsimError(f"{opened.film.real}: the label '{min(unknown)}' is none of the run's ({', '.join(labels)})")
     corner_px = np.array([each["bbox"] for each in found], dtype=np.float64).reshape(-1, 4)
     return _confident(
-        told(
+        anonymised(
             np.array([frame_of[each["image_id"]] for each in found], dtype=np.int64),
             np.array([labels.index(names[each["category_id"]]) for each in found], dtype=np.int64),
             np.hstack([corner_px[:, :2], corner_px[:, :2] + corner_px[:, 2:]]),
@@ -130,7 +127,9 @@ def real_detections(opened: OpenFilm, threshold: float) -> Told:
     )
 
 
-def simulated_detections(opened: OpenFilm, detector: Path, seeds: Sequence[int], threshold: float) -> list[Told]:
+def simulated_detections(
+    opened: OpenFilm, detector: Path, seeds: Sequence[int], threshold: float
+) -> list[TrackerDetections]:
     """What a detector file gives with each seed, in the state of the film's weather.
 
     Noise belongs to a seed, a vessel and a step, so films of one seed would not be independent: seed k of a film is
@@ -148,20 +147,20 @@ def simulated_detections(opened: OpenFilm, detector: Path, seeds: Sequence[int],
     return [_simulated(opened, Simulation(replace(scene, detector_seed=seed), census), threshold) for seed in own]
 
 
-def _simulated(opened: OpenFilm, simulation: Simulation, threshold: float) -> Told:
+def _simulated(opened: OpenFilm, simulation: Simulation, threshold: float) -> TrackerDetections:
     parts = []
     for block in opened.blocks:
         part = simulation.detect(*block).cameras[0]
         frame = np.searchsorted(opened.sequence.steps, part.steps[part.detections.frame])
         parts.append((frame, part.detections.label, part.detections.boxes_px, part.detections.confidence))
-    return _confident(told(*(np.concatenate(column) for column in zip(*parts, strict=True))), threshold)
+    return _confident(anonymised(*(np.concatenate(column) for column in zip(*parts, strict=True))), threshold)
 
 
-def _confident(detections: Told, threshold: float) -> Told:
+def _confident(detections: TrackerDetections, threshold: float) -> TrackerDetections:
     return detections.take(detections.confidence >= threshold)
 
 
-def scored_tracks(opened: OpenFilm, detections: Told, tracker: str) -> Scored:
+def scored_tracks(opened: OpenFilm, detections: TrackerDetections, tracker: str) -> Scored:
     """Run a tracker over the detections of a film, and match its tracks with the truth."""
     named = named_tracker(tracker, {}, SETTINGS_OF[opened.film.place])
     tracks = tracked(named, [replace(opened.sequence, detections=detections)], (0,), opened.rows.scene)
@@ -210,7 +209,7 @@ def bins_of(opened: OpenFilm, truth: TrueTracks) -> dict[str, Mask]:
     return {"visible": visible >= 0.5, "hidden": visible < 0.5, "near": near, "middle": ~near & ~far, "far": far}
 
 
-def found_vessels(opened: OpenFilm, detections: Told) -> tuple[Mask, Indices]:
+def found_vessels(opened: OpenFilm, detections: TrackerDetections) -> tuple[Mask, Indices]:
     """Whether each vessel of the truth is detected, shape (n,), and the row of the truth of each detection, shape (m,).
 
     A detection of no vessel has −1. In each frame detections and vessels are assigned so that the sum of IoU is

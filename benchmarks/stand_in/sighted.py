@@ -11,11 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import areas, clip, errors_between, intersections, iou, sizes
+from modsim3d.core.boxes import areas, clip, errors_between, intersections, iou, sizes
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.labelled import LabelledSet, Results
 from modsim3d.formats.matching import Rule, match
-from modsim3d.runs.told import Told
+from modsim3d.runs.tracker_view import TrackerDetections
 
 GRID_PX, CONFIDENCE_GRID = 0.5, 0.01
 """Files round boxes and confidences differently: both are rounded to these."""
@@ -26,7 +26,7 @@ INSIDE = 0.7
 """A false detection with so much of its area inside a vessel's box is a part of that vessel."""
 
 
-def shown_as(truth: LabelledSet, found: Told) -> LabelledSet:
+def shown_as(truth: LabelledSet, found: TrackerDetections) -> LabelledSet:
     """A film's truth with detections that are put out for its images, whose index is the frame."""
     return replace(truth, results=Results(found.frame, found.label, found.boxes_px, found.confidence).by_image())
 

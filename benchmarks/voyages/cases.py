@@ -11,9 +11,9 @@ import yaml
 
 from benchmarks.processes import ROOT
 from benchmarks.voyages.reported import AisErrors
-from modsim3d.ais.options import Options
-from modsim3d.ais.scene_folder import SCENE, write_scene
-from modsim3d.ais.traffic import read_traffic
+from modsim3d.scene.ais.options import Options
+from modsim3d.scene.ais.scene_folder import SCENE, write_scene
+from modsim3d.scene.ais.traffic import read_traffic
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 

@@ -13,12 +13,12 @@ import numpy as np
 from benchmarks.stand_in.films import Film
 from benchmarks.voyages.pixels import STD, VARIANTS, by_tracks, numbers_of
 from benchmarks.voyages.reported import AisErrors
-from modsim3d.arrays import Mask
+from modsim3d.core.types import Mask
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched, match
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import Learned, Settings
-from modsim3d.voyage.learned import with_sure_boxes
+from modsim3d.learn.learned import Learned, LearnSettings
+from modsim3d.learn.voyage.learn_voyage import with_sure_boxes
 
 NUMBERS = (STD.format("e_x"), STD.format("e_w"), "persistence.box_s")
 REPLICATES = 20
@@ -96,7 +96,7 @@ def _dropped(table: Any, drop: Mask | None) -> Any:
     return replace(table, **{name: column[~drop] for name, column in vars(table).items() if column is not None})
 
 
-def _learned(labelled: LabelledSet, settings: Settings) -> Learned:
+def _learned(labelled: LabelledSet, settings: LearnSettings) -> Learned:
     return learn_detector(labelled, settings, LearnOptions()).learned
 
 

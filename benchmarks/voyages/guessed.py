@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.voyages.reported import lasting
-from modsim3d.arrays import Array
-from modsim3d.motion.poses import Poses
-from modsim3d.motion.poses.replay import RecordedPoses
+from modsim3d.core.types import Array
+from modsim3d.learn.voyage.reference_error import TruthNoise
 from modsim3d.scene.scene import Scene
-from modsim3d.voyage.truth_noise.noise import TruthNoise
+from modsim3d.world.poses.base import Poses
+from modsim3d.world.poses.replay import RecordedPoses
 
 _HEADING, _SIZES, _ANTENNA = 2, slice(3, 6), slice(6, 8)
 _LEAST_SHARE = 0.2

@@ -18,11 +18,11 @@ from benchmarks.stand_in.stored import restore_films
 from benchmarks.voyages.reported import AisErrors, as_reported
 from benchmarks.voyages.trials import BY_RULE, LEVEL, REPLICATES, bounds, registration_numbers
 from benchmarks.voyages.wrong_camera import WRONG, really, write_table
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.learning import learn_detector
-from modsim3d.voyage.correction import Correction
-from modsim3d.voyage.learned import VoyageResult, learn_voyage
+from modsim3d.learn.voyage.learn_voyage import VoyageResult, learn_voyage
+from modsim3d.learn.voyage.log_to_scene import Correction
 
 PIXELS = "pixels"
 NEAR_AIS = AisErrors(position_m=1.0, position_s=300.0, delay_s=0.2)

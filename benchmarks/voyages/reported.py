@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.arrays import Array
-from modsim3d.motion.poses import Poses
-from modsim3d.motion.poses.replay import RecordedPoses
+from modsim3d.core.types import Array
 from modsim3d.scene.scene import Scene
+from modsim3d.world.poses.base import Poses
+from modsim3d.world.poses.replay import RecordedPoses
 
 
 @dataclass(frozen=True)

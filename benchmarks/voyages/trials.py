@@ -16,11 +16,11 @@ from benchmarks.voyages.cases import BY_NAME, TOLD_M, Case, scene_of_sample
 from benchmarks.voyages.guessed import Guesses
 from benchmarks.voyages.reported import as_reported
 from benchmarks.voyages.wrong_camera import WRONG, Voyage
-from modsim3d.errors import ModsimError
-from modsim3d.learn.numbers.entries import Interval
+from modsim3d.core.errors import ModsimError
+from modsim3d.learn.bootstrap import Interval
+from modsim3d.learn.voyage.learn_voyage import VoyageResult, learn_voyage
+from modsim3d.learn.voyage.registration.registering import Registration, register
 from modsim3d.scene.scene import Scene
-from modsim3d.voyage.learned import VoyageResult, learn_voyage
-from modsim3d.voyage.registration import Registration, register
 from tests.learn.round_trip import asked_of
 
 REPLICATES = 100

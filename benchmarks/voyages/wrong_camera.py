@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.core.types import Array, Indices
 from modsim3d.detector.records import Detections
+from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
 from modsim3d.scene.scene import Scene
-from modsim3d.truth.truth_record import Truth
-from modsim3d.voyage.registration import BoxesAtTimes
+from modsim3d.truth.record import Truth
 
 WRONG = {"clock_s": 3.7, "pitch_deg": 0.4, "yaw_deg": 2.0, "height_m": 1.0, "focal_share": 0.02}
 """By how much the camera and the clock of the detector differ from what the user's scene says."""

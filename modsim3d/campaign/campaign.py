@@ -9,18 +9,21 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from modsim3d.campaign.engines.interface import Engine
-from modsim3d.campaign.file.reading import read_campaign
-from modsim3d.campaign.present import crashed_runs, present_state
-from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
-from modsim3d.campaign.results.means import Mean, MeanRow, mean_rows, usual_keys, usual_scores
+from modsim3d.campaign.folder import CampaignFolder, opened_campaign
+from modsim3d.campaign.keys import read_campaign
+from modsim3d.campaign.means import Mean, MeanRow, mean_rows, usual_keys, usual_scores
 from modsim3d.campaign.running import Progress, run_plan
+from modsim3d.campaign.status import crashed_runs, present_state
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked
-from modsim3d.display import column_table, counted
-from modsim3d.errors import ModsimError
-from modsim3d.paths import StrPath, as_path
-from modsim3d.processes import WorkerCount, worker_count
+from modsim3d.campaign.work.task import changes
+from modsim3d.campaign.workers import Engine
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.text import column_table, counted
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.io.processes import WorkerCount, worker_count
+
+# ---- Campaigns from Python ----
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -159,16 +162,16 @@ def engine_of(workers: WorkerCount, scheduler: str | None = None, slurm: int | N
     if scheduler is not None and slurm is not None:
         raise ModsimError("--scheduler and --slurm contradict each other: leave one out")
     if scheduler is not None or slurm is not None:
-        from modsim3d.campaign.engines.dask_engine import check_libraries
+        from modsim3d.campaign.dask import check_libraries
 
         check_libraries("distributed", *(["dask_jobqueue"] if slurm is not None else []))
 
     def opened() -> Engine:
         if scheduler is not None or slurm is not None:
-            from modsim3d.campaign.engines.dask_engine import DaskEngine, SlurmEngine
+            from modsim3d.campaign.dask import DaskEngine, SlurmEngine
 
             return DaskEngine(scheduler) if scheduler is not None else SlurmEngine(slurm or 1)
-        from modsim3d.campaign.engines.pool import ProcessPool
+        from modsim3d.campaign.workers import ProcessPool
 
         return ProcessPool(workers)
 
@@ -180,3 +183,17 @@ def _text(mean: Mean) -> str:
     if mean.value is None:
         return "–"
     return f"{mean.value:.3f}" if mean.low is None else f"{mean.value:.3f} [{mean.low:.3f}, {mean.high:.3f}]"
+
+
+# ---- Whether the files of a campaign are still as they were when it was planned ----
+
+
+def check_files(folder: CampaignFolder) -> None:
+    """Refuse to make runs of a campaign again from files that are not the same.
+
+    Raises:
+        InputError: With every file that has changed or is not there.
+    """
+    if problems := changes(folder.work):
+        hint = "put the files back as they were: runs are made again from the same bytes only"
+        raise InputError(f"campaign {folder.path}", [*problems, hint])

@@ -9,14 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, read_only
-from modsim3d.boxes import at_least_a_pixel, clip, inside_image, move, sizes
-from modsim3d.detector.box_error_law import ErrorDistribution, size_factors, standardised
-from modsim3d.detector.draws import BOX_ERROR_REDRAW_STREAMS, LatentPurposes
+from modsim3d.core.boxes import at_least_a_pixel, clip, inside_image, move, sizes
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.random_streams import Streams, grid_normals
+from modsim3d.core.types import Array, Indices, Mask, read_only
+from modsim3d.detector.draws import (
+    BOX_ERROR_REDRAW_STREAMS,
+    ErrorDistribution,
+    LatentPurposes,
+    size_factors,
+    standardised,
+)
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Targets
-from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Streams, grid_normals
 
 MOST_DRAWS = 10_000
 """Draws of the error of one box before its state counts as impossible for it."""

@@ -7,18 +7,22 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import sizes, unions
+from modsim3d.core.boxes import sizes, unions
+from modsim3d.core.random_streams import Purpose, Streams
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.box_error import BoxErrorSource, MisplacedBoxes, TrueBoxes
-from modsim3d.detector.census import TargetCensus
-from modsim3d.detector.classification import ConfusionClassifier
-from modsim3d.detector.clutter import Clutter, ClutterSource, Surroundings
-from modsim3d.detector.clutter_models import ClutterRates, FrameCounts
+from modsim3d.detector.classification import ConfusionClassifier, PerformanceStates
 from modsim3d.detector.confidence import Confidence
 from modsim3d.detector.draws import DUPLICATE_REDRAW_STREAMS, DUPLICATE_STREAMS, latent_normals, select, target_uniforms
-from modsim3d.detector.merges_and_splits import Events, halves
+from modsim3d.detector.false_positives import (
+    FalsePositiveRates,
+    FalsePositives,
+    FalsePositiveSource,
+    FrameCounts,
+    Surroundings,
+)
+from modsim3d.detector.merges_and_splits import Events, PairNoise, halves
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.pair_noise import PairNoise
 from modsim3d.detector.persistence import Clock, VesselNoise
 from modsim3d.detector.records import (
     DUPLICATE,
@@ -33,8 +37,7 @@ from modsim3d.detector.records import (
     Targets,
     are_false,
 )
-from modsim3d.detector.states import PerformanceStates
-from modsim3d.random_streams import Purpose, Streams
+from modsim3d.detector.target_statistics import TargetStatistics
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +110,12 @@ class Detector:
     same detections, whatever was detected before and however a run is split into chunks.
     """
 
-    def __init__(self, model: DetectorModel, seed: int, census: TargetCensus, clock: Clock) -> None:
+    def __init__(self, model: DetectorModel, seed: int, census: TargetStatistics, clock: Clock) -> None:
         """Build the parts that the model asks for.
 
         Args:
             seed: Key of all its random numbers.
-            census: Of the scene's targets, from `take_census`.
+            census: Of the scene's targets, from `target_statistics`.
             clock: Times of the scene's steps, such as `scene.times_s`: noise may persist from step to step.
 
         Raises:
@@ -220,7 +223,7 @@ class Detector:
             parts.append(self._of_clutter(frames, persistent, PERSISTENT, Purpose.PERSISTENT_CONFIDENCE))
         return parts
 
-    def _of_clutter(self, frames: CameraFrames, clutter: Clutter, kind: int, purpose: Purpose) -> _Unscored:
+    def _of_clutter(self, frames: CameraFrames, clutter: FalsePositives, kind: int, purpose: Purpose) -> _Unscored:
         count = len(clutter.frame)
         no_target = np.full(count, -1)
         return _Unscored(
@@ -261,22 +264,22 @@ class Detector:
         return Detections(states=states, confidence=confidence[order], gated=gated, **columns)
 
 
-def clutter_of(model: DetectorModel, census: TargetCensus) -> ClutterSource:
+def clutter_of(model: DetectorModel, census: TargetStatistics) -> FalsePositiveSource:
     """The false positives of a detector.
 
     Raises:
         ModsimError: Their sizes come from the scene's targets, and there are none.
     """
-    return ClutterSource.of(model.clutter, clutter_rates(model), model.column("false_positive_labels"), census)
+    return FalsePositiveSource.of(model.clutter, clutter_rates(model), model.column("false_positive_labels"), census)
 
 
-def clutter_rates(model: DetectorModel) -> ClutterRates:
+def clutter_rates(model: DetectorModel) -> FalsePositiveRates:
     """How many false positives each state of a detector asks for."""
     discovery, per_image = model.column("false_discovery_rate"), model.column("false_positives_per_image")
-    return ClutterRates(discovery, per_image, model.confidence_threshold)
+    return FalsePositiveRates(discovery, per_image, model.confidence_threshold)
 
 
-def take_census(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetCensus:
+def target_statistics(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetStatistics:
     """The census that a detector needs of a scene: give the result to `Detector`, whatever the model.
 
     Args:
@@ -285,8 +288,8 @@ def take_census(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Target
             the result is then empty.
     """
     if not model.needs_census:
-        return TargetCensus()
-    return TargetCensus.total(
-        TargetCensus.of(model.dropout, select(targets, np.flatnonzero(model.gates.passed(frames, targets))))
+        return TargetStatistics()
+    return TargetStatistics.total(
+        TargetStatistics.of(model.dropout, select(targets, np.flatnonzero(model.gates.passed(frames, targets))))
         for frames, targets in parts
     )

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from scipy import special
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.boxes import sizes
+from modsim3d.core.boxes import sizes
+from modsim3d.core.types import Array, Indices
 from modsim3d.detector.draws import log2
 from modsim3d.detector.records import Targets
 
@@ -67,7 +67,7 @@ class Slope:
 
 
 @dataclass(frozen=True)
-class Table:
+class FactorTable:
     """Factors on the odds of a miss by ranges of an attribute, one factor more than edges.
 
     Edges ascend; a value at an edge is in the range above it.
@@ -84,7 +84,7 @@ class Table:
         return np.where(np.isnan(values), 0.0, added[np.searchsorted(self.edges, values, side="right")])
 
 
-EFFECTS: Mapping[str, type[Effect]] = {"logistic": Slope, "table": Table}
+EFFECTS: Mapping[str, type[Effect]] = {"logistic": Slope, "table": FactorTable}
 """By the name that `dropout.model` has in a detector file."""
 
 

@@ -8,16 +8,42 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modsim3d.arrays import Array, read_only
-from modsim3d.detector.box_error_law import BoxErrorLaw
-from modsim3d.detector.clutter import ClutterOptions
+from modsim3d.core.text import column_table, counted, listed
+from modsim3d.core.types import Array, Indices, read_only
 from modsim3d.detector.confidence import StateConfidence
+from modsim3d.detector.draws import BoxErrorLaw
 from modsim3d.detector.dropout import Dropout
-from modsim3d.detector.gates import Gates
+from modsim3d.detector.false_positives import FalsePositiveOptions
 from modsim3d.detector.merges_and_splits import MergesAndSplits
-from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
-from modsim3d.display import column_table, counted, listed
+from modsim3d.detector.records import Gates
+
+# ---- Whether cameras share a chain of performance states, and when a schedule forces a state ----
+
+_EARLY_S = 1e-9  # a time read from text and one worked out may differ by rounding
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Whether each camera has a chain of its own, and which states are forced.
+
+    The schedule has ascending times in seconds and the state forced from each on; −1 returns to the chain.
+    """
+
+    per_camera: bool = False
+    schedule: tuple[tuple[float, int], ...] = ()
+
+    def forced(self, times_s: Array, states: Indices) -> Indices:
+        """The states at times in seconds, given those of the chain, all of shape (S,)."""
+        if not self.schedule:
+            return states
+        starts = [time_s for time_s, _ in self.schedule]
+        entry = np.searchsorted(starts, times_s + _EARLY_S, side="right")
+        schedule = np.array([-1, *(state for _, state in self.schedule)])[entry]
+        return np.where(schedule >= 0, schedule, states)
+
+
+# ---- A detector's statistics as the simulation uses them ----
 
 ERROR_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")
 """Order of the box error (Jessen & Mohr (2023), section 5.6.3): centre, width and height."""
@@ -84,7 +110,7 @@ class DetectorModel:
     dropout: Dropout = field(default_factory=Dropout)
     gates: Gates = field(default_factory=Gates)
     persistence: Persistence = field(default_factory=Persistence)
-    clutter: ClutterOptions = field(default_factory=ClutterOptions)
+    clutter: FalsePositiveOptions = field(default_factory=FalsePositiveOptions)
     merges_and_splits: MergesAndSplits = field(default_factory=MergesAndSplits)
     performance: Performance = field(default_factory=Performance)
     operating_threshold: float | None = None

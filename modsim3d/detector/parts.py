@@ -10,16 +10,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS
-from modsim3d.detector.classification import ConfusionClassifier
-from modsim3d.detector.clutter_models import CLUTTER_MODELS
+from modsim3d.detector.classification import ConfusionClassifier, PerformanceStates
 from modsim3d.detector.confidence import SCORES
+from modsim3d.detector.draws import ERROR_DISTRIBUTIONS
 from modsim3d.detector.dropout import EFFECTS
+from modsim3d.detector.false_positives import CLUTTER_MODELS
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.states import PerformanceStates
 
 
-class Part(StrEnum):
+class DetectorPart(StrEnum):
     """The parts of a detector in the order in which it works, with the names that reports use."""
 
     STATE = "performance state"
@@ -31,12 +30,12 @@ class Part(StrEnum):
 
 MARKOV_CHAIN, CONFUSION = "markov_chain", "confusion"
 
-MODELS: Mapping[Part, Mapping[str, object]] = {
-    Part.STATE: {MARKOV_CHAIN: PerformanceStates},
-    Part.CLASS: {CONFUSION: ConfusionClassifier, **EFFECTS},
-    Part.BOX_ERROR: ERROR_DISTRIBUTIONS,
-    Part.FALSE_POSITIVES: CLUTTER_MODELS,
-    Part.CONFIDENCE: SCORES,
+MODELS: Mapping[DetectorPart, Mapping[str, object]] = {
+    DetectorPart.STATE: {MARKOV_CHAIN: PerformanceStates},
+    DetectorPart.CLASS: {CONFUSION: ConfusionClassifier, **EFFECTS},
+    DetectorPart.BOX_ERROR: ERROR_DISTRIBUTIONS,
+    DetectorPart.FALSE_POSITIVES: CLUTTER_MODELS,
+    DetectorPart.CONFIDENCE: SCORES,
 }
 """What draws each part, by the name of the model."""
 
@@ -45,7 +44,7 @@ MODELS: Mapping[Part, Mapping[str, object]] = {
 class UsedModel:
     """A model that a detector uses: its registered name, the key of the file that chooses it, and its state, if one."""
 
-    part: Part
+    part: DetectorPart
     name: str
     key: str
     state: str | None = None
@@ -53,25 +52,25 @@ class UsedModel:
 
 def used_models(model: DetectorModel) -> Iterator[UsedModel]:
     """Every model that a detector uses, in the order of its parts."""
-    yield UsedModel(Part.STATE, MARKOV_CHAIN, "performance")
-    yield UsedModel(Part.CLASS, CONFUSION, "dropout.model")
+    yield UsedModel(DetectorPart.STATE, MARKOV_CHAIN, "performance")
+    yield UsedModel(DetectorPart.CLASS, CONFUSION, "dropout.model")
     for effect in model.dropout.effects:
-        yield UsedModel(Part.CLASS, model_name(EFFECTS, effect), f"dropout.{effect.attribute}")
+        yield UsedModel(DetectorPart.CLASS, model_name(EFFECTS, effect), f"dropout.{effect.attribute}")
     for index, effects in model.dropout.own.items():
         for effect in effects:
             name = model.states[index].name
             key = f"states.{name}.dropout.{effect.attribute}"
-            yield UsedModel(Part.CLASS, model_name(EFFECTS, effect), key, name)
+            yield UsedModel(DetectorPart.CLASS, model_name(EFFECTS, effect), key, name)
     for state in model.states:
         name = model_name(ERROR_DISTRIBUTIONS, state.box_error.distribution)
-        yield UsedModel(Part.BOX_ERROR, name, f"states.{state.name}.box_error.law", state.name)
-    yield UsedModel(Part.FALSE_POSITIVES, model.clutter.model, "false_positives.model")
+        yield UsedModel(DetectorPart.BOX_ERROR, name, f"states.{state.name}.box_error.law", state.name)
+    yield UsedModel(DetectorPart.FALSE_POSITIVES, model.clutter.model, "false_positives.model")
     for state in model.states:
         true, false = state.confidence.true, state.confidence.false
         kinds = {"": true} if true is false else {".true": true, ".false": false}
         for suffix, scores in kinds.items():
             key = f"states.{state.name}.confidence{suffix}"
-            yield UsedModel(Part.CONFIDENCE, model_name(SCORES, scores), key, state.name)
+            yield UsedModel(DetectorPart.CONFIDENCE, model_name(SCORES, scores), key, state.name)
 
 
 def model_name(models: Mapping[str, type], value: object) -> str:

@@ -17,11 +17,10 @@ from typing import Protocol
 import numpy as np
 from scipy import special
 
-from modsim3d.arrays import Array, Indices, occurring
-from modsim3d.detector.box_error_law import ERROR_NORMALS
-from modsim3d.detector.draws import BOX_ERROR_STREAMS, latent_normals, target_uniforms
+from modsim3d.core.random_streams import GRID, Purpose, Streams, grid_normals, on_grid
+from modsim3d.core.types import Array, Indices, occurring
+from modsim3d.detector.draws import BOX_ERROR_STREAMS, ERROR_NORMALS, latent_normals, target_uniforms
 from modsim3d.detector.records import CameraFrames, Targets
-from modsim3d.random_streams import GRID, Purpose, Streams, grid_normals, on_grid
 
 Clock = Callable[[int, int], Array]
 """Times of steps first to stop − 1 in seconds since the scene's first, shape (stop − first,)."""

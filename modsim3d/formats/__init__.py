@@ -1,1 +1,1 @@
-"""Files of other programs, in and out, through one labelled set."""
+"""Other people's files, in and out, through labelled sets."""

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import iou, unions
+from modsim3d.core.boxes import iou, unions
+from modsim3d.core.types import Array, Indices, Mask, StrPath
 from modsim3d.detector.records import FALSE_KINDS, KINDS, MERGED
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
 from modsim3d.formats.matching import image_pairs
-from modsim3d.paths import StrPath
-from modsim3d.runs.files.columns import NOBODY, indices, numbers, positions
+from modsim3d.runs.files.tables import NOBODY, indices, number_column, positions
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
 
@@ -85,7 +84,7 @@ def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
         image=image[kept],
         label=indices(rows.detections, "label", rows.scene.detector.labels)[kept],
         boxes_px=rows.detection_boxes_px()[kept],
-        confidence=numbers(rows.detections, "confidence")[kept],
+        confidence=number_column(rows.detections, "confidence")[kept],
         origin=positions(
             truth.image * vessels + truth.identity, np.where(own, image * vessels + rows.detection_vessel, NOBODY)[kept]
         ),

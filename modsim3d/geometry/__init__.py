@@ -1,1 +1,1 @@
-"""Rotations, cameras, lenses, clipping, the curved sea and rates from poses: mathematics on arrays."""
+"""The mathematics of places and views: rotations, cameras, lenses, clipping, the curved sea, kinematics."""

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.arrays import Array
-from modsim3d.detector.confidence import NormalScores, QuantileScores, Scores
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array
+from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, QuantileScores
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
-from modsim3d.errors import InputError
-from modsim3d.learn.numbers.entries import columns_of_one, digits, nested
+from modsim3d.learn.bootstrap import columns_of_one, digits, nested
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +161,7 @@ def _shifted(section: Mapping[Any, Any], shift: float, where: str) -> dict[Any, 
     return {**section, "mean": digits(_with_odds(section["mean"], np.exp(shift)))}
 
 
-def _mean(scores: Scores) -> float:
+def _mean(scores: ConfidenceLaw) -> float:
     """The mean of a distribution of confidence, before it is clipped."""
     if isinstance(scores, NormalScores):
         return scores.mean

@@ -2,40 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from modsim3d.errors import InputError
+from modsim3d.core.errors import InputError
+from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, MODELS, DetectorPart
 from modsim3d.formats.matching import Rule
-from modsim3d.inputs.budgets import MAX_TABLE_CELLS
-from modsim3d.learn.box_errors.box_error_estimate import BoxErrorForm, LearnedBoxErrors, choose_box_errors
-from modsim3d.learn.confidence.confidence_estimate import (
-    ConfidenceForm,
-    NoConfidenceForm,
-    OneConfidenceForm,
-    choose_confidence,
-)
-from modsim3d.learn.false_positives.false_positive_estimate import (
-    FalsePositiveForm,
-    LearnedFalsePositives,
-    choose_false_positives,
-)
-from modsim3d.learn.form import LearnedPart, PartForm
-from modsim3d.learn.misses.class_estimate import ClassForm, LearnedClasses, choose_classes
-from modsim3d.learn.multiple_boxes.multiple_box_estimate import (
+from modsim3d.io.input_files import MAX_TABLE_CELLS
+from modsim3d.learn.bootstrap import Interval, Resampling, entries_of, resample
+from modsim3d.learn.box_errors.estimate import BoxErrorForm, LearnedBoxErrors, choose_box_errors
+from modsim3d.learn.box_errors.laws import LAWS
+from modsim3d.learn.confidence import ConfidenceForm, NoConfidenceForm, OneConfidenceForm, choose_confidence
+from modsim3d.learn.false_positives import FalsePositiveForm, LearnedFalsePositives, choose_false_positives
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.misses import ClassForm, LearnedClasses, choose_classes
+from modsim3d.learn.model_selection import LearnedPart, PartForm
+from modsim3d.learn.multiple_boxes import (
     NO_ROOM,
     LearnedMultipleBoxes,
     MultipleBoxForm,
     choose_multiple_boxes,
     leaves_room,
 )
-from modsim3d.learn.numbers.entries import Interval, entries_of
-from modsim3d.learn.numbers.resampling import Resampling, resample
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.states.transitions import Transitions
+from modsim3d.learn.states import Transitions, transitions_of
+
+# ---- A detector out of labelled sets ----
 
 _RUN_TIMES = 12.0
 _LEAST_RUNS = 24
@@ -52,7 +46,7 @@ _STATE_KEYS = (
 
 
 @dataclass(frozen=True)
-class Settings:
+class LearnSettings:
     """How a detector is learned.
 
     Attributes:
@@ -106,7 +100,7 @@ class DetectorForm:
 
 
 def choose_form(observed: Observed, clutter: str = "auto") -> DetectorForm:
-    """The models that the data can carry; see `Settings` for the clutter."""
+    """The models that the data can carry; see `LearnSettings` for the clutter."""
     multiple_boxes = choose_multiple_boxes(observed)
     if clutter == "auto" and not leaves_room(observed):
         clutter, multiple_boxes = "per_image", multiple_boxes.noting(NO_ROOM)
@@ -192,7 +186,7 @@ class Learned:
         }
 
 
-def learn(observed: Observed, transitions: Transitions, settings: Settings) -> Learned:
+def learn(observed: Observed, transitions: Transitions, settings: LearnSettings) -> Learned:
     """Learn a detector from data that were matched by the rule and at the threshold of the settings.
 
     Raises:
@@ -246,3 +240,24 @@ def _run_s(observed: Observed, form: DetectorForm) -> float:
     images = observed.labelled.images
     spans = [float(np.ptp(images.time_s[images.sequence == s])) for s in np.unique(images.sequence)]
     return min(_RUN_TIMES * longest, float(np.nansum(spans)) / _LEAST_RUNS)
+
+
+# ---- What learns each model of a detector, registered under the part and name that ----
+
+Learner = Callable[..., PartForm | Transitions]
+
+LEARNERS: Mapping[DetectorPart, Mapping[str, Learner]] = {
+    DetectorPart.STATE: {MARKOV_CHAIN: transitions_of},
+    DetectorPart.CLASS: dict.fromkeys((CONFUSION, "logistic"), choose_classes),
+    DetectorPart.BOX_ERROR: dict.fromkeys(LAWS, choose_box_errors),
+    DetectorPart.FALSE_POSITIVES: dict.fromkeys(("calibrated", "per_image"), choose_false_positives),
+    DetectorPart.CONFIDENCE: dict.fromkeys(("normal", "quantiles"), choose_confidence),
+}
+"""What chooses and estimates each model that can be learned."""
+
+
+def models_and_learners() -> Iterator[tuple[DetectorPart, str, Learner | None]]:
+    """Part, name and learner of every registered model; None for a model that nothing learns."""
+    for part, models in MODELS.items():
+        for name in models:
+            yield part, name, LEARNERS[part].get(name)

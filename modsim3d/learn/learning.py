@@ -12,31 +12,29 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.text import column_table
+from modsim3d.core.types import StrPath, as_path
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.writing import detector_text
 from modsim3d.detector.model import DetectorModel
-from modsim3d.display import column_table
-from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, usual_method
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
-from modsim3d.inputs.opening import inputs_noted
-from modsim3d.inputs.validation import Count, Number, Positive, Probability, Strict, describe, shown
+from modsim3d.io.atomic_write import write_files
+from modsim3d.io.input_files import inputs_noted
+from modsim3d.io.overwrite_guard import claimed
+from modsim3d.io.validation import Count, Number, Positive, Probability, Strict, describe, shown
 from modsim3d.learn import learn_detector as labelled_sets
-from modsim3d.learn.form import left_out
 from modsim3d.learn.learn_detector import LearnOptions
-from modsim3d.learn.learned import Settings
-from modsim3d.learn.told.page import page_text
-from modsim3d.learn.told.report import Report, lead
-from modsim3d.learn.told.sources import Sources
-from modsim3d.learn.told.tables import tables
+from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.model_selection import left_out
+from modsim3d.learn.report import LearnReport, lead
+from modsim3d.learn.report_page import Sources, page_text, tables
 from modsim3d.learn.uncertainty import uncertainty_file, uncertainty_text
-from modsim3d.outputs.claims import claimed
-from modsim3d.outputs.placing import write_files
-from modsim3d.paths import StrPath, as_path
-from modsim3d.runs.files.replacing import read_of_run
+from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
 
 Paths = StrPath | Sequence[StrPath]
@@ -57,7 +55,7 @@ class LearnResult:
         sections: Further sections of the page, as HTML, such as those of a voyage.
     """
 
-    report: Report
+    report: LearnReport
     inputs: tuple[Path, ...]
     sources: Sources
     sections: tuple[str, ...] = ()
@@ -111,7 +109,7 @@ class LearnResult:
 
 
 def learned_files(
-    report: Report,
+    report: LearnReport,
     out: Path,
     page: Path,
     sources: Sources,
@@ -138,7 +136,7 @@ def _paragraphs(texts: Iterable[str]) -> str:
     return "".join(f"<p>{text}</p>" for text in texts)
 
 
-def comments(report: Report, corrected: bool = False) -> list[str]:
+def comments(report: LearnReport, corrected: bool = False) -> list[str]:
     """The lines at the head of a learned detector file; `corrected` says that the bias of matching was taken off."""
     states = report.state_map.states.items()
     return [
@@ -251,7 +249,7 @@ def learn_detector(
             labelled = _read(pairs, given)
     rule = Rule(given.match or usual_method(labelled), given.least_iou, given.most_distance_px)
     least = labelled_sets.least_confidence(labelled, given.confidence)
-    settings = Settings(
+    settings = LearnSettings(
         rule, least, given.replicates, given.seed, without=left_out(given.without, "learn_detector: without")
     )
     options = LearnOptions(*wanted, interval_s=interval_s)

@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 import orjson
 
-from modsim3d.arrays import Array, Mask
-from modsim3d.learn.false_positives.false_positive_estimate import NOT_WRITTEN
+from modsim3d.core.types import Array, Mask
+from modsim3d.learn.bootstrap import Entry, entries_of, nested, spread, to_scale
+from modsim3d.learn.false_positives import NOT_WRITTEN
 from modsim3d.learn.learned import Learned
-from modsim3d.learn.misses.class_estimate import filled
-from modsim3d.learn.numbers.entries import Entry, entries_of, nested
-from modsim3d.learn.numbers.resampling import spread, to_scale
+from modsim3d.learn.misses import filled
 
 FORMAT = 1
 COUNTED = ("share", "rate")

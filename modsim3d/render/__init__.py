@@ -1,1 +1,1 @@
-"""Headless rendering: the OpenGL context, ID buffers, shaded pictures. Nothing here is imported by modsim3d itself."""
+"""OpenGL, for which there is no other room: the context, ID buffers, shaded pictures."""

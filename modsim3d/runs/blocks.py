@@ -8,12 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.frames import Frame, FrameDetections, FrameTruth
 from modsim3d.scene.scene import Scene
-from modsim3d.truth.modes import annotation_boxes
-from modsim3d.truth.truth_record import Truth
+from modsim3d.truth.record import Truth, annotation_boxes
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import centre_form
+from modsim3d.core.boxes import centre_form
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.text import column_table, counted, listed
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.records import FALSE_KINDS, KINDS
-from modsim3d.display import column_table, counted, listed
-from modsim3d.errors import ModsimError
-from modsim3d.inputs.validation import nearest
+from modsim3d.io.validation import nearest
 from modsim3d.scene.scene import Scene
-from modsim3d.scene.snapshot import IdImage, Snapshot
+from modsim3d.scene.sight import IdImage, Snapshot
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -10,26 +10,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modsim3d.arrays import Indices, occurring
-from modsim3d.detector.census import TargetCensus
-from modsim3d.detector.chain import Detector, take_census
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.types import Indices, occurring
+from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.records import CameraFrames, Detections, Targets
-from modsim3d.errors import InputError, ModsimError
+from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.motion.poses import LivePoses
-from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.runs.blocks import Block, CameraBlock, frames_of
 from modsim3d.runs.frames import Frame
 from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.checks import place_problems
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
-from modsim3d.truth.analytic import analytic_occlusion
-from modsim3d.truth.modes import Annotation, annotated_rows, annotation_boxes
+from modsim3d.truth.analytic import analytic_occlusion, rectangle_occlusion
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.rectangle_rule import rectangle_occlusion
-from modsim3d.truth.truth_record import Truth, concatenate, no_truth
+from modsim3d.truth.record import Annotation, Truth, annotated_rows, annotation_boxes, concatenate, no_truth
+from modsim3d.world.poses.replay import LivePoses
+from modsim3d.world.vessel_motion import PosesInWaves
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
@@ -149,7 +147,7 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
         yield DetectorInput(seen, rows, frames, targets)
 
 
-def scene_census(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> TargetCensus:
+def scene_census(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> TargetStatistics:
     """What the scene's detector must know of all its targets before it starts.
 
     Args:
@@ -158,7 +156,7 @@ def scene_census(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> Targ
             detector needs no census.
     """
     parts = (part for block in blocks for part in detector_inputs(scene, *block))
-    return take_census(scene.detector, ((part.frames, part.targets) for part in parts))
+    return target_statistics(scene.detector, ((part.frames, part.targets) for part in parts))
 
 
 def detected_block(
@@ -189,7 +187,7 @@ def _checked_truth(scene: Scene, first: int, stop: int, renderer: IdRenderer | N
 class Simulation:
     """A scene with its detector, which turns the truth of a block into truth and detections."""
 
-    def __init__(self, scene: Scene, census: TargetCensus) -> None:
+    def __init__(self, scene: Scene, census: TargetStatistics) -> None:
         """Set up the detector from its seed; `scene_census` gives the census."""
         self.scene = scene
         self._detector = Detector(scene.detector, scene.detector_seed, census, scene.times_s)

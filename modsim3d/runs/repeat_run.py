@@ -7,16 +7,105 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
 
-from modsim3d.processes import WorkerCount
+from modsim3d.core.errors import RunDirectoryError
+from modsim3d.core.types import Mask
+from modsim3d.io.processes import WorkerCount
 from modsim3d.runs.files.block_files import THESIS_LINES
-from modsim3d.runs.files.differences import difference, settings_difference
-from modsim3d.runs.files.file_list import FileList, file_list
-from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER
+from modsim3d.runs.files.overwrite import POSES_FILE, RUN_FILE, SCENE_FOLDER, FileList, file_list
+from modsim3d.runs.files.stored_tables import damage_named
+from modsim3d.runs.files.tables import number_column
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import FinishedRun
 from modsim3d.scene.scene import Scene
+
+# ---- How two files of the same name differ, in words ----
+
+_MOST_COLUMNS = 6
+SAME_ROWS = "the same rows, stored in other bytes"
+"""What `difference` says of tables of another writer."""
+
+
+def difference(one: Path, other: Path) -> str:
+    """What differs between two files of a run that have different bytes."""
+    if one.suffix == ".parquet":
+        return _of_tables(one, other)
+    lines, others = one.read_bytes().splitlines(), other.read_bytes().splitlines()
+    if len(lines) != len(others):
+        return f"{len(lines)} lines against {len(others)}"
+    return f"{sum(a != b for a, b in zip(lines, others, strict=True))} of {len(lines)} lines differ"
+
+
+def settings_difference(one: bytes, other: bytes, left_out: frozenset[str]) -> str:
+    """Which entries differ between two JSON objects, `left_out` aside; empty if none does."""
+    first, second = (_flat(orjson.loads(text), left_out) for text in (one, other))
+    keys = [key for key in sorted(first | second) if first.get(key) != second.get(key)]
+    said = [f"{key} {_shown(first, key)} against {_shown(second, key)}" for key in keys[:_MOST_COLUMNS]]
+    return _listed(said, len(keys))
+
+
+def _flat(value: object, left_out: frozenset[str], path: str = "") -> dict[str, object]:
+    """Values of nested objects by their path with dots."""
+    if not isinstance(value, dict):
+        return {path: value}
+    inner = [(f"{path}.{key}" if path else key, entry) for key, entry in value.items()]
+    found: dict[str, object] = {}
+    for key, entry in inner:
+        if key not in left_out:
+            found |= _flat(entry, left_out, key)
+    return found
+
+
+def _shown(values: dict[str, object], key: str) -> str:
+    return orjson.dumps(values[key]).decode() if key in values else "nothing"
+
+
+def _of_tables(one: Path, other: Path) -> str:
+    try:
+        first, second = _rows(one), _rows(other)
+    except RunDirectoryError as error:
+        return str(error)
+    if first.schema != second.schema:
+        return "the columns are others"
+    if len(first) != len(second):
+        return f"{len(first)} rows against {len(second)}"
+    found = {name: _column(first, second, name) for name in first.column_names}
+    differs = {name: rows for name, (rows, _) in found.items() if rows.any()}
+    if not differs:
+        return SAME_ROWS
+    rows = np.logical_or.reduce(list(differs.values())).sum()
+    said = [f"{name} in {mask.sum()}{found[name][1]}" for name, mask in differs.items()]
+    return f"{rows} of {len(first)} rows differ: {_listed(said[:_MOST_COLUMNS], len(said))}"
+
+
+def _rows(path: Path) -> pa.Table:
+    with damage_named(path):
+        return pq.read_table(path)
+
+
+def _column(first: pa.Table, second: pa.Table, name: str) -> tuple[Mask, str]:
+    """Which rows differ in a column, shape (n,), and by how much at most."""
+    one, other, kind = first[name], second[name], first.schema.field(name).type
+    if one.equals(other):
+        return np.zeros(len(one), dtype=bool), ""
+    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+        return np.array([a != b for a, b in zip(one.to_pylist(), other.to_pylist(), strict=True)]), ""
+    a, b = number_column(first, name), number_column(second, name)
+    differs: Mask = ~((a == b) | (np.isnan(a) & np.isnan(b)))
+    apart = np.abs(a - b)[differs]
+    most = apart[~np.isnan(apart)].max(initial=0.0)
+    return differs, f" by {most:.2g} at most" if most else ""
+
+
+def _listed(said: list[str], count: int) -> str:
+    return "; ".join([*said, *([f"and {count - len(said)} more"] if count > len(said) else [])])
+
+
+# ---- Repeats a finished run from the copy of its scene, and compares every file with the stored one ----
 
 VERSION_KEYS = ("versions", "truth_versions", "plugins", "plugins_sha256", "backend")
 """What `run.json` says of the programs that made a run."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -12,17 +13,21 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from modsim3d.detector.census import TargetCensus
-from modsim3d.display import key_table
-from modsim3d.errors import InputError, ModsimError
-from modsim3d.paths import StrPath, as_path
-from modsim3d.processes import WorkerCount, worker_count
+from modsim3d.core.errors import InputError, ModsimError, RunDirectoryError
+from modsim3d.core.text import key_table
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.detector.target_statistics import TargetStatistics
+from modsim3d.io.processes import WorkerCount, worker_count
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.run_directory import RunDirectory, locked_run
-from modsim3d.runs.pipeline import Range, check_scene, step_ranges
-from modsim3d.runs.workers import BlockMaker, BlockWorkers, Tally, backend_of, open_block_workers
+from modsim3d.runs.pipeline import BLOCK_VESSELS, Range, check_scene, step_ranges
+from modsim3d.runs.stored_run import StoredRun, opened_run
+from modsim3d.runs.workers import BlockMaker, BlockTally, BlockWorkers, backend_of, open_block_workers
+from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked
+
+# ---- Runs a scene and writes its run directory ----
 
 FORMAT = 2
 """Format 1 had no counts for each camera, and only the centre form of the detections' boxes."""
@@ -194,13 +199,13 @@ def write_run(
     )
 
 
-def _counts_of(total: Tally) -> dict[str, Any]:
+def _counts_of(total: BlockTally) -> dict[str, Any]:
     """What `run.json` counts, in all and by camera."""
     by_camera = {name: asdict(counts) for name, counts in total.camera_counts.items()}
     return {"counts": asdict(Counts.total(total.camera_counts)), "camera_counts": by_camera}
 
 
-def _log(total: Tally, seconds: float) -> str:
+def _log(total: BlockTally, seconds: float) -> str:
     """What `run.log` says of a run; times and the host are named nowhere else."""
     frames = sum(counts.frames for counts in total.camera_counts.values())
     damaged = f"{total.damaged_blocks} damaged blocks of it made anew\n" if total.damaged_blocks else ""
@@ -217,12 +222,12 @@ def _write_blocks(
     workers: BlockWorkers,
     most_steps: int | None,
     progress: Callable[[int], None],
-) -> Tally:
+) -> BlockTally:
     """Make all blocks and write them; a detector that needs a census needs all truth first."""
-    counted, census = Tally(), TargetCensus()
+    counted, census = BlockTally(), TargetStatistics()
     if scene.detector.needs_census:
         counted, census = _take_census(scene, directory.work, workers, most_steps, progress)
-    total = Tally()
+    total = BlockTally()
     make = partial(BlockMaker.make, folder=directory.work, census=census, kinds=directory.line_kinds)
     for tally, files in workers.map(make, _with_steps_kept(scene, directory.work, most_steps)):
         directory.write(files)
@@ -239,9 +244,9 @@ def _write_blocks(
 
 def _take_census(
     scene: Scene, folder: Path, workers: BlockWorkers, most_steps: int | None, progress: Callable[[int], None]
-) -> tuple[Tally, TargetCensus]:
+) -> tuple[BlockTally, TargetStatistics]:
     """Make and keep all truth; a tally of its steps, and the census of its targets."""
-    total, census = Tally(), TargetCensus()
+    total, census = BlockTally(), TargetStatistics()
     for tally, part in workers.map(partial(BlockMaker.count_targets, folder=folder), step_ranges(scene, most_steps)):
         total, census = total + tally, census + part
         progress(tally.steps)
@@ -291,3 +296,75 @@ def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
 def _versions() -> dict[str, str]:
     """The versions of the packages that make a run, from themselves: `importlib.metadata` reads files of each."""
     return {name: str(import_module(name).__version__) for name in VERSIONED}
+
+
+# ---- Runs the detector again over the truth of a finished run ----
+
+
+def detect_run(
+    run: StoredRun | StrPath,
+    folder: StrPath,
+    *,
+    detector: StrPath | None = None,
+    seed: int | None = None,
+    settings: Mapping[str, object] | None = None,
+    state: str | None = None,
+    state_from: StrPath | None = None,
+    overwrite: bool = False,
+    workers: WorkerCount = 1,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> RunResult:
+    """Run a detector alone: write the run directory that another detector or seed would have given, without rendering.
+
+        modsim3d.detect_run("runs/first", "runs/second", detector="my/detector.yaml", seed=7)
+
+    Args:
+        run: A finished run, or its directory.
+        folder: The new run directory.
+        detector: A detector file or the name of a shipped detector, in place of the run's.
+        seed: Seed of the detector, in place of the run's.
+        settings: Keys below `detector`, as those of `load_scene`.
+        state: As that of `load_scene`.
+        state_from: As that of `load_scene`.
+        overwrite: Replace a run that is there.
+        workers: Number of processes, or `auto` for one for each CPU; the bytes of the files do not depend on it.
+        progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: The run was interrupted, the detector does not suit it, or the folder cannot be used.
+        TypeError: The run, the folder or the detector is neither text nor a path.
+    """
+    run, folder = opened_run(run), as_path(folder, "folder")
+    run.finished_tables.check_checksums()
+    if Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(run.folder)):
+        raise RunDirectoryError(f"{folder} is, or is in, the run that the truth is read from: choose another folder")
+    scene = _with_detector(run, seed, detector=detector, settings=settings or {}, state=state, state_from=state_from)
+    facts = settings_of(scene, run.settings["backend"])
+    if facts["versions"] != run.settings["versions"]:
+        facts["truth_versions"] = run.settings["versions"]
+    block_workers = open_block_workers(scene, workers, truth_run=run.folder)
+    return write_run(
+        scene,
+        folder,
+        block_workers,
+        lambda _: facts,
+        overwrite=overwrite,
+        truth_run=run.settings,
+        most_steps=max(1, BLOCK_VESSELS // len(scene.vessels)),  # no images, so that only the rows count
+        progress=progress,
+    )
+
+
+def _with_detector(run: StoredRun, seed: int | None, *, settings: Mapping[str, object], **detector: Any) -> Scene:
+    """A run's scene with another detector or another seed of it.
+
+    The seed of the scene changes too, unless the truth depends on it.
+
+    Raises:
+        InputError: The detector is wrong or does not know the label of a vessel, or a setting is not of the detector.
+    """
+    for key in settings:
+        if key.partition(".")[0] not in ("detector", "detector_seed"):
+            raise InputError(f"--set {key}", ["a finished run keeps its truth: set keys of the detector only"])
+    scene_seed = None if run.scene.truth_has_seed else seed
+    return load_scene(run.scene.path, seed=scene_seed, detector_seed=seed, settings=settings, **detector)

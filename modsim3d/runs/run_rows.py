@@ -11,20 +11,20 @@ from typing import Self
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.records import FALSE_KINDS, KINDS
-from modsim3d.runs.files.columns import (
+from modsim3d.runs.counts import Outcomes, outcomes
+from modsim3d.runs.files.tables import (
     NOBODY,
     Occluders,
     detection_boxes_px,
     flags,
     indices,
-    integers,
-    numbers,
+    integer_column,
+    number_column,
     positions,
     truth_boxes_px,
 )
-from modsim3d.runs.outcomes import Outcomes, outcomes
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 
@@ -71,7 +71,7 @@ class RunRows:
 
         def frame_of(table: pa.Table) -> Indices:
             """Number of the frame of each row, shape (rows,)."""
-            return integers(table, "step") * len(cameras) + indices(table, "camera", cameras)
+            return integer_column(table, "step") * len(cameras) + indices(table, "camera", cameras)
 
         return cls(
             scene=scene,
@@ -122,7 +122,7 @@ class RunRows:
 
     def numbers(self, name: str) -> Array:
         """A column of the truth, NaN for null, shape (n,)."""
-        return numbers(self.truth, name)
+        return number_column(self.truth, name)
 
     def boxes_px(self, prefix: str) -> Array:
         """The boxes `full` or `visible` of the truth as x_min, y_min, x_max, y_max, shape (n, 4)."""
@@ -135,7 +135,10 @@ class RunRows:
     @cached_property
     def detections_sha256(self) -> str:
         """Checksum of what a tracker sees: frames, boxes, labels and confidence of the detections."""
-        scores = (indices(self.detections, "label", self.scene.detector.labels), numbers(self.detections, "confidence"))
+        scores = (
+            indices(self.detections, "label", self.scene.detector.labels),
+            number_column(self.detections, "confidence"),
+        )
         columns = (self.frames, self.detection_frame, self.detection_boxes_px(), *scores)
         return hashlib.sha256(b"".join(column.tobytes() for column in columns)).hexdigest()
 

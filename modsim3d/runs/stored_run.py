@@ -11,17 +11,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.display import key_table, listed
-from modsim3d.errors import ModsimError, RunDirectoryError
-from modsim3d.inputs.validation import nearest
-from modsim3d.paths import StrPath, as_path
+from modsim3d.core.errors import ModsimError, RunDirectoryError
+from modsim3d.core.text import key_table, listed
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.io.validation import nearest
 from modsim3d.runs.blocks import Block, frames_of
 from modsim3d.runs.files.block_files import OWN_SHIP, SETTINGS_FILE, TABLES, finished_truth
-from modsim3d.runs.files.reading import detections_of, truth_of
-from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER, UNFINISHED
+from modsim3d.runs.files.overwrite import POSES_FILE, RUN_FILE, SCENE_FOLDER, UNFINISHED
 from modsim3d.runs.files.run_file import (
     RunFile,
-    Settings,
+    RunSettings,
     check_camera_counts,
     check_content,
     check_files,
@@ -29,13 +28,13 @@ from modsim3d.runs.files.run_file import (
     check_scene_copy,
     read_settings,
 )
-from modsim3d.runs.files.stored_tables import StoredTables
+from modsim3d.runs.files.stored_tables import StoredTables, detections_of, truth_of
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS
 from modsim3d.runs.frames import Frame
 from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, detected_block, scene_census
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from modsim3d.truth.truth_record import Truth
+from modsim3d.truth.record import Truth
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -332,7 +331,7 @@ def read_finished(folder: Path) -> FinishedRun:
 
 def _interrupted_run(folder: Path) -> StoredRun:
     work = folder / UNFINISHED
-    content, settings = read_settings(work / SETTINGS_FILE, Settings)
+    content, settings = read_settings(work / SETTINGS_FILE, RunSettings)
     check_scene_copy(work / SCENE_FOLDER, settings, work / SETTINGS_FILE, None)
     scene = load_scene(work / SCENE_FOLDER / f"{settings.scene}.json")
     if (work / POSES_FILE).is_file():  # the copy of a live scene has the steps that came in

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modsim3d.arrays import Indices, Mask
-from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Purpose, Streams
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.random_streams import Purpose, Streams
+from modsim3d.core.types import Indices, Mask
 from modsim3d.scene.parts import NO_FILE
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked, Difference, SaidOfFrame, check_frame
 from modsim3d.truth.crosscheck.visible_areas import visible_areas
-from modsim3d.truth.truth_record import Truth
+from modsim3d.truth.record import Truth
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.arrays import Indices
-from modsim3d.errors import InputError
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Indices
 from modsim3d.geometry.camera import Camera
-from modsim3d.inputs.validation import nearest
+from modsim3d.io.validation import nearest
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
-from modsim3d.vessels.obstacles import PREFIX
+from modsim3d.world.bodies import PREFIX
 
 CHECKED_STEPS = 1000
 """Steps whose camera positions are checked together; it bounds the memory."""

@@ -12,11 +12,11 @@ from typing import Any
 import orjson
 from pydantic import BaseModel
 
+from modsim3d.core.types import StrPath, as_path
 from modsim3d.detector.file.writing import detector_text
-from modsim3d.motion.poses import LivePoses
-from modsim3d.paths import StrPath, as_path
 from modsim3d.scene.keys import AnnotationKeys, SceneKeys
 from modsim3d.scene.parts import SceneParts
+from modsim3d.world.poses.replay import LivePoses
 
 _NOT_OF_TRUTH = ("seed", "detector", "detector_seed")
 

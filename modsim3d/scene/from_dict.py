@@ -10,17 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.core.errors import InputError
 from modsim3d.detector.file.reading import content_of, parse_detector
 from modsim3d.detector.file.writing import detector_text
 from modsim3d.detector.model import DetectorModel
-from modsim3d.errors import InputError
-from modsim3d.inputs.validation import kind_of, shown
-from modsim3d.motion.poses import NamedSource, RecordedPoses
-from modsim3d.motion.poses.arrays import FILE, KEYS, ArrayKeys, pose_file
+from modsim3d.io.validation import kind_of, shown
 from modsim3d.scene.parts import SceneParts, title_of
 from modsim3d.scene.reading import assembled
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import Setting, replacing
+from modsim3d.world.poses.arrays import FILE, KEYS, ArrayKeys, pose_file
+from modsim3d.world.poses.registry import NamedSource
+from modsim3d.world.poses.replay import RecordedPoses
 
 DETECTOR_FILE = "detector.yaml"
 """The file in a copy of the scene that holds a detector from no file."""

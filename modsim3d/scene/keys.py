@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal
 
 import shapely
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from modsim3d.inputs.validation import (
+from modsim3d.io.validation import (
     MAX_COORDINATE_M,
     MOST,
     MOST_PROBLEMS,
@@ -20,8 +22,10 @@ from modsim3d.inputs.validation import (
     Strict,
     shown,
 )
-from modsim3d.motion.waves import GRAVITY_M_S2, STEEPEST
-from modsim3d.vessels.vessel import MeshName
+from modsim3d.world.floating_vessels import GRAVITY_M_S2, STEEPEST
+from modsim3d.world.vessels import MeshName
+
+# ---- The keys of a scene file ----
 
 MAX_PX = 1e9  # far beyond any scene; squares and products do not overflow
 MAX_STEPS = 10_000_000
@@ -295,3 +299,25 @@ class SceneKeys(Strict):
         if numbers:
             raise ValueError(f"a vessel's ID must be text: put {', '.join(numbers[:MOST_PROBLEMS])} in quotes")
         return vessels
+
+
+# ---- What a scene says about the AIS equipment of its vessels ----
+
+
+@dataclass(frozen=True)
+class Ais:
+    """AIS equipment, and how good it is.
+
+    Attributes:
+        vessels: ID → `A`, `B` or `none`, of the vessels whose class is not chosen by size and label.
+        drop_out: Share of the reports that are not received.
+        position_noise_m: Standard deviation of a position along each axis.
+    """
+
+    vessels: Mapping[str, str] = field(default_factory=dict)
+    drop_out: float = 0.05
+    position_noise_m: float = 3.0
+
+
+USUAL_AIS = Ais()
+"""Of a scene that says nothing."""

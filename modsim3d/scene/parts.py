@@ -4,28 +4,185 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+import orjson
 from pydantic import ValidationError
 
-from modsim3d.detector.file.finding import shipped_detectors
+from modsim3d.core.errors import InputError
+from modsim3d.detector.file.reading import shipped_detectors
 from modsim3d.detector.model import DetectorModel
-from modsim3d.errors import InputError
-from modsim3d.inputs.plugins import Plugin
-from modsim3d.inputs.validation import MOST_PROBLEMS, describe, join_path, nearest
-from modsim3d.motion.poses import LivePoses, NamedSource, PoseRequest, PoseSource, SourceKeys, read_source
-from modsim3d.motion.waves.levels import Axes, find_level
-from modsim3d.scene.drawn_vessels import drawn_vessels
-from modsim3d.scene.keys import SceneKeys
-from modsim3d.scene.meshes import SceneMeshes, mesh_name, read_obstacle
+from modsim3d.io.plugins import Plugin
+from modsim3d.io.validation import MOST_PROBLEMS, describe, join_path, nearest
+from modsim3d.scene.keys import ObstacleKeys, SceneKeys
 from modsim3d.scene.settings import Setting, Settings
-from modsim3d.vessels.obstacles import Obstacle
-from modsim3d.vessels.vessel import Vessel, load_mapping, parse_vessels
+from modsim3d.world.bodies import Obstacle, extruded, placed
+from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
+from modsim3d.world.poses.base import PoseRequest, PoseSource, SourceKeys
+from modsim3d.world.poses.registry import NamedSource, read_source
+from modsim3d.world.poses.replay import LivePoses
+from modsim3d.world.second_order_waves import Axes, find_level
+from modsim3d.world.vessels import Solid, Vessel, find_shape, is_closed, load_mapping, parse_vessels
+
+# ---- Meshes of the vessels and obstacles of a scene ----
+
+
+class SceneMeshes:
+    """The meshes that a scene names. Equal entries of one folder share a solid, so that they are handled together."""
+
+    def __init__(self) -> None:
+        """Start without meshes."""
+        self._solids: dict[bytes, Solid] = {}
+        self.files: dict[str, Path] = {}
+        """Path in a copy of the scene → original mesh file."""
+        self.plugins: list[Plugin] = []
+        """Plug-ins that gave shapes."""
+
+    def solid(self, entry: object, folder: Path, source: str, *path: object) -> Solid:
+        """The solid of an entry; see `load_mesh`.
+
+        Raises:
+            InputError: The entry or the file is wrong.
+        """
+        key = orjson.dumps([str(folder), entry], default=str)
+        if key not in self._solids:
+            self._solids[key] = self._load(entry, folder, source, *path)
+        return self._solids[key]
+
+    def _load(self, entry: object, folder: Path, source: str, *path: object) -> Solid:
+        if not isinstance(entry, str) or entry in shipped_meshes() or Path(entry).suffix:
+            return load_mesh(entry, folder, source, *path)
+        try:
+            solid, plugin = find_shape(entry, join_path(*path), tuple(shipped_meshes()))
+        except InputError as error:
+            raise InputError(source, [f"{error.source}: {problem}" for problem in error.problems]) from error
+        self.plugins.append(plugin)
+        return replace(solid, convex=False, closed=is_closed(solid.faces))
+
+    def copied(self, entry: object, folder: Path) -> object:
+        """The entry as a copy of the scene has it, where meshes lie in a folder of their own."""
+        file = entry.get("file") if isinstance(entry, dict) else entry
+        if not isinstance(file, str):
+            return entry
+        if isinstance(entry, str) and entry in shipped_meshes():
+            return self._name_of(shipped_meshes()[entry])
+        if not Path(file).suffix:
+            return entry  # a shape from a plug-in
+        name = self._name_of(folder / file)
+        return {**entry, "file": name} if isinstance(entry, dict) else name
+
+    def copied_all(self, entries: Mapping[Any, Any], folder: Path) -> dict[Any, Any]:
+        """Vessels or obstacles with the mesh names of a copy of the scene."""
+        return {
+            name: {**entry, "mesh": self.copied(entry["mesh"], folder)} if entry.get("mesh") else entry
+            for name, entry in entries.items()
+        }
+
+    def _name_of(self, source: Path) -> str:
+        """Name of a mesh file in the copy: its own unless that is taken, so that a copy of the copy has the same."""
+        name, number = f"meshes/{source.name}", 0
+        while self.files.setdefault(name, source) != source:
+            number += 1
+            name = f"meshes/{number}_{source.name}"
+        return name
+
+
+def mesh_name(entry: object) -> str:
+    """The name of the mesh of an entry, without folder and ending: the same in a scene and in its copy."""
+    return Path(str(entry.get("file", "") if isinstance(entry, dict) else entry)).stem
+
+
+def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, folder: Path, scene: str) -> Obstacle:
+    """An obstacle of a scene file in a folder, whose mesh is added to those of the scene.
+
+    Raises:
+        InputError: The name is not printable, or the mesh cannot be read.
+    """
+    where = join_path("obstacles", name)
+    if not name or not name.isprintable():
+        raise InputError(scene, [f"{where}: an obstacle's name must be printable text (got {name!r})"])
+    if keys.polygon_m is not None:
+        return Obstacle(name, extruded(np.array(keys.polygon_m), keys.base_m, keys.height_m or 0.0))
+    solid = meshes.solid(keys.mesh, folder, scene, "obstacles", name, "mesh")
+    return Obstacle(name, (placed(solid, np.array(keys.size_m), np.array(keys.position_m), keys.heading_rad),))
+
+
+# ---- Vessels that a pose source draws ----
+
+MOST_NAMES = 3
+
+
+def drawn_vessels(
+    source: NamedSource, request: PoseRequest, labels: Sequence[str] | None, meshes: SceneMeshes
+) -> tuple[Vessel, ...]:
+    """The vessels that a pose source draws for a scene, in its order; most sources draw none.
+
+    Args:
+        source: The source.
+        request: The scene as its file describes it.
+        labels: The detector's labels; None if they are not known.
+        meshes: The scene's meshes; those of the vessels are added.
+
+    Raises:
+        InputError: With every problem found; each begins with the source's section of the scene file.
+    """
+    entries = source.vessels(request)
+    if not entries:
+        return ()
+    section = f"poses.{source.name}"
+    vessels = parse_vessels(entries, section)
+    # A source of our own and any plug-in may have a key that renames labels.
+    key = f": set {section}.labels" if "labels" in getattr(type(source.keys), "model_fields", {}) else ""
+    problems = [*_name_problems(vessels, request), *(each + key for each in _label_problems(vessels, labels))]
+    problems += _file_problems(entries, source.keys.files)
+    if problems:
+        raise InputError(section, problems[:MOST_PROBLEMS])
+    return tuple(_with_mesh(vessel, entries[vessel.name].get("mesh"), request, meshes, section) for vessel in vessels)
+
+
+def _with_mesh(vessel: Vessel, mesh: object, request: PoseRequest, meshes: SceneMeshes, section: str) -> Vessel:
+    if mesh is None:
+        return vessel
+    solid = meshes.solid(mesh, request.folder, section, vessel.name, "mesh")
+    return replace(vessel, solid=solid, shape=mesh_name(mesh))
+
+
+def _name_problems(vessels: Sequence[Vessel], request: PoseRequest) -> Iterator[str]:
+    taken = set(request.names or ())
+    for vessel in vessels:
+        if vessel.name in taken:
+            yield f"draws a vessel '{vessel.name}', and the scene's vessels have one of this name: rename one of them"
+
+
+def _label_problems(vessels: Sequence[Vessel], labels: Sequence[str] | None) -> Iterator[str]:
+    """One problem for each label that the detector does not have."""
+    if labels is None:
+        return
+    for label in dict.fromkeys(vessel.label for vessel in vessels if vessel.label not in labels):
+        names = [vessel.name for vessel in vessels if vessel.label == label]
+        more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+        yield (
+            f"draws vessels with the label '{label}' ({', '.join(names[:MOST_NAMES])}{more}), which is not one of the "
+            f"detector's labels ({nearest(label, labels)})"
+        )
+
+
+def _file_problems(entries: Mapping[str, Mapping[str, object]], files: Sequence[str]) -> Iterator[str]:
+    """A copy of the scene has the files that the source names, and no others."""
+    for name, entry in entries.items():
+        mesh = entry.get("mesh")
+        file = mesh.get("file") if isinstance(mesh, dict) else mesh
+        if isinstance(file, str) and Path(file).suffix and file not in files:
+            yield f"draws '{name}' with the mesh {file}, which is none of the files of the source: {list(files)}"
+
+
+# ---- The parts of a scene file and of the files that it names, each read by itself ----
 
 T = TypeVar("T")
 

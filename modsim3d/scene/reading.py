@@ -8,31 +8,28 @@ from pathlib import Path
 from stat import S_ISDIR
 from typing import Any
 
-from modsim3d.detector.file.finding import find_detector
-from modsim3d.errors import InputError
-from modsim3d.geometry.camera import Camera, Intrinsics
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.detector.file.reading import find_detector
+from modsim3d.geometry.camera import Camera, Distortion, Intrinsics
 from modsim3d.geometry.camera_poses import Mount
-from modsim3d.geometry.lens import Distortion
-from modsim3d.inputs.shipped import data_folder
-from modsim3d.inputs.strict_json import load_json
-from modsim3d.inputs.strict_yaml import load_yaml
-from modsim3d.inputs.validation import kind_of, nearest, shown
-from modsim3d.motion.imu import PERFECT_IMU, Imu
-from modsim3d.motion.poses import LivePoses, read_source
-from modsim3d.motion.vessel_motion import Waves
-from modsim3d.motion.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
-from modsim3d.motion.waves.levels import Axes
-from modsim3d.paths import StrPath, as_path
-from modsim3d.scene.ais import Ais
+from modsim3d.io.input_files import data_folder
+from modsim3d.io.strict_json import load_json
+from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.validation import kind_of, nearest, shown
 from modsim3d.scene.checks import scene_problems
 from modsim3d.scene.copy import copy_scene
-from modsim3d.scene.detector_choice import state_settings
-from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
+from modsim3d.scene.keys import MAX_STEPS, Ais, CameraKeys, WavesKeys
 from modsim3d.scene.parts import SCENE_FILE, SceneParts, title_of
 from modsim3d.scene.scene import Scene
-from modsim3d.scene.settings import replacing, settings_of
-from modsim3d.truth.modes import Annotation
-from modsim3d.vessels.vessel import Vessel
+from modsim3d.scene.settings import replacing, settings_of, state_settings
+from modsim3d.truth.record import Annotation
+from modsim3d.world.floating_vessels import PEAKEDNESS, FloatingVessels, Hull, jonswap_sea
+from modsim3d.world.poses.registry import read_source
+from modsim3d.world.poses.replay import LivePoses
+from modsim3d.world.second_order_waves import AXES, Axes, Axis, SecondOrderWaves
+from modsim3d.world.vessel_motion import PERFECT_IMU, Imu, Waves
+from modsim3d.world.vessels import Vessel
 
 
 def shipped_scenes() -> dict[str, Path]:

@@ -12,25 +12,102 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.text import counted, key_table, listed
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.model import DetectorModel
-from modsim3d.errors import InputError, ModsimError
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses, poses_ashore
-from modsim3d.inputs.plugins import Plugin
-from modsim3d.motion.imu import PERFECT_IMU, Imu
-from modsim3d.motion.poses import LivePoses, PoseSource, times_s
-from modsim3d.motion.vessel_motion import PosesInWaves, VesselMotion, Waves
-from modsim3d.scene.ais import USUAL_AIS, Ais
+from modsim3d.io.plugins import Plugin
 from modsim3d.scene.copy import SceneCopy
-from modsim3d.scene.frame_timing import takes_frame
+from modsim3d.scene.keys import USUAL_AIS, Ais
 from modsim3d.scene.parts import title_of
-from modsim3d.scene.sight import Sight, line_of_sight
-from modsim3d.scene.snapshot import Snapshot
-from modsim3d.scene.summary import scene_lines, scene_table
-from modsim3d.truth.modes import Annotation
-from modsim3d.vessels.obstacles import PREFIX, Obstacle
-from modsim3d.vessels.vessel import Vessel
+from modsim3d.scene.sight import Sight, Snapshot, line_of_sight
+from modsim3d.truth.record import Annotation
+from modsim3d.world.bodies import PREFIX, Obstacle
+from modsim3d.world.poses.base import PoseSource, times_s
+from modsim3d.world.poses.replay import LivePoses
+from modsim3d.world.vessel_motion import PERFECT_IMU, Imu, PosesInWaves, VesselMotion, Waves
+from modsim3d.world.vessels import Vessel
+
+# ---- A scene in a few lines, and as a table in a notebook ----
+
+
+def scene_lines(scene: Scene) -> str:
+    """Three lines: what is in it; its steps, seed and truth; its detector."""
+    cameras = listed([camera.name for camera in scene.cameras])
+    return "\n".join(
+        [
+            f"<Scene {scene.name}: {_vessels(scene)}, {counted(len(scene.cameras), 'camera')} ({cameras})",
+            f"  {_steps(scene)}, seed {scene.seed}, truth {scene.annotation.source}, mode {scene.annotation.mode}",
+            f"  detector: {scene.detector.in_words()}>",
+        ]
+    )
+
+
+def scene_table(scene: Scene) -> str:
+    """The same as an HTML table, with sizes of images and all that is there besides."""
+    cameras = [
+        f"{camera.name} ({camera.intrinsics.image_size_px[0]} × {camera.intrinsics.image_size_px[1]} px, "
+        f"{'on ' + camera.mount.vessel if camera.mount.vessel else 'ashore'})"
+        for camera in scene.cameras
+    ]
+    obstacles = listed([obstacle.name for obstacle in scene.obstacles])
+    rows = {
+        "vessels": _vessels(scene),
+        "cameras": listed(cameras),
+        "obstacles": f"{len(scene.obstacles)} ({obstacles})" if scene.obstacles else "none",
+        "waves": _waves(scene),
+        "traffic": scene.traffic,
+        "steps": _steps(scene),
+        "seed": f"{scene.seed}"
+        + ("" if scene.detector_seed == scene.seed else f", of the detector {scene.detector_seed}"),
+        "truth": f"{scene.annotation.source}, mode {scene.annotation.mode}",
+        "detector": scene.detector.in_words(),
+    }
+    return key_table(f"Scene {scene.name}", rows)
+
+
+def _vessels(scene: Scene) -> str:
+    return f"{counted(len(scene.vessels), 'vessel')} ({listed(scene.vessel_names)})"
+
+
+def _waves(scene: Scene) -> str:
+    if scene.waves is None:
+        return "none"
+    return "move every vessel" if scene.waves.apply_to == "all" else "move vessels with a camera"
+
+
+def _steps(scene: Scene) -> str:
+    if scene.live:
+        return "steps as they arrive"
+    return f"{counted(scene.steps, 'step')} in {scene.times_s(scene.steps - 1, scene.steps)[0]:g} s"
+
+
+# ---- When a camera takes its frames ----
+
+_EARLY = 1e-6  # of an interval: 0.3 / 0.1 is a hair below 3, and the frame at 0.3 s is due
+
+
+def takes_frame(times_s: Array, rate_hz: float | None, offset_s: float) -> Mask:
+    """Whether a camera takes a frame at each of consecutive steps, shape (n,): one has become due since the last step.
+
+    Frame k is due at offset + k / rate. A step has one frame at most: if several become due between two steps, the
+    later ones are lost.
+
+    Args:
+        times_s: Times of the steps since the scene's first step, shape (n,). Frames due by the first are taken there.
+        rate_hz: Frames a second; None for one at every step from the offset on.
+        offset_s: Due time of the first frame.
+    """
+    if rate_hz is None:
+        return times_s >= offset_s - _EARLY
+    due = np.maximum(np.floor((times_s - offset_s) * rate_hz + _EARLY).astype(np.int64) + 1, 0)
+    taken: Mask = np.diff(due, prepend=0) > 0
+    return taken
+
+
+# ---- A scene ----
 
 _SAME_DECIMALS = 4
 """Of metres and radians that are the same traffic: the last bits of exact ones depend on the processor."""

@@ -11,15 +11,18 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from modsim3d.detector.file.miss_rate import is_miss_rate, with_miss_rate
-from modsim3d.detector.file.reading import parse_detector
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.detector.file.reading import find_detector, parse_detector
 from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.file.unread import unread_settings
+from modsim3d.detector.file.writing import is_miss_rate, with_miss_rate
 from modsim3d.detector.model import DetectorModel
-from modsim3d.errors import InputError
-from modsim3d.inputs.strict_yaml import load_yaml, parse_yaml
-from modsim3d.inputs.validation import join_path, kind_of, model_at, nearest
+from modsim3d.io.strict_yaml import load_yaml, parse_yaml
+from modsim3d.io.validation import find_condition, join_path, kind_of, model_at, nearest
 from modsim3d.scene.keys import SceneKeys
+
+# ---- Keys of a scene, and of the files that it names, that the caller sets in place of what is written ----
 
 KeyPath = tuple[str | int, ...]
 FILE_SECTIONS = ("vessels", "detector")
@@ -263,3 +266,64 @@ def _others(model: type[BaseModel] | None, key: str) -> set[str]:
     groups: tuple[tuple[str, ...], ...] = getattr(model, "alternatives", ())
     own = {name for group in groups if key in group for name in group}
     return {name for group in groups for name in group} - own if own else set()
+
+
+# ---- A detector by its file or condition, with settings ----
+
+NO_DETECTOR = ""
+
+
+def state_settings(state: str | None, state_from: StrPath | None, detector: StrPath | None) -> list[Setting]:
+    """What puts the detector into one state for the whole scene.
+
+    Raises:
+        InputError: `state_from` comes without a state or beside a detector, or has no detector of this name.
+    """
+    place = None if state_from is None else as_path(state_from, "state_from")
+    if place is not None and (state is None or detector is not None):
+        problem = "--state says which one to take from there: give both" if state is None else "so is --detector"
+        raise InputError(f"--from {place}", ["is a detector in place of the scene's: " + problem])
+    if state is None:
+        return []
+    forced = Setting("detector.performance.schedule", [[0, state]], "--state")
+    if place is None:
+        return [forced]
+    if place.is_file():
+        return [Setting("detector", str(place.resolve()), f"--from {place}"), forced]
+    file = find_condition(state, place)
+    return [Setting("detector", str(file.resolve()), f"--state {state} --from {place}")]
+
+
+def choose_detector(
+    detector: StrPath | None,
+    *,
+    settings: Mapping[str, object] | None = None,
+    state: str | None = None,
+    state_from: StrPath | None = None,
+    may_be_unread: bool = False,
+) -> tuple[DetectorModel, Path]:
+    """A detector without a scene, and its file; see `load_scene` for what the arguments mean.
+
+    Raises:
+        InputError: No detector is named, its file is wrong, or a setting is not one of the detector.
+    """
+    if detector is None and state_from is None:
+        raise InputError("--detector", ["is missing: give a detector file, or --state NAME --from conditions"])
+    for key in settings or {}:
+        if key.partition(".")[0] != "detector" or "." not in key:
+            raise InputError(f"--set {key}", ["there is no scene: set keys below detector only"])
+    given = settings_of(settings or {}, may_be_unread=may_be_unread)
+    whole = Settings([*state_settings(state, state_from, detector), *given])
+    named = NO_DETECTOR if detector is None else str(find_detector(detector).absolute())
+    file = Path(whole.in_scene({"detector": named})["detector"])
+    source = f"detector {file}"
+    try:
+        _, model = whole.detector_of(file)
+    except InputError as error:
+        known = whole.named(f"{source}: {problem}" for problem in error.problems)
+        raise InputError(
+            source, [problem.removeprefix(f"{source}: ") for problem in (*whole.problems, *known)]
+        ) from None
+    if whole.problems:
+        raise InputError(source, whole.problems)
+    return model, file

@@ -8,25 +8,48 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+from scipy import special
 
-from modsim3d.arrays import Array
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array
 from modsim3d.runs.camera_sequences import sequences_of
 from modsim3d.runs.files.block_files import TABLES
-from modsim3d.runs.files.reading import truth_of
+from modsim3d.runs.files.stored_tables import truth_of
 from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, scene_census
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
-from modsim3d.tracking.intervals import half_interval
-from modsim3d.tracking.oracle.references import reference_tracks
-from modsim3d.tracking.report.numbers import Keys, keys_of
-from modsim3d.tracking.scores.rules import Rules
+from modsim3d.tracking.oracle import reference_tracks
+from modsim3d.tracking.score_text import Keys, keys_of
+from modsim3d.tracking.scores.scored import Rules
 from modsim3d.tracking.scores.scoring import score_tracks
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked
-from modsim3d.tracks.track_set import TrackSet
-from modsim3d.truth.truth_record import Truth
+from modsim3d.tracks.tracks import TrackSet
+from modsim3d.truth.record import Truth
+
+# ---- Intervals of means over few values ----
+
+_LEVEL = 0.95
+_SAME = 1e-12
+"""Values that differ by less than this share of their size are the same."""
+
+
+def half_interval(values: Array) -> float | None:
+    """Half of the 95 % interval of the mean of n values, by Student's t, shape (n,).
+
+    None of fewer than two, if one is infinite, or if all are the same, which says nothing of how far others may be off.
+    """
+    count = len(values)
+    if count < 2 or not np.isfinite(values).all():
+        return None
+    deviation = values.std(ddof=1)
+    if deviation <= _SAME * max(1.0, abs(values.mean())):
+        return None
+    return float(special.stdtrit(count - 1, (1 + _LEVEL) / 2) * deviation / np.sqrt(count))
+
+
+# ---- Scores over detector seeds ----
 
 SPREAD_KEYS = ("hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "anees")
 """The scores whose spread is told."""

@@ -7,13 +7,13 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask
 
 _Level = float | Array
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionEstimates:
     """Gaussian estimates of coordinates and of their rates: arrays of one shape (...).
 
     A coordinate's rate is a random walk (white-noise acceleration, Bar-Shalom, Li & Kirubarajan (2001), section 6.2.2),

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.tracking.scores.rules import Rules
+from modsim3d.tracking.scores.scored import Rules
 from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.tracking.world.scoring import WorldScores
-from modsim3d.tracks.track_set import TrackSet
+from modsim3d.tracks.tracks import TrackSet
 
 if TYPE_CHECKING:
     from modsim3d.tracking.detector_seeds import SeedSpread

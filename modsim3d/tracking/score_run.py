@@ -9,27 +9,25 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modsim3d.display import column_table
-from modsim3d.errors import ModsimError
-from modsim3d.inputs.validation import nearest, shown
-from modsim3d.outputs.claims import claimed
-from modsim3d.paths import StrPath, as_path
-from modsim3d.runs.files.replacing import read_of_run
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.text import column_table
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.io.overwrite_guard import claimed
+from modsim3d.io.validation import nearest, shown
+from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
-from modsim3d.tracking.oracle.references import reference_tracks
-from modsim3d.tracking.report.numbers import keys_of
-from modsim3d.tracking.report.score_tables import HEADER, conclusion_of, score_rows
+from modsim3d.tracking.oracle import reference_tracks
 from modsim3d.tracking.run_scores import ScoredTracks, TrackScores, WorldTrackScores
-from modsim3d.tracking.scores.rules import Rules, SetDistance
+from modsim3d.tracking.score_tables import HEADER, conclusion_of, score_rows
+from modsim3d.tracking.score_text import keys_of
+from modsim3d.tracking.scores.scored import Rules, SetDistance
 from modsim3d.tracking.scores.scoring import score_tracks
 from modsim3d.tracking.world.scoring import DEFAULT_GATE_M, IN_METRES, score_world
 from modsim3d.tracks.reading import read_tracks
-from modsim3d.tracks.reading_world import is_world, read_world_tracks
-from modsim3d.tracks.similarity import Similarity, SimilarityName
-from modsim3d.tracks.track_set import TrackSet
+from modsim3d.tracks.tracks import Similarity, SimilarityName, TrackSet, WorldTracks
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
-from modsim3d.tracks.world_tracks import WorldTracks
+from modsim3d.tracks.world_reading import is_world, read_world_tracks
 
 if TYPE_CHECKING:
     pass
@@ -69,7 +67,7 @@ class RunScores(ScoredTracks):
             OutputError: A file exists, or cannot be written.
             TypeError: The folder is neither text nor a path.
         """
-        from modsim3d.tracking.report.score_page import FILES, write_scores  # pages take 0.1 s to import
+        from modsim3d.tracking.score_page import FILES, write_scores  # pages take 0.1 s to import
 
         paths = tuple(as_path(folder, "folder") / name for name in FILES)
         given = [each.path for each in self.trackers] + [each.path for each in self.world]

@@ -9,17 +9,16 @@ from time import perf_counter
 
 import numpy as np
 
-from modsim3d.display import key_table
-from modsim3d.outputs.claims import claimed
-from modsim3d.paths import StrPath, as_path
+from modsim3d.core.text import key_table
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.io.overwrite_guard import claimed
 from modsim3d.runs.camera_sequences import CameraSequence, camera_sequences
-from modsim3d.runs.files.replacing import read_of_run
+from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.tracking.trackers.registry import NamedTracker, named_tracker
 from modsim3d.tracking.trackers.running import tracked
-from modsim3d.tracks.stored_tracks import track_paths, write_claimed_tracks
-from modsim3d.tracks.track_set import Origin, TrackSet
-from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.reading import track_paths, write_claimed_tracks
+from modsim3d.tracks.tracks import Origin, Tracks, TrackSet
 
 
 @dataclass(frozen=True)

@@ -2,23 +2,229 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
+import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pydantic import Field, ValidationError
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.errors import InputError
-from modsim3d.runs.files.columns import NOBODY, positions
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.types import Array, Indices
+from modsim3d.io import input_files
+from modsim3d.io.atomic_write import write_files
+from modsim3d.io.input_files import open_input
+from modsim3d.io.overwrite_guard import claimed
+from modsim3d.io.strict_json import load_json
+from modsim3d.io.validation import Count, Strict, describe, nearest, shown
+from modsim3d.runs.files.overwrite import read_of_run
+from modsim3d.runs.files.run_file import FileEntry, Sha256, Text
+from modsim3d.runs.files.table_columns import BOX_SIDES
+from modsim3d.runs.files.tables import NOBODY, ROW_GROUP_ROWS, indices, integer_column, number_column, positions
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.tracks.files.csv_tracks import read_csv_tracks
-from modsim3d.tracks.files.diagnosis import BoxRows, KnownBoxes, misreading
-from modsim3d.tracks.files.file_rows import FileRows, tracks_of
-from modsim3d.tracks.files.mot_tracks import read_mot_tracks
-from modsim3d.tracks.files.text_table import name_of, source_of
-from modsim3d.tracks.stored_tracks import TRACK_FILES, read_stored_tracks
-from modsim3d.tracks.track_set import TrackSet
+from modsim3d.tracks.diagnosis import CORNERS, BoxRows, KnownBoxes, misreading
+from modsim3d.tracks.text_table import RowProblems, name_of, source_of
+from modsim3d.tracks.text_tracks import FileRows, frames_at, read_csv_tracks, read_mot_tracks, tracks_of
+from modsim3d.tracks.tracks import COVARIANCES, SCHEMA, Origin, TrackSet, track_table
+
+# ---- The folder that `modsim3d track` writes ----
+
+TABLE: Literal["tracks.parquet"] = "tracks.parquet"
+FACTS = "tracks.json"
+TRACK_FILES = (TABLE, FACTS)
+FORMAT = 1
+
+
+class TrackedRun(Strict):
+    """What identifies the run that was tracked.
+
+    Attributes:
+        scene_sha256: Checksum of the scene's copy in the run, as in `run.json`.
+        traffic_seed: The seed that the traffic was drawn from; None where every seed has this traffic.
+        detections_sha256: Checksum of the run's `detections.parquet`; None of a run without a list of its files.
+    """
+
+    scene: Text
+    scene_sha256: Sha256
+    seed: Count
+    detector_seed: Count
+    traffic_seed: Count | None
+    steps: Count
+    detections_sha256: Sha256 | None
+
+
+class TrackFacts(Strict):
+    """The content of `tracks.json`."""
+
+    format: Literal[1]
+    name: Text
+    tracker: Text
+    settings: dict[Text, Any]
+    chosen: Text
+    package: Text
+    versions: dict[Text, Text]
+    run: TrackedRun
+    counts: Annotated[dict[Literal["rows", "tracks"], Count], Field(min_length=2)]
+    files: Annotated[dict[Literal["tracks.parquet"], FileEntry], Field(min_length=1)]
+
+
+def track_paths(folder: Path) -> list[Path]:
+    """The files that `write_tracks` writes into a folder."""
+    return [folder / name for name in TRACK_FILES]
+
+
+def write_tracks(folder: Path, run: StoredRun, track_set: TrackSet, overwrite: bool) -> None:
+    """Write tracks into a folder; the same tracks give the same bytes.
+
+    Raises:
+        OutputError: The files are there and are not to be overwritten, or cannot be written.
+        ModsimError: It is not known how the tracks were made.
+    """
+    with claimed(track_paths(folder), overwrite=overwrite, inputs=read_of_run(run.folder)):
+        write_claimed_tracks(folder, run, track_set)
+
+
+def write_claimed_tracks(folder: Path, run: StoredRun, track_set: TrackSet) -> None:
+    """The same where the caller has claimed the files, before the work.
+
+    Raises:
+        OutputError: The files cannot be written.
+        ModsimError: It is not known how the tracks were made.
+    """
+    if track_set.origin is None:
+        raise ModsimError(
+            f"the tracks '{track_set.name}' have no origin: only those that modsim3d has made are written"
+        )
+    buffer = io.BytesIO()
+    table = track_table(track_set.tracks, run.scene)
+    pq.write_table(table, buffer, compression="zstd", row_group_size=ROW_GROUP_ROWS)
+    content = buffer.getvalue()
+    facts = {
+        "format": FORMAT,
+        "name": track_set.name,
+        **vars(track_set.origin),
+        "run": _tracked_run(run).model_dump(),
+        "counts": {"rows": len(track_set.tracks), "tracks": int(track_set.tracks.identity.max(initial=-1)) + 1},
+        "files": {TABLE: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}},
+    }
+    text = orjson.dumps(facts, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+    write_files({folder / TABLE: content, folder / FACTS: text})
+
+
+def read_stored_tracks(folder: Path, run: StoredRun, rows: RunRows) -> TrackSet:
+    """Read the tracks that `write_tracks` has written for a run.
+
+    Raises:
+        InputError: A file is missing or damaged, or the tracks are of another run.
+    """
+    facts = _facts(folder / FACTS)
+    _check_run(facts.run, _tracked_run(run), source_of(folder))
+    with open_input(folder / TABLE, "tracks", input_files.MAX_TEXT_BYTES) as file:
+        content = file.read()
+    source = source_of(folder / TABLE)
+    if (found := hashlib.sha256(content).hexdigest()) != (listed := facts.files[TABLE].sha256):
+        raise InputError(source, [f"was changed or damaged: its checksum is {found}, {FACTS} has {listed}"])
+    with _damage_named(source):
+        table = pq.read_table(pa.BufferReader(content)).combine_chunks()
+        table.validate()
+    _check_columns(table, source)
+    file_rows = _rows(table, rows, source)
+    file_rows.check(rows)
+    origin = Origin(facts.tracker, facts.settings, facts.chosen, facts.package, facts.versions)
+    return TrackSet(facts.name, tracks_of([file_rows], len(rows.scene.cameras)), origin)
+
+
+def _tracked_run(run: StoredRun) -> TrackedRun:
+    settings = run.settings
+    entry = (settings.get("files") or {}).get("detections.parquet")
+    return TrackedRun(
+        **{key: settings[key] for key in ("scene", "scene_sha256", "seed", "detector_seed")},
+        traffic_seed=settings.get("traffic_seed"),
+        steps=run.steps,
+        detections_sha256=entry["sha256"] if entry else None,
+    )
+
+
+def _facts(path: Path) -> TrackFacts:
+    content = load_json(path, "tracks")
+    try:
+        return TrackFacts.model_validate(content)
+    except ValidationError as error:
+        raise InputError(source_of(path), describe(error, TrackFacts)) from None
+
+
+def _check_run(of: TrackedRun, run: TrackedRun, source: str) -> None:
+    """Refuse tracks of other detections; seeds are compared first, as a user knows them."""
+    for name in ("scene", "seed", "detector_seed", "traffic_seed", "steps", "scene_sha256"):
+        theirs, ours = getattr(of, name), getattr(run, name)
+        if theirs != ours:
+            raise InputError(
+                source,
+                [f"these tracks are of another run: {name} was {shown(theirs)}, and is {shown(ours)} in this run"],
+            )
+    if None not in (of.detections_sha256, run.detections_sha256) and of.detections_sha256 != run.detections_sha256:
+        told = f"these were {of.detections_sha256}, and are {run.detections_sha256} in this run"
+        raise InputError(
+            source, [f"these tracks are of other detections of the same scene and seeds: checksums {told}"]
+        )
+
+
+def _check_columns(table: pa.Table, source: str) -> None:
+    wanted = SCHEMA.names
+    problems = [f"column '{name}' is missing" for name in wanted if name not in table.column_names]
+    problems += [f"column '{name}' is unknown" for name in table.column_names if name not in wanted]
+    problems += [
+        f"column '{field.name}' has type {field.type}, must have {SCHEMA.field(field.name).type}"
+        for field in table.schema
+        if field.name in wanted and field.type != SCHEMA.field(field.name).type
+    ]
+    if table.column_names != wanted and not problems:
+        problems = [f"its columns must be {', '.join(wanted)}"]
+    if problems:
+        raise InputError(source, problems)
+
+
+def _rows(table: pa.Table, rows: RunRows, source: str) -> FileRows:
+    problems, scene = RowProblems(source, np.arange(len(table)), "row"), rows.scene
+    for name in ("camera", "step", "track"):
+        nulls = np.asarray(table[name].is_null(), dtype=bool)
+        problems.refuse(nulls, lambda row, name=name: f"{name} is null")  # type: ignore[misc]
+    problems.settle()
+    cameras = [camera.name for camera in scene.cameras]
+    camera, label = indices(table, "camera", cameras), indices(table, "label", scene.detector.labels)
+    problems.refuse(camera == NOBODY, lambda row: f"there is no camera {shown(table['camera'][row].as_py())}")
+    problems.refuse(
+        (label == NOBODY) & ~np.asarray(table["label"].is_null(), dtype=bool),
+        lambda row: (
+            f"there is no label '{table['label'][row]}' ({nearest(str(table['label'][row]), scene.detector.labels)})"
+        ),
+    )
+    frame = frames_at(rows, camera, integer_column(table, "step"), problems)
+    problems.settle()
+    boxes = np.column_stack([number_column(table, name) for name in BOX_SIDES])
+    x, xy, y = (number_column(table, name) for name in COVARIANCES)
+    covariance = np.stack([x, xy, xy, y], axis=-1).reshape(-1, 2, 2)
+    track, confidence = integer_column(table, "track"), number_column(table, "confidence")
+    return FileRows(problems, frame, track, boxes, CORNERS, label, confidence, covariance)
+
+
+@contextmanager
+def _damage_named(source: str) -> Iterator[None]:
+    try:
+        yield
+    except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+        text = str(error).splitlines() or [type(error).__name__]
+        raise InputError(source, [f"is no table of tracks: {text[0]}"]) from None
+
+
+# ---- Tracks in a run, from a folder that `modsim3d track` has written or from somebody's own files ----
 
 _FORMS = "a folder of `modsim3d track`, a .csv file, a MOT .txt file or a folder of such"
 

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Literal, Self
 
 import numpy as np
+import pyarrow as pa
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.core.boxes import centres, iou
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.runs.files.table_columns import BOX_SIDES, TableColumn
+from modsim3d.runs.files.tables import named, numbers
+from modsim3d.scene.scene import Scene
+
+# ---- Tracks in the images of a run ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,3 +92,256 @@ class Tracks:
         """The chosen rows."""
         columns = (getattr(self, field.name) for field in fields(self)[1:])
         return type(self)(self.cameras, *(column[chosen] for column in columns))
+
+
+# ---- Tracks of vessels in the world, in the axes of a scene ----
+
+
+@dataclass(frozen=True, eq=False)
+class WorldTracks:
+    """The estimates of all tracks: k rows in order of track and time.
+
+    Attributes:
+        name: What tables call them.
+        track_names: The tracker's names of the tracks.
+        track: Index of each row's track, shape (k,).
+        time_s: Times since the scene's first step, shape (k,).
+        position_m: Centres of the vessels along w1 and w2, shape (k, 2).
+        velocity_m_s: Over ground along w1 and w2, NaN where unknown, shape (k, 2).
+        covariance: Of position (0, 1) and velocity (2, 3), in m², m²/s and m²/s²; NaN where unknown, shape (k, 4, 4).
+    """
+
+    name: str
+    track_names: tuple[str, ...]
+    track: Indices
+    time_s: Array
+    position_m: Array
+    velocity_m_s: Array
+    covariance: Array
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        track: Indices,
+        track_names: tuple[str, ...],
+        time_s: Array,
+        position_m: Array,
+        velocity_m_s: Array | None = None,
+        covariance: Array | None = None,
+    ) -> Self:
+        """Rows in any order; what is None is unknown. A covariance may be that of the positions alone, (k, 2, 2)."""
+        count = len(time_s)
+        whole = np.full((count, 4, 4), np.nan)
+        if covariance is not None:
+            size = covariance.shape[-1]
+            whole[:, :size, :size] = covariance
+        velocity = np.full((count, 2), np.nan) if velocity_m_s is None else velocity_m_s
+        order = np.lexsort((time_s, track))
+        return cls(name, track_names, track[order], time_s[order], position_m[order], velocity[order], whole[order])
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.track)
+
+    @property
+    def interval_s(self) -> float:
+        """Median time between two estimates of a track, 0 if no track has two."""
+        gaps = np.diff(self.time_s)[np.diff(self.track) == 0]
+        return float(np.median(gaps)) if len(gaps) else 0.0
+
+
+# ---- How alike a track's box and a vessel's are, from 0 to 1 ----
+
+SimilarityName = Literal["iou", "centre"]
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """A similarity of boxes, and from where on a track follows a vessel.
+
+    Attributes:
+        name: `iou`: intersection over union; `centre`: 1 − distance of the centres / scale, and 0 beyond the scale.
+        scale_px: The scale of `centre`, in pixels.
+        least: The least similarity of a match.
+    """
+
+    name: SimilarityName = "iou"
+    scale_px: float | None = None
+    least: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ModsimError: `centre` has no scale, `iou` has one, or a value is out of range.
+        """
+        if self.name == "centre" and self.scale_px is None:
+            raise ModsimError("--similarity centre needs --scale, the distance in pixels at which it is 0")
+        if self.name == "iou" and self.scale_px is not None:
+            raise ModsimError("--scale is for --similarity centre")
+        if self.scale_px is not None and not 0 < self.scale_px < np.inf:
+            raise ModsimError(f"--scale must be above 0 (got {self.scale_px:g})")
+        if not 0 < self.least <= 1:
+            raise ModsimError(f"--threshold must be above 0 and at most 1 (got {self.least:g})")
+
+    def __str__(self) -> str:
+        """The similarity in words."""
+        return "IoU" if self.scale_px is None else f"1 - distance of centres / {self.scale_px:g} px"
+
+    def __call__(self, a_px: Array, b_px: Array) -> Array:
+        """Similarity of boxes pair by pair; shapes broadcast, as (n, 1, 4) and (m, 4) to (n, m)."""
+        if self.scale_px is None:
+            return iou(a_px, b_px)
+        distance = np.hypot(*np.moveaxis(centres(a_px) - centres(b_px), -1, 0))
+        alike: Array = np.maximum(1 - distance / self.scale_px, 0)
+        return alike
+
+
+# ---- Tracks with a name, and where they come from ----
+
+
+@dataclass(frozen=True)
+class Origin:
+    """How tracks were made.
+
+    Attributes:
+        tracker: Name of the tracker.
+        settings: All its settings, as JSON can hold them.
+        chosen: Where the settings come from, a sentence.
+        package: The package that the tracker is a part of, with its version, such as `modsim3d 0.1.0`.
+        versions: Versions of the packages that decide the tracks, by name.
+    """
+
+    tracker: str
+    settings: dict[str, Any]
+    chosen: str
+    package: str
+    versions: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackSet:
+    """The tracks of one tracker in a run.
+
+    Attributes:
+        name: What tables call it.
+        tracks: The tracks.
+        origin: How they were made; None for somebody's own file.
+        unnamed: Cameras of the run of which the file has no line, though it has lines of others and could say so.
+    """
+
+    name: str
+    tracks: Tracks
+    origin: Origin | None
+    unnamed: tuple[str, ...] = ()
+
+    def in_cameras(self, cameras: Sequence[int]) -> Self:
+        """The tracks in some cameras, by their indices."""
+        return replace(self, tracks=self.tracks.take(np.isin(self.tracks.camera, cameras)))
+
+
+# ---- Which boxes and covariances a track may have ----
+
+FAR = "the box lies more than an image away from the image, as does all of its track"
+
+
+def far_tracks(boxes_px: Array, track: Indices, image_px: Array) -> Mask:
+    """Which boxes (k, 4) are of a track that never comes within an image of its image, shape (k,).
+
+    A track that has been there may coast as far as it likes: its boxes are false positives.
+
+    Args:
+        boxes_px: The boxes.
+        track: What tells the track of each from others, shape (k,) or (k, columns).
+        image_px: Width and height of the image, or of each box's, shape (2,) or (k, 2).
+    """
+    beyond: Mask = (boxes_px[:, 2:] < -image_px) | (boxes_px[:, :2] > 2 * image_px)
+    far: Mask = np.any(beyond, axis=1)
+    if far.any():
+        _, own = np.unique(track, axis=0, return_inverse=True)
+        near = np.bincount(own.reshape(-1), weights=~far) > 0
+        return far & ~near[own.reshape(-1)]
+    return far
+
+
+def covariances(xx: Array, xy: Array, yy: Array) -> Mask:
+    """Whether variances and a covariance are those of a distribution, same shape; not where any is NaN."""
+    possible: Mask = (xx > 0) & (yy > 0) & (xx * yy > xy * xy) & np.isfinite(xx + yy)
+    return possible
+
+
+# ---- Names of the sequences that cameras become in other programs' files ----
+
+SEQUENCE_HEADING = "name"
+"""The first line of a sequence map; some programs skip every line like it, so that no sequence has this name."""
+_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9_.-]")
+
+
+def plain_name(wanted: str) -> str:
+    """A name without the characters that names of files had better not have."""
+    return _NOT_IN_NAMES.sub("_", wanted)
+
+
+def free_name(wanted: str, given: Collection[str]) -> str:
+    """A name for a sequence like the one that is wanted, which none of the given has in upper or lower case."""
+    plain, taken = plain_name(wanted), {SEQUENCE_HEADING, *(name.lower() for name in given)}
+    name, number = plain, 1
+    while name.lower() in taken:
+        number += 1
+        name = f"{plain}-{number}"
+    return name
+
+
+def camera_sequence_names(cameras: Sequence[str]) -> tuple[str, ...]:
+    """The sequence of each camera, by the names of all cameras."""
+    names: list[str] = []
+    for camera in cameras:
+        names.append(free_name(camera, names))
+    return tuple(names)
+
+
+# ---- What the columns of `tracks.parquet` are, and tracks as its rows ----
+
+COVARIANCES = ("var_x_px2", "cov_xy_px2", "var_y_px2")
+_NONE = "null if the tracker says none"
+_SIDES = ("left", "upper", "right", "lower")
+COLUMNS = (
+    TableColumn("camera", pa.string(), "", "name of the camera"),
+    TableColumn("step", pa.int64(), "", "number of the scene's time step, from 0"),
+    TableColumn("timestamp", pa.string(), "", "time of the step in seconds, as the scene's poses write it"),
+    TableColumn("track", pa.int64(), "", "number of the track; equal ones in one camera are one track"),
+    TableColumn("label", pa.string(), "", f"class of the track; {_NONE}"),
+    *(
+        TableColumn(name, pa.float64(), "px", f"{side} edge of the box, beyond the image too")
+        for name, side in zip(BOX_SIDES, _SIDES, strict=True)
+    ),
+    TableColumn("confidence", pa.float64(), "", f"confidence of the track in this frame, from 0 to 1; {_NONE}"),
+    TableColumn("var_x_px2", pa.float64(), "px²", f"variance of the column of the centre of the box; {_NONE}"),
+    TableColumn("cov_xy_px2", pa.float64(), "px²", f"covariance of column and row of the centre; {_NONE}"),
+    TableColumn("var_y_px2", pa.float64(), "px²", f"variance of the row of the centre; {_NONE}"),
+)
+SCHEMA = pa.schema([column.field for column in COLUMNS])
+
+
+def track_table(tracks: Tracks, scene: Scene) -> pa.Table:
+    """The rows of tracks, in order of step, camera and track."""
+    steps = int(tracks.step.max(initial=-1)) + 1
+    covariance = tracks.covariance_px2
+    columns: dict[str, Any] = {
+        "camera": named([camera.name for camera in scene.cameras], tracks.camera),
+        "step": tracks.step,
+        "timestamp": named(scene.timestamps(0, steps), tracks.step),
+        "track": tracks.track,
+        "label": named(scene.detector.labels, tracks.label),
+        **{name: np.ascontiguousarray(side) for name, side in zip(BOX_SIDES, tracks.boxes_px.T, strict=True)},
+        "confidence": numbers(tracks.confidence),
+        **dict(
+            zip(
+                COVARIANCES,
+                (numbers(part) for part in (covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1])),
+                strict=True,
+            )
+        ),
+    }
+    return pa.table([columns[name] for name in SCHEMA.names], schema=SCHEMA).combine_chunks()

@@ -11,13 +11,133 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.truth.occlusion import Occlusion
-from modsim3d.truth.occlusion_order import Order, order_of
+from modsim3d.geometry.kinematics import union_of
+from modsim3d.render.id_pass import Region
+from modsim3d.truth.occlusion import HiddenPixels, Occlusion
+from modsim3d.truth.occlusion_order import Order, order_of, overlapping_pairs
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.polygon_occlusion import Hiding, Polygons, boxes_and_areas, hidden_areas, hidden_by, visible_of
 from modsim3d.truth.silhouettes import in_image, silhouette_polygons
+
+# ---- Occlusion of polygons by polygons ----
+
+NOTHING_PX2 = 1e-6
+"""Smaller regions are rounding errors of cutting one polygon by another."""
+
+Polygons = NDArray[np.object_]
+
+
+@dataclass(frozen=True, eq=False)
+class Hiding:
+    """Which rows may hide which, ordered by the hidden row.
+
+    Attributes:
+        hidden: Row that may be hidden, non-decreasing, shape (m,).
+        hiders: Row that may hide it, shape (m,).
+    """
+
+    hidden: Indices
+    hiders: Indices
+
+    @classmethod
+    def of(cls, hidden: Indices, hiders: Indices) -> Hiding:
+        """Sort pairs: `hiders[k]` may hide `hidden[k]`; both of shape (m,)."""
+        ascending = np.lexsort((hiders, hidden))
+        return cls(hidden[ascending], hiders[ascending])
+
+    def hiders_of(self, row: int) -> Indices:
+        """Rows that may hide a row, ascending, shape (k,)."""
+        return self.hiders[slice(*np.searchsorted(self.hidden, (row, row + 1)))]
+
+
+def subtract(polygons: Polygons, rows: Indices, covers: Polygons) -> Polygons:
+    """Polygons, shape (n,), minus all that covers them, shape (n,).
+
+    Cover k of the m `covers` is subtracted from polygon rows[k]; `rows`, shape (m,), do not decrease. Each round
+    subtracts one cover from every polygon that still has one.
+    """
+    left = polygons.copy()
+    turn = np.arange(len(rows)) - np.searchsorted(rows, rows)
+    for k in range(int(turn.max(initial=-1)) + 1):
+        now = turn == k
+        left[rows[now]] = shapely.difference(left[rows[now]], covers[now])
+    return left
+
+
+def visible_of(silhouettes: Polygons, hiding: Hiding) -> Polygons:
+    """What is visible of each silhouette (n,), shape (n,)."""
+    return subtract(silhouettes, hiding.hidden, silhouettes[hiding.hiders])
+
+
+def boxes_and_areas(visible: Polygons, full_boxes_px: Array, full_areas_px: Array) -> tuple[Array, Array]:
+    """Bounding boxes (NaN where nothing is) and areas of visible regions (n,), shapes (n, 4) and (n,).
+
+    Where nothing is hidden, they are the boxes and areas given for the whole silhouettes.
+    """
+    areas: Array = shapely.area(visible)
+    seen, whole = areas > NOTHING_PX2, areas >= full_areas_px - NOTHING_PX2
+    boxes = np.where(whole[:, None], full_boxes_px, np.where(seen[:, None], shapely.bounds(visible), np.nan))
+    return boxes, np.where(whole, full_areas_px, np.where(seen, areas, 0.0))
+
+
+def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties: Hiding | None = None) -> Array:
+    """How much each hider hides of each hidden row, in square pixels, shape (m,).
+
+    Every hidden point is counted for the front-most solid there. A hider's part is therefore what the two silhouettes
+    share, minus the silhouettes of everything that may hide the hider. What several pieces of an obstacle hide together
+    is entered for the first of them; the others get zero.
+
+    Args:
+        silhouettes: Silhouettes of all rows, shape (n,).
+        hiding: The m pairs of hidden row and hider.
+        occluder: Vessel or obstacle of each row, as an index into the scene's occluder names, shape (n,).
+        ties: Pairs that overlap but have no order. The hider of a pair counts as the one in front, so that what both
+            hide of a third row is counted once.
+    """
+    shared = shapely.intersection(silhouettes[hiding.hidden], silhouettes[hiding.hiders])
+    rows: list[int] = []
+    covers: list[int] = []
+    for k, (hidden, hider) in enumerate(zip(hiding.hidden.tolist(), hiding.hiders.tolist(), strict=True)):
+        in_front = [row for row in hiding.hiders_of(hider).tolist() if row != hidden]
+        if ties is not None:
+            also = set(ties.hiders_of(hider).tolist()) & set(hiding.hiders_of(hidden).tolist())
+            in_front += sorted(also)
+        rows += [k] * len(in_front)
+        covers += in_front
+    parts = subtract(shared, np.array(rows, dtype=np.int64), silhouettes[covers])
+    pairs = np.stack([hiding.hidden, occluder[hiding.hiders]], axis=1)
+    _, first, piece_of, pieces = np.unique(pairs, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    piece_of = piece_of.reshape(-1)
+    areas: Array = np.where(pieces[piece_of] == 1, shapely.area(parts), 0.0)
+    for group in np.flatnonzero(pieces > 1).tolist():
+        areas[first[group]] = shapely.area(union_of(parts[piece_of == group]))
+    return areas
+
+
+def hidden_by(hiding: Hiding, areas_px: Array, occluder: Indices) -> HiddenPixels:
+    """Who hides how much of which row, from the m areas of `hidden_areas`, shape (m,), without rounding errors."""
+    real = areas_px > NOTHING_PX2
+    return HiddenPixels.of(hiding.hidden[real], occluder[hiding.hiders[real]], areas_px[real])
+
+
+def boundary_pixels(regions: Polygons, supersample: int) -> Array:
+    """How many buffer pixels the boundary of each region can cross: |dx| + |dy| + 2 for each edge, shape (n,).
+
+    Only these pixels can be counted otherwise than by their share of the area, each by less than one. Regions are
+    polygons in image pixels, shape (n,).
+    """
+    rings, row = shapely.get_parts(shapely.boundary(regions), return_index=True)
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    steps = np.abs(np.diff(points, axis=0)).sum(axis=1) * supersample + 2
+    steps[ring[1:] != ring[:-1]] = 0.0
+    crossed: Array = np.bincount(row[ring[1:]], steps, minlength=len(regions)).astype(np.float64)
+    return crossed
+
+
+# ---- Truth from geometry alone, without a renderer ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,3 +205,105 @@ def image_silhouettes(outlines: Outlines, intrinsics: Intrinsics) -> Polygons:
     cut = ~(outlines.in_frame_fraction == 1.0) | (intrinsics.distortion is not None)
     silhouettes[cut] = in_image(silhouettes[cut], intrinsics)
     return silhouettes
+
+
+# ---- Occlusion by rectangles, as the text of the thesis has it (Jessen & Mohr (2023), §7.5.1), kept for ----
+
+
+def rectangle_occlusion(outlines: Outlines) -> Occlusion:
+    """Occlusion of vessels' boxes by vessels' boxes; pixel counts are areas of rectangles."""
+    rectangles = shapely.box(*outlines.boxes_px.T)
+    first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
+    known = outlines.boxed[first] & outlines.boxed[second]
+    first, second = first[known], second[known]
+    nearer = outlines.depth_m[first] < outlines.depth_m[second]
+    farther = outlines.depth_m[first] > outlines.depth_m[second]  # of equal depth, neither hides the other
+    hiding = Hiding.of(
+        np.concatenate([second[nearer], first[farther]]), np.concatenate([first[nearer], second[farther]])
+    )
+    equal = ~(nearer | farther)
+    ties = Hiding.of(second[equal], first[equal]) if equal.any() else None
+    areas = shapely.area(rectangles)
+    boxes, visible_px = boxes_and_areas(visible_of(rectangles, hiding), outlines.boxes_px, areas)
+    return Occlusion(
+        full_boxes_px=outlines.boxes_px,
+        visible_boxes_px=boxes,
+        silhouette_px=areas,
+        visible_px=visible_px,
+        hidden=hidden_by(hiding, hidden_areas(rectangles, hiding, outlines.occluder, ties), outlines.occluder),
+    )
+
+
+# ---- The pixels of one vessel as masks, and whether they are what exact geometry and the truth say they ----
+
+ROUNDING_PX = 1 / 128
+"""Corners are rounded to 1/256 of a buffer pixel on each axis; half of that, along both, moves an edge by less."""
+
+
+@dataclass(frozen=True, eq=False)
+class PixelMasks:
+    """The buffer pixels of one vessel.
+
+    Attributes:
+        region: Where the masks lie in the buffer; h and w are its height and width.
+        silhouette: Pixels of the vessel drawn alone, shape (h, w).
+        visible: Pixels of the vessel drawn with everything else, shape (h, w).
+    """
+
+    region: Region
+    silhouette: Mask
+    visible: Mask
+
+
+def mask_box(mask: Mask, region: Region) -> Array:
+    """Box x_min, y_min, x_max, y_max, shape (4,), around the true pixels of a mask that lies at a region.
+
+    It is half-open: x_max is the column after the last. At least one pixel of the mask must be true.
+    """
+    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+    left, top = columns[0] + region.x, rows[0] + region.y
+    right, bottom = columns[-1] + 1 + region.x, rows[-1] + 1 + region.y
+    return np.array([left, top, right, bottom], dtype=np.float64)
+
+
+def counted_from(mask: Mask, region: Region, box_px: Array, count_px: float, supersample: int) -> bool:
+    """Whether a box and a count, in image pixels, are those of a mask, shape (h, w), at a region of the buffer.
+
+    A difference is not explained by pixels that are right if the truth was counted from other pixels. The box is x_min,
+    y_min, x_max, y_max, shape (4,), and any if the mask is empty.
+    """
+    count = np.count_nonzero(mask)
+    if count != round(count_px * supersample**2):
+        return False
+    return not count or bool(np.array_equal(mask_box(mask, region) / supersample, box_px))
+
+
+def mask_fits(mask: Mask, region: Region, silhouette: shapely.Geometry, covers: Polygons, supersample: int) -> bool:
+    """Whether each pixel is set if its centre is inside the exact region, and only then.
+
+    Pixels in a band along the boundary may be set or not. The band is as wide as the rounding of corners.
+
+    Args:
+        mask: Pixels of the buffer, shape (h, w).
+        region: Where the mask lies.
+        silhouette: The exact silhouette, in image pixels.
+        covers: The exact silhouettes of what may hide it, in image pixels, shape (k,).
+        supersample: Buffer pixels per image pixel and axis.
+    """
+    columns = np.arange(region.x, region.x + region.width) + 0.5
+    rows = np.arange(region.y, region.y + region.height) + 0.5
+    x, y = np.meshgrid(columns / supersample, rows / supersample)
+    band = ROUNDING_PX / supersample
+    surely, perhaps = _within(silhouette, -band, x, y), _within(silhouette, band, x, y)
+    for cover in covers:
+        surely &= ~_within(cover, band, x, y)
+        perhaps &= ~_within(cover, -band, x, y)
+    return not ((surely & ~mask).any() or (mask & ~perhaps).any())
+
+
+def _within(polygon: shapely.Geometry, band_px: float, x: Array, y: Array) -> Mask:
+    """Whether points are in a polygon that was grown by a band (or shrunk, if it is negative), same shape."""
+    grown = shapely.buffer(polygon, band_px)
+    shapely.prepare(grown)
+    inside: Mask = shapely.contains_xy(grown, x, y)
+    return inside

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Mask
+from modsim3d.core.types import Array, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
-from modsim3d.truth.buffer_drawing import tiles_of
+from modsim3d.truth.analytic import PixelMasks, mask_box
+from modsim3d.truth.buffer_drawing import Triangles, tiles_of, triangles_of
 from modsim3d.truth.occlusion import HiddenPixels, Occlusion
+from modsim3d.truth.occlusion_order import frame_slices
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.overlaps import frame_slices
-from modsim3d.truth.pixel_masks import PixelMasks, mask_box
-from modsim3d.truth.triangles import Triangles, triangles_of
 
 
 def full_frame_occlusion(

@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 import shapely
 
-from modsim3d.arrays import Array, Indices, Mask, run_starts
+from modsim3d.core.types import Array, Indices, Mask, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
-from modsim3d.truth.cutting import cut_faces
-from modsim3d.truth.silhouettes import doubled_face_areas, in_image, share_in_image, silhouette_polygons
-from modsim3d.vessels.bodies import Bodies
-from modsim3d.vessels.vessel import Solid
+from modsim3d.truth.silhouettes import cut_faces, doubled_face_areas, in_image, share_in_image, silhouette_polygons
+from modsim3d.world.bodies import Bodies
+from modsim3d.world.vessels import Solid
+
+# ---- Outlines ----
 
 BESIDE = 1e-6
 """Metres times pixels by which a solid must be outside the image, so that rounding errors bring no corner into it."""
@@ -31,7 +32,7 @@ MOST_VERTICES = 12_000
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class OutlinePart:
     """The m rows of `Outlines` whose solids have the same faces, and therefore vertices that form one array.
 
     Attributes:
@@ -46,9 +47,9 @@ class Part:
     vertices_camera: Array
     vertices_px: Array
 
-    def take(self, chosen: Indices | Mask | slice) -> Part:
+    def take(self, chosen: Indices | Mask | slice) -> OutlinePart:
         """The solids that are chosen by ascending indices (k,), by a mask (m,), or by a slice, which copies nothing."""
-        return Part(self.solid, self.rows[chosen], self.vertices_camera[chosen], self.vertices_px[chosen])
+        return OutlinePart(self.solid, self.rows[chosen], self.vertices_camera[chosen], self.vertices_px[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ class Outlines:
     in_frame_fraction: Array
     depth_m: Array
     crosses_near: Mask
-    parts: tuple[Part, ...]
+    parts: tuple[OutlinePart, ...]
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -100,7 +101,7 @@ class Outlines:
         parts = [part.take(slice(*np.searchsorted(part.rows, (first, stop)).tolist())) for part in self.parts]
         return self._chosen(slice(first, stop), [replace(part, rows=part.rows - first) for part in parts])
 
-    def _chosen(self, rows: Indices | slice, parts: Sequence[Part]) -> Outlines:
+    def _chosen(self, rows: Indices | slice, parts: Sequence[OutlinePart]) -> Outlines:
         """The chosen rows, whose solids are the parts, with the rows' new numbers."""
         columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
         return Outlines(**columns, parts=tuple(part for part in parts if len(part.rows)))
@@ -137,7 +138,9 @@ def outline(
         rows = place[first : first + len(part.rows)]
         first += len(part.rows)
         ascending = np.argsort(rows)
-        parts.append(Part(part.solid, rows[ascending], part.vertices_camera[ascending], part.vertices_px[ascending]))
+        parts.append(
+            OutlinePart(part.solid, rows[ascending], part.vertices_camera[ascending], part.vertices_px[ascending])
+        )
     parts = [part for part in parts if len(part.rows)]
     return Outlines(**{name: column[order] for name, column in columns.items()}, parts=tuple(parts))
 
@@ -152,7 +155,7 @@ _NOTHING = {
 
 def _outline(
     intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
-) -> tuple[dict[str, Any], Part]:
+) -> tuple[dict[str, Any], OutlinePart]:
     """The columns of `Outlines` for bodies with the same faces, and the part that they form."""
     steps = max(1, MOST_VERTICES // bodies.vertices_m[..., 0].size)
     portions = [slice(first, first + steps) for first in range(0, len(bodies.present), steps)]
@@ -164,12 +167,12 @@ def _outline(
     parts = [part for _, part in found]
     vertices, pixels = (np.concatenate([getattr(part, name) for part in parts]) for name in _OF_VERTICES)
     joined = {name: np.concatenate([columns[name] for columns, _ in found]) for name in _COLUMNS}
-    return joined, Part(bodies.solid, np.arange(len(vertices)), vertices, pixels)
+    return joined, OutlinePart(bodies.solid, np.arange(len(vertices)), vertices, pixels)
 
 
 def _portion(
     intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
-) -> tuple[dict[str, Any], Part]:
+) -> tuple[dict[str, Any], OutlinePart]:
     """What `_outline` gives, of few enough steps."""
     solid, pinhole = bodies.solid, intrinsics.pinhole
     camera = camera_poses.to_camera(bodies.vertices_world())
@@ -204,7 +207,7 @@ def _portion(
         "depth_m": depth,
         "crosses_near": crosses,
     }
-    return columns, Part(solid, np.arange(len(frame)), vertices, pixels)
+    return columns, OutlinePart(solid, np.arange(len(frame)), vertices, pixels)
 
 
 def _chosen(rows: Mask, *columns: Any) -> tuple[Any, ...]:
@@ -287,3 +290,49 @@ def _projected_areas(pixels: Array, solid: Solid) -> Array:
     # The sum is rounded in order of memory, which must be the same for one silhouette as for many.
     areas: Array = np.ascontiguousarray(np.abs(doubled)).sum(axis=-1) / 4
     return areas
+
+
+# ---- Whether a camera is inside a body, where no picture makes sense ----
+
+INSIDE = 2 * np.pi
+"""A closed mesh subtends the whole sphere of 4π at a point inside, and 0 at a point outside."""
+MOST_TRIANGLES = 100_000
+"""Most triangles times points that are looked at together; it bounds the memory."""
+
+
+def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, int] | None:
+    """The first frame in which a camera is inside a body, and that body.
+
+    Args:
+        cameras_m: Positions of the camera in WCF at S steps, shape (S, 3).
+        bodies: At the same steps.
+
+    Returns:
+        Frame and index into the scene's occluder names; None if the camera is always outside.
+    """
+    found = []
+    for some in bodies:
+        offsets = cameras_m[:, None, None, :] - some.positions_m[:, :, None, :]
+        places = (offsets @ some.world_R_body)[:, :, 0, :]  # in the frame of each body
+        low, high = some.vertices_m.min(axis=1), some.vertices_m.max(axis=1)
+        within = np.all((places > low) & (places < high), axis=-1) & some.present
+        for body in np.flatnonzero(within.any(axis=0)).tolist():
+            frames, triangles = np.flatnonzero(within[:, body]), some.vertices_m[body][some.solid.faces]
+            for some_frames in np.array_split(frames, -(-len(frames) * len(triangles) // MOST_TRIANGLES)):
+                inside = np.abs(solid_angle(places[some_frames, body], triangles)) > INSIDE
+                found += [(frame, int(some.occluder[body])) for frame in some_frames[inside][:1].tolist()]
+    return min(found, default=None)
+
+
+def solid_angle(points: Array, triangles: Array) -> Array:
+    """Steradians that oriented triangles, shape (T, 3, 3), subtend at points, shape (..., 3) to (...).
+
+    They are ±4π inside a closed mesh and 0 outside. A. van Oosterom and J. Strackee, "The solid angle of a plane
+    triangle", IEEE Transactions on Biomedical Engineering 30 (1983).
+    """
+    a, b, c = np.moveaxis(triangles - points[..., None, None, :], -2, 0)
+    la, lb, lc = (np.linalg.norm(corner, axis=-1) for corner in (a, b, c))
+    volume = np.einsum("...i,...i->...", a, np.cross(b, c))
+    ab, bc, ca = (np.einsum("...i,...i->...", p, q) for p, q in ((a, b), (b, c), (c, a)))
+    angle: Array = 2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb).sum(axis=-1)
+    return angle

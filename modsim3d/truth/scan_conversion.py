@@ -23,11 +23,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, ranges
+from modsim3d.core.types import Array, Indices, Mask, ranges
 from modsim3d.render.id_pass import SUBPIXELS
-from modsim3d.truth.pixel_spans import Spans
-from modsim3d.truth.silhouettes import doubled_areas
-from modsim3d.vessels.vessel import Solid, once_a_solid
+from modsim3d.truth.silhouettes import Spans, doubled_areas
+from modsim3d.world.vessels import Solid, once_a_solid
 
 HALF = SUBPIXELS // 2
 

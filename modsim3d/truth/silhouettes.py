@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import TypeVar
 
@@ -9,11 +11,135 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask, ranges, run_starts
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.geometry.unions import union_of
-from modsim3d.truth.cutting import cut_near
-from modsim3d.vessels.vessel import Solid
+from modsim3d.geometry.clipping import clip_triangles, near_plane
+from modsim3d.geometry.kinematics import union_of
+from modsim3d.render.id_pass import SUBPIXELS
+from modsim3d.world.vessels import Solid, once_a_solid
+
+# ---- Solids that the near plane cuts ----
+
+PORTION_FACES = 20_000
+"""Faces that are cut at once: few calls, but arrays that fit a cache."""
+
+
+def cut_faces(
+    vertices_camera: Array, crosses: Mask, intrinsics: Intrinsics, solid: Solid, *, in_image: bool = False
+) -> Iterator[tuple[Array, Indices]]:
+    """The faces of m solids, cut where the near plane crosses the solid, in portions of some of the solids.
+
+    Args:
+        vertices_camera: In CCF, shape (m, K, 3).
+        crosses: Whether the near plane cuts each solid, shape (m,).
+        intrinsics: Have the near plane.
+        solid: Has the faces that the vertices span.
+        in_image: Close only the solids whose section may have a corner of the image in it. Of the others, nothing is
+            in the image that is beyond the edges of the section.
+
+    Yields:
+        Triangles, shape (T, 3, 3), and the solid of each, shape (T,); those of one solid are in the order of its faces.
+    """
+    size = max(1, PORTION_FACES // len(solid.faces))
+    for first in range(0, len(crosses), size):
+        here = crosses[first : first + size]
+        faces = vertices_camera[first : first + size][:, solid.faces]
+        whole = np.repeat(first + np.flatnonzero(~here), len(solid.faces))
+        triangles, member = cut_near(faces[here], intrinsics, solid, in_image=in_image)
+        yield (
+            np.concatenate([faces[~here].reshape(-1, 3, 3), triangles]),
+            np.concatenate([whole, first + np.flatnonzero(here)[member]]),
+        )
+
+
+def cut_near(
+    faces_camera: Array, intrinsics: Intrinsics, solid: Solid, *, in_image: bool = False
+) -> tuple[Array, Indices]:
+    """The faces of m solids beyond the near plane, and the section that closes each there if it was closed.
+
+    Without the section the camera would look into the solid, and see the faces of what touches it from behind.
+
+    Args:
+        faces_camera: The F faces of each in CCF, shape (m, F, 3, 3).
+        intrinsics: Have the near plane.
+        solid: Says whether the solids are closed, and convex.
+        in_image: See `cut_faces`.
+
+    Returns:
+        Triangles in CCF, shape (T, 3, 3), and the solid of each, ascending, shape (T,). A section comes last.
+    """
+    if not len(faces_camera):
+        return np.empty((0, 3, 3)), np.empty(0, dtype=np.int64)
+    near = intrinsics.near_clip_m
+    clipped, face = clip_triangles(faces_camera.reshape(-1, 3, 3), near_plane(intrinsics))
+    member = face // max(faces_camera.shape[1], 1)
+    # A corner that the cut puts on the plane is off it by a rounding error.
+    clipped[..., 2][clipped[..., 2] < near * (1 + 1e-9)] = near
+    if not solid.closed:
+        return clipped, member
+    to_close = _corner_inside(clipped, member, intrinsics)[member] if in_image else np.ones(len(member), dtype=bool)
+    sections = _convex_sections if solid.convex else _sections
+    section, section_member = sections(clipped[to_close], member[to_close], near)
+    members = np.concatenate([member, section_member])
+    order = np.argsort(members, kind="stable")
+    return np.concatenate([clipped, section])[order], members[order]
+
+
+def _corner_inside(clipped: Array, member: Indices, intrinsics: Intrinsics) -> Mask:
+    """Whether the section of each solid up to the last member may have a corner of the image in it.
+
+    Then edges of the section are on all four sides of the corner.
+    """
+    (ends, of), count = _edges(clipped, member, intrinsics.near_clip_m), int(member.max(initial=-1)) + 1
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    width, height = intrinsics.image_size_px
+    corners_px = np.array([(0, 0), (width, 0), (0, height), (width, height)], dtype=np.float64)
+    inside = np.zeros(count, dtype=bool)
+    for corner in intrinsics.unproject(corners_px, np.full(4, intrinsics.near_clip_m))[:, :2]:
+        beside = ((low <= corner) & (corner <= high))[:, ::-1]  # along the other axis
+        sides = np.concatenate([beside & (low <= corner), beside & (corner <= high)], axis=1)
+        inside |= np.all([np.bincount(of, side, minlength=count) > 0 for side in sides.T], axis=0)
+    return inside
+
+
+def _edges(clipped: Array, member: Indices, near: float) -> tuple[Array, Indices]:
+    """The ends of the edges on the near plane, shape (k, 2, 2), and the solid of each, shape (k,)."""
+    on_plane = clipped[..., 2] == near
+    cut = on_plane.sum(axis=1) == 2
+    return clipped[cut][on_plane[cut]].reshape(-1, 2, 3)[..., :2], member[cut]
+
+
+def _convex_sections(clipped: Array, member: Indices, near: float) -> tuple[Array, Indices]:
+    """Fans of triangles between the corners on the near plane, shape (k, 3, 3), and the solid of each, shape (k,)."""
+    on_plane = clipped[..., 2] == near
+    corners, of = clipped[on_plane], np.repeat(member, on_plane.sum(axis=1))
+    order = np.lexsort((corners[:, 1], corners[:, 0], of))
+    corners, of = corners[order], of[order]
+    distinct = np.ones(len(of), dtype=bool)
+    distinct[1:] = (np.diff(of) != 0) | (np.diff(corners[:, :2], axis=0) != 0).any(axis=1)
+    corners, of = corners[distinct], of[distinct]
+    first = run_starts(of)
+    count = np.bincount(of)[of[first]]
+    centre = np.stack([np.bincount(of, corners[:, i])[of] for i in (0, 1)], axis=1) / np.repeat(count, count)[:, None]
+    offset = corners[:, :2] - centre
+    around = np.lexsort((np.arctan2(offset[:, 1], offset[:, 0]), of))
+    triangles = np.maximum(count - 2, 0)
+    start, second = np.repeat(first, triangles), ranges(first + 1, triangles)
+    return corners[around[np.stack([start, second, second + 1], axis=1)]], of[start]
+
+
+def _sections(clipped: Array, member: Indices, near: float) -> tuple[Array, Indices]:
+    """Triangles that fill what the edges on the near plane enclose, except holes; see `_convex_sections`."""
+    ends, of = _edges(clipped, member, near)
+    members, which = np.unique(of, return_inverse=True)
+    lines = shapely.multilinestrings(shapely.linestrings(ends), indices=which)
+    filled = shapely.build_area(shapely.node(lines))
+    pieces, solid = shapely.get_parts(shapely.constrained_delaunay_triangles(filled), return_index=True)
+    corners = shapely.get_coordinates(pieces).reshape(-1, 4, 2)[:, :3]
+    return np.concatenate([corners, np.full((len(corners), 3, 1), near)], axis=-1), members[solid]
+
+
+# ---- Silhouettes as polygons, not yet cut at the image edge ----
 
 NO_AREA_PX2 = 1e-9
 """A face with a smaller area is seen edge-on. It adds nothing to a silhouette, and its polygon would be invalid."""
@@ -110,3 +236,215 @@ def faces_union(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geom
     """
     doubled = doubled_areas(triangles_px)
     return union_of(shapely.polygons(triangles_px[(np.abs(doubled) if both_sides else doubled) > NO_AREA_PX2]))
+
+
+# ---- Silhouettes as spans ----
+
+
+@dataclass(frozen=True, eq=False)
+class Spans:
+    """Runs of pixels of n silhouettes.
+
+    Attributes:
+        row: Index of the silhouette, shape (m,).
+        y: Pixel row, shape (m,).
+        start: First column, shape (m,).
+        stop: The column after the last, greater than `start`, shape (m,).
+    """
+
+    row: Indices
+    y: Indices
+    start: Indices
+    stop: Indices
+
+    @classmethod
+    def none(cls) -> Spans:
+        """No spans."""
+        empty = np.empty(0, dtype=np.int64)
+        return cls(empty, empty, empty, empty)
+
+    def take(self, chosen: Mask | Indices) -> Spans:
+        """The chosen spans, given by a mask, shape (m,), or by indices, shape (k,)."""
+        return Spans(self.row[chosen], self.y[chosen], self.start[chosen], self.stop[chosen])
+
+    def ordered(self) -> Spans:
+        """The spans in order of silhouette."""
+        return self.take(np.argsort(self.row, kind="stable"))
+
+    def moved(self, dx: Indices | int, dy: Indices | int) -> Spans:
+        """The spans moved right by dx and down by dy, each a number or of shape (m,)."""
+        return Spans(self.row, self.y + dy, self.start + dx, self.stop + dx)
+
+
+_FAR = np.iinfo(np.int64).max
+_NO_BOX = np.array([np.inf, np.inf, -np.inf, -np.inf])
+
+
+def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
+    """Numbers of pixels, shape (n,), and bounding boxes, shape (n, 4), of n = `count` silhouettes; spans in any order.
+
+    Boxes are half-open, [x_min, x_max) × [y_min, y_max); the box of a silhouette without a pixel is
+    (inf, inf, −inf, −inf).
+    """
+    # The first of the spans of one silhouette that follow each other: summed up first if they are several as a rule.
+    first = run_starts(spans.row)
+    several = 4 * len(first) < len(spans.row)
+    row = spans.row[first] if several else spans.row
+
+    def of_rows(reduce: np.ufunc, values: Indices) -> Indices:
+        """One value for each of `row`, shape of `row`."""
+        reduced: Indices = reduce.reduceat(values, first) if several else values
+        return reduced
+
+    pixels: Array = np.bincount(row, of_rows(np.add, spans.stop - spans.start), minlength=count).astype(np.float64)
+    low, high = np.full((2, count), _FAR), np.full((2, count), -1)
+    for axis, (starts, stops) in enumerate(((spans.start, spans.stop), (spans.y, spans.y + 1))):
+        np.minimum.at(low[axis], row, of_rows(np.minimum, starts))
+        np.maximum.at(high[axis], row, of_rows(np.maximum, stops))
+    boxes: Array = np.where(pixels > 0, np.concatenate([low, high]), _NO_BOX[:, None]).T.copy()
+    return pixels, boxes
+
+
+def joined_spans(parts: Sequence[Spans]) -> Spans:
+    """Spans of several sets, one at least, one set after another."""
+    if len(parts) == 1:
+        return parts[0]
+    return Spans(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("row", "y", "start", "stop")))
+
+
+def runs_of_ids(ids: NDArray[np.uint32]) -> tuple[Indices, Indices]:
+    """Where each run of equal IDs begins in an ID image (h, w) read row by row, and its ID; both of shape (k,).
+
+    Each pixel row begins a new run.
+    """
+    flat = ids.reshape(-1)
+    begins = np.empty(flat.shape, dtype=bool)
+    np.not_equal(flat[1:], flat[:-1], out=begins[1:])
+    begins[:: ids.shape[1]] = True
+    starts = np.flatnonzero(begins)
+    return starts, flat[starts].astype(np.int64)
+
+
+def spans_of_ids(ids: NDArray[np.uint32]) -> Spans:
+    """The spans of the silhouettes in an ID image in which none hides another; ordered by scan line.
+
+    An ID is the index of the silhouette + 1, zero where there is none, shape (h, w).
+    """
+    starts, values = runs_of_ids(ids)
+    stops = np.append(starts[1:], ids.size)
+    filled = values > 0
+    lines, first = np.divmod(starts[filled], ids.shape[1])
+    return Spans(values[filled] - 1, lines, first, first + (stops - starts)[filled])
+
+
+# ---- The pixels of closed solids that need not be convex, found without drawing them ----
+
+HALF = SUBPIXELS // 2
+MOST_CROSSINGS = 200_000
+"""Edges times scan lines that are computed at once; it bounds the memory."""
+
+
+@once_a_solid
+def edges_of(solid: Solid) -> Indices:
+    """Start, end, left and right face of each edge of a closed solid, shape (4, E).
+
+    The face on the left runs from start to end, that on the right from end to start. Where more than two faces meet, an
+    edge comes more than once.
+    """
+    ways: dict[tuple[int, int], list[int]] = {}
+    for face, (a, b, c) in enumerate(solid.faces.tolist()):
+        for way in ((a, b), (b, c), (c, a)):
+            ways.setdefault(way, []).append(face)
+    edges = [
+        (a, b, left, right)
+        for (a, b), faces in ways.items()
+        if a < b
+        for left, right in zip(faces, ways[b, a], strict=True)
+    ]
+    return np.array(edges, dtype=np.int64).reshape(-1, 4).T
+
+
+def faces_towards(vertices_px: Array, solid: Solid) -> Mask:
+    """Which faces of n solids with rounded corners are turned to the camera, shape (n, F).
+
+    The vertices are in buffer pixels, shape (n, K, 2).
+    """
+    towards: Mask = doubled_face_areas(np.rint(vertices_px * SUBPIXELS), solid.faces) > 0
+    return towards
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Edges between faces turned to the camera and faces turned away, ordered by silhouette.
+
+    Attributes:
+        row: Silhouette of each edge, shape (e,).
+        upper: Upper end on the grid, shape (e, 2).
+        lower: Lower end on the grid, shape (e, 2).
+        step: 1 if a face begins on its right, −1 if one ends there, shape (e,).
+        first: First scan line that it crosses, shape (e,).
+        lines: Number of scan lines that it crosses, shape (e,).
+    """
+
+    row: Indices
+    upper: Array
+    lower: Array
+    step: Indices
+    first: Indices
+    lines: Indices
+
+    @classmethod
+    def of(cls, vertices_px: Array, solid: Solid, height: int) -> _Edges:
+        """Those of n solids in an image of some height; the vertices are in buffer pixels, shape (n, K, 2)."""
+        (start, end, left, right), grid = edges_of(solid), np.rint(vertices_px * SUBPIXELS)
+        towards = faces_towards(vertices_px, solid)
+        turn = towards[:, left].astype(np.int64) - towards[:, right]
+        row, edge = np.nonzero(turn)
+        tail, head, turn = grid[row, start[edge]], grid[row, end[edge]], turn[row, edge]
+        down = head[:, 1] > tail[:, 1]
+        upper, lower = np.where(down[:, None], tail, head), np.where(down[:, None], head, tail)
+        # Pixel rows whose centre is at or below the upper end and above the lower: 256 y + 128 in [upper, lower).
+        first, stop = (
+            np.clip(np.ceil((end[:, 1] - HALF) / SUBPIXELS), 0, height).astype(np.int64) for end in (upper, lower)
+        )
+        return cls(row, upper, lower, np.where(down, turn, -turn), first, stop - first)
+
+    def portions(self) -> list[_Edges]:
+        """The edges of some silhouettes after the others."""
+        if self.lines.sum() < MOST_CROSSINGS:
+            return [self]
+        crossings = np.cumsum(np.bincount(self.row, self.lines))
+        limits = np.searchsorted(self.row, np.flatnonzero(np.diff(crossings // MOST_CROSSINGS)) + 1)
+        columns = [np.split(getattr(self, field.name), limits) for field in fields(self)]
+        return [_Edges(*some) for some in zip(*columns, strict=True)]
+
+    def spans(self, width: int, height: int) -> Spans:
+        """The spans between the edges in an image of some size."""
+        which, y = np.repeat(np.arange(len(self.row)), self.lines), ranges(self.first, self.lines)
+        (dx, dy), (x0, y0) = (self.lower - self.upper).T, self.upper.T
+        # 256 dy times the crossing, counted from the centre of column 0, at line 0 and from one line to the next.
+        at_zero, slope, scale = (HALF - y0) * dx + (x0 - HALF) * dy, SUBPIXELS * dx, SUBPIXELS * dy
+        column = np.ceil((at_zero[which] + slope[which] * y) / scale[which])
+        column = np.clip(column, 0, width).astype(np.int64)
+        line = self.row[which] * height + y
+        order = np.argsort(line * (width + 1) + column)
+        line, column = line[order], column[order]
+        covered = np.cumsum(self.step[which][order]) > 0  # the number is zero after the last edge of each line
+        last = np.ones(len(line), dtype=bool)  # of the edges that cross a line in the same column
+        last[:-1] = (np.diff(line) != 0) | (np.diff(column) != 0)
+        line, column, covered = line[last], column[last], covered[last]
+        border = np.diff(covered, prepend=False)
+        row, y = np.divmod(line[border][::2], height)
+        return Spans(row, y, column[border][::2], column[border][1::2])
+
+
+def winding_spans(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int]) -> Spans:
+    """The spans of n closed solids inside an image.
+
+    Args:
+        vertices_px: Projected vertices, all in front of the near plane, in buffer pixels, shape (n, K, 2).
+        solid: Has the faces that the vertices span.
+        image_size_px: Width and height of the buffer.
+    """
+    width, height = image_size_px
+    return joined_spans([some.spans(width, height) for some in _Edges.of(vertices_px, solid, height).portions()])

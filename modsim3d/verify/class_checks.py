@@ -7,19 +7,127 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import cumulative, log2
-from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Effect, Slope, Table
+from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Effect, FactorTable, Slope
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import Part, model_name
+from modsim3d.detector.parts import DetectorPart, model_name
+from modsim3d.detector.persistence import Persistence
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
-from modsim3d.verify.measures import CORRELATION, SHARE, Estimate, Exact, Measure
-from modsim3d.verify.pairs import inflation, lag_pairs, turn_before
+from modsim3d.verify.measures import CORRELATION, SHARE, Estimate, Exact, Measure, Rate
 from modsim3d.verify.parameters import Parameter
-from modsim3d.verify.rate_measures import Rate
-from modsim3d.verify.vessel_shares import variance_of_sum
+
+# ---- Pairs of rows of one track, and how much the noise that they share adds to a variance ----
+
+_FORGOTTEN = 10.0
+"""Correlation times after which a correlation is neglected: 5e-5 of it is left."""
+
+
+def lag_pairs(tracks: Indices, times_s: Array, correlation_s: float) -> Iterator[tuple[Indices, Indices, Array]]:
+    """Pairs of rows of one track that are near enough in time to be correlated, neighbours first.
+
+    Rows (n, k) of `tracks` are equal in one track; times have shape (n,). The correlation falls to 1/e in
+    `correlation_s`. Yields later rows, earlier rows, and seconds between, shapes (m,).
+    """
+    order = np.lexsort((times_s, *tracks.T[::-1]))
+    ordered, times = tracks[order], times_s[order]
+    for lag in range(1, len(order)):
+        same = (ordered[lag:] == ordered[:-lag]).all(axis=1)
+        apart = times[lag:] - times[:-lag]
+        near = np.flatnonzero(same & (apart <= _FORGOTTEN * correlation_s))
+        if not len(near):
+            return
+        yield order[near + lag], order[near], apart[near]
+
+
+def turn_before(model: DetectorModel, evidence: Evidence) -> Indices:
+    """Row of the same vessel in the last frame at which the camera's detector ran, −1 if there is none, shape (n,)."""
+    instances = evidence.instances
+    if model.gates.update_interval_s is None:
+        return instances.before
+    turn, ran = np.empty(len(instances.frame), dtype=np.int64), np.empty(len(instances.frame), dtype=bool)
+    for camera, seen in enumerate(evidence.cameras):
+        ours = np.flatnonzero(instances.camera == camera)
+        due = model.gates.due(seen.frames)
+        turn[ours], ran[ours] = np.cumsum(due)[instances.frame[ours]], due[instances.frame[ours]]
+    rows = np.flatnonzero(ran)
+    tracks, _ = instances.tracks(rows)
+    order = np.lexsort((turn[rows], *tracks.T[::-1]))
+    same = (tracks[order][1:] == tracks[order][:-1]).all(axis=1)
+    follows = same & (np.diff(turn[rows[order]]) == 1)
+    before = np.full(len(turn), -1)
+    before[rows[order[1:][follows]]] = rows[order[:-1][follows]]
+    return before
+
+
+def inflation(
+    tracks: Indices,
+    times_s: Array,
+    correlation_s: float,
+    variances: Array,
+    covariance: Callable[[Indices, Indices], Array],
+) -> float:
+    """Variance of the sum of rows whose noise persists, over that of independent rows with variances of shape (n,).
+
+    Two rows of a track, see `lag_pairs`, have kept the same noise with probability e^(−Δt / correlation_s).
+    `covariance` is that of later and earlier rows that have kept it.
+    """
+    alone = float(variances.sum())
+    if correlation_s <= 0 or alone <= 0:
+        return 1.0
+    total = alone
+    for later, earlier, apart in lag_pairs(tracks, times_s, correlation_s):
+        total += 2 * float((np.exp(-apart / correlation_s) * covariance(later, earlier)).sum())
+    return total / alone
+
+
+# ---- Misses and classes of which each vessel keeps a share of the noise ----
+
+_NODES = 32
+
+
+def at_each(share: float, *bounds: Array) -> Iterator[tuple[float, tuple[Array, ...]]]:
+    """Weights of values of what a vessel keeps, with the bounds of uniform numbers at it, shapes (n,).
+
+    Gauss and Hermite's quadrature.
+    """
+    nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+    latent = [special.ndtri(np.clip(bound, 0, 1)) for bound in bounds]
+    for node, weight in zip(nodes.tolist(), (weights / weights.sum()).tolist(), strict=True):
+        kept = np.sqrt(share) * node
+        yield weight, tuple(special.ndtr((bound - kept) / np.sqrt(1 - share)) for bound in latent)
+
+
+def variance_of_sum(
+    tracks: Indices, times_s: Array, persistence: Persistence, bounds: tuple[Array, Array], amount: Array
+) -> float:
+    """Variance of a sum of amounts, shape (n,), where uniform numbers of vessels are between bounds (low, high), (n,).
+
+    Rows (n, k) of `tracks` are equal in one track; times have shape (n,).
+    """
+    low, high = bounds
+    _, track = np.unique(tracks, axis=0, return_inverse=True)
+    track = track.ravel()
+    first = second = np.zeros(int(track.max(initial=-1)) + 1)
+    total = 0.0
+    pairs = list(lag_pairs(tracks, times_s, persistence.class_s)) if persistence.class_s > 0 else []
+    for weight, (low_b, high_b) in at_each(persistence.class_vessel_share, low, high):
+        chance = high_b - low_b
+        of_track = np.bincount(track, amount * chance, minlength=len(first))
+        first, second = first + weight * of_track, second + weight * of_track**2
+        total += weight * float((amount**2 * chance * (1 - chance)).sum())
+        for later, earlier, apart_s in pairs:
+            common = np.minimum(high_b[later], high_b[earlier]) - np.maximum(low_b[later], low_b[earlier])
+            both = np.maximum(common, 0) - chance[later] * chance[earlier]
+            kept = np.exp(-apart_s / persistence.class_s) * both * amount[later] * amount[earlier]
+            total += 2 * weight * float(kept.sum())
+    return total + float((second - first**2).sum())
+
+
+# ---- Checks of dropout and class ----
 
 BACKGROUND = "background"
 LEAST_CHANCES = 30
@@ -78,7 +186,7 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
                 measure = None if note else _entry(model, evidence, expected, np.flatnonzero(ours), row)
                 name = f"states.{state.name}.confusion[{names[row]}][{label}]"
                 said = note or _asked_note(model, row, measure)
-                parameters.append(Parameter(name, Part.CLASS, measure, value, state=state.name, note=said))
+                parameters.append(Parameter(name, DetectorPart.CLASS, measure, value, state=state.name, note=said))
     return [*parameters, *_overall_checks(model, evidence, expected, note)]
 
 
@@ -97,7 +205,7 @@ def _gate_checks(evidence: Evidence, expected: ExpectedOutcomes) -> list[Paramet
         return []
     seen = (evidence.instances.outcome != -1) & ~expected.passed
     measure = Exact(int(seen.sum()), int((~expected.passed).sum()))
-    return [Parameter("gates: nothing seen beyond them", Part.CLASS, measure, in_file=False)]
+    return [Parameter("gates: nothing seen beyond them", DetectorPart.CLASS, measure, in_file=False)]
 
 
 def _entry(
@@ -165,9 +273,9 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, expected: Expected
     persistence = None if note or shared else _persistence(model, evidence, expected)
     said = _SHARED_NOTE if shared else correlation_note(persistence)
     return [
-        Parameter("dropout, all states", Part.CLASS, overall, in_file=False, note=note),
+        Parameter("dropout, all states", DetectorPart.CLASS, overall, in_file=False, note=note),
         *([] if note else dropout_checks(model, evidence, expected.passed, expected.missed)),
-        Parameter("persistence.class_s", Part.CLASS, persistence, note=said),
+        Parameter("persistence.class_s", DetectorPart.CLASS, persistence, note=said),
     ]
 
 
@@ -232,7 +340,7 @@ def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, misse
         values = np.concatenate([ATTRIBUTES[effect.attribute](seen.targets) for seen in evidence.cameras])
         for name, asked, column in check(effect, values):
             measure = _effect(model, evidence, there, missed, column, asked)
-            parameters.append(Parameter(f"{key}.{name}", Part.CLASS, measure, asked, state=whose))
+            parameters.append(Parameter(f"{key}.{name}", DetectorPart.CLASS, measure, asked, state=whose))
     return parameters
 
 
@@ -255,7 +363,7 @@ def _slope_columns(effect: Slope, values: Array) -> list[Column]:
     return [("per_doubling" if effect.doublings else "per_unit", effect.log_odds, amount)]
 
 
-def _table_columns(effect: Table, values: Array) -> list[Column]:
+def _table_columns(effect: FactorTable, values: Array) -> list[Column]:
     known, place = ~np.isnan(values), np.searchsorted(effect.edges, values, side="right")
     return [(f"odds[{k}]", odds, np.where(known & (place == k), 1 / odds, 0.0)) for k, odds in enumerate(effect.odds)]
 

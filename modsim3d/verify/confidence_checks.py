@@ -2,27 +2,242 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
+from scipy import special
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import sizes
-from modsim3d.detector.confidence import SCORES, NormalScores, QuantileScores, Scores, StateConfidence
+from modsim3d.core.boxes import sizes
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.detector.confidence import (
+    LEVELS,
+    SCORES,
+    ConfidenceLaw,
+    NormalScores,
+    QuantileScores,
+    StateConfidence,
+    clipped_laws,
+    clipped_score,
+    pair_score,
+)
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import Part, model_name
-from modsim3d.verify.class_checks import correlation_note
-from modsim3d.verify.clipped_checks import LEAST_DETECTIONS, Clipped
+from modsim3d.detector.parts import DetectorPart, model_name
+from modsim3d.verify.class_checks import correlation_note, lag_pairs, turn_before
 from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, unknown_rest_note
-from modsim3d.verify.kept_scores import KeptScores, score_persistence
-from modsim3d.verify.law_measures import Law
-from modsim3d.verify.measures import Exact, Measure
-from modsim3d.verify.parameters import Parameter
+from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact, Measure
+from modsim3d.verify.parameters import Law, Parameter
+
+# ---- What confidence that persists does to its checks, and the check of how long it does ----
+
+LEAST_PAIRS = 100
+_STEP, _LEAST_LEVEL = 1e-4, 1e-12
+_HARDLY_ANY = 0.02
+_MOST_CORRELATION = 1 - 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Scored:
+class KeptScores:
+    """Confidences that persist along tracks: rows of tracks (n, k), times (n,), and the correlation time."""
+
+    tracks: Indices
+    times_s: Array
+    correlation_s: float
+
+    def inflation(self, of_mean: Array, of_square: Array) -> Array:
+        """Variances of sums over rows, over those of independent rows, shape (k,).
+
+        Args:
+            of_mean: Standard deviations of what each row adds in proportion to its normal number, with sign (n, k).
+            of_square: The same of what it adds in proportion to the square, whose correlation is the square (n, k).
+        """
+        alone = (of_mean**2 + of_square**2).sum(axis=0)
+        total = alone.copy()
+        for later, earlier, apart in lag_pairs(self.tracks, self.times_s, self.correlation_s):
+            kept = np.exp(-apart / self.correlation_s)
+            total += 2 * (kept @ (of_mean[later] * of_mean[earlier]))
+            total += 2 * (kept**2 @ (of_square[later] * of_square[earlier]))
+        result: Array = np.maximum(total, _STEP * alone) / np.maximum(alone, 1e-300)
+        return result
+
+    @property
+    def of_shares(self) -> float:
+        """Most that the variance of a share of the rows grows."""
+        ones = np.ones((len(self.times_s), 1))
+        return float(self.inflation(ones, 0 * ones)[0])
+
+
+def latent_bounds(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
+    """Bounds of the normal number behind the confidence of each true detection, NaN without a law, shapes (m,).
+
+    They are equal where the number is known. A clipped confidence leaves it open beyond a bound.
+    """
+
+    true = evidence.true_detections
+    low, high = (np.full(len(true.confidence), np.nan) for _ in range(2))
+    for s, state in enumerate(model.states):
+        rows, law = np.flatnonzero(evidence.instances.state[true.instance] == s), state.confidence
+        found, _ = scored(evidence, s, law)
+        shift = -law.visibility_slope * found.hidden - law.size_slope * found.halvings
+        check = LEVELS.get(model_name(SCORES, law.true))
+        levels = None if check is None else check(law.true, found.scores, shift)
+        if levels is None:
+            continue
+        below, above = levels
+        middle = special.ndtri(np.clip((below + above) / 2, _LEAST_LEVEL, 1 - _LEAST_LEVEL))
+        wide = above - below > _STEP
+        low[rows] = np.where(wide, special.ndtri(below), middle)
+        high[rows] = np.where(wide, special.ndtri(above), middle)
+        clipped = (found.scores <= model.confidence_threshold) | (found.scores >= 1)
+        if len(rows) and clipped.mean() < _HARDLY_ANY:  # a wrong mean or spread would look like a correlation
+            own = middle[~clipped]
+            low[rows], high[rows] = ((part[rows] - own.mean()) / max(own.std(), _STEP) for part in (low, high))
+        low[rows[found.scores <= model.confidence_threshold]] = -np.inf
+        high[rows[found.scores >= 1]] = np.inf
+    return low, high
+
+
+def score_persistence(model: DetectorModel, evidence: Evidence) -> Estimate | None:
+    """Correlation of the normal numbers behind a vessel's confidence with those one frame before.
+
+    Given a number that is known, the next has its own distribution whatever came before: the derivatives of its
+    likelihood are independent of each other.
+    """
+    low, high = latent_bounds(model, evidence)
+    place = np.full(len(evidence.instances.state), -1)
+    place[evidence.true_detections.instance] = np.arange(len(low))
+    turns = turn_before(model, evidence)[evidence.true_detections.instance]
+    before = np.where(turns >= 0, place[turns], -1)
+    now = np.flatnonzero((before >= 0) & ~np.isnan(low))
+    now = now[low[before[now]] == high[before[now]]]
+    before = before[now]
+    if len(now) < LEAST_PAIRS:
+        return None
+    times_s = evidence.instances.time_s[evidence.true_detections.instance]
+    tau = model.persistence.confidence_s
+    kept = np.exp(-(times_s[now] - times_s[before]) / tau) if tau > 0 else np.zeros(len(now))
+    score = pair_score(low[before], low[now], high[now], np.minimum(kept, _MOST_CORRELATION))
+    information, asked = float((score**2).sum()), float(kept.mean())
+    if information <= 0:
+        return None
+    step, skewness = float(score.sum()) / information, float((score**3).sum()) / information**1.5
+    return Estimate(asked + step, asked, 1 / math.sqrt(information), len(now), skewness, possible=CORRELATION)
+
+
+# ---- Tests of clipped normal numbers against the mean and standard deviation asked for ----
+
+_FAR, _STEPS = 4.5, 8  # an estimate farther off than this is refined by so many Newton steps
+_SINGULAR = 1e10
+LEAST_DETECTIONS = 50
+"""Independent detections that a number needs."""
+_LEVELS = 100
+"""Means at which the integrals are computed; those between are interpolated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clipped:
+    """Numbers (n,) clipped to [threshold, 1], whose means before clipping are the design (n, k) times coefficients.
+
+    `kept` says which of them have kept a part of their deviation from one another; none have if None.
+    """
+
+    scores: Array
+    design: Array
+    threshold: float
+    kept: KeptScores | None = None
+
+    def measures(self, coefficients: Array, std: float) -> Sequence[Estimate | None]:
+        """Estimates of the first coefficient, the standard deviation, and the other coefficients, shape (k,) in all.
+
+        One step from the asked values towards the maximum likelihood, which is also the score test of each with the
+        others free; several steps for an estimate that is far off.
+        """
+        information = self._information(self.design @ coefficients, std)
+        step, covariance, third = self._step(coefficients, std, information)
+        if step is None:
+            return [None] * (len(coefficients) + 1)
+        inflation = self._inflation(information, covariance)
+        errors = np.sqrt(np.diag(covariance) * inflation)
+        third = third * inflation**2
+        z = step / errors
+        asked = np.concatenate([coefficients[:1], [std], coefficients[1:]])
+        found = asked + step
+        if np.abs(z).max() > _FAR:
+            found = self._fitted(asked)
+        counts = [len(self.scores) if self.kept is None else len(self.scores) / part for part in inflation.tolist()]
+        return [
+            Estimate(
+                found[k], asked[k], errors[k], count, third[k] / errors[k] ** 3, z[k], k == 1, AMOUNT if k == 1 else ANY
+            )
+            if self.kept is None or count >= LEAST_DETECTIONS
+            else None
+            for k, count in enumerate(counts)
+        ]
+
+    def _inflation(self, information: Array, covariance: Array) -> Array:
+        """Variance of each estimate over that from independent numbers, in the order of `measures`."""
+        if self.kept is None:
+            return np.ones(len(covariance))
+        design = np.insert(self.design, 1, 0.0, axis=1)
+        of_mean = (design @ covariance) * np.sqrt(information[:, :1])
+        of_std = np.sqrt(information[:, 2:]) * covariance[1]
+        return self.kept.inflation(of_mean, of_std)
+
+    def _fitted(self, value: Array) -> Array:
+        for _ in range(_STEPS):
+            coefficients = np.concatenate([value[:1], value[2:]])
+            step, _, _ = self._step(coefficients, value[1], self._information(self.design @ coefficients, value[1]))
+            if step is None:
+                break
+            value = value + np.clip(step, -0.5 * value[1], 0.5 * value[1])
+        return value
+
+    def _step(self, coefficients: Array, std: float, information: Array) -> tuple[Array | None, Array, Array]:
+        """Step from the law towards the maximum likelihood, its covariance, and its third cumulants."""
+        means = self.design @ coefficients
+        # In this order: first coefficient, standard deviation, the others.
+        design = np.insert(self.design, 1, 1.0, axis=1)
+        of_std = np.arange(design.shape[1]) == 1
+        score = clipped_score(self.scores, means, std, self.threshold)
+        total = (design * np.where(of_std, score[:, 1:], score[:, :1])).sum(axis=0)
+        part = np.where(
+            of_std[:, None] & of_std,
+            information[:, 2, None, None],
+            np.where(of_std[:, None] | of_std, information[:, 1, None, None], information[:, 0, None, None]),
+        )
+        matrix = np.einsum("ni,nj,nij->ij", design, design, part)
+        if not np.all(np.isfinite(matrix)) or np.linalg.cond(matrix) > _SINGULAR:
+            return None, matrix, total
+        covariance = np.linalg.inv(matrix)
+        # From a few rows, spread evenly, that stand for all.
+        rows = np.linspace(0, len(means) - 1, min(len(means), 64)).astype(np.int64)
+        third = np.zeros(len(total))
+        for row, chances, each in zip(rows, *self._laws(means[rows], std), strict=True):
+            influence = (design[row] * np.where(of_std, each[:, 1:], each[:, :1])) @ covariance
+            third += chances @ influence**3
+        return covariance @ total, covariance, third * len(means) / len(rows)
+
+    def _information(self, means: Array, std: float) -> Array:
+        """Fisher information of mean and standard deviation of each number: mm, ms, ss; shape (n, 3)."""
+        low, high = float(means.min()), float(means.max())
+        levels = np.linspace(low, high, _LEVELS if high - low > 1e-12 else 1)
+        table = np.empty((len(levels), 3))
+        for k, (chances, score) in enumerate(zip(*self._laws(levels, std), strict=True)):
+            table[k] = chances @ (score[:, [0, 0, 1]] * score[:, [0, 1, 1]])
+        return np.column_stack([np.interp(means, levels, column) for column in table.T])
+
+    def _laws(self, means: Array, std: float) -> tuple[Array, Array]:
+        """Probabilities and scores at the nodes of the law of each mean, shapes (n, nodes) and (n, nodes, 2)."""
+        places, chances = clipped_laws(means, std, self.threshold)
+        return chances, clipped_score(places, means[:, None], std, self.threshold)
+
+
+# ---- Checks of confidence ----
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredDetections:
     """Detections of a state with their confidence and what it may depend on; shapes (n,).
 
     `hidden` is the share of the vessel that is hidden, 0 where there is none; `halvings` says how often the reference
@@ -36,10 +251,10 @@ class Scored:
     tracks: Indices
     times_s: Array
 
-    def __add__(self, other: Scored) -> Scored:
+    def __add__(self, other: ScoredDetections) -> ScoredDetections:
         """The detections of both."""
         columns = zip(astuple(self), astuple(other), strict=True)
-        return Scored(*(np.concatenate(pair) for pair in columns))
+        return ScoredDetections(*(np.concatenate(pair) for pair in columns))
 
 
 def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
@@ -56,25 +271,25 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
         for name, scores, found in groups:
             path = f"states.{state.name}.confidence{name}"
             parameters += [
-                Parameter(f"{path}.{entry}", Part.CONFIDENCE, measure, asked, state=state.name).unless(note)
+                Parameter(f"{path}.{entry}", DetectorPart.CONFIDENCE, measure, asked, state=state.name).unless(note)
                 for entry, asked, measure in _measures(law, scores, found, threshold, model.persistence.confidence_s)
             ]
     persistence = None if note else score_persistence(model, evidence)
     about = note or correlation_note(persistence)
-    parameters.append(Parameter("persistence.confidence_s", Part.CONFIDENCE, persistence, note=about))
+    parameters.append(Parameter("persistence.confidence_s", DetectorPart.CONFIDENCE, persistence, note=about))
     every = np.concatenate([evidence.true_detections.confidence, evidence.false_detections.confidence])
     asked = model.operating_threshold
     least, key = (threshold, "confidence_threshold") if asked is None else (asked, "operating_threshold")
     outside = int(((every < least) | (every > 1)).sum())
-    return [*parameters, Parameter(key, Part.CONFIDENCE, Exact(outside, len(every)))]
+    return [*parameters, Parameter(key, DetectorPart.CONFIDENCE, Exact(outside, len(every)))]
 
 
-def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Scored]:
+def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[ScoredDetections, ScoredDetections]:
     """True and false detections of a state, in the order in which the evidence has them."""
     true, false, instances = evidence.true_detections, evidence.false_detections, evidence.instances
     seen = np.append(instances.visible_fraction, np.nan)  # the last for instance −1: no vessel
 
-    def of_rows(found: TrueDetections | FalseDetections, ours: Mask) -> Scored:
+    def of_rows(found: TrueDetections | FalseDetections, ours: Mask) -> ScoredDetections:
         visible = seen[found.instance[ours]]
         width, height = sizes(found.boxes_px[ours]).T
         smaller = np.minimum(np.sqrt(width * height) / law.size_reference_px, 1.0)
@@ -84,7 +299,7 @@ def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Sc
             tracks, times_s = np.full((int(ours.sum()), 2), -1), evidence.frames.time_s[found.frame_row[ours]]
             tracks[:, 1] = np.arange(len(tracks))
         hidden = np.where(np.isnan(visible), 0, 1 - visible)
-        return Scored(found.confidence[ours], hidden, -np.log2(smaller), tracks, times_s)
+        return ScoredDetections(found.confidence[ours], hidden, -np.log2(smaller), tracks, times_s)
 
     return of_rows(true, instances.state[true.instance] == s), of_rows(false, false.state == s)
 
@@ -96,7 +311,7 @@ Number = tuple[str, float, Measure | None]
 
 
 def _measures(
-    law: StateConfidence, scores: Scores, found: Scored, threshold: float, correlation_s: float
+    law: StateConfidence, scores: ConfidenceLaw, found: ScoredDetections, threshold: float, correlation_s: float
 ) -> list[Number]:
     slopes = [
         ("visibility_slope", law.visibility_slope, -found.hidden),
@@ -108,7 +323,7 @@ def _measures(
 
 
 def _quantiles(
-    scores: QuantileScores, slopes: list[Slope], found: Scored, threshold: float, kept: KeptScores | None
+    scores: QuantileScores, slopes: list[Slope], found: ScoredDetections, threshold: float, kept: KeptScores | None
 ) -> list[Number]:
     independent = len(found.scores) / (1.0 if kept is None else kept.of_shares)
     if slopes or independent < LEAST_DETECTIONS:
@@ -118,7 +333,7 @@ def _quantiles(
 
 
 def _normal(
-    scores: NormalScores, slopes: list[Slope], found: Scored, threshold: float, kept: KeptScores | None
+    scores: NormalScores, slopes: list[Slope], found: ScoredDetections, threshold: float, kept: KeptScores | None
 ) -> list[Number]:
     count, own = len(found.scores), [slope for _, slope, _ in slopes]
     names = ["mean", "std", *(name for name, _, _ in slopes)]

@@ -9,12 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.boxes import at_least_a_pixel
-from modsim3d.detector.census import TargetCensus
-from modsim3d.detector.chain import take_census
+from modsim3d.core.boxes import at_least_a_pixel
+from modsim3d.core.types import Array, Indices
+from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Detections, Targets
+from modsim3d.detector.target_statistics import TargetStatistics
+from modsim3d.runs.pipeline import DetectorInput, block_ranges, block_steps, detector_inputs, open_renderer, truth_block
+from modsim3d.scene.scene import Scene
+from modsim3d.truth.record import Truth, concatenate
+
+# ---- The truth and the detections of a run, as columns over all cameras ----
 
 Columns = dict[str, NDArray[Any]]
 
@@ -139,9 +144,9 @@ class Evidence:
         rows: Indices = first[self.instances.camera[instances]] + self.instances.frame[instances]
         return rows
 
-    def census(self, model: DetectorModel) -> TargetCensus:
+    def census(self, model: DetectorModel) -> TargetStatistics:
         """The census that the detector had of the scene."""
-        return take_census(model, ((seen.frames, seen.targets) for seen in self.cameras))
+        return target_statistics(model, ((seen.frames, seen.targets) for seen in self.cameras))
 
 
 def _joined(parts: Sequence[Columns], **offsets: Indices) -> Columns:
@@ -228,3 +233,37 @@ def frames_above_max(model: DetectorModel, evidence: Evidence) -> int:
     """Images with more detections than the limit."""
     limit = model.gates.max_detections
     return 0 if limit is None else int(np.sum(evidence.frames.n_kept + evidence.frames.n_false > limit))
+
+
+# ---- Runs many detectors and seeds over one truth in memory, for campaigns and tests of the detector ----
+
+
+@dataclass(frozen=True, eq=False)
+class ManyDetections:
+    """The truth of a whole run, as the inputs of each camera's detector."""
+
+    scene: Scene
+    inputs: tuple[DetectorInput, ...]
+
+    @classmethod
+    def of_scene(cls, scene: Scene) -> ManyDetections:
+        """Make the truth of a scene."""
+        with open_renderer(scene) as renderer:
+            ranges = block_ranges(scene.steps, block_steps(scene))
+            return cls.of_truth(scene, concatenate([truth_block(scene, *steps, renderer) for steps in ranges]))
+
+    @classmethod
+    def of_truth(cls, scene: Scene, truth: Truth) -> ManyDetections:
+        """Take the truth of a whole run, such as that of a stored run."""
+        return cls(scene, tuple(detector_inputs(scene, truth, 0, scene.steps)))
+
+    def detect(self, model: DetectorModel, seed: int) -> Evidence:
+        """What a run with this detector and seed would show."""
+        census = target_statistics(model, ((part.frames, part.targets) for part in self.inputs))
+        detector = Detector(model, seed, census, self.scene.times_s)
+        return Evidence.of(
+            [
+                CameraEvidence(part.frames, part.targets, detector.detect(part.frames, part.targets))
+                for part in self.inputs
+            ]
+        )

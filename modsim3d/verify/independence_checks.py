@@ -12,18 +12,227 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import fft, special
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.core.types import Array, Indices
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import NEVER_CHANGES_S
-from modsim3d.verify.error_fit import StateFit
-from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.measures import CORRELATION, Estimate, Exact, Measure
-from modsim3d.verify.pair_sums import PairSums, group_sums, lag_sums
+from modsim3d.verify.error_fit import Draw, Residuals, StateFit, n_transient, residuals_of
+from modsim3d.verify.evidence import Evidence, unknown_rest_note
+from modsim3d.verify.false_positive_checks import RATE_CHECKS, ExpectedClutter, expected_clutter
+from modsim3d.verify.measures import AMOUNT, CORRELATION, POWER, Estimate, Exact, Interval, Measure, Noticed
 from modsim3d.verify.parameters import Parameter
-from modsim3d.verify.pattern_measures import Drift, Strongest
-from modsim3d.verify.residuals import Draw, Residuals, residuals_of
-from modsim3d.verify.spread_checks import spread_checks
+
+# ---- Sums of products of residuals ----
+
+
+@dataclass(frozen=True, eq=False)
+class PairSums:
+    """Sums over pairs of independent rows, one for each of L lags, or one alone; shapes (L,).
+
+    Attributes:
+        product: Of the products of both rows' values.
+        spread: Of the products of both rows' standard deviations.
+        variance: Variance of `product`.
+        third: Third cumulant of `product`.
+    """
+
+    product: Array
+    spread: Array
+    variance: Array
+    third: Array
+
+    @property
+    def pairs(self) -> Array:
+        """Pairs of rows of one variance that are worth as much, shape (L,)."""
+        worth: Array = self.spread**2 / np.where(self.variance > 0, self.variance, np.inf)
+        return worth
+
+
+def group_sums(values: Array, variance: Array, third: Array, group: Indices) -> PairSums:
+    """Sums over all pairs of rows of one group, for values and third moments (n, c) and variances and groups (n,).
+
+    With a variance v of each row, the third cumulant has a part from triples: the sum of six times v₁·v₂·v₃.
+    """
+    _, group = np.unique(group, return_inverse=True)
+    components = values.shape[1]
+
+    def of_groups(column: Array) -> Array:
+        totals: Array = np.bincount(group, column).astype(np.float64)
+        return totals
+
+    def over_pairs(columns: Array) -> float:
+        sums = [float((of_groups(column) ** 2 - of_groups(column**2)).sum()) / 2 for column in columns.T]
+        return sum(sums)
+
+    deviation = np.sqrt(variance)
+    first, second, cube = (of_groups(variance**power) for power in (1, 2, 3))
+    triples = float((first**3 - 3 * first * second + 2 * cube).sum())
+    return PairSums(
+        np.array([over_pairs(values)]),
+        np.array([components * over_pairs(deviation[:, None])]),
+        np.array([components * over_pairs(variance[:, None])]),
+        np.array([over_pairs(third) + components * triples]),
+    )
+
+
+def lag_sums(values: Array, variance: Array, third: Array, series: Indices, step: Indices) -> PairSums:
+    """Sums over pairs of rows of one series, for each number of steps between them from 0 on.
+
+    Values and third moments have shape (n, c), the others (n,).
+    """
+    order = np.lexsort((step, series))
+    ends = np.flatnonzero(np.diff(series[order], append=-2))
+    spans = [rows for rows in np.split(order, ends[:-1] + 1) if len(rows) > 1]
+    longest = max((int(step[rows[-1]] - step[rows[0]]) + 1 for rows in spans), default=1)
+    sums = np.zeros((4, longest))
+    components = values.shape[1]
+    for rows in spans:
+        place = step[rows] - step[rows[0]]
+        length = int(place[-1]) + 1
+        moments = (values[rows], np.sqrt(variance[rows])[:, None], variance[rows][:, None], third[rows])
+        for k, columns in enumerate(moments):
+            sums[k, :length] += _lagged(place, columns, length)
+    sums[1:3] *= components
+    return PairSums(*sums)
+
+
+def _lagged(place: Indices, columns: Array, length: int) -> Array:
+    """Sum of products of columns (n, c) with themselves at each lag, given each row's place, shape (length,)."""
+    size = fft.next_fast_len(2 * length, real=True)
+    dense = np.zeros((size, columns.shape[1]))
+    dense[place] = columns
+    power = (np.abs(fft.rfft(dense, axis=0)) ** 2).sum(axis=1)
+    products: Array = fft.irfft(power, size)[:length]
+    return products
+
+
+# ---- Whether the numbers of false positives spread as they should ----
+
+LEAST_STRETCHES = 20
+"""Independent stretches with one false positive each, below which their spread is not tested."""
+
+
+def spread_checks(model: DetectorModel, evidence: Evidence, group: str) -> list[Parameter]:
+    """Variance over mean of the number of transient false positives of an image, and of a stretch of images."""
+    note = unknown_rest_note(model, evidence)
+    if model.clutter.model not in RATE_CHECKS or model.clutter.persistent_share == 1:
+        return []
+    expected, found = expected_clutter(model, evidence), n_transient(evidence)
+    windows = {
+        "variance over mean in images": np.arange(len(found)),
+        "variance over mean in stretches": stretches(evidence.frames.camera, expected.transient),
+    }
+    measures = {name: _spread(expected, evidence.frames.state, found, window) for name, window in windows.items()}
+    return [
+        Parameter(f"{Draw.FALSE_POSITIVES}: {name}", group, measure, in_file=False).unless(note)
+        for name, measure in measures.items()
+    ]
+
+
+def stretches(camera: Indices, mean: Array) -> Indices:
+    """Numbers that are equal in images of one camera that follow each other until one is expected, shape (s,)."""
+    number, total, numbers = 0, 0.0, np.empty(len(mean), dtype=np.int64)
+    before = -1
+    for row, (now, more) in enumerate(zip(camera.tolist(), mean.tolist(), strict=True)):
+        if now != before or total >= 1:
+            number, total, before = number + 1, 0.0, now
+        total += more
+        numbers[row] = number
+    return numbers
+
+
+def _spread(expected: ExpectedClutter, state: Indices, found: Indices, window: Indices) -> Estimate | None:
+    """The variance of the number of a window over its mean.
+
+    With the number n of an image, its mean m and its variance v, (n − m)² − (2v/m − 1)·(n − m) − v has mean zero, does
+    not depend on the rate to first order, and has the variance 2v² of a Poisson number and 2v²·(1 − (1 − v/m)/m) of a
+    binomial one. Pairs of images of one window add twice the product of theirs, with variance 4v₁v₂. The third
+    cumulant is 8V³ + 4V² for a Poisson number with mean V.
+    """
+    some = np.flatnonzero(expected.transient > 0)
+    state, window, dispersion = state[some], window[some], expected.dispersion[some]
+    # With each state's own rate: a wrong one must not look like clumps.
+    ratio = np.bincount(state, found[some]) / np.maximum(np.bincount(state, expected.transient[some]), 1e-300)
+    mean = expected.transient[some] * np.where(ratio > 0, ratio, 1)[state]
+    rest = found[some] - mean
+    variance = mean * dispersion
+    of_windows = np.bincount(window, variance)
+    alone = rest**2 - (2 * dispersion - 1) * rest - variance
+    together = float((np.bincount(window, rest) ** 2).sum() - (rest**2).sum())
+    spread = 2 * float((of_windows**2).sum()) - 2 * float((variance**2 * (1 - dispersion) / mean).sum())
+    worth = float(of_windows.sum()) ** 2 / max(float((of_windows**2).sum()), 1e-300)
+    if worth < LEAST_STRETCHES or spread <= 0:
+        return None
+    total, asked = float(of_windows.sum()), float(variance.sum() / mean.sum())
+    error = spread**0.5
+    skewness = float((8 * of_windows**3 + 4 * of_windows**2).sum()) / error**3
+    scale = asked / total
+    strays = float(alone.sum()) + together
+    return Estimate(asked + strays * scale, asked, error * scale, worth, skewness, possible=AMOUNT)
+
+
+# ---- Measured patterns ----
+
+
+@dataclass(frozen=True)
+class Strongest(Estimate):
+    """The estimate that stands out most of `trials`, which share the level of the test (Bonferroni)."""
+
+    trials: int = 1
+
+    def p_value(self) -> float:
+        """Of any of the trials."""
+        return min(1.0, self.trials * super().p_value())
+
+    def strength(self) -> float:
+        """The normal deviate of as small a p-value."""
+        return float(-special.ndtri(max(self.p_value() / 2, 1e-300)))
+
+    def interval(self, alpha: float) -> Interval:
+        """At this trial's share of the level."""
+        return super().interval(alpha / self.trials)
+
+    def noticed(self, alpha: float) -> Noticed:
+        """At this trial's share of the level."""
+        return super().noticed(alpha / self.trials)
+
+
+@dataclass(frozen=True)
+class SumDrift:
+    """How far the sum of `count` numbers with mean zero and variance one strays from zero, for each of them.
+
+    The numbers sum to zero in the end, so the sum is a Brownian bridge, and the greatest distance times √count follows
+    Kolmogorov's distribution (Kolmogorov (1933)). Of `trials` such sums it is the one that strays most.
+    """
+
+    measured: float
+    count: float
+    trials: int = 1
+    asked: float = 0.0
+
+    def p_value(self) -> float:
+        """Of any of the trials."""
+        return min(1.0, self.trials * float(special.kolmogorov(math.sqrt(self.count) * self.measured)))
+
+    def strength(self) -> float:
+        """The normal deviate of as small a p-value."""
+        return float(-special.ndtri(max(self.p_value() / 2, 1e-300)))
+
+    def _reach(self, share: float) -> float:
+        return float(special.kolmogi(share)) / math.sqrt(self.count)
+
+    def interval(self, alpha: float) -> Interval:
+        """Distances that are no farther from this one than chance may bring it."""
+        reach = self._reach(alpha / self.trials)
+        return max(self.measured - reach, 0.0), self.measured + reach
+
+    def noticed(self, alpha: float) -> Noticed:
+        """A distance that the test does not miss: what chance may bring, from both sides."""
+        return None, self._reach(alpha / self.trials) + self._reach(1 - POWER)
+
+
+# ---- Whether what the detector file draws independently is independent in the run ----
 
 GROUP = "independence"
 LEAST_PAIRS = 200
@@ -182,7 +391,7 @@ def _order_in_time(residuals: Residuals, evidence: Evidence, memory: Memory) -> 
     _, moment = np.unique(evidence.frames.time_s[residuals.image], return_inverse=True)
     sums = np.array([np.cumsum(np.bincount(moment, column)) for column in columns.T])
     strays = float(np.abs(sums).max()) / math.sqrt(float(residuals.variance.sum()) * memory.inflation(1))
-    return Drift(strays / math.sqrt(worth), worth, len(sums)), ""
+    return SumDrift(strays / math.sqrt(worth), worth, len(sums)), ""
 
 
 def _magnitudes(residuals: Residuals, evidence: Evidence) -> Array:

@@ -2,11 +2,120 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from modsim3d.verify.law_measures import Occupancy
-from modsim3d.verify.measures import ANY, Estimate, Interval, Measure, Noticed
+import numpy as np
+from scipy import special
+from scipy.stats import kstwo
+
+from modsim3d.core.types import Array
+from modsim3d.verify.measures import ANY, POWER, Estimate, Interval, Measure, Noticed, two_sided
+
+# ---- Measured numbers compared with a whole distribution ----
+
+
+@dataclass(frozen=True, eq=False)
+class Occupancy:
+    """Share of the frames that a state takes, against the law of a Markov chain.
+
+    `found` is the number of its frames, `law` the probability of each number from 0 on, shape (frames + 1,).
+    """
+
+    found: int
+    law: Array
+
+    @property
+    def asked(self) -> float:
+        """Expected share."""
+        return float(np.arange(len(self.law)) @ self.law) / self._frames
+
+    @property
+    def measured(self) -> float:
+        """Share found."""
+        return self.found / self._frames
+
+    @property
+    def _frames(self) -> int:
+        return max(len(self.law) - 1, 1)
+
+    @property
+    def _deviation(self) -> float:
+        counts = np.arange(len(self.law))
+        return math.sqrt(max(float(((counts / self._frames - self.asked) ** 2) @ self.law), 0.0))
+
+    @property
+    def count(self) -> float:
+        """Independent frames that are worth as much."""
+        variance = self._deviation**2
+        return self.asked * (1 - self.asked) / variance if variance > 0 else float(self._frames)
+
+    def p_value(self) -> float:
+        """From the law itself."""
+        return two_sided(float(self.law[: self.found + 1].sum()), float(self.law[self.found :].sum()))
+
+    def strength(self) -> float:
+        """In standard deviations of the law."""
+        return abs(self.measured - self.asked) / self._deviation if self._deviation > 0 else 0.0
+
+    def interval(self, alpha: float) -> Interval:
+        """The share found, and as far to each side as the law may reach to the other."""
+        cumulative = np.cumsum(self.law)
+        low = int(np.searchsorted(cumulative, alpha / 2)) / self._frames
+        high = int(np.searchsorted(cumulative, 1 - alpha / 2)) / self._frames
+        return max(self.measured + self.asked - high, 0.0), min(self.measured + self.asked - low, 1.0)
+
+    def noticed(self, alpha: float) -> Noticed:
+        """Nothing: the transitions, which this follows from, notice more."""
+        return None, None
+
+
+@dataclass(frozen=True)
+class Law:
+    """Greatest distance between an empirical distribution function and the one asked for (Kolmogorov (1933))."""
+
+    measured: float
+    count: float
+    asked: float = 0.0
+
+    @classmethod
+    def of(cls, values: Array, quantiles: Array) -> Law:
+        """The distance of values from a law that is straight between evenly spaced quantiles, shapes (n,) and (k,).
+
+        Where the law has steps, the test is cautious.
+        """
+        share, steps = np.linspace(0, 1, len(quantiles)), np.flatnonzero(np.diff(quantiles) > 0)
+        ordered = np.sort(values)
+        # At equal quantiles the distribution function is the last share from above, and the first from below.
+        last, first = np.append(steps, len(quantiles) - 1), np.append(0, steps + 1)
+        below = np.interp(ordered, quantiles[last], share[last])
+        above = np.interp(ordered, quantiles[first], share[first])
+        # A step of the law takes in every rank within it.
+        high = np.searchsorted(ordered, ordered, side="right") / len(ordered) - below
+        low = above - np.searchsorted(ordered, ordered, side="left") / len(ordered)
+        return cls(float(max(high.max(initial=0), low.max(initial=0), 0.0)), len(ordered))
+
+    def p_value(self) -> float:
+        """Of the two-sided test."""
+        return float(kstwo.sf(self.measured, int(self.count)))
+
+    def strength(self) -> float:
+        """The normal deviate of as small a p-value."""
+        return float(-special.ndtri(max(self.p_value() / 2, 1e-300)))
+
+    def interval(self, alpha: float) -> Interval:
+        """Distances that are no farther from this one than chance may bring it."""
+        reach = float(kstwo.isf(alpha, int(self.count)))
+        return max(self.measured - reach, 0.0), min(self.measured + reach, 1.0)
+
+    def noticed(self, alpha: float) -> Noticed:
+        """A distance that the test does not miss: what chance may bring, from both sides."""
+        reach = float(kstwo.isf(alpha, int(self.count)) + kstwo.isf(1 - POWER, int(self.count)))
+        return None, reach if reach <= 1 else None
+
+
+# ---- A detector's parameters, what a run shows of each, and the verdicts on all of them together ----
 
 OVERALL_ALPHA = 0.01
 """Probability that an honest run has any verdict against it; shared evenly among its tests (Bonferroni)."""
@@ -45,7 +154,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TestResult:
     """A parameter with the verdict on it.
 
     Attributes:
@@ -75,11 +184,11 @@ class Verdict:
 class Verification:
     """Whether a run obeys its detector file: a verdict on each parameter, at level `alpha`."""
 
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[TestResult, ...]
     alpha: float
 
     @property
-    def failed(self) -> tuple[Verdict, ...]:
+    def failed(self) -> tuple[TestResult, ...]:
         """The verdicts against the run."""
         return tuple(verdict for verdict in self.verdicts if verdict.fails)
 
@@ -89,12 +198,12 @@ class Verification:
         return not self.failed
 
     @property
-    def cause(self) -> Verdict | None:
+    def cause(self) -> TestResult | None:
         """The failing verdict that stands out most, first of all of those in the file; None if none fails."""
         return max(self.failed, key=lambda verdict: (verdict.parameter.in_file, _strength(verdict)), default=None)
 
 
-def _strength(verdict: Verdict) -> float:
+def _strength(verdict: TestResult) -> float:
     measure = verdict.parameter.measure
     # To six digits: between two entries that say the same, rounding must not decide.
     return 0.0 if measure is None else float(f"{measure.strength():.6g}")
@@ -107,11 +216,13 @@ def judge(parameters: Sequence[Parameter]) -> Verification:
     return Verification(tuple(_verdict(parameter, alpha) for parameter in parameters), alpha)
 
 
-def _verdict(parameter: Parameter, alpha: float) -> Verdict:
+def _verdict(parameter: Parameter, alpha: float) -> TestResult:
     measure = parameter.measure
     if measure is None:
         asked = float("nan") if parameter.asked is None else parameter.asked
-        return Verdict(parameter, asked, None, None, None, (None, None), UNTESTED if parameter.checked else UNCHECKED)
+        return TestResult(
+            parameter, asked, None, None, None, (None, None), UNTESTED if parameter.checked else UNCHECKED
+        )
     p_value = measure.p_value()
     verdict = OBEYS if p_value >= alpha else DIFFERS
     low, high = measure.possible if isinstance(measure, Estimate) else ANY
@@ -129,4 +240,4 @@ def _verdict(parameter: Parameter, alpha: float) -> Verdict:
         is_blind = all(replace(measure, found=end).p_value() >= alpha for end in (0, len(measure.law) - 1))
     if verdict == OBEYS and is_blind:
         verdict = UNTESTED
-    return Verdict(parameter, measure.asked, measured, (start, end), p_value, noticed, verdict)
+    return TestResult(parameter, measure.asked, measured, (start, end), p_value, noticed, verdict)

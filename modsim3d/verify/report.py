@@ -10,9 +10,9 @@ from typing import Any
 
 import orjson
 
-from modsim3d.display import counted
-from modsim3d.outputs.placing import write_files
-from modsim3d.paths import StrPath, as_path
+from modsim3d.core.text import counted
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.io.atomic_write import write_files
 from modsim3d.verify.figures import error_scatters, miss_lengths, reliability, timelines
 from modsim3d.verify.measures import Exact
 from modsim3d.verify.parameters import (
@@ -22,28 +22,27 @@ from modsim3d.verify.parameters import (
     OVERALL_ALPHA,
     UNCHECKED,
     UNTESTED,
-    Verdict,
+    TestResult,
     Verification,
 )
 from modsim3d.verify.verification import CheckedRun
 from modsim3d.view.pages import charts, page
-from modsim3d.view.pages.provenance import Provenance, file_input
-from modsim3d.view.pages.run_inputs import run_inputs, run_seeds, run_versions
+from modsim3d.view.pages.provenance import Provenance, file_input, run_inputs, run_seeds, run_versions
 
 FORMAT = 1
 FILES = ("verify.json", "verify.html")
 HEADER = ("parameter", "asked", "measured", "interval", "noticed from", "verdict")
 
 
-def groups_of(verification: Verification) -> dict[str, list[Verdict]]:
+def groups_of(verification: Verification) -> dict[str, list[TestResult]]:
     """The verdicts by part of the detector, in order."""
-    groups: dict[str, list[Verdict]] = {}
+    groups: dict[str, list[TestResult]] = {}
     for verdict in verification.verdicts:
         groups.setdefault(verdict.parameter.group, []).append(verdict)
     return groups
 
 
-def row_of(verdict: Verdict) -> tuple[str, ...]:
+def row_of(verdict: TestResult) -> tuple[str, ...]:
     """A verdict as cells under `HEADER`."""
     parameter = verdict.parameter
     unit = f" {parameter.unit}" if parameter.unit else ""
@@ -106,7 +105,7 @@ def _number(value: float) -> str:
     return f"{value:.4g}".replace("-", "−").replace("inf", "∞")
 
 
-def _noticed(verdict: Verdict) -> str:
+def _noticed(verdict: TestResult) -> str:
     below, above = verdict.noticed
     if below is not None and above is not None and abs(below - above) <= 0.1 * above:
         return f"± {_number(max(below, above))}"
@@ -131,7 +130,7 @@ def report_data(verified: CheckedRun) -> dict[str, Any]:
     }
 
 
-def _entry(verdict: Verdict) -> dict[str, Any]:
+def _entry(verdict: TestResult) -> dict[str, Any]:
     parameter, measure = verdict.parameter, verdict.parameter.measure
     return {
         "name": parameter.name,
@@ -237,7 +236,7 @@ def _results(verification: Verification) -> list[tuple[str, str, str]]:
     return found
 
 
-def _group(name: str, verdicts: Sequence[Verdict]) -> str:
+def _group(name: str, verdicts: Sequence[TestResult]) -> str:
     """The tests of a part of the detector, folded; those that fail stand at the top of the page too."""
     count = Counter(verdict.verdict for verdict in verdicts)
     said = [f"{counted(count[OBEYS], 'test')} passed"] if count[OBEYS] else []
@@ -249,6 +248,6 @@ def _group(name: str, verdicts: Sequence[Verdict]) -> str:
     return page.folded(f"{name.capitalize()}: {', '.join(said)}{passed}", _table(verdicts))
 
 
-def _table(verdicts: Sequence[Verdict]) -> str:
+def _table(verdicts: Sequence[TestResult]) -> str:
     bad = {index for index, verdict in enumerate(verdicts) if verdict.fails}
     return page.table([row_of(verdict) for verdict in verdicts], HEADER, bad)

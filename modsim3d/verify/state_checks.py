@@ -6,15 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.detector.classification import transitions_before
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import Part
-from modsim3d.detector.states import transitions_before
+from modsim3d.detector.parts import DetectorPart
 from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.law_measures import Occupancy
-from modsim3d.verify.measures import Exact
-from modsim3d.verify.parameters import Parameter
-from modsim3d.verify.rate_measures import Rate
+from modsim3d.verify.measures import Exact, Rate
+from modsim3d.verify.parameters import Occupancy, Parameter
 
 _ANGLES_AT_ONCE = 1 << 16
 
@@ -51,10 +49,10 @@ def state_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
         if model.performance.schedule:
             asked = model.performance.forced(chain.times_s, chain.states)
             wrong = Exact(int((chain.states != asked).sum()), int(chain.forced.sum()))
-            parameters.append(Parameter(f"performance.schedule{chain.name}", Part.STATE, wrong))
+            parameters.append(Parameter(f"performance.schedule{chain.name}", DetectorPart.STATE, wrong))
         if len(chain.steps) and chain.steps[0] == 0 and not chain.forced[0]:
             wrong = Exact(int(chain.states[0] != model.initial_state), 1)
-            parameters.append(Parameter(f"initial_state{chain.name}", Part.STATE, wrong))
+            parameters.append(Parameter(f"initial_state{chain.name}", DetectorPart.STATE, wrong))
     parameters += _transition_checks(model, chains)
     for chain in chains:
         if not model.performance.schedule:
@@ -68,7 +66,9 @@ def _shared_check(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     images = evidence.frames
     steps, first = np.unique(images.step, return_index=True)
     apart = int((images.state != images.state[first][np.searchsorted(steps, images.step)]).sum())
-    return [Parameter("states shared by all cameras", Part.STATE, Exact(apart, len(images.step)), in_file=False)]
+    return [
+        Parameter("states shared by all cameras", DetectorPart.STATE, Exact(apart, len(images.step)), in_file=False)
+    ]
 
 
 def _chains(model: DetectorModel, evidence: Evidence) -> list[Chain]:
@@ -95,7 +95,7 @@ def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parame
     parameters = []
     if not moved.all():
         held = Exact(int((after != before)[~moved].sum()), int((~moved).sum()))
-        parameters.append(Parameter("state holds between transitions", Part.STATE, held, in_file=False))
+        parameters.append(Parameter("state holds between transitions", DetectorPart.STATE, held, in_file=False))
     usual = int(np.bincount(transitions[moved]).argmax()) if moved.any() else 1
     matrix = np.linalg.matrix_power(model.transition_matrix, usual)
     pairs = transitions == usual
@@ -110,7 +110,7 @@ def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parame
             asked = float(np.clip(matrix[row, column], 0, 1))
             measure = Rate(int(counts[row, column]), visits, asked) if visits else None
             name = f"transition_matrix[{later.name}][{earlier.name}]"
-            parameters.append(Parameter(name, Part.STATE, measure, asked, state=earlier.name, note=note))
+            parameters.append(Parameter(name, DetectorPart.STATE, measure, asked, state=earlier.name, note=note))
     return parameters
 
 
@@ -120,7 +120,7 @@ def _occupancy_checks(model: DetectorModel, chain: Chain) -> list[Parameter]:
         law = occupancy_law(model, s, chain.transitions, int(chain.states[0]))
         share = Occupancy(int((chain.states == s).sum()), law)
         name = f"share of frames in {state.name}{chain.name}"
-        parameters.append(Parameter(name, Part.STATE, share, state=state.name, in_file=False))
+        parameters.append(Parameter(name, DetectorPart.STATE, share, state=state.name, in_file=False))
     return parameters
 
 

@@ -7,25 +7,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, Part, used_models
+from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, DetectorPart, used_models
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.verify.box_error_checks import fit_checks, state_fits
 from modsim3d.verify.class_checks import EFFECT_CHECKS, class_checks
-from modsim3d.verify.clutter_checks import RATE_CHECKS, clutter_checks
 from modsim3d.verify.confidence_checks import SCORE_CHECKS, confidence_checks
 from modsim3d.verify.error_fit import MomentTable
-from modsim3d.verify.error_likelihoods import LIKELIHOODS
+from modsim3d.verify.error_parameters import LIKELIHOODS
 from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.false_positive_checks import RATE_CHECKS, clutter_checks
 from modsim3d.verify.independence_checks import independence_checks
-from modsim3d.verify.parameters import Parameter, Verdict, Verification, judge
+from modsim3d.verify.parameters import Parameter, TestResult, Verification, judge
 from modsim3d.verify.state_checks import state_checks
 
-CHECKED: Mapping[Part, Collection[str]] = {
-    Part.STATE: {MARKOV_CHAIN},
-    Part.CLASS: {CONFUSION} | EFFECT_CHECKS.keys(),
-    Part.BOX_ERROR: LIKELIHOODS.keys(),
-    Part.FALSE_POSITIVES: RATE_CHECKS.keys(),
-    Part.CONFIDENCE: SCORE_CHECKS.keys(),
+CHECKED: Mapping[DetectorPart, Collection[str]] = {
+    DetectorPart.STATE: {MARKOV_CHAIN},
+    DetectorPart.CLASS: {CONFUSION} | EFFECT_CHECKS.keys(),
+    DetectorPart.BOX_ERROR: LIKELIHOODS.keys(),
+    DetectorPart.FALSE_POSITIVES: RATE_CHECKS.keys(),
+    DetectorPart.CONFIDENCE: SCORE_CHECKS.keys(),
 }
 """The models of each part that have checks, by the names in `detector.parts.MODELS`."""
 
@@ -81,11 +81,11 @@ class CheckedRun:
         return self.verification.obeys
 
     @property
-    def verdicts(self) -> tuple[Verdict, ...]:
+    def verdicts(self) -> tuple[TestResult, ...]:
         """A verdict on each parameter of the detector file, in the order in which the detector works."""
         return self.verification.verdicts
 
     @property
-    def failed(self) -> tuple[Verdict, ...]:
+    def failed(self) -> tuple[TestResult, ...]:
         """The verdicts against the run."""
         return self.verification.failed

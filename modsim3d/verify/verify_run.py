@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modsim3d.detector.file.finding import find_detector
-from modsim3d.display import column_table
-from modsim3d.outputs.claims import claimed
-from modsim3d.paths import StrPath, as_path
-from modsim3d.runs.files.reading import detections_of, truth_of
-from modsim3d.runs.files.replacing import read_of_run
+from modsim3d.core.text import column_table
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.detector.file.reading import find_detector
+from modsim3d.io.overwrite_guard import claimed
+from modsim3d.runs.files.overwrite import read_of_run
+from modsim3d.runs.files.stored_tables import detections_of, truth_of
 from modsim3d.runs.pipeline import detector_inputs
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.scene.reading import load_scene

@@ -9,19 +9,16 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import centres
-from modsim3d.display import counted
-from modsim3d.errors import ModsimError
-from modsim3d.runs.files.columns import NOBODY
+from modsim3d.core.boxes import centres
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.text import counted
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.tracks.following import Following, follow
 from modsim3d.tracks.reading import read_tracks
-from modsim3d.tracks.similarity import Similarity
-from modsim3d.tracks.track_set import TrackSet
-from modsim3d.tracks.tracks import Tracks
-from modsim3d.tracks.true_tracks import TrueTracks
+from modsim3d.tracks.tracks import Similarity, Tracks, TrackSet
+from modsim3d.tracks.true_tracks import Following, TrueTracks, follow
 
 TRAIL_S = 2.0
 """How far back the centres of a track's boxes are shown."""

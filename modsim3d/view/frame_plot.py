@@ -7,18 +7,17 @@ from operator import or_
 
 import numpy as np
 
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.render.plain_ids import PlainIds
+from modsim3d.runs.counts import NOTHING_WRONG, frame_outcomes
 from modsim3d.runs.frames import Frame
-from modsim3d.runs.outcomes import NOTHING_WRONG, frame_outcomes
 from modsim3d.scene.scene import Scene
 from modsim3d.view.films.plan import part_around
 from modsim3d.view.outcome_words import WEATHER
-from modsim3d.view.pictures.canvas import NOMINAL_PX, TEXT_PX
+from modsim3d.view.pictures.canvas import NOMINAL_PX, TEXT_PX, Box, Window
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.layers import DETECTIONS, Layers
 from modsim3d.view.pictures.legend import detection_entries, legend
-from modsim3d.view.pictures.window import Box, Window
 
 try:
     from matplotlib.artist import Artist

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.frames import Frame
-from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 
 NAMES = {
     Outcome.FALSE_POSITIVE: "false alarm",

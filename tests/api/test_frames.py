@@ -15,8 +15,8 @@ import pyarrow as pa
 import pytest
 
 import modsim3d
-from modsim3d.detector.file.finding import shipped_detectors
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
+from modsim3d.detector.file.reading import shipped_detectors
 
 ZERO_ATTITUDE = {"roll_rad": 0, "pitch_rad": 0, "yaw_rad": 0}
 

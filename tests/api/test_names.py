@@ -92,7 +92,7 @@ def public_parts() -> dict[str, object]:
         "modsim3d.runs.run": ("RunResult",),
         "modsim3d.runs.stored_run": ("StoredRun",),
         "modsim3d.scene.copy": ("SceneCopy",),
-        "modsim3d.scene.snapshot": ("Snapshot",),
+        "modsim3d.scene.sight": ("Snapshot",),
         "modsim3d.tracking.track_run": ("TrackResult",),
         "modsim3d.verify.verify_run": ("VerifiedRun",),
     }

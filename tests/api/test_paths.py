@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import modsim3d
-from modsim3d.detector.file.finding import shipped_detectors
-from modsim3d.errors import InputError, ModsimError
-from modsim3d.inputs.shipped import data_folder
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.detector.file.reading import shipped_detectors
+from modsim3d.io.input_files import data_folder
 
 DETECTORS = data_folder("scenes") / "detectors"
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import modsim3d
-from modsim3d.errors import InputError, ModsimError, OutputError
+from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.inputs.shipped import data_folder
-from modsim3d.learn.form import RICHER
-from modsim3d.motion.poses import LivePoses
+from modsim3d.io.input_files import data_folder
+from modsim3d.learn.model_selection import RICHER
+from modsim3d.world.poses.replay import LivePoses
 
 LONGEST_REPR = 300
 
@@ -189,13 +189,13 @@ def test_lost_matches_are_warned_of(thesis_folder):
 
 
 def test_the_command_learns_the_same_file(folder, learned, tmp_path, monkeypatch):
-    from modsim3d import cli
+    from modsim3d.cli import main
 
     out = tmp_path / "command.yaml"
     command = ["learn", "--run", folder, "--match", "provenance", "--replicates", 20, "--out", out]
     monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, command)])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     assert stopped.value.code == 0
     assert learned.write(tmp_path / "python.yaml")[0].read_bytes() == out.read_bytes()
 

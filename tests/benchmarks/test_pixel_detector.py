@@ -18,8 +18,8 @@ from benchmarks.stand_in.pixel_detector import (
     views_of,
     without_repeats,
 )
-from modsim3d.boxes import iou
-from modsim3d.errors import ModsimError
+from modsim3d.core.boxes import iou
+from modsim3d.core.errors import ModsimError
 
 SIZE_PX = (1280, 720)
 SEA, HULL = (40, 60, 90), (250, 20, 20)

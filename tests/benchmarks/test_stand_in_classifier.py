@@ -10,8 +10,8 @@ import pytest
 from benchmarks.stand_in.classifier import GOAL_AUC, Rows, _folds, between_seeds, tell_apart
 from benchmarks.stand_in.features import Table, frame_features, track_features
 from benchmarks.stand_in.sighted import Sighted, on_one_grid, pairs_of_images
-from modsim3d.boxes import unions
-from modsim3d.errors import ModsimError
+from modsim3d.core.boxes import unions
+from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled import Annotations, LabelledSet
 from tests.formats.labelled_sets import found, images, truth
 

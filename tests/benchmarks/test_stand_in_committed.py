@@ -12,7 +12,7 @@ from benchmarks.stand_in.page import page
 from benchmarks.stand_in.rungs import LEAST_CONFIDENCE, RUNGS, learn_rung
 from benchmarks.stand_in.scores import open_film, real_detections, scored_tracks, scores_of
 from benchmarks.stand_in.stored import restore_films
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = json.loads((ROOT / "docs" / "campaigns" / "stand_in.json").read_text(encoding="utf-8"))

@@ -15,7 +15,7 @@ from benchmarks.stand_in.films import all_films, make_film, make_films, stored_f
 from benchmarks.stand_in.pixel_detector import BOAT, PixelDetector
 from benchmarks.stand_in.places import PLACES, WEATHERS, style_of
 from benchmarks.stand_in.weights import fetched_weights
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco

@@ -22,10 +22,10 @@ from benchmarks.stand_in.scores import (
     scores_of,
     simulated_detections,
 )
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.inputs.shipped import data_folder
+from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.scores.scoring import score_tracks

@@ -7,10 +7,10 @@ from typing import Any
 
 import yaml
 
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.work.checking import CheckedCampaign, checked
+from modsim3d.campaign.workers import ThisProcess
 
 
 def checked_campaign(folder: Path, name: str = "campaign.yaml", **keys: Any) -> CheckedCampaign:

@@ -1,5 +1,5 @@
 """The command line in this process."""
 
-from tests.commands.conftest import modsim3d
+from tests.cli.conftest import modsim3d
 
 __all__ = ["modsim3d"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.campaign.file.keys import CampaignKeys
-from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.keys import CampaignKeys
+from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.work.row import crashed_row, table_of
 
 

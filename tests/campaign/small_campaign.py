@@ -7,10 +7,10 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.workers import ThisProcess
 
 TEXT = """\
 scene: harbour

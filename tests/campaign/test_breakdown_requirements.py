@@ -9,21 +9,20 @@ from typing import Any
 import pytest
 import yaml
 
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.file.keys import CampaignKeys
-from modsim3d.campaign.file.reading import CampaignFile
+from modsim3d.campaign.keys import CampaignFile, CampaignKeys
 from modsim3d.campaign.running import run_plan
-from modsim3d.campaign.verdicts.judging import judged
-from modsim3d.campaign.verdicts.plan_warnings import warnings_of
+from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.wording import warnings_of
 from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.work.layers import Layers
+from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.row import rules_of, table_of
-from modsim3d.errors import InputError
+from modsim3d.campaign.workers import ThisProcess
+from modsim3d.core.errors import InputError
 from modsim3d.tracking.scores.breakdown import BINS
 from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracking.scores.scoring import scores_of
 from tests.campaign.hand_made_tables import plan_of
-from tests.commands.conftest import Modsim3d
+from tests.cli.conftest import Modsim3d
 
 RECALL = {"score": "recall", "at_least": 0.8, "in": 0.5}
 SURVIVED = {"score": "occlusions_survived", "at_least": 0.6, "in": 0.5, "where": {"occlusion": "3 to 10"}}
@@ -183,7 +182,7 @@ def test_rows_of_a_campaign_have_the_bins_of_the_scores_and_are_judged_by_them(t
     result = run_plan(checked(file), tmp_path / "campaign", ThisProcess)
     assert result is not None
     (row,) = result.table.to_pylist()
-    with closing(Layers(file.keys, tmp_path, tmp_path / "layers")) as layers:
+    with closing(RunLayers(file.keys, tmp_path, tmp_path / "layers")) as layers:
         made = layers.made(checked(file).plan.run(0))
     scores = scores_of(Scored.of(made.rows, made.tracks, rules_of(file.keys.score)))
     for group in scores.breakdown:

@@ -18,18 +18,18 @@ from rich.console import Console
 from scipy import stats
 
 import modsim3d as package
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.running import Progress, run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked
-from modsim3d.commands.campaign import exit_status
-from modsim3d.commands.campaign_text import print_crashed
-from modsim3d.errors import ModsimError, OutputError
-from modsim3d.outputs.locks import locked_folder
+from modsim3d.campaign.workers import ThisProcess
+from modsim3d.cli.campaign import exit_status
+from modsim3d.cli.campaign_text import print_crashed
+from modsim3d.core.errors import ModsimError, OutputError
+from modsim3d.io.locks import locked_folder
 from tests.campaign.campaigns import checked_campaign
-from tests.commands.conftest import Modsim3d
-from tests.commands.test_json import documented
+from tests.cli.conftest import Modsim3d
+from tests.cli.test_json import documented
 
 TEXT = """\
 scene: harbour
@@ -122,10 +122,8 @@ def test_a_library_that_is_missing_is_told_before_the_scenes_are_read(
     def no_scene(*_: object) -> None:
         raise AssertionError("a scene was read")
 
-    monkeypatch.setattr("modsim3d.campaign.work.digests.version", version)
-    monkeypatch.setattr(
-        "modsim3d.campaign.engines.dask_engine.find_spec", lambda name: None if name == library else name
-    )
+    monkeypatch.setattr("modsim3d.campaign.work.scenes.version", version)
+    monkeypatch.setattr("modsim3d.campaign.dask.find_spec", lambda name: None if name == library else name)
     monkeypatch.setattr("modsim3d.campaign.work.scenes.load_scene", no_scene)
     said = modsim3d("campaign", file, "--out", tmp_path / "out", *options)
     assert said.status == 2 and said.err.count("\n") == 1

@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks.campaign_costs import CAMPAIGN, FULL, Cost, Million, pair_text
 from benchmarks.campaign_parts import Coordinated, TaskCost
-from modsim3d.campaign.file.reading import read_campaign
-from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.keys import read_campaign
+from modsim3d.campaign.plan import Plan
 
 TASK = TaskCost(wall_s=0.004, scheduler_s=0.001, client_s=0.002, bytes=3_000)
 FEWER = Coordinated(20_000, 1_000, 10**7, 8.0, 1.0, 3 * 10**8, 10**7, 1)

@@ -10,12 +10,10 @@ import pyarrow as pa
 import pytest
 
 import modsim3d
-from modsim3d.campaign.file.keys import CampaignKeys
-from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.work.coverage import KINDS, coverage_of
-from modsim3d.campaign.work.coverage_bins import OCCLUSIONS, RANGES, SIZES, Bins
-from modsim3d.campaign.work.layer_tables import Blocks, TruthLayer
-from modsim3d.campaign.work.layers import Layers, detected
+from modsim3d.campaign.keys import CampaignKeys
+from modsim3d.campaign.plan import Plan
+from modsim3d.campaign.work.coverage import KINDS, OCCLUSIONS, RANGES, SIZES, Bins, coverage_of
+from modsim3d.campaign.work.layers import Blocks, RunLayers, TruthLayer, detected
 from modsim3d.campaign.work.row import column_type, row_of, rules_of
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.runs.run_rows import RunRows
@@ -110,7 +108,7 @@ def test_ranges_and_sizes_are_those_of_a_loop_over_the_visible_rows(own_ship: Pa
 
 def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidden_rows(tmp_path: Path) -> None:
     keys = CampaignKeys.model_validate({"scene": str(crossing(tmp_path)), "trackers": ["sort"]})
-    layers = Layers(keys, tmp_path, tmp_path / "cache")
+    layers = RunLayers(keys, tmp_path, tmp_path / "cache")
     try:
         made = layers.made(Plan.of(keys).run(0))
     finally:

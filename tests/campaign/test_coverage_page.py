@@ -9,15 +9,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.file.keys import CampaignKeys
-from modsim3d.campaign.file.reading import CampaignFile
-from modsim3d.campaign.report.coverage import coverage_sections, trace_sections
-from modsim3d.campaign.report.draws import empty_draws
-from modsim3d.campaign.report.trace import numbers_in_words
+from modsim3d.campaign.keys import CampaignFile, CampaignKeys
+from modsim3d.campaign.report.coverage import coverage_sections, empty_draws, numbers_in_words, trace_sections
 from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.workers import ThisProcess
 
 RATE = "detector.states.excellent.false_discovery_rate"
 KEYS: dict[str, Any] = {

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 import yaml
 
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.results.folder import opened_campaign
-from modsim3d.campaign.results.sources import check_files
+from modsim3d.campaign.campaign import check_files
+from modsim3d.campaign.folder import opened_campaign
 from modsim3d.campaign.running import run_plan
-from modsim3d.errors import InputError, ModsimError, OutputError
-from modsim3d.inputs.shipped import data_folder
+from modsim3d.campaign.workers import ThisProcess
+from modsim3d.core.errors import InputError, ModsimError, OutputError
+from modsim3d.io.input_files import data_folder
 from tests.campaign.campaigns import checked_campaign, run_campaign_file
 
 KEYS: dict[str, Any] = {

@@ -12,12 +12,12 @@ import pytest
 from scipy import stats
 
 from modsim3d import load_detector, run_scene
-from modsim3d.campaign.work.layers import Layers
-from modsim3d.detector.file.miss_rate import with_miss_rate
-from modsim3d.errors import InputError
-from modsim3d.runs.files.columns import flags
-from modsim3d.scene.detector_choice import choose_detector
+from modsim3d.campaign.work.layers import RunLayers
+from modsim3d.core.errors import InputError
+from modsim3d.detector.file.writing import with_miss_rate
+from modsim3d.runs.files.tables import flags
 from modsim3d.scene.reading import load_scene
+from modsim3d.scene.settings import choose_detector
 from tests.campaign.campaigns import checked_campaign
 
 TWO_LABELS: dict[str, Any] = {
@@ -72,7 +72,7 @@ def test_the_measured_miss_rate_of_a_run_is_the_one_that_was_set(tmp_path: Path)
     campaign = checked_campaign(
         tmp_path, scene="harbour", steps=80, vary=[{"grid": {"detector.miss_rate": rates}}], trackers=["reference"]
     )
-    with closing(Layers(campaign.file.keys, tmp_path, tmp_path / "cache")) as layers:
+    with closing(RunLayers(campaign.file.keys, tmp_path, tmp_path / "cache")) as layers:
         for number, rate in enumerate(rates):
             truth = layers.made(campaign.plan.run(number)).rows.truth
             there = flags(truth, "annotated")

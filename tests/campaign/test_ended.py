@@ -10,14 +10,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from modsim3d.campaign.campaign import open_campaign
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.results.ended import LIST
-from modsim3d.campaign.results.folder import planned
+from modsim3d.campaign.folder import LIST, planned
 from modsim3d.campaign.running import run_plan
-from modsim3d.errors import ModsimError
+from modsim3d.campaign.workers import ThisProcess
+from modsim3d.core.errors import ModsimError
 from tests.campaign.campaigns import checked_campaign
 from tests.campaign.small_campaign import small_campaign
-from tests.commands.conftest import Modsim3d
+from tests.cli.conftest import Modsim3d
 
 KEYS = {"scene": "harbour", "steps": 3, "trackers": ["reference"], "require": [{"score": "hota", "at_least": 0.9}]}
 COMMANDS = (["campaign-status"], ["campaign-table"], ["campaign-report"], ["campaign-run", "0", "--out", "again"])

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.file.reading import read_campaign, shipped_campaigns
+from modsim3d.campaign.keys import read_campaign, shipped_campaigns
 from modsim3d.campaign.work.checking import checked
-from modsim3d.errors import InputError
-from tests.commands.conftest import Modsim3d
+from modsim3d.core.errors import InputError
+from tests.cli.conftest import Modsim3d
 
 HARBOUR = "scene: harbour\nsteps: 20\ntrackers: [sort]\n"
 

@@ -12,15 +12,15 @@ from typing import Any
 import pyarrow as pa
 import pytest
 
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.work import layers
 from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.work.stored_layers import StoredLayers
-from modsim3d.errors import OutputError
+from modsim3d.campaign.work.layers import StoredLayers
+from modsim3d.campaign.workers import ThisProcess
+from modsim3d.core.errors import OutputError
 from modsim3d.truth.occlusion import Occlusion
-from modsim3d.truth.truth_record import Truth
+from modsim3d.truth.record import Truth
 
 CAMPAIGN = """
 scene: harbour

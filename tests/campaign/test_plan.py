@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from modsim3d.campaign.file.keys import CampaignKeys, Range
-from modsim3d.campaign.plan.drawn import value_at
-from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.keys import CampaignKeys, Range
+from modsim3d.campaign.plan import Plan, value_at
 
 
 def plan_of(**keys: Any) -> Plan:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.campaign.results.folder import CampaignFolder, planned
-from modsim3d.campaign.results.needed_seeds import Expected, needed_seeds, parsed_expectation
-from modsim3d.campaign.verdicts.means import skewed_bounds
-from modsim3d.errors import ModsimError
+from modsim3d.campaign.done_rows import Expected, needed_seeds, parsed_expectation
+from modsim3d.campaign.folder import CampaignFolder, planned
+from modsim3d.campaign.verdicts.bounds import skewed_bounds
+from modsim3d.core.errors import ModsimError
 from tests.campaign.campaigns import checked_campaign, run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_scores
 
@@ -52,7 +52,7 @@ def test_a_sequential_mean_needs_more_and_is_counted_with_its_own_bound():
 
 
 def test_the_least_seeds_of_offers_count(monkeypatch):
-    monkeypatch.setattr("modsim3d.campaign.results.needed_seeds.offered_from", lambda *_: 30)
+    monkeypatch.setattr("modsim3d.campaign.done_rows.offered_from", lambda *_: 30)
     assert one(HOTA, {"hota": Expected(0.9, 0.01)}).seeds == 30
 
 
@@ -88,7 +88,7 @@ def test_what_an_earlier_campaign_lost_is_left_out_of_its_spread_and_said(tmp_pa
     plan = plan_of(20, [HOTA, {**HOTA, "of": "sort", "minus": "bytetrack", "in": 0.5}], TRACKERS)
     earlier = plan_of(6, [], TRACKERS, seed=2)
     table = table_of_scores(earlier, "hota", np.tile([0.7, 0.8, 0.75, 0.6], 3), crashed={0})
-    monkeypatch.setattr("modsim3d.campaign.results.needed_seeds.results_table", lambda _: table)
+    monkeypatch.setattr("modsim3d.campaign.done_rows.results_table", lambda _: table)
     bytetrack, sort, share = needed_seeds(plan, {}, CampaignFolder(tmp_path, {}, earlier))
     assert bytetrack.expected.mean == pytest.approx(np.mean([0.75, 0.7, 0.75, 0.7, 0.75]))
     assert "1 lost run of it left out" in bytetrack.why and "lost" not in sort.why

@@ -14,13 +14,13 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.results.folder import opened_campaign
-from modsim3d.campaign.results.sources import check_files
+from modsim3d.campaign.campaign import check_files
+from modsim3d.campaign.folder import opened_campaign
 from modsim3d.campaign.running import run_plan
-from modsim3d.campaign.work.admission import check_worker
-from modsim3d.errors import InputError, ModsimError, OutputError
-from modsim3d.inputs.plugins import TRACKERS, changed_plugins, load_plugin, own_files
+from modsim3d.campaign.serving import check_worker
+from modsim3d.campaign.workers import ThisProcess
+from modsim3d.core.errors import InputError, ModsimError, OutputError
+from modsim3d.io.plugins import TRACKERS, changed_plugins, load_plugin, own_files
 from tests.campaign.campaigns import checked_campaign
 
 ROOT = Path(__file__).resolve().parents[2]

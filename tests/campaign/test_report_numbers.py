@@ -7,16 +7,21 @@ import pyarrow as pa
 import pytest
 from scipy import stats
 
-from modsim3d.campaign.file.keys import CampaignKeys
-from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.report.cells import by_level, over_seeds, seed_cells
-from modsim3d.campaign.report.compared import mean_sections
-from modsim3d.campaign.report.parameter_charts import parameter_sections
-from modsim3d.campaign.report.parameters import BINS, parameters_of
+from modsim3d.campaign.done_rows import with_plan
+from modsim3d.campaign.keys import CampaignKeys
+from modsim3d.campaign.plan import Plan
+from modsim3d.campaign.report.campaign_page import mean_sections
+from modsim3d.campaign.report.parameter_charts import (
+    BINS,
+    by_level,
+    over_seeds,
+    parameter_sections,
+    parameters_of,
+    seed_cells,
+)
 from modsim3d.campaign.report.words import Score, required_scores, with_interval
-from modsim3d.campaign.results.done_rows import with_plan
 from modsim3d.campaign.work.row import crashed_row, table_of
-from modsim3d.view.pages.intervals import Interval, strip
+from modsim3d.view.pages.charts import ChartInterval, strip
 
 GRID = {"grid": {"state": ["clear", "haze"], "waves.significant_height_m": [0.2, 0.6, 1.0]}}
 
@@ -117,7 +122,7 @@ def test_each_cell_of_a_heat_map_has_its_number():
 
 
 def test_a_mean_on_the_threshold_stands_on_the_dashed_line():
-    drawn = strip(Interval(0.5, 0.4, 0.6), 0.5, True, (0.0, 2.0), "")
+    drawn = strip(ChartInterval(0.5, 0.4, 0.6), 0.5, True, (0.0, 2.0), "")
     dashed = re.search(r'<line x1="([\d.]+)"[^>]*dasharray', drawn)[1]
     disc = re.search(r'<path d="M([\d.]+) 12.0m-4 0', drawn)[1]
     assert dashed == disc

@@ -5,24 +5,18 @@ from dataclasses import replace
 
 import pytest
 
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.file.keys import CampaignKeys, SearchKeys
-from modsim3d.campaign.file.reading import read_campaign
-from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.report.campaign_page import campaign_page
-from modsim3d.campaign.report.compared import mean_sections
-from modsim3d.campaign.report.requirements import requirement_sections, verdict_sentence
-from modsim3d.campaign.report.runs_shown import crash_sections
-from modsim3d.campaign.report.search_page import search_page
-from modsim3d.campaign.report.words import constant
-from modsim3d.campaign.report.writing import write_page
-from modsim3d.campaign.results.done_rows import with_plan
-from modsim3d.campaign.results.files import files_of_campaign
-from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
+from modsim3d.campaign.done_rows import with_plan
+from modsim3d.campaign.folder import CampaignFolder, files_of_campaign, opened_campaign
+from modsim3d.campaign.keys import CampaignKeys, SearchKeys, read_campaign
+from modsim3d.campaign.plan import Plan
+from modsim3d.campaign.report.campaign_page import campaign_page, crash_sections, mean_sections
+from modsim3d.campaign.report.search_page import search_page, write_page
+from modsim3d.campaign.report.words import constant, requirement_sections, verdict_sentence
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import crashed_row, table_of
+from modsim3d.campaign.workers import ThisProcess
 from modsim3d.view.pages import page
 from tests.campaign.test_report_numbers import plan_of, table_for
 

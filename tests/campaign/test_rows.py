@@ -10,13 +10,12 @@ import pyarrow as pa
 import pytest
 
 import modsim3d
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.file.keys import CampaignKeys
-from modsim3d.campaign.file.reading import CampaignFile
+from modsim3d.campaign.keys import CampaignFile, CampaignKeys
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.work import layers
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import SCORES
+from modsim3d.campaign.workers import ThisProcess
 
 STEPS = 12
 WAVES = [{"level": "small", "apply_to": "all"}, {"level": "large", "apply_to": "all"}]

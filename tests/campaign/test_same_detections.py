@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 import modsim3d
-from modsim3d.campaign.report.writing import write_page
-from modsim3d.campaign.results.folder import opened_campaign
-from modsim3d.campaign.results.same_detections import same_detections
-from tests.commands.conftest import Modsim3d
+from modsim3d.campaign.folder import opened_campaign
+from modsim3d.campaign.means import same_detections
+from modsim3d.campaign.report.search_page import write_page
+from tests.cli.conftest import Modsim3d
 
 SCENE = "scene: harbour\nsteps: 3\nseeds: {traffic: 2}\ntrackers: [reference]\n"
 SAID = "the detections are the same in all runs"

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d.campaign.file.keys import ScoreKeys
-from modsim3d.campaign.plan.selection import Case
-from modsim3d.campaign.verdicts.judging import judged
-from modsim3d.campaign.verdicts.seed_values import Rows
-from modsim3d.campaign.work.row import SCORES, table_of
-from modsim3d.campaign.work.score_bounds import facts_of, score_bounds, without_tracks
-from modsim3d.tracking.report.numbers import keys_of
+from modsim3d.campaign.keys import ScoreKeys
+from modsim3d.campaign.plan import Case
+from modsim3d.campaign.verdicts.seed_values import SeedRows
+from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.work.row import SCORES, facts_of, score_bounds, table_of, without_tracks
+from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.scoring import scores_of
 from tests.campaign.hand_made_tables import plan_of
 from tests.tracking.hand_made import Seen, Tracked, box, hand_made
@@ -47,7 +46,7 @@ def runs_of(truth, tracks, score, resting_on=None):
 @cache
 def scored(truth, tracks):
     row = {"run": 0, "status": "done", "frames": STEPS, **keys_of(scores_of(hand_made(truth, tracks, STEPS)))}
-    return Rows(plan_of(1, []), table_of([row]))
+    return SeedRows(plan_of(1, []), table_of([row]))
 
 
 @pytest.mark.parametrize("score", SCORES)

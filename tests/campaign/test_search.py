@@ -12,20 +12,18 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from modsim3d.campaign.engines.death import LOST, Death
-from modsim3d.campaign.engines.interface import Engine, ThisProcess
-from modsim3d.campaign.file.reading import read_campaign
-from modsim3d.campaign.results.folder import opened_campaign
+from modsim3d.campaign.folder import opened_campaign
+from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.running import DIED, Progress
-from modsim3d.campaign.search.findings import NO_RATE
-from modsim3d.campaign.search.folder import search_table, trial_run
-from modsim3d.campaign.search.running import SearchResult, run_search
+from modsim3d.campaign.search import NO_RATE, SearchResult, run_search
+from modsim3d.campaign.search_folder import search_table, trial_run
 from modsim3d.campaign.work import task as tasks
 from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.work.layers import Layers
+from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.row import row_of, rules_of
 from modsim3d.campaign.work.task import Task, TaskReport
-from modsim3d.errors import InputError, ModsimError
+from modsim3d.campaign.workers import LOST, Death, Engine, ThisProcess
+from modsim3d.core.errors import InputError, ModsimError
 
 pytest.importorskip("optuna")
 RATE = "detector.states.good.false_discovery_rate"
@@ -150,7 +148,7 @@ def test_the_worst_comes_first_with_the_command_that_makes_it_again(result: Sear
 def test_a_trial_is_made_again_from_the_folder(result: SearchResult) -> None:
     worst = result.findings[0]
     run = trial_run(result.folder.path, worst.number)
-    layers = Layers(result.folder.keys, Path(result.folder.facts["base"]), result.folder.path / "cache")
+    layers = RunLayers(result.folder.keys, Path(result.folder.facts["base"]), result.folder.path / "cache")
     try:
         row = row_of(run.number, layers.made(run), rules_of(result.folder.keys.score))
     finally:

@@ -10,11 +10,11 @@ import pytest
 import yaml
 
 from benchmarks.campaigns import search as benchmark
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.file.reading import read_campaign
-from modsim3d.campaign.search.running import run_search
+from modsim3d.campaign.keys import read_campaign
+from modsim3d.campaign.search import run_search
 from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.work.layers import Layers
+from modsim3d.campaign.work.layers import RunLayers
+from modsim3d.campaign.workers import ThisProcess
 
 pytest.importorskip("optuna")
 CAMPAIGNS = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
@@ -33,7 +33,7 @@ def test_the_benchmark_searches_as_the_command_does(tmp_path: Path) -> None:
         yaml.safe_dump(keys.model_dump(mode="json", by_alias=True, exclude_unset=True)), encoding="utf-8"
     )
     found = run_search(checked(read_campaign(campaign)), tmp_path / "out", ThisProcess).table["hota"].to_pylist()
-    with closing(Layers(keys, Path(), Path("cache"))) as layers:
+    with closing(RunLayers(keys, Path(), Path("cache"))) as layers:
         assert benchmark.searched(keys, layers) == found
 
 

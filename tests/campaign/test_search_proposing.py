@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.campaign.file.keys import SearchKeys
-from modsim3d.campaign.search.proposing import Tried, proposed
-from modsim3d.campaign.search.space import Point
+from modsim3d.campaign.keys import SearchKeys
+from modsim3d.campaign.search_folder import Point, Tried, proposed
 
 pytest.importorskip("optuna")
 

@@ -24,8 +24,8 @@ from benchmarks.resampled_means import (
     offers,
     threshold_distance,
 )
-from modsim3d.campaign.verdicts.means import corrected_bounds, skewed_bounds
-from modsim3d.campaign.verdicts.offers import measured_offers
+from modsim3d.campaign.verdicts.bounds import corrected_bounds, skewed_bounds
+from modsim3d.campaign.verdicts.wording import measured_offers
 
 CAMPAIGNS = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
 REQUIRED = {"hota": "low", "mota": "low", "idf1": "low", "id_switches": "high", "false_track_s": "high"}

@@ -13,19 +13,18 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from modsim3d import learn_detector, load_detector, load_scene, run_scene
-from modsim3d.arrays import Array
-from modsim3d.campaign.detectors.drawing import drawn_detector
-from modsim3d.campaign.detectors.learned_file import LearnedUncertainty, read_uncertainty
-from modsim3d.campaign.plan.conditions import Condition
+from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector, read_uncertainty
+from modsim3d.campaign.plan import Condition
 from modsim3d.campaign.running import CampaignResult
-from modsim3d.campaign.work.layers import Layers
+from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.scenes import Scenes
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array
 from modsim3d.detector.model import ERROR_PAIRS
-from modsim3d.errors import InputError
+from modsim3d.learn.bootstrap import Interval
 from modsim3d.learn.learning import LearnResult
-from modsim3d.learn.numbers.entries import Interval
 from modsim3d.learn.uncertainty import correlated
-from modsim3d.scene.detector_choice import choose_detector
+from modsim3d.scene.settings import choose_detector
 from tests.campaign.campaigns import checked_campaign, run_campaign_file
 
 MANY, FEW, DRAWS = 160, 12, 800
@@ -237,7 +236,7 @@ def test_a_drawn_detector_is_one_of_its_traffic_seed_for_all_trackers_and_is_dra
     result = campaign(folder, "few.yaml", uncertainty="learned", trackers=trackers, seeds={"traffic": 2, "detector": 2})
     plan, keys = result.folder.plan, result.table["detections_key"].to_pylist()
     assert keys[0::2] == keys[1::2] and len(set(keys)) == 4
-    layers = Layers(result.folder.keys, Path(result.folder.facts["base"]), result.folder.path / "cache")
+    layers = RunLayers(result.folder.keys, Path(result.folder.facts["base"]), result.folder.path / "cache")
     again = [layers.made(plan.run(number)) for number in (6, 0, 2)]
     assert [made.detections_key[:16] for made in again] == [keys[number] for number in (6, 0, 2)]
     rates = [float(made.rows.scene.detector.states[0].confusion[-1, 0]) for made in again]
@@ -261,7 +260,7 @@ def test_a_key_that_the_campaign_sets_is_not_drawn(folder: Path, learned: dict[s
         folder, scene="harbour", steps=3, uncertainty="learned", trackers=["reference"], seeds={"traffic": 3},
         vary=[{"list": [{"detector": "few.yaml", "detector.miss_rate": 0.125}]}],
     )  # fmt: skip
-    layers = Layers(found.file.keys, folder, folder / "cache")
+    layers = RunLayers(found.file.keys, folder, folder / "cache")
     states = [layers.made(found.plan.run(number)).rows.scene.detector.states[0] for number in range(3)]
     assert [state.confusion[-1, 0] for state in states] == [0.125] * 3
     assert len({state.false_discovery_rate for state in states}) == 3

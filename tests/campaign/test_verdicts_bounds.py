@@ -8,21 +8,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from modsim3d.campaign.verdicts.betting import STAKES, betting_bounds, log_capital, perfect_seeds_needed
-from modsim3d.campaign.verdicts.bounds import mean_bounds, share_bounds
-from modsim3d.campaign.verdicts.means import (
+from modsim3d.campaign.verdicts.bounds import (
     SKEWNESS,
+    STAKES,
     VARIATION,
     VARIATION_FROM_ZERO,
-    skewed_bounds,
-    t_bounds,
-)
-from modsim3d.campaign.verdicts.proportions import (
+    betting_bounds,
     clean_seeds_needed,
     clean_seeds_needed_sequential,
     exact_bounds,
+    log_capital,
+    mean_bounds,
     mixture_bounds,
     mixture_log_capital,
+    perfect_seeds_needed,
+    share_bounds,
+    skewed_bounds,
+    t_bounds,
 )
 
 ALPHA = 0.05

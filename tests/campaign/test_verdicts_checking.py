@@ -3,9 +3,9 @@
 import pytest
 import yaml
 
-from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.work.checking import checked
-from modsim3d.errors import InputError
+from modsim3d.core.errors import InputError
 
 GOSPA = {"score": "gospa", "at_most": 50}
 HOTA = {"score": "hota", "at_least": 0.5}

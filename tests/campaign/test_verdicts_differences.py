@@ -6,20 +6,19 @@ import pytest
 import yaml
 
 from benchmarks.resampled_means import STORED, TRAFFICS, differences, turned
-from modsim3d.campaign.file.reading import read_campaign
-from modsim3d.campaign.plan.selection import cases_of
-from modsim3d.campaign.report.compared import mean_sections, paired_sections
-from modsim3d.campaign.report.trace import trace_sections
+from modsim3d.campaign.keys import read_campaign
+from modsim3d.campaign.plan import cases_of
+from modsim3d.campaign.ranking import worst_runs
+from modsim3d.campaign.report.campaign_page import mean_sections, paired_sections
+from modsim3d.campaign.report.coverage import trace_sections
 from modsim3d.campaign.report.words import required_scores
-from modsim3d.campaign.verdicts.judging import judged
-from modsim3d.campaign.verdicts.means import skewed_bounds
-from modsim3d.campaign.verdicts.offers import measured_offers, seeds_needed
-from modsim3d.campaign.verdicts.plan_warnings import warnings_of
+from modsim3d.campaign.verdicts.bounds import skewed_bounds
+from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.wording import measured_offers, seeds_needed, warnings_of
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import table_of
-from modsim3d.campaign.worst.ranking import worst_runs
-from modsim3d.commands.campaign_text import requirement_in_words
-from modsim3d.errors import InputError
+from modsim3d.cli.campaign_text import requirement_in_words
+from modsim3d.core.errors import InputError
 from tests.campaign.campaigns import run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_scores
 

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.campaign.file.reading import read_campaign
-from modsim3d.campaign.results.needed_seeds import needed_seeds
-from modsim3d.campaign.verdicts.judging import judged
-from modsim3d.campaign.verdicts.levels import levels_of
-from modsim3d.campaign.verdicts.plan_warnings import warnings_of
-from modsim3d.campaign.verdicts.proportions import clean_seeds_needed
+from modsim3d.campaign.done_rows import needed_seeds
+from modsim3d.campaign.keys import read_campaign
+from modsim3d.campaign.verdicts.bounds import clean_seeds_needed
+from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.wording import levels_of, warnings_of
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import table_of
-from modsim3d.errors import InputError
+from modsim3d.core.errors import InputError
 from tests.campaign.hand_made_tables import plan_of, table_of_scores
 
 CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.9}

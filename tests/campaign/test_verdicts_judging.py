@@ -4,13 +4,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from modsim3d.campaign.verdicts.judging import judged
-from modsim3d.campaign.verdicts.levels import levels_of
-from modsim3d.campaign.verdicts.means import skewed_bounds
-from modsim3d.campaign.verdicts.offers import seeds_needed
-from modsim3d.campaign.verdicts.paired import paired
-from modsim3d.campaign.verdicts.plan_warnings import warnings_of
-from modsim3d.campaign.verdicts.seed_values import Runs
+from modsim3d.campaign.verdicts.bounds import skewed_bounds
+from modsim3d.campaign.verdicts.seed_values import Runs, paired
+from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.wording import levels_of, seeds_needed, warnings_of
 from modsim3d.campaign.work.row import table_of
 from tests.campaign.hand_made_tables import plan_of, table_of_scores
 
@@ -279,7 +276,7 @@ def test_a_mean_whose_bound_was_never_measured_to_hold_is_undecided_and_names_in
 
 def test_the_seeds_between_two_measured_confidences_are_those_that_both_need(monkeypatch):
     offers = {"confidences": [0.9, 0.95, 0.99], "seeds": {"hota": {"low": [3, 20, 10], "high": [3, None, 3]}}}
-    monkeypatch.setattr("modsim3d.campaign.verdicts.offers.measured_offers", lambda: offers)
+    monkeypatch.setattr("modsim3d.campaign.verdicts.wording.measured_offers", lambda: offers)
     found = [seeds_needed("hota", "low", each) for each in (0.89, 0.9, 0.92, 0.95, 0.97, 0.99, 0.995)]
     assert found == [np.inf, 3, 20, 20, 20, 10, np.inf]
     assert seeds_needed("hota", "high", 0.92) == seeds_needed("loca", "low", 0.95) == np.inf

@@ -12,27 +12,26 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.file.keys import CampaignKeys
-from modsim3d.campaign.file.reading import read_campaign
-from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.results.folder import CampaignFolder
+from modsim3d.campaign import reproduce, worst_film
+from modsim3d.campaign.folder import CampaignFolder
+from modsim3d.campaign.keys import CampaignKeys, read_campaign
+from modsim3d.campaign.plan import Plan
+from modsim3d.campaign.ranking import WorstRun, worst_runs
+from modsim3d.campaign.reproduce import remade
 from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.campaign.work import layers
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import row_of, rules_of
 from modsim3d.campaign.work.worst_moment import Mistakes
-from modsim3d.campaign.worst import again, film
-from modsim3d.campaign.worst.picture import in_words, moment_picture
-from modsim3d.campaign.worst.ranking import WorstRun, worst_runs
-from modsim3d.campaign.worst.remaking import remade
-from modsim3d.errors import ModsimError
-from modsim3d.outputs.pictures import encoded
+from modsim3d.campaign.workers import ThisProcess
+from modsim3d.campaign.worst_film import in_words, moment_picture
+from modsim3d.core.errors import ModsimError
+from modsim3d.io.atomic_write import encoded
 from modsim3d.runs.files.run_directory import RunDirectory
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from tests.commands.conftest import Modsim3d, modsim3d
+from tests.cli.conftest import Modsim3d, modsim3d
 from tests.tracking.hand_made import box, hand_made
 
 __all__ = ["modsim3d"]
@@ -196,7 +195,7 @@ def test_the_command_makes_the_run_that_the_options_of_run_make(
 def test_the_command_that_films_follows_the_one_that_makes_the_run_again(
     campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(film, "AROUND_S", 0.5)
+    monkeypatch.setattr(worst_film, "AROUND_S", 0.5)
     worst = found(replace(campaign, folder=replace(campaign.folder, path=tmp_path / "c")))[1]
     shutil.copytree(campaign.folder.path, tmp_path / "c")
     assert modsim3d(*shlex.split(worst.again)[1:]).status == 0
@@ -252,7 +251,7 @@ def test_an_interrupted_run_is_gone_on_with(
 def test_the_command_films_the_moment(
     campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(film, "AROUND_S", 1.0)
+    monkeypatch.setattr(worst_film, "AROUND_S", 1.0)
     said = modsim3d("campaign-run", campaign.folder.path, 15, "--out", tmp_path / "again", "--film", "--json")
     filmed, moment_s = json.loads(said.out)["film"], campaign.table["worst_s"][15].as_py()
     assert Path(filmed["path"]).stat().st_size > 10_000
@@ -262,7 +261,7 @@ def test_the_command_films_the_moment(
 def test_a_run_that_crashed_crashes_again(
     campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(again, "track_run", lambda *_, **__: crash())
+    monkeypatch.setattr(reproduce, "track_run", lambda *_, **__: crash())
     said = modsim3d("campaign-run", campaign.folder.path, CRASHES, "--out", tmp_path / "again", "--film")
     assert said.status == 0
     assert "The run crashed again, with the error that the campaign has." in said.out
@@ -275,9 +274,9 @@ def test_a_run_that_crashed_crashes_again(
 def test_a_run_that_comes_out_otherwise_is_told_with_the_versions(
     campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now = again.versions()
-    monkeypatch.setattr(again, "versions", lambda: {**now, "numpy": "9.9"})
-    monkeypatch.setattr(again, "row_of", lambda *made: {**row_of(*made), "hota": 0.5})
+    now = reproduce.versions()
+    monkeypatch.setattr(reproduce, "versions", lambda: {**now, "numpy": "9.9"})
+    monkeypatch.setattr(reproduce, "row_of", lambda *made: {**row_of(*made), "hota": 0.5})
     said = modsim3d("campaign-run", campaign.folder.path, 0, "--out", tmp_path / "again")
     assert said.status == 1
     assert "1 columns are not as in the campaign: hota." in said.out

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.detector import CameraFrames, Detections, Detector, DetectorModel, Targets, take_census
+from modsim3d.detector.chain import Detector, target_statistics
+from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock
+from modsim3d.detector.records import CameraFrames, Detections, Targets
 
 IMAGE_PX = (3600, 2400)
 ALL_SEA = (0.0, 0.0, 1.0)
@@ -154,4 +156,4 @@ def all_bytes(detections: Detections) -> dict[str, bytes]:
 
 
 def run(model: DetectorModel, frames: CameraFrames, targets: Targets, seed: int = 1) -> Detections:
-    return Detector(model, seed, take_census(model, [(frames, targets)]), clock()).detect(frames, targets)
+    return Detector(model, seed, target_statistics(model, [(frames, targets)]), clock()).detect(frames, targets)

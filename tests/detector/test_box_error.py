@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.boxes import sizes
-from modsim3d.detector import Detections, parse_detector
+from modsim3d.core.boxes import sizes
+from modsim3d.core.errors import ModsimError
 from modsim3d.detector.box_error import symmetric_root
-from modsim3d.errors import ModsimError
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import Detections
 from tests.detector.detector_builders import (
     COVARIANCE_PX2,
     IMAGE_PX,

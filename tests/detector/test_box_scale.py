@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.detector import Detections, parse_detector
 from modsim3d.detector.box_error import BoxErrorSource
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import Detections
 from modsim3d.detector.truncation import truncated_errors
 from tests.detector.detector_builders import (
     COVARIANCE_PX2,

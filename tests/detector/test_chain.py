@@ -8,8 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.boxes import sizes
-from modsim3d.detector import FALSE_POSITIVE, TRUE, Detections, Detector, TargetCensus, Targets, parse_detector
+from modsim3d.core.boxes import sizes
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import FALSE_POSITIVE, TRUE, Detections, Targets
+from modsim3d.detector.target_statistics import TargetStatistics
 from tests.detector.detector_builders import (
     IMAGE_PX,
     all_bytes,
@@ -55,13 +58,13 @@ def test_chunk_borders_change_nothing(detector_file: dict[str, Any], borders: li
     assert whole.redrawn.sum() > 10
     assert len(set(whole.states)) == 2
     assert all_bytes(
-        detect_in_chunks(Detector(model, 1, TargetCensus(), clock()), frames, targets, borders)
+        detect_in_chunks(Detector(model, 1, TargetStatistics(), clock()), frames, targets, borders)
     ) == all_bytes(whole)
 
 
 def test_chunks_may_come_in_any_order() -> None:
     model, frames, targets = parse_detector(detector_data()), make_frames(STEPS), scattered_targets()
-    detector = Detector(model, 1, TargetCensus(), clock())
+    detector = Detector(model, 1, TargetStatistics(), clock())
     late = detect_in_chunks(detector, frames, targets, [80, 120])
     whole = detector.detect(frames, targets)
     assert np.array_equal(late.boxes_px, whole.boxes_px[whole.frame >= 80])
@@ -165,7 +168,7 @@ def test_confidence_is_clipped_not_dropped() -> None:
 
 
 def test_no_frames_and_no_targets_give_no_detections() -> None:
-    detector = Detector(parse_detector(detector_data()), 1, TargetCensus(), clock())
+    detector = Detector(parse_detector(detector_data()), 1, TargetStatistics(), clock())
     nothing = make_targets(np.empty((0, 3, 4)))
     assert len(detector.detect(make_frames(0), nothing)) == 0
     empty_sea = detector.detect(make_frames(9), nothing)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
 
-from modsim3d.detector.clipped_normal import clipped_laws, clipped_score, clipped_sums, fit_clipped
+from modsim3d.detector.confidence import clipped_laws, clipped_score, clipped_sums, fit_clipped
 
 LAWS = [(0.6, 0.2, 0.2), (0.9, 0.3, 0.1), (0.1, 0.15, 0.3), (1.4, 0.5, 0.05), (-0.5, 0.4, 0.2), (0.5, 0.01, 0.2)]
 

@@ -3,8 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modsim3d.boxes import sizes
-from modsim3d.detector import FALSE_POSITIVE, Detections, DetectorModel, parse_detector
+from modsim3d.core.boxes import sizes
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import FALSE_POSITIVE, Detections
 from tests.detector.detector_builders import (
     IMAGE_PX,
     centred,

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.detector import Detections, Targets, parse_detector
 from modsim3d.detector.confidence import PrecisionRecall, QuantileScores
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import Detections, Targets
 from tests.detector.detector_builders import (
     box_error,
     centred,

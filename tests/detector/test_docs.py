@@ -11,8 +11,9 @@ from typing import Any
 import yaml
 from pydantic import BaseModel
 
-from modsim3d.detector import KINDS, parse_detector
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.schema import DetectorFile
+from modsim3d.detector.records import KINDS
 from tests.detector.detector_builders import detector_data
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from modsim3d.core.random_streams import normals
 from modsim3d.detector.draws import choose, cumulative, poisson_quantile
-from modsim3d.random_streams import normals
 
 
 def test_poisson_quantile_is_scipys() -> None:

@@ -9,17 +9,10 @@ import numpy as np
 import pytest
 from scipy import special
 
-from modsim3d.detector import (
-    TRUE,
-    CameraFrames,
-    Detections,
-    Detector,
-    Targets,
-    parse_detector,
-    take_census,
-)
+from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.classification import ConfusionClassifier
-from modsim3d.detector.gates import Gates
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import TRUE, CameraFrames, Detections, Gates, Targets
 from tests.detector.detector_builders import (
     all_bytes,
     clock,
@@ -56,7 +49,7 @@ def model_data(**changes: Any) -> dict[str, Any]:
 
 def detect(data: dict[str, Any], frames: CameraFrames, targets: Targets) -> Detections:
     model = parse_detector(data)
-    return Detector(model, 1, take_census(model, [(frames, targets)]), clock()).detect(frames, targets)
+    return Detector(model, 1, target_statistics(model, [(frames, targets)]), clock()).detect(frames, targets)
 
 
 def labels_of(found: Detections, targets: Targets) -> np.ndarray:
@@ -101,7 +94,7 @@ def test_table_multiplies_the_odds_in_each_range() -> None:
 def test_anchored_misses_have_the_states_rate_on_average_over_the_scene(dropout: dict[str, Any]) -> None:
     targets, frames = varied_targets(), make_frames(FRAMES)
     model = parse_detector(model_data(dropout=dropout | {"anchor": "state_rate"}))
-    classifier = ConfusionClassifier.from_model(model, take_census(model, [(frames, targets)]))
+    classifier = ConfusionClassifier.from_model(model, target_statistics(model, [(frames, targets)]))
     rates = classifier.miss_rates(np.zeros(len(targets), dtype=np.int64), targets)
     for label, asked in ((0, 0.2), (1, 0.3)):
         assert abs(rates[targets.label == label].mean() - asked) < 3.1e-5
@@ -153,7 +146,7 @@ def test_a_detector_cannot_be_made_without_a_census() -> None:
 
 def test_no_part_of_a_scene_is_read_for_a_detector_that_needs_no_census() -> None:
     parts = iter([(make_frames(50), varied_targets(50))])
-    assert not len(take_census(parse_detector(model_data(dropout=LOGISTIC)), parts).sides.counts)
+    assert not len(target_statistics(parse_detector(model_data(dropout=LOGISTIC)), parts).sides.counts)
     assert len(list(parts)) == 1
 
 

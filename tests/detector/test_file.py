@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.detector import load_detector, parse_detector
+from modsim3d.core.errors import InputError
 from modsim3d.detector.confidence import NormalScores
-from modsim3d.errors import InputError
+from modsim3d.detector.file.reading import load_detector, parse_detector
 from tests.detector.detector_builders import COVARIANCE_PX2, box_error, detector_data, state_data
 
 SKEWED = [list(row) for row in COVARIANCE_PX2]

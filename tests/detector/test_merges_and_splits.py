@@ -7,10 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.boxes import sizes, unions
-from modsim3d.detector import KINDS, TRUE, Detections, Targets, parse_detector
+from modsim3d.core.boxes import sizes, unions
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.merges_and_splits import MergesAndSplits
-from modsim3d.detector.records import DUPLICATE, FALSE_POSITIVE, FRAGMENT, MERGED, SPLIT
+from modsim3d.detector.records import (
+    DUPLICATE,
+    FALSE_POSITIVE,
+    FRAGMENT,
+    KINDS,
+    MERGED,
+    SPLIT,
+    TRUE,
+    Detections,
+    Targets,
+)
 from tests.detector.detector_builders import (
     centred,
     make_frames,

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.detector import Detections, Detector, TargetCensus, parse_detector
-from modsim3d.detector.records import MERGED
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import MERGED, Detections
+from modsim3d.detector.target_statistics import TargetStatistics
 from tests.detector.detector_builders import (
     all_bytes,
     chunk,
@@ -37,7 +39,7 @@ def asked(persistence: dict[str, float], **state: Any) -> dict[str, Any]:
 
 
 def detector(data: dict[str, Any]) -> Detector:
-    return Detector(parse_detector(data), 1, TargetCensus(), clock(STEP_S))
+    return Detector(parse_detector(data), 1, TargetStatistics(), clock(STEP_S))
 
 
 def merged(found: Detections, frames: int = FRAMES) -> np.ndarray:

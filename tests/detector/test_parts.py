@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from modsim3d import detector
-from modsim3d.arrays import Array
-from modsim3d.detector import Detector, TargetCensus, parse_detector
-from modsim3d.detector.clutter_models import CLUTTER_MODELS, ClutterRates, FrameCounts, PerImage
-from modsim3d.detector.parts import MODELS, Part, model_name, used_models
-from modsim3d.learn.parts import LEARNERS, models_and_learners
+from modsim3d.core.types import Array
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.false_positives import CLUTTER_MODELS, FalsePositiveRates, FrameCounts, PerImage
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.parts import MODELS, DetectorPart, model_name, used_models
+from modsim3d.detector.target_statistics import TargetStatistics
+from modsim3d.learn.learned import LEARNERS, models_and_learners
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import UNCHECKED
 from modsim3d.verify.verification import CHECKED, unchecked, verify
@@ -22,25 +24,25 @@ from tests.detector.detector_builders import clock, make_frames, make_targets, o
 from tests.detector_variants import CHANGES, variant
 
 DRAWING = {
-    Part.STATE: "at",
-    Part.CLASS: ("classify", "of"),
-    Part.BOX_ERROR: "scales",
-    Part.FALSE_POSITIVES: "draw",
-    Part.CONFIDENCE: "at",
+    DetectorPart.STATE: "at",
+    DetectorPart.CLASS: ("classify", "of"),
+    DetectorPart.BOX_ERROR: "scales",
+    DetectorPart.FALSE_POSITIVES: "draw",
+    DetectorPart.CONFIDENCE: "at",
 }
 
 
-WITHOUT_CHECKS: set[tuple[Part, str]] = set()
-WITHOUT_LEARNER = {(Part.CLASS, "table"), (Part.FALSE_POSITIVES, "thesis")}
+WITHOUT_CHECKS: set[tuple[DetectorPart, str]] = set()
+WITHOUT_LEARNER = {(DetectorPart.CLASS, "table"), (DetectorPart.FALSE_POSITIVES, "thesis")}
 
 
 def test_every_part_has_models_checks_and_learners() -> None:
-    assert set(MODELS) == set(CHECKED) == set(LEARNERS) == set(Part)
+    assert set(MODELS) == set(CHECKED) == set(LEARNERS) == set(DetectorPart)
     assert all(MODELS.values())
 
 
 @pytest.mark.parametrize(("part", "name"), [(part, name) for part, models in MODELS.items() for name in models])
-def test_every_registered_model_draws_and_is_checked_and_learned_or_named_here(part: Part, name: str) -> None:
+def test_every_registered_model_draws_and_is_checked_and_learned_or_named_here(part: DetectorPart, name: str) -> None:
     names = DRAWING[part]
     assert any(hasattr(MODELS[part][name], method) for method in ([names] if isinstance(names, str) else names))
     assert (name in CHECKED[part]) != ((part, name) in WITHOUT_CHECKS)
@@ -52,26 +54,26 @@ def test_every_registered_model_draws_and_is_checked_and_learned_or_named_here(p
 @pytest.mark.parametrize("name", CHANGES)
 def test_the_models_of_a_detector_are_registered(name: str) -> None:
     used = list(used_models(parse_detector(variant(name))))
-    assert {each.part for each in used} == set(Part)
+    assert {each.part for each in used} == set(DetectorPart)
     assert all(each.name in MODELS[each.part] for each in used)
 
 
 def test_a_model_that_is_not_registered_is_an_error_that_names_the_others() -> None:
     with pytest.raises(LookupError, match=r"str is not registered: known are normal, quantiles"):
-        model_name(cast(Mapping[str, type], MODELS[Part.CONFIDENCE]), "uniform")
+        model_name(cast(Mapping[str, type], MODELS[DetectorPart.CONFIDENCE]), "uniform")
 
 
 class EverySecondFrame(PerImage):
     """A model that nobody has checks for."""
 
-    def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
+    def means(self, rates: FalsePositiveRates, frames: FrameCounts) -> Array:
         return super().means(rates, frames) * (np.arange(len(frames.states)) % 2)
 
 
 def seen(model: Any) -> Evidence:
     frames, targets = make_frames(200), make_targets(same_boxes(200, 2, [100, 100, 300, 200]))
     return Evidence.of(
-        [CameraEvidence(frames, targets, Detector(model, 1, TargetCensus(), clock()).detect(frames, targets))]
+        [CameraEvidence(frames, targets, Detector(model, 1, TargetStatistics(), clock()).detect(frames, targets))]
     )
 
 
@@ -85,15 +87,17 @@ def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: py
     verdicts = verify(model, evidence).verdicts
     (verdict,) = [each for each in verdicts if each.verdict == UNCHECKED]
     assert verdict.parameter.name == "false_positives.model"
-    assert verdict.parameter.group == Part.FALSE_POSITIVES
+    assert verdict.parameter.group == DetectorPart.FALSE_POSITIVES
     assert "'fourth'" in verdict.parameter.note
     names = [each.parameter.name for each in verdicts]
     assert not [name for name in names if "false discovery rate" in name or "false_positives_per_image" in name]
 
 
-@pytest.mark.parametrize("part", [Part.BOX_ERROR, Part.CONFIDENCE])
-def test_parts_of_a_state_without_checks_are_listed_state_by_state(part: Part, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(cast(dict[Part, Any], CHECKED), part, frozenset())
+@pytest.mark.parametrize("part", [DetectorPart.BOX_ERROR, DetectorPart.CONFIDENCE])
+def test_parts_of_a_state_without_checks_are_listed_state_by_state(
+    part: DetectorPart, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(cast(dict[DetectorPart, Any], CHECKED), part, frozenset())
     model = parse_detector(variant("plain"))
     found = unchecked(model)
     assert [parameter.state for parameter in found] == [state.name for state in model.states]

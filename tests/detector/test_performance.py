@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.detector import parse_detector
-from modsim3d.detector.states import PerformanceStates
-from modsim3d.random_streams import Streams
+from modsim3d.core.random_streams import Streams
+from modsim3d.detector.classification import PerformanceStates
+from modsim3d.detector.file.reading import parse_detector
 from tests.detector.detector_builders import detector_data, make_frames
 
 

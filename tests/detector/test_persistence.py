@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, Targets, parse_detector
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import TRUE, Detections, Targets
+from modsim3d.detector.target_statistics import TargetStatistics
 from tests.detector.detector_builders import (
     COVARIANCE_PX2,
     MEAN_PX,
@@ -28,7 +31,7 @@ VESSELS, TAU_S = 40, 0.9
 
 
 def detect(data: dict[str, Any], targets: Targets, frames: int, step_s: float, seed: int = 1) -> Detections:
-    detector = Detector(parse_detector(data), seed, TargetCensus(), clock(step_s))
+    detector = Detector(parse_detector(data), seed, TargetStatistics(), clock(step_s))
     return detector.detect(make_frames(frames, time_step_s=step_s), targets)
 
 
@@ -218,14 +221,16 @@ def test_a_vanishing_correlation_time_gives_the_plain_chains_bytes() -> None:
 def test_chunk_borders_change_nothing_in_what_persists(borders: list[int]) -> None:
     data = detector_data(persistence={"class_s": 3, "box_s": 0.7, "confidence_s": 2})
     targets, frames = make_targets(same_boxes(1200, 4, centred(300, 200))), make_frames(1200)
-    whole = Detector(parse_detector(data), 1, TargetCensus(), clock(0.1)).detect(frames, targets)
-    split = detect_in_chunks(Detector(parse_detector(data), 1, TargetCensus(), clock(0.1)), frames, targets, borders)
+    whole = Detector(parse_detector(data), 1, TargetStatistics(), clock(0.1)).detect(frames, targets)
+    split = detect_in_chunks(
+        Detector(parse_detector(data), 1, TargetStatistics(), clock(0.1)), frames, targets, borders
+    )
     assert all_bytes(split) == all_bytes(whole)
 
 
 def test_a_detector_cannot_be_made_without_a_clock() -> None:
     with pytest.raises(TypeError, match="clock"):
-        Detector(parse_detector(detector_data()), 1, TargetCensus())  # type: ignore[call-arg]
+        Detector(parse_detector(detector_data()), 1, TargetStatistics())  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("first", [1, 2, 40])
@@ -233,9 +238,9 @@ def test_detector_that_begins_at_a_later_step_detects_what_one_from_the_start_do
     times = {"class_s": TAU_S, "box_s": TAU_S, "confidence_s": TAU_S}
     data = one_state_data(false_discovery_rate=0) | {"persistence": times}
     frames, targets = make_frames(45), make_targets(same_boxes(45, 3, centred(600, 600)))
-    whole = Detector(parse_detector(data), 1, TargetCensus(), clock()).detect(frames, targets)
+    whole = Detector(parse_detector(data), 1, TargetStatistics(), clock()).detect(frames, targets)
     part, part_targets, _ = chunk(frames, targets, first, 45)
-    later = Detector(parse_detector(data), 1, TargetCensus(), clock()).detect(part, part_targets)
+    later = Detector(parse_detector(data), 1, TargetStatistics(), clock()).detect(part, part_targets)
     rows = whole.frame >= first
     np.testing.assert_array_equal(later.boxes_px, whole.boxes_px[rows])
     np.testing.assert_array_equal(later.label, whole.label[rows])

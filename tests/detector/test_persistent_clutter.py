@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.detector import FALSE_POSITIVE, Detections, Detector, parse_detector, take_census
-from modsim3d.detector.persistent_clutter import PersistentClutter, persistent_clutter
-from modsim3d.detector.records import PERSISTENT
-from modsim3d.random_streams import Streams
+from modsim3d.core.random_streams import Streams
+from modsim3d.detector.chain import Detector, target_statistics
+from modsim3d.detector.false_positives import PersistentFalsePositives, persistent_false_positives
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, Detections
 from tests.detector.detector_builders import (
     all_bytes,
     centred,
@@ -29,9 +30,13 @@ from tests.detector.detector_builders import (
 FRAMES = 20_000
 
 
-def watch(rates: Any, lifetime_s: float, frames: int = FRAMES, step_s: float = 0.1, seed: int = 1) -> PersistentClutter:
+def watch(
+    rates: Any, lifetime_s: float, frames: int = FRAMES, step_s: float = 0.1, seed: int = 1
+) -> PersistentFalsePositives:
     seen = make_frames(frames, time_step_s=step_s)
-    return persistent_clutter(Streams(seed), seen, np.broadcast_to(np.asarray(rates, dtype=float), frames), lifetime_s)
+    return persistent_false_positives(
+        Streams(seed), seen, np.broadcast_to(np.asarray(rates, dtype=float), frames), lifetime_s
+    )
 
 
 @pytest.mark.parametrize("step_s", [0.1, 0.7])
@@ -139,6 +144,6 @@ def test_they_drift_along_the_horizon_at_their_speed() -> None:
 def test_chunk_borders_change_nothing_in_persistent_ones() -> None:
     model = parse_detector(detector_file(lifetime_s=3.0, drift_px_s=9.0, share=0.5))
     targets, frames = make_targets(same_boxes(400, 6, centred(80, 40))), make_frames(400, first_step=70)
-    detector = Detector(model, 1, take_census(model, [(frames, targets)]), clock())
+    detector = Detector(model, 1, target_statistics(model, [(frames, targets)]), clock())
     whole = detector.detect(frames, targets)
     assert all_bytes(detect_in_chunks(detector, frames, targets, [0, 1, 133, 400])) == all_bytes(whole)

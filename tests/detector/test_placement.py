@@ -9,10 +9,12 @@ import pytest
 import shapely
 from scipy import stats
 
-from modsim3d.boxes import sizes
-from modsim3d.detector import FALSE_POSITIVE, Detections, Detector, parse_detector, take_census
-from modsim3d.detector.placement import PLACE_STEP_PX, Placement, _inverse, _slice, sea_polygons
-from modsim3d.errors import ModsimError
+from modsim3d.core.boxes import sizes
+from modsim3d.core.errors import ModsimError
+from modsim3d.detector.chain import Detector, target_statistics
+from modsim3d.detector.false_positive_placement import PLACE_STEP_PX, Placement, _inverse, _slice, sea_polygons
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import FALSE_POSITIVE, Detections
 from tests.detector.detector_builders import (
     IMAGE_PX,
     centred,
@@ -103,7 +105,7 @@ def detect(false_positives: dict[str, Any], frames: int = 3000, vessels: int = 6
     boxes[:, :1] = [100, 100, 300, 150]
     targets = make_targets(boxes)
     model, seen = parse_detector(data | {"false_positives": false_positives}), make_frames(frames)
-    return Detector(model, 1, take_census(model, [(seen, targets)]), clock()).detect(seen, targets)
+    return Detector(model, 1, target_statistics(model, [(seen, targets)]), clock()).detect(seen, targets)
 
 
 FIXED = {"model": "fixed", "px": [30, 20]}

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 import modsim3d
-from modsim3d.detector import Detections, Targets, load_detector
+from modsim3d.detector.file.reading import load_detector
+from modsim3d.detector.records import Detections, Targets
 from tests.detector.detector_builders import make_frames, make_targets, run
 
 THREE_LABELS = Path(__file__).resolve().parents[2] / "scenes" / "detectors" / "three_labels.yaml"

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.boxes import inside_image, move, sizes
-from modsim3d.detector import parse_detector
+from modsim3d.core.boxes import inside_image, move, sizes
+from modsim3d.core.random_streams import Streams, grid_normals
 from modsim3d.detector.box_error import BoxErrorSource, TrueBoxes
 from modsim3d.detector.draws import BOX_ERROR_REDRAW_STREAMS
-from modsim3d.random_streams import Streams, grid_normals
+from modsim3d.detector.file.reading import parse_detector
 from tests.detector.detector_builders import (
     COVARIANCE_PX2,
     IMAGE_PX,

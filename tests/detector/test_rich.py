@@ -8,17 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d.boxes import sizes
-from modsim3d.detector import (
-    FALSE_KINDS,
-    KINDS,
-    CameraFrames,
-    Detections,
-    Detector,
-    Targets,
-    load_detector,
-    take_census,
-)
+from modsim3d.core.boxes import sizes
+from modsim3d.detector.chain import Detector, target_statistics
+from modsim3d.detector.file.reading import load_detector
+from modsim3d.detector.records import FALSE_KINDS, KINDS, CameraFrames, Detections, Targets
 from tests.detector.detector_builders import all_bytes, clock, detect_in_chunks, make_frames, make_targets
 
 RICH = Path(__file__).resolve().parents[2] / "scenes" / "detectors" / "rich.yaml"
@@ -50,7 +43,7 @@ def whole() -> Detections:
 
 
 def detector(seed: int = 5) -> Detector:
-    return Detector(MODEL, seed, take_census(MODEL, [(rich_frames(), rich_targets())]), clock(STEP_S))
+    return Detector(MODEL, seed, target_statistics(MODEL, [(rich_frames(), rich_targets())]), clock(STEP_S))
 
 
 def test_the_example_is_short_and_has_every_kind_of_detection(whole: Detections) -> None:
@@ -94,8 +87,8 @@ def test_census_does_not_depend_on_how_the_scene_is_split() -> None:
         columns = {field.name: getattr(targets, field.name)[rows] for field in fields(Targets)[:-1]}
         columns["frame"] = columns["frame"] - first
         frames = make_frames(stop - first, first_step=first, time_step_s=STEP_S)
-        halves.append(take_census(MODEL, [(frames, Targets(**columns, vessel_ids=targets.vessel_ids))]))
-    joined, one = halves[0] + halves[1], take_census(MODEL, [(rich_frames(), targets)])
+        halves.append(target_statistics(MODEL, [(frames, Targets(**columns, vessel_ids=targets.vessel_ids))]))
+    joined, one = halves[0] + halves[1], target_statistics(MODEL, [(rich_frames(), targets)])
     for name in ("log_odds", "sides"):
         assert np.array_equal(getattr(joined, name).rows, getattr(one, name).rows)
         assert np.array_equal(getattr(joined, name).counts, getattr(one, name).counts)

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from modsim3d.boxes import inside_image, move
-from modsim3d.detector import CameraFrames, Detections, DetectorModel, Targets, load_detector, parse_detector
+from modsim3d.core.boxes import inside_image, move
+from modsim3d.core.random_streams import GRID, grid_normals, normals, on_grid
 from modsim3d.detector.box_error import symmetric_root
-from modsim3d.random_streams import GRID, grid_normals, normals, on_grid
+from modsim3d.detector.file.reading import load_detector, parse_detector
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import CameraFrames, Detections, Targets
 from tests.detector.detector_builders import (
     COVARIANCE_PX2,
     IMAGE_PX,

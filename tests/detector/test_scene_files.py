@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.detector import DetectorModel, load_detector
 from modsim3d.detector.confidence import NormalScores
-from modsim3d.detector.file.checks import covariance_problems
+from modsim3d.detector.file.reading import load_detector
+from modsim3d.detector.file.schema import covariance_problems
+from modsim3d.detector.model import DetectorModel
 
 ROOT = Path(__file__).resolve().parents[2]
 DETECTORS = ROOT / "scenes" / "detectors"

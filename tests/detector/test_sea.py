@@ -6,7 +6,7 @@ import shapely
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from modsim3d.detector.placement import sea_polygons, uniform_places
+from modsim3d.detector.false_positive_placement import sea_polygons, uniform_places
 
 IMAGE_PX = (36, 24)
 

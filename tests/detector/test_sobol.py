@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from modsim3d.detector.sobol import MOST_DIMENSIONS, sobol_points
+from modsim3d.detector.truncation import MOST_DIMENSIONS, sobol_points
 
 
 @pytest.mark.parametrize("dimensions", range(1, MOST_DIMENSIONS + 1))

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from scipy import special
 
-from modsim3d.detector import TRUE, CameraFrames, Detector, Targets, parse_detector, take_census
+from modsim3d.core.errors import InputError
+from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import select
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.parts import used_models
-from modsim3d.errors import InputError
-from modsim3d.other_truth.needs import check_needs
+from modsim3d.detector.records import TRUE, CameraFrames, Targets
+from modsim3d.formats.labelled_video.detect_truth import check_needs
 from modsim3d.verify.class_checks import class_checks
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import judge
@@ -47,7 +49,7 @@ def scene(frames: int = FRAMES) -> tuple[CameraFrames, Targets]:
 
 def detector(data: dict[str, Any], frames: CameraFrames, targets: Targets) -> Detector:
     model = parse_detector(data)
-    return Detector(model, 1, take_census(model, [(frames, targets)]), clock())
+    return Detector(model, 1, target_statistics(model, [(frames, targets)]), clock())
 
 
 def test_misses_follow_the_distance_as_each_state_says() -> None:
@@ -72,7 +74,7 @@ def test_anchored_misses_have_the_rate_of_each_state_on_average_over_the_scene()
     frames, targets = scene()
     model = parse_detector(own_data(anchor="state_rate"))
     halves = [select(targets, rows) for rows in np.array_split(np.arange(len(targets)), [7000])]
-    classifier = ConfusionClassifier.from_model(model, take_census(model, [(frames, half) for half in halves]))
+    classifier = ConfusionClassifier.from_model(model, target_statistics(model, [(frames, half) for half in halves]))
     for state, asked in enumerate([(0.2, 0.3), (0.4, 0.4)]):
         rates = classifier.miss_rates(np.full(len(targets), state), targets)
         for label in range(2):

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.detector import DetectorModel, parse_detector
-from modsim3d.detector.states import StateSequence
-from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Purpose, Streams
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.random_streams import Purpose, Streams
+from modsim3d.detector.classification import StateSequence
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.model import DetectorModel
 from tests.detector.detector_builders import detector_data, make_frames
 
 

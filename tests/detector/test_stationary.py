@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from modsim3d.detector import load_detector
+from modsim3d.detector.file.reading import load_detector
 from modsim3d.detector.model import stationary_shares
 
 

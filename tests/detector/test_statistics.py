@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from modsim3d.detector import FALSE_POSITIVE, TRUE, Detections, Targets, parse_detector
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import FALSE_POSITIVE, TRUE, Detections, Targets
 from tests.detector.detector_builders import (
     COVARIANCE_PX2,
     MEAN_PX,

@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from modsim3d.boxes import inside_image, move
-from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, parse_detector
+from modsim3d.core.boxes import inside_image, move
+from modsim3d.core.errors import InputError
 from modsim3d.detector.box_error import BoxErrorSource
-from modsim3d.detector.box_error_law import StudentT, standardised
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.draws import StudentT, standardised
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import TRUE, Detections
+from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.detector.truncation import truncated_errors
-from modsim3d.errors import InputError
 from modsim3d.scene.reading import load_scene
-from modsim3d.verify.error_fit import ErrorSample, MomentTable, fit_step
+from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step
 from modsim3d.verify.error_parameters import ErrorParameters
-from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.verification import verify
 from tests.detector.detector_builders import (
     COVARIANCE_PX2,
@@ -50,7 +53,7 @@ def t_error(nu: float = NU, **changes: Any) -> dict[str, Any]:
 
 def drawn(error: dict[str, Any], box_px: list[float] = LARGE, frames: int = 4000, **sections: Any) -> Detections:
     model = parse_detector(one_state_data(**SEEN, box_error=error) | sections)
-    detector = Detector(model, 1, TargetCensus(), clock())
+    detector = Detector(model, 1, TargetStatistics(), clock())
     return detector.detect(make_frames(frames), make_targets(same_boxes(frames, 20, box_px)))
 
 
@@ -136,8 +139,8 @@ def test_chunk_borders_change_nothing(borders: list[int]) -> None:
     data = detector_data(persistence={"box_s": 0.7}) | {"states": {"clear": state_data(), "fog": state_data()}}
     data["states"]["fog"]["box_error"] = t_error()
     targets, frames = make_targets(same_boxes(900, 3, centred(60, 40))), make_frames(900)
-    whole = Detector(parse_detector(data), 1, TargetCensus(), clock()).detect(frames, targets)
-    split = detect_in_chunks(Detector(parse_detector(data), 1, TargetCensus(), clock()), frames, targets, borders)
+    whole = Detector(parse_detector(data), 1, TargetStatistics(), clock()).detect(frames, targets)
+    split = detect_in_chunks(Detector(parse_detector(data), 1, TargetStatistics(), clock()), frames, targets, borders)
     assert all_bytes(split) == all_bytes(whole)
 
 
@@ -194,7 +197,7 @@ def test_scores_are_derivatives_of_the_t_density(parameter: int) -> None:
     np.testing.assert_allclose(found - found[0], slope - slope[0], rtol=1e-4, atol=1e-4)
 
 
-def samples_of(law: ErrorParameters, copies: int, count: int) -> list[ErrorSample]:
+def samples_of(law: ErrorParameters, copies: int, count: int) -> list[StateErrors]:
     """Truncated errors of three boxes, so many of each, so many times over."""
     boxes = np.repeat(BOXES, copies, axis=0)
     images, rng, pools = np.tile(np.array(IMAGE_PX, float), (len(boxes), 1)), np.random.default_rng(3), []
@@ -204,7 +207,7 @@ def samples_of(law: ErrorParameters, copies: int, count: int) -> list[ErrorSampl
         draws = stats.multivariate_t(law.mean, shape, df=nu).rvs(12 * copies * count, random_state=rng)
         pools.append(draws[inside_image(move(box, draws), IMAGE_PX)])
     return [
-        ErrorSample(
+        StateErrors(
             np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]),
             np.arange(len(boxes)),
             boxes,

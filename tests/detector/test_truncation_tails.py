@@ -5,7 +5,7 @@ import pytest
 from scipy import special
 
 from modsim3d.detector import truncation
-from modsim3d.detector.box_error_law import Normal, StudentT
+from modsim3d.detector.draws import Normal, StudentT
 
 POINTS = 512
 

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.detector import Detections, Detector, DetectorModel, Targets, load_detector, parse_detector, take_census
-from modsim3d.detector.file.finding import shipped_detectors
-from modsim3d.detector.file.reading import file_of
+from modsim3d.core.errors import InputError
+from modsim3d.detector.chain import Detector, target_statistics
+from modsim3d.detector.file.reading import file_of, load_detector, parse_detector, shipped_detectors
 from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.file.unread import dead_lines, unread_settings
-from modsim3d.errors import InputError
-from modsim3d.inputs.strict_yaml import load_yaml
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import Detections, Targets
+from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.scene.settings import Setting, changed
 from tests.detector.detector_builders import all_bytes, clock, detector_data, state_data
 from tests.detector.test_docs import sections
@@ -141,7 +142,7 @@ def output(data: dict[str, Any]) -> object:
 
 
 def run(model: DetectorModel, targets: Targets) -> Detections:
-    return Detector(model, 1, take_census(model, [(FRAMES, targets)]), clock(STEP_S)).detect(FRAMES, targets)
+    return Detector(model, 1, target_statistics(model, [(FRAMES, targets)]), clock(STEP_S)).detect(FRAMES, targets)
 
 
 def small_labels(count: int) -> Targets:

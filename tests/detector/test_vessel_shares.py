@@ -9,8 +9,11 @@ import pytest
 from pydantic import ValidationError
 from scipy import special
 
-from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, Targets, parse_detector
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.schema_models import PersistenceSection
+from modsim3d.detector.records import TRUE, Detections, Targets
+from modsim3d.detector.target_statistics import TargetStatistics
 from tests.detector.detector_builders import (
     COVARIANCE_PX2,
     all_bytes,
@@ -35,7 +38,7 @@ def seen(vessels: int = VESSELS, frames: int = FRAMES) -> Targets:
 
 def detect(persistence: dict[str, float], targets: Targets, data: dict[str, Any] | None = None) -> Detections:
     data = (data or one_state_data(false_discovery_rate=0)) | {"persistence": persistence}
-    detector = Detector(parse_detector(data), 3, TargetCensus(), clock(STEP_S))
+    detector = Detector(parse_detector(data), 3, TargetStatistics(), clock(STEP_S))
     return detector.detect(make_frames(FRAMES, time_step_s=STEP_S), targets)
 
 
@@ -90,7 +93,7 @@ def test_errors_have_their_covariance_and_a_correlation_that_stays(found: Detect
 def test_what_a_vessel_keeps_is_its_own_whoever_else_is_there_and_however_a_run_is_split() -> None:
     model = parse_detector(detector_data(persistence={"class_s": TAU_S, **SHARES}))
     frames, targets = make_frames(FRAMES, time_step_s=STEP_S), seen(20, FRAMES)
-    detector = Detector(model, 3, TargetCensus(), clock(STEP_S))
+    detector = Detector(model, 3, TargetStatistics(), clock(STEP_S))
     whole = detector.detect(frames, targets)
     assert all_bytes(detect_in_chunks(detector, frames, targets, [0, 17, FRAMES])) == all_bytes(whole)
     alone = detector.detect(frames, seen(1, FRAMES))

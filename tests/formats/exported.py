@@ -10,9 +10,10 @@ from pathlib import Path
 
 import yaml
 
+from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
 LABELS = ("sailing boat", "Fähre/ro-ro, gross", "RIB")

@@ -15,23 +15,21 @@ from pyais.messages import NMEASentenceFactory
 from pyais.stream import IterMessages
 from scipy import stats
 
-from modsim3d.ais.geography import local_metres
-from modsim3d.ais.options import Options
-from modsim3d.ais.traffic import read_traffic
-from modsim3d.errors import ModsimError
-from modsim3d.formats.writing.ais.log import files, notes, reports, write
-from modsim3d.formats.writing.ais.sentences import EPOCH_S
-from modsim3d.formats.writing.ais.stations import stations
-from modsim3d.formats.writing.ais.stays import stays
-from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.random_streams import Streams
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.random_streams import Streams
+from modsim3d.formats.writing.ais.log import EPOCH_S, files, notes, reports, write
+from modsim3d.formats.writing.ais.sensors import stations, stays
+from modsim3d.formats.writing.registry import ExportRequest
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.ais.messages import local_metres
+from modsim3d.scene.ais.options import Options
+from modsim3d.scene.ais.traffic import read_traffic
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from tests.ais.ais_builders import SAMPLES, command
 from tests.runs.test_stream import lines as live_lines
 from tests.runs.test_stream import live_scene
+from tests.scene.ais.ais_builders import SAMPLES, command
 
 STEPS, STEP_S = 500, 1.0
 ORIGIN = (56.03, 12.65)
@@ -295,7 +293,7 @@ def test_a_curved_sea_changes_nothing():
 def test_blocks_of_steps_do_not_show(monkeypatch):
     scene = scene_of(100, waves={"level": "large", "apply_to": "all"})
     whole = list(reports(scene, 100, stations(scene, ())))
-    monkeypatch.setattr("modsim3d.formats.writing.ais.stays.BLOCK_STEPS", 7)
+    monkeypatch.setattr("modsim3d.formats.writing.ais.sensors.BLOCK_STEPS", 7)
     assert list(reports(scene, 100, stations(scene, ()))) == whole
 
 

@@ -7,9 +7,18 @@ import pytest
 from pyais import decode
 from scipy import stats
 
-from modsim3d.ais.geography import local_metres, places
+from modsim3d.core.random_streams import Streams
+from modsim3d.formats.writing.ais.log import (
+    EPOCH_S,
+    NO_TURN,
+    lines,
+    payload,
+    position_fields,
+    static_fields,
+    turn_field,
+)
 from modsim3d.formats.writing.ais.reporting import (
-    Rate,
+    ReportingRate,
     Schedule,
     changes_course,
     due_times,
@@ -22,23 +31,18 @@ from modsim3d.formats.writing.ais.sensors import (
     COMPASS_NOISE_DEG,
     COMPASS_OFFSET_DEG,
     KNOT_M_S,
-    Measured,
+    MADE_UP_MMSI,
     Noise,
+    SensorReadings,
+    Station,
+    Stay,
+    antenna_sides,
     measured,
+    mmsi_of,
+    usual,
 )
-from modsim3d.formats.writing.ais.sentences import (
-    EPOCH_S,
-    NO_TURN,
-    lines,
-    payload,
-    position_fields,
-    static_fields,
-    turn_field,
-)
-from modsim3d.formats.writing.ais.stations import MADE_UP_MMSI, Station, antenna_sides, mmsi_of, usual
-from modsim3d.formats.writing.ais.stays import Stay
-from modsim3d.random_streams import Streams
-from modsim3d.vessels.vessel import Vessel
+from modsim3d.scene.ais.messages import local_metres, places
+from modsim3d.world.vessels import Vessel
 
 
 def seen(seconds, speed_kn=10.0, heading_deg=90.0, first_s=0, **other):
@@ -46,7 +50,7 @@ def seen(seconds, speed_kn=10.0, heading_deg=90.0, first_s=0, **other):
     n = np.zeros(seconds)
     columns = {"speed_kn": n + speed_kn, "heading_deg": n + heading_deg, "course_deg": n + 45, "turn_deg_min": n}
     place = {"latitude_deg": n + 56, "longitude_deg": n + 12}
-    return Measured(times_s=first_s + np.arange(seconds), **(place | columns | other))
+    return SensorReadings(times_s=first_s + np.arange(seconds), **(place | columns | other))
 
 
 def station(ais_class="A", length_m=90.0, mmsi=219000001, sides_m=(60, 30, 7, 8)):
@@ -179,7 +183,7 @@ def test_reports_come_at_their_interval_on_the_slots_of_a_minute(ais_class, inte
     seconds = 200_000 if interval > 100 else 20_000
     times = np.arange(seconds)
     schedule = position_schedule(
-        times, seconds - 1.0, Rate(np.full(seconds, interval), times < 0), ais_class, phase=0.37
+        times, seconds - 1.0, ReportingRate(np.full(seconds, interval), times < 0), ais_class, phase=0.37
     )
     numbers = np.random.default_rng(3).random((len(schedule.due_s), 2))
     found = heard(schedule, times, seconds - 1.0, 0.0, numbers)
@@ -199,7 +203,7 @@ def test_reports_come_at_their_interval_on_the_slots_of_a_minute(ais_class, inte
 
 def test_the_asked_share_of_reports_is_lost_and_static_data_come_every_six_minutes():
     times = np.arange(100_000)
-    schedule = position_schedule(times, 99_999.0, Rate(np.full(100_000, 10.0), times < 0), "A", 0.0)
+    schedule = position_schedule(times, 99_999.0, ReportingRate(np.full(100_000, 10.0), times < 0), "A", 0.0)
     draws = np.random.default_rng(1).random((len(schedule.due_s), 2))
     kept = len(heard(schedule, times, 99_999.0, 0.1, draws).times_s)
     everything = len(heard(schedule, times, 99_999.0, 0.0, draws).times_s)
@@ -210,7 +214,7 @@ def test_the_asked_share_of_reports_is_lost_and_static_data_come_every_six_minut
 
 def test_nothing_is_sent_before_there_is_a_fix_or_after_the_vessel_has_left():
     times = np.arange(50, 62)
-    schedule = position_schedule(times, 61.0, Rate(np.full(12, 2.0), times < 0), "A", 0.99)
+    schedule = position_schedule(times, 61.0, ReportingRate(np.full(12, 2.0), times < 0), "A", 0.99)
     found = heard(schedule, times, 61.0, 0.0, np.random.default_rng(0).random((len(schedule.due_s), 2)))
     assert found.times_s.min() >= 50.2 and found.times_s.max() <= 61
     assert (found.rows >= 0).all()

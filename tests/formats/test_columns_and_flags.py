@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.errors import InputError
+from modsim3d.core.errors import InputError
 from modsim3d.formats.reading.builder import Problems, ReadOptions, read_flag
 from modsim3d.formats.reading.pair import read_pair, read_truth
 from tests.formats.labelled_files import CHANGES, HEIGHT, NAMES, WIDTH, Video, coco, mot, yolo
@@ -174,9 +174,11 @@ def test_options_that_do_nothing_and_sizes_that_are_not_used_are_told(tmp_path):
 
 def test_numbers_of_classes_that_differ_between_the_files_of_mot_get_one_name_by_labels(tmp_path):
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-    from modsim3d.learn.learned import Settings
+    from modsim3d.learn.learned import LearnSettings
 
-    told = learn_detector(read_mot(tmp_path, found_tail="0.9,8,-1,-1"), Settings(replicates=20), LearnOptions()).remarks
+    told = learn_detector(
+        read_mot(tmp_path, found_tail="0.9,8,-1,-1"), LearnSettings(replicates=20), LearnOptions()
+    ).remarks
     assert any("In MOT, --labels can give the numbers of both files one name" in remark for remark in told)
     labelled = read_mot(tmp_path, ReadOptions(("boat",) * 8), found_tail="0.9,8,-1,-1")
     assert labelled.labels == ("boat",) and labelled.ids.labels == (1,)
@@ -272,7 +274,7 @@ def test_the_marks_of_a_seqinfo_are_passed_over_and_truth_alone_says_the_same(tm
 
 
 def test_a_name_that_is_empty_does_not_move_the_others():
-    from modsim3d.commands.labelled_options import read_options
+    from modsim3d.cli.detect import read_options
 
     assert read_options("a, b,", None, False, None).labels == ("a", "b")
     with pytest.raises(InputError, match="the name 2 is empty"):

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from modsim3d.cli import app
+from modsim3d.cli.main import app
+from modsim3d.core.errors import ModsimError
 from modsim3d.detector.records import KINDS
-from modsim3d.errors import ModsimError
-from modsim3d.geometry.rotations import camera_R_parent
-from modsim3d.positions.locating import locate
+from modsim3d.geometry.camera_poses import camera_R_parent
+from modsim3d.runs.locating import locate
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
-from tests.positions.position_scenes import position_scene
+from tests.runs.positions.position_scenes import position_scene
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "positions.md").read_text(encoding="utf-8")
 BOX = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")

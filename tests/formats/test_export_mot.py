@@ -16,8 +16,8 @@ from trackers.eval import evaluate_mot_sequences
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.formats.writing import mot
-from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.runs.camera_sequences import TrueBoxes
+from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.runs.camera_sequences import SequenceTruth
 from modsim3d.runs.stored_run import StoredRun
 from tests.formats.exported import LABELS, STEPS, VESSELS, exported_run
 
@@ -101,7 +101,9 @@ def test_trackers_scores_the_sequences_too(folder, tmp_path) -> None:
 def test_a_hidden_vessel_takes_no_track_from_an_annotated_one_that_looks_like_it() -> None:
     boxes = np.array([[10.0, 10, 50, 50], [12, 10, 52, 50], [48, 10, 90, 50], [10, 10, 50, 50]])
     seen, nothing = np.array([True, False, False, False]), np.zeros(4)
-    truth = TrueBoxes(np.array([0, 0, 0, 1]), np.arange(4), np.zeros(4, int), seen, boxes, nothing, nothing, nothing)
+    truth = SequenceTruth(
+        np.array([0, 0, 0, 1]), np.arange(4), np.zeros(4, int), seen, boxes, nothing, nothing, nothing
+    )
     assert mot._near_scored(truth).tolist() == [False, True, False, False]
 
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.errors import InputError
-from modsim3d.formats.horizon import UNKNOWN, half_plane, read_horizon, with_horizon, written_horizon
+from modsim3d.core.errors import InputError
+from modsim3d.formats.labelled import UNKNOWN, half_plane, read_horizon, with_horizon, written_horizon
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from tests.formats.labelled_sets import images, random_set

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import PAIRS_AT_ONCE, Rule, image_pairs, match
 from tests.formats.labelled_sets import found, images, random_boxes, random_set, truth

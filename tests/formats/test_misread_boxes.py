@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from modsim3d.errors import InputError
+from modsim3d.core.errors import InputError
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair, read_truth
 from tests.formats.labelled_files import CHANGES, HEIGHT, WIDTH, Video, coco, mot, yolo
@@ -202,10 +202,10 @@ def test_frames_off_by_one_are_told_alike_in_both_directions(tmp_path, alike, fi
 
 
 def test_boxes_of_a_log_are_held_against_the_images_of_their_camera(tmp_path):
+    from modsim3d.learn.voyage.log_to_scene import on_scene
+    from modsim3d.learn.voyage.logs.log import LogOptions
+    from modsim3d.learn.voyage.logs.reading import read_log
     from modsim3d.scene.reading import load_scene
-    from modsim3d.voyage.logs.log import LogOptions
-    from modsim3d.voyage.logs.reading import read_log
-    from modsim3d.voyage.on_scene import on_scene
 
     scene, video = load_scene("strait"), Video.of()
     names = {"left,top,width,height": "right", "left,top,right,bottom": "corners", "x1,y1,x2,y2": "corners"}

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.errors import InputError
+from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import joined
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d.errors import InputError
+from modsim3d.core.errors import InputError
 from modsim3d.formats.reading.builder import ReadOptions
-from modsim3d.formats.reading.image_sizes import image_size_px
 from modsim3d.formats.reading.pair import read_pair, read_truth
+from modsim3d.formats.reading.yolo import image_size_px
 
 NAMES = ("frame_000.jpg", "frame_001.jpg", "frame_002.jpg")
 

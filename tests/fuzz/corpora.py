@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.inputs.shipped import data_folder
-from tests.commands.bad_input.builders import CIRCULAR, GOOD
+from modsim3d.io.input_files import data_folder
+from tests.cli.bad_input.builders import CIRCULAR, GOOD
 from tests.detector_variants import CHANGES, variant
 
 Files = dict[str, bytes | None]

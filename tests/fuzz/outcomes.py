@@ -11,8 +11,8 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from modsim3d.commands.terminal import say_error
-from modsim3d.errors import InputError, ModsimError
+from modsim3d.cli.terminal import say_error
+from modsim3d.core.errors import InputError, ModsimError
 
 ACCEPTED, REFUSED, FAILED = "accepted", "refused", "failed"
 MOST_LINES, MOST_CHARACTERS = 502, 2010

@@ -11,28 +11,26 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.ais.options import Options
-from modsim3d.ais.scene_folder import write_scene
-from modsim3d.ais.traffic import read_traffic
-from modsim3d.detector.chain import Detector, take_census
+from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.file.reading import load_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
-from modsim3d.inputs.shipped import data_folder
-from modsim3d.motion.poses.base import PoseRequest
-from modsim3d.motion.poses.live import LivePoses
-from modsim3d.motion.poses.replay import load_poses
-from modsim3d.motion.poses.stream import StreamKeys
+from modsim3d.io.input_files import data_folder
 from modsim3d.runs.pipeline import DetectorInput, Simulation, detector_inputs, scene_census, truth_block
 from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.ais.options import Options
+from modsim3d.scene.ais.scene_folder import write_scene
+from modsim3d.scene.ais.traffic import read_traffic
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from modsim3d.vessels.meshes import load_mesh
-from modsim3d.vessels.vessel import Vessel, load_mapping, parse_vessels
-from tests.commands.bad_input.builders import GOOD
+from modsim3d.world.mesh_reading import load_mesh
+from modsim3d.world.poses.base import PoseRequest
+from modsim3d.world.poses.replay import LivePoses, StreamKeys, load_poses
+from modsim3d.world.vessels import Vessel, load_mapping, parse_vessels
+from tests.cli.bad_input.builders import GOOD
 from tests.fuzz import corpora
 from tests.fuzz.corpora import Files
 from tests.fuzz.runs import reseal, stored_runs, write_files
@@ -100,7 +98,7 @@ def _seen_by_a_detector() -> tuple[Scene, tuple[DetectorInput, ...]]:
 def _read_detector(folder: Path) -> None:
     model = load_detector(folder / "detector.yaml")
     scene, inputs = _seen_by_a_detector()
-    census = take_census(model, ((part.frames, part.targets) for part in inputs))
+    census = target_statistics(model, ((part.frames, part.targets) for part in inputs))
     detector = Detector(model, 0, census, scene.times_s)
     for part in inputs:
         detector.detect(part.frames, part.targets)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from modsim3d.errors import InputError, ModsimError
+from modsim3d.core.errors import InputError, ModsimError
 from tests.fuzz.cases import files_of
 from tests.fuzz.kept import files_of_kept, kept_inputs
 from tests.fuzz.outcomes import ACCEPTED, FAILED, REFUSED, outcome_of, printed

@@ -9,7 +9,7 @@ import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.geometry.closest_approach import (
+from modsim3d.geometry.kinematics import (
     TOLERANCE_M,
     HullTracks,
     Rectangles,

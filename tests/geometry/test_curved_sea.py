@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from modsim3d import cli
+from modsim3d.cli import main
 from modsim3d.geometry.curved_sea import RADIUS_M, drop_m, lowered, shift_px
 from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.pipeline import simulate_frames
@@ -120,7 +120,7 @@ def test_run_warns_once_with_how_many_and_how_far(tmp_path, monkeypatch, capsys)
         arguments = ["modsim3d", "run", str(path), "--out", str(tmp_path / sea), "--no-sheet"]
         monkeypatch.setattr(sys, "argv", arguments)
         with pytest.raises(SystemExit) as stopped:
-            cli.main()
+            main.main()
         assert stopped.value.code == 0
         return "".join(capsys.readouterr()), json.loads((tmp_path / sea / "run.json").read_text())["counts"]
 

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from modsim3d.geometry.camera_poses import rotation
 from modsim3d.geometry.kinematics import first_derivative, second_derivative, slopes, turning, velocities
-from modsim3d.geometry.rotations import rotation
 
 TIMES = st.lists(st.floats(0.05, 2.0), min_size=2, max_size=12).map(lambda gaps: np.cumsum([3.0, *gaps]))
 NUMBERS = st.floats(-10, 10)

@@ -8,16 +8,15 @@ import shapely
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from modsim3d.errors import InputError
-from modsim3d.geometry.camera import Intrinsics
-from modsim3d.geometry.lens import Distortion
+from modsim3d.core.errors import InputError
+from modsim3d.geometry.camera import Distortion, Intrinsics
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.buffer_drawing import subdivided
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.silhouettes import silhouette_polygons
-from modsim3d.truth.triangles import subdivided
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, pixel_masks, random_scene, vessel, write_scene
 
@@ -57,7 +56,7 @@ GRID = np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 7)] * 2), axis=-1)
 
 @pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
 def test_newtons_method_needs_few_steps(lens, monkeypatch):
-    monkeypatch.setattr("modsim3d.geometry.lens.MOST_ITERATIONS", 6)
+    monkeypatch.setattr("modsim3d.geometry.camera.MOST_ITERATIONS", 6)
     np.testing.assert_allclose(lens.undistort(lens.distort(GRID)), GRID, rtol=0, atol=1e-13)
 
 

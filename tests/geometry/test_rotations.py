@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from modsim3d.geometry.rotations import (
+from modsim3d.geometry.camera_poses import (
     BASE_R_WORLD,
     attitude,
     camera_R_parent,

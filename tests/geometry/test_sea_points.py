@@ -9,11 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.camera import Distortion, Intrinsics
 from modsim3d.geometry.camera_poses import Mount, poses_ashore
-from modsim3d.geometry.curved_sea import RADIUS_M, lowered
-from modsim3d.geometry.lens import Distortion
-from modsim3d.geometry.sea_points import horizon_inverse_range, inverse_range, look
+from modsim3d.geometry.curved_sea import RADIUS_M, horizon_inverse_range, inverse_range, look, lowered
 
 LENSES = {
     "pinhole": Intrinsics((1000.0, 900.0), (640.0, 400.0), (1280, 800), skew=3.0),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.geometry.unions import union_of
+from modsim3d.geometry.kinematics import union_of
 
 SLIVERS = Path(__file__).with_name("slivers.npy")
 """The faces of a boat close to a camera, turned to it, in pixels, shape (206, 3, 2). GEOS 3.14 cannot unite them."""

@@ -10,10 +10,10 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.gate.gate_bias import simulated
-from modsim3d.learn.learned import Learned, Settings, learn
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.states.transitions import Transitions
+from modsim3d.learn.learned import Learned, LearnSettings, learn
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.matching_bias import simulated
+from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
 
 SIZE = (640.0, 480.0)
@@ -68,7 +68,7 @@ def learn_from(labelled: LabelledSet, rule: Rule, replicates: int = 100, seed: i
     """What is learned from matches by a rule."""
     state = np.zeros(len(labelled.images), dtype=np.int64)
     observed = Observed(labelled, match(labelled, rule, 0.2), ("usual",), state, 0.2)
-    return learn(observed, Transitions(np.zeros((1, 1))), Settings(rule, replicates=replicates, seed=seed))
+    return learn(observed, Transitions(np.zeros((1, 1))), LearnSettings(rule, replicates=replicates, seed=seed))
 
 
 def asked_of(law: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -9,10 +9,10 @@ import numpy as np
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.gate.gate_bias import simulated
-from modsim3d.learn.learned import Learned, Settings, learn
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.states.transitions import Transitions
+from modsim3d.learn.learned import Learned, LearnSettings, learn
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.matching_bias import simulated
+from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
 
 BOATS, RATE_HZ, SIDE_PX = 3, 5.0, 900.0
@@ -65,7 +65,7 @@ def learned_from(labelled: LabelledSet, without: tuple[str, ...] = (), method: s
     state = np.zeros(len(labelled.images), dtype=np.int64)
     matched = match(labelled, Rule(method), 0.2)
     observed = Observed(labelled, matched, labelled.conditions, state, 0.2, frozenset(without))
-    return learn(observed, Transitions(np.zeros((1, 1))), Settings(replicates=60))
+    return learn(observed, Transitions(np.zeros((1, 1))), LearnSettings(replicates=60))
 
 
 def detected(labelled: LabelledSet, content: dict[str, Any], seed: int) -> LabelledSet:

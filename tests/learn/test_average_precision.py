@@ -9,7 +9,7 @@ from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.figures.average_precision import Curve, Ranking
+from modsim3d.learn.figures import Curve, Ranking
 from tests.formats.labelled_sets import random_set
 
 

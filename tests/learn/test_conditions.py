@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.detector import load_detector
-from modsim3d.errors import InputError
-from modsim3d.learn.box_errors.error_moments import covariance
-from modsim3d.learn.states.states import cluster, parse_states
+from modsim3d.core.errors import InputError
+from modsim3d.detector.file.reading import load_detector
+from modsim3d.learn.box_errors.laws import covariance
+from modsim3d.learn.states import cluster, parse_states
 
 ROOT = Path(__file__).resolve().parents[2]
 DETECTORS = ROOT / "scenes" / "detectors"

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.campaign.detectors.drawing import drawn_detector
-from modsim3d.campaign.detectors.learned_file import LearnedUncertainty
+from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.learn.confidence.confidence_fit import SlopeForm, _Point, product_limit
-from modsim3d.learn.confidence.scores import Scores
+from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeForm, _Point, product_limit
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.uncertainty import uncertainty_text
 from tests.learn.scored_sets import detected, detector, learned_from, truth_of
@@ -163,7 +161,7 @@ def test_the_product_limit_is_the_mean_over_what_each_bound_leaves_open() -> Non
 def test_the_curvature_of_the_fit_is_the_derivative_of_its_gradient() -> None:
     rng = np.random.default_rng(3)
     count = 40
-    scores = Scores(
+    scores = ObservedConfidences(
         np.clip(rng.normal(0.8, 0.3, count), 0.2, 1), np.arange(count), np.zeros(count, dtype=np.int64),
         rng.uniform(0, 1, count), rng.uniform(3, 7, count),
     )  # fmt: skip

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from modsim3d.cli import app
-from modsim3d.detector import load_detector
-from modsim3d.errors import InputError, ModsimError
+from modsim3d.cli.main import app
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.detector.file.reading import load_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
-from modsim3d.learn.gate.gate_bias import simulated
 from modsim3d.learn.learning import learn_detector
+from modsim3d.learn.matching_bias import simulated
 from tests.formats.labelled_sets import found, images, truth
 
 FRAMES = 60

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from benchmarks.campaigns.learn_coverage import CASES, Case, learned_again, of_another_model, summary, text
-from modsim3d.detector import load_detector
+from modsim3d.detector.file.reading import load_detector
 from tests.learn.round_trip import asked_of
 
 BY_NAME = {case.name: case for case in CASES}

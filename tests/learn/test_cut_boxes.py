@@ -8,20 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.boxes import clip, inside_image, iou, move
+from modsim3d.core.boxes import clip, inside_image, iou, move
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.matching import Rule
-from modsim3d.learn.box_error_fits.edge_completion import completed
-from modsim3d.learn.box_error_fits.error_fit import slopes
-from modsim3d.learn.box_error_fits.error_fits import ErrorFits
-from modsim3d.learn.box_error_fits.error_model import ErrorModel
-from modsim3d.learn.box_error_fits.matched_edges import OUTWARD, MatchedEdges
-from modsim3d.learn.box_errors.error_choice import choose_law
-from modsim3d.learn.box_errors.error_usage import TITLE
+from modsim3d.learn.box_errors.estimate import TITLE
+from modsim3d.learn.box_errors.fit import completed, slopes
+from modsim3d.learn.box_errors.laws import choose_law
+from modsim3d.learn.box_errors.matched_edges import OUTWARD, ErrorModel, MatchedEdges
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import Settings
-from modsim3d.learn.told.tables import tables
+from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.matches import ErrorFits
+from modsim3d.learn.report_page import tables
 from tests.learn.cut_boxes import HEAVY, MIXED, PX, RELATIVE, SIZE, asked_of, boats, detected, learn_from
 from tests.learn.round_trip import outside
 
@@ -110,7 +108,7 @@ def test_the_report_says_how_many_matches_count() -> None:
         annotations=replace(annotations, boxes_px=boxes),
         results=replace(results, boxes_px=found),
     )
-    report = learn_detector(labelled, Settings(Rule("provenance"), replicates=20), LearnOptions())
+    report = learn_detector(labelled, LearnSettings(Rule("provenance"), replicates=20), LearnOptions())
     (table,) = (each for each in tables(report) if each.title == TITLE)
     assert table.rows[0][:3] == ("usual", "60", "55")
     note = "states.usual.box_error: from 55 of 60 matches; 5 with all sides cut by the image's edge"

@@ -5,27 +5,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
-from modsim3d.detector.file.checks import covariance_problems
+from modsim3d.detector.confidence import clipped_sums, fit_clipped
+from modsim3d.detector.file.schema import covariance_problems
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.box_error_fits.error_fits import _regular
-from modsim3d.learn.box_errors.error_laws import ErrorSample, learned_errors
-from modsim3d.learn.box_errors.error_moments import covariance
-from modsim3d.learn.confidence.confidence_laws import NormalScores
-from modsim3d.learn.figures.error_shares import ErrorKind, error_shares
-from modsim3d.learn.figures.figures import Matches
-from modsim3d.learn.gate.gate_bias import Shift
-from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.misses.class_estimate import choose_classes
-from modsim3d.learn.misses.dropout_fit import Effect, fit_misses
-from modsim3d.learn.numbers.entries import Entry, Key
-from modsim3d.learn.numbers.resampling import Column, from_scale, resample, to_scale
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.observed.pairs import ErrorSource
-from modsim3d.learn.persistence.persistence_fit import Consecutive
-from modsim3d.learn.states.states import transitions_of
-from modsim3d.learn.states.transitions import Transitions, count_transitions
+from modsim3d.learn.bootstrap import Column, Entry, Key, from_scale, resample, to_scale
+from modsim3d.learn.box_errors.laws import ErrorSample, covariance, learned_errors
+from modsim3d.learn.confidence_laws import LearnedNormal
+from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
+from modsim3d.learn.error_shares import ErrorKind, error_shares
+from modsim3d.learn.figures import Matches
+from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.learn.matches import ErrorSource, Observed, _regular
+from modsim3d.learn.matching_bias import Shift
+from modsim3d.learn.misses import choose_classes
+from modsim3d.learn.persistence import Consecutive
+from modsim3d.learn.states import Transitions, count_transitions, transitions_of
 from tests.formats.labelled_sets import found, images, random_set, truth
 
 FLAT = {"mean": 0.99, "std": 8e-12}
@@ -138,7 +133,7 @@ def test_a_number_that_most_repeats_do_not_tell_is_not_called_shifted():
 
 def test_confidences_that_hardly_differ_are_written_as_equal():
     mean, std = (Entry(Key((name,)), Column(np.array([x]), "mean", np.array(1.0))) for name, x in FLAT.items())
-    assert NormalScores(mean, std, 0.2).section() == {"mean": 0.99, "std": 0.0}
+    assert LearnedNormal(mean, std, 0.2).section() == {"mean": 0.99, "std": 0.0}
 
 
 def test_cross_entropy_of_labels_where_probabilities_are_given():
@@ -216,7 +211,7 @@ def missed_by_size(seed, slope=-1.0, count=6000, by_units=False):
 
 def test_misses_follow_size_as_they_were_made_to():
     observed, chance = missed_by_size(5)
-    fit = fit_misses(observed, (Effect("size_px", 32.0),), resample(observed.labelled.images, 200, 0))
+    fit = fit_misses(observed, (EffectTerm("size_px", 32.0),), resample(observed.labelled.images, 200, 0))
     assert abs(fit.slopes[0, 0] + 1.0) < 4 * fit.errors[0]
     assert fit.slopes[1:].std() == pytest.approx(fit.errors[0], rel=0.25)
     for label in range(2):
@@ -363,7 +358,7 @@ def test_box_errors_are_learned_from_sides_that_the_edge_has_not_cut_as_far_as_t
         labelled = joined([labelled, at_the_edge(30, 0, seed=3)])
         state, names = np.repeat([0, 1], [42, 30]), ("usual", "other")
     observed = Observed(labelled, match(labelled, Rule(), 0.2), names, state, 0.2)
-    learned = learn(observed, Transitions(np.zeros((len(names), len(names)))), Settings(replicates=20))
+    learned = learn(observed, Transitions(np.zeros((len(names), len(names)))), LearnSettings(replicates=20))
     assert learned.form.box_errors.states[0].source is source
     stated = [note for note in learned.notes if note.startswith("states.usual.box_error")]
     assert len(stated) == (whose is not None) and all(whose in note for note in stated)

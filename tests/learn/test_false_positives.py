@@ -10,19 +10,18 @@ import pytest
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.gate.gate_bias import bias_of, simulated
-from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.numbers.entries import entries_of
-from modsim3d.learn.numbers.resampling import resample
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.states.transitions import Transitions
+from modsim3d.learn.bootstrap import entries_of, resample
+from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.matching_bias import bias_of, simulated
+from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
 
 FRAMES, RATE_HZ = 1200, 4.0
 SIZE = {"model": "lognormal", "px": [60, 30], "log_std": 0.3}
 STAYS = {"lifetime_s": 5.0, "drift_px_s": 8.0, "share": 0.6}
 BAND = {"placement": "horizon_band", "band_px": 60.0, "persistence": STAYS}
-PROVENANCE = Settings(Rule("provenance"), replicates=60)
+PROVENANCE = LearnSettings(Rule("provenance"), replicates=60)
 
 
 def on_a_rolling_camera(seed=0, **clutter):

@@ -11,17 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.commands.guess import _rows
-from modsim3d.detector import DetectorModel, load_detector, parse_detector
-from modsim3d.detector.file.finding import shipped_detectors
-from modsim3d.detector.model import ERROR_COMPONENTS
-from modsim3d.errors import InputError
-from modsim3d.inputs.conditions import conditions_in
-from modsim3d.inputs.shipped import data_folder
-from modsim3d.inputs.strict_yaml import load_yaml
+from modsim3d.cli.guess import _rows
+from modsim3d.core.errors import InputError
+from modsim3d.detector.file.reading import load_detector, parse_detector, shipped_detectors
+from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel
+from modsim3d.io.input_files import data_folder
+from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.validation import conditions_in
 from modsim3d.learn.guess import ConditionChange, guessed
-from tests.commands.bad_input.builders import Call
-from tests.commands.bad_input.conftest import call
+from tests.cli.bad_input.builders import Call
+from tests.cli.bad_input.conftest import call
 
 __all__ = ["call"]  # a fixture
 CONDITIONS = {name: (name, load_detector(file)) for name, file in conditions_in().items()}
@@ -269,4 +268,4 @@ def test_what_cannot_be_guessed_from_is_one_error(
 
 
 def test_the_error_components_are_those_of_the_comment() -> None:
-    assert ERROR_COMPONENTS == ("e_x", "e_y", "e_w", "e_h")  # as commands/guess.py writes them
+    assert ERROR_COMPONENTS == ("e_x", "e_y", "e_w", "e_h")  # as cli/guess.py writes them

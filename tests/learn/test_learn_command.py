@@ -10,23 +10,21 @@ import yaml
 from typer.testing import CliRunner
 
 import modsim3d
-from modsim3d.cli import app
-from modsim3d.detector import load_detector
-from modsim3d.detector.file.reading import parse_detector
-from modsim3d.errors import InputError, ModsimError
+from modsim3d.cli.main import app
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.learn.gate.gate_bias import bias_of, simulated
+from modsim3d.learn.bootstrap import entries_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.numbers.entries import entries_of
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.states.states import each_its_own, transitions_of
-from modsim3d.learn.states.transitions import Transitions
-from modsim3d.learn.told.report import NearGate
+from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.matching_bias import bias_of, simulated
+from modsim3d.learn.report import NearGate
+from modsim3d.learn.states import Transitions, each_its_own, transitions_of
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verify_run import verify_run
 from tests.formats.labelled_sets import found, images, random_set, truth
@@ -96,7 +94,9 @@ def test_every_number_comes_back_inside_its_interval(method, run, exported):
     image_state = states.of_images(labelled.images, labelled.conditions)
     transitions = transitions_of(labelled.images, image_state, 2, 1.0)
     learned = learn(
-        observe(labelled, states.names, image_state, Rule(method)), transitions, Settings(Rule(method), replicates=150)
+        observe(labelled, states.names, image_state, Rule(method)),
+        transitions,
+        LearnSettings(Rule(method), replicates=150),
     )
     asked = asked_of()
     total = sum(value.size for value in asked.values())
@@ -116,7 +116,7 @@ def test_every_number_comes_back_from_the_harbour_where_vessels_hide_each_other(
     states = each_its_own(("clear", "haze"))
     image_state = states.of_images(labelled.images, labelled.conditions)
     transitions = transitions_of(labelled.images, image_state, 2, 1.0)
-    learned = learn(observe(labelled, states.names, image_state), transitions, Settings(replicates=60))
+    learned = learn(observe(labelled, states.names, image_state), transitions, LearnSettings(replicates=60))
     asked = asked_of()
     assert outside(asked, learned.intervals(1 - 0.01 / sum(value.size for value in asked.values()))) == {}
 
@@ -210,7 +210,7 @@ def test_states_from_conditions_and_from_clusters(tmp_path):
 
 def test_conditions_that_no_image_has_make_no_state():
     labelled = replace(random_set(4), conditions=("all", "unseen"))
-    settings = Settings(replicates=20)
+    settings = LearnSettings(replicates=20)
     assert dict(learn_detector(labelled, settings, LearnOptions(clusters=1)).state_map.states) == {"usual": ("all",)}
     with pytest.raises(InputError, match="there are only 1 conditions"):
         learn_detector(labelled, settings, LearnOptions(clusters=2))
@@ -220,7 +220,9 @@ def test_intervals_rest_on_the_images_of_their_own_state_whatever_its_name():
     labelled = random_set(4, image_count=40)
     states = np.repeat([0, 1], [30, 10])
     named = [
-        learn(observe(labelled, names, states), Transitions(np.zeros((2, 2))), Settings(replicates=20)).intervals(0.95)
+        learn(observe(labelled, names, states), Transitions(np.zeros((2, 2))), LearnSettings(replicates=20)).intervals(
+            0.95
+        )
         for names in (("day", "night"), ("all", "all.night"))
     ]
     for first, second in zip(*named, strict=True):
@@ -296,7 +298,7 @@ def estimates(learned):
 
 def test_one_step_of_correction_takes_most_of_the_gates_bias_away():
     state = np.zeros(1500, dtype=np.int64)
-    settings = Settings(Rule(), replicates=20, clutter="calibrated")
+    settings = LearnSettings(Rule(), replicates=20, clutter="calibrated")
     labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=3)
     labelled = replace(labelled, results=replace(labelled.results, origin=None))
     learned = learn_usual(labelled, settings)
@@ -319,7 +321,7 @@ def test_one_step_of_correction_takes_most_of_the_gates_bias_away():
 
 def test_without_a_gate_there_is_no_bias():
     state = np.zeros(1500, dtype=np.int64)
-    settings = Settings(Rule("provenance"), replicates=20, clutter="calibrated")
+    settings = LearnSettings(Rule("provenance"), replicates=20, clutter="calibrated")
     labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=4)
     learned = learn_usual(labelled, settings)
     bias = bias_of(learned, settings, repeats=5)
@@ -419,7 +421,7 @@ def test_the_page_has_the_labels_of_every_condition(tmp_path):
 
 def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remarked(tmp_path):
     state = np.zeros(700, dtype=np.int64)
-    settings = Settings(replicates=20, clutter="calibrated")
+    settings = LearnSettings(replicates=20, clutter="calibrated")
 
     def remarks(std_px, method="confidence", shift=0):
         labelled = simulated(blank(700), state, parse_detector(one_state(std_px)), seed=3)
@@ -448,7 +450,7 @@ def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_al
         ("boat",), ("clear", "haze"), replace(images(200), condition=haze.astype(np.int64)),
         truth(image, 0 * image, boxes), found(image, 0 * image, moved, np.full(400, 0.9)),
     )  # fmt: skip
-    settings = Settings(replicates=20, clutter="calibrated")
+    settings = LearnSettings(replicates=20, clutter="calibrated")
     (remark,) = learn_detector(labelled, settings, LearnOptions()).remarks
     assert "of the matches in haze have an IoU of less than 0.6" in remark
     assert learn_detector(labelled, settings, LearnOptions(states=("all=clear,haze",))).remarks == ()

@@ -7,17 +7,16 @@ from typing import Any, cast, get_args
 import numpy as np
 import pytest
 
-from modsim3d.detector.clutter_models import CLUTTER_MODELS, PerImage
+from modsim3d.detector.false_positives import CLUTTER_MODELS, PerImage
 from modsim3d.detector.file.schema_models import DropoutSection
-from modsim3d.detector.parts import MODELS, Part
+from modsim3d.detector.parts import MODELS, DetectorPart
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import Settings
-from modsim3d.learn.parts import LEARNERS
-from modsim3d.learn.told.tables import tables
+from modsim3d.learn.learned import LEARNERS, LearnSettings
+from modsim3d.learn.report_page import tables
 from tests.formats.labelled_sets import found, images, truth
 
-NOT_LEARNED = {(Part.CLASS, "table"), (Part.FALSE_POSITIVES, "thesis")}
+NOT_LEARNED = {(DetectorPart.CLASS, "table"), (DetectorPart.FALSE_POSITIVES, "thesis")}
 
 
 def estimates() -> dict[tuple[str, str], str]:
@@ -26,15 +25,15 @@ def estimates() -> dict[tuple[str, str], str]:
     boxes = np.tile([100.0, 100, 160, 160], (30, 1))
     labelled = LabelledSet(("boat",), ("day",), images(30), truth(image, 0 * image, boxes),
                            found(image, 0 * image, boxes, np.full(30, 0.9)))  # fmt: skip
-    report = learn_detector(labelled, Settings(replicates=20), LearnOptions())
+    report = learn_detector(labelled, LearnSettings(replicates=20), LearnOptions())
     (table,) = (each for each in tables(report) if each.title == "Models that can be learned")
     return {(row[0], row[1]): row[2] for row in table.rows}
 
 
 def test_every_model_that_is_learned_is_one_that_a_detector_has() -> None:
-    assert set(LEARNERS) == set(Part)
+    assert set(LEARNERS) == set(DetectorPart)
     assert all(set(learners) <= set(MODELS[part]) for part, learners in LEARNERS.items())
-    assert set(get_args(DropoutSection.model_fields["model"].annotation)) == set(MODELS[Part.CLASS])
+    assert set(get_args(DropoutSection.model_fields["model"].annotation)) == set(MODELS[DetectorPart.CLASS])
 
 
 def test_the_report_says_of_every_registered_model_whether_it_is_learned() -> None:
@@ -48,4 +47,4 @@ def test_the_report_says_of_every_registered_model_whether_it_is_learned() -> No
 
 def test_a_model_that_nothing_learns_is_listed_as_not_learned(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(cast(dict[str, Any], CLUTTER_MODELS), "fourth", PerImage())
-    assert estimates()[Part.FALSE_POSITIVES, "fourth"] == "not learned"
+    assert estimates()[DetectorPart.FALSE_POSITIVES, "fourth"] == "not learned"

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from modsim3d.cli import app
+from modsim3d.cli.main import app
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.figures.error_shares import ErrorKind, error_shares
-from modsim3d.learn.form import RICHER
+from modsim3d.learn.error_shares import ErrorKind, error_shares
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import Settings
+from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.model_selection import RICHER
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.formats.labelled_sets import found, images, random_set, truth
@@ -92,7 +92,7 @@ def slow_average_precision(labelled, rule, label, of_image):
 def test_average_precision_follows_the_rule_as_a_slow_count_has_it(rule, near, run, far_off):
     labelled, _ = labelled_run(run if near else far_off)
     labels = range(len(labelled.labels))
-    report = learn_detector(labelled, Settings(rule, replicates=20, without=WITHOUT), LearnOptions())
+    report = learn_detector(labelled, LearnSettings(rule, replicates=20, without=WITHOUT), LearnOptions())
     for figures in report.states:
         of_image = labelled.images.condition == labelled.conditions.index(figures.name)
         slow = [slow_average_precision(labelled, rule, k, of_image) for k in labels]
@@ -104,7 +104,7 @@ def test_average_precision_follows_the_rule_as_a_slow_count_has_it(rule, near, r
 def test_an_optimal_assignment_ranks_by_confidence_for_average_precision_and_says_so(run, tmp_path):
     labelled, _ = labelled_run(run)
     asked = [
-        learn_detector(labelled, Settings(Rule(method), replicates=20, without=WITHOUT), LearnOptions())
+        learn_detector(labelled, LearnSettings(Rule(method), replicates=20, without=WITHOUT), LearnOptions())
         for method in ("optimal", "confidence")
     ]
     for first, second in zip(asked[0].states, asked[1].states, strict=True):
@@ -189,7 +189,7 @@ def test_a_detector_that_finds_little_is_not_called_one_whose_matches_are_lost(t
         results=found([0] * 12, [0] * 12, [*boxes[:2], *([60.0 + 100 * k, 0, 90.0 + 100 * k, 50] for k in range(10))],
                       [0.9] * 12),
     )  # fmt: skip
-    report = learn_detector(labelled, Settings(replicates=20), LearnOptions())
+    report = learn_detector(labelled, LearnSettings(replicates=20), LearnOptions())
     assert report.states[0].any_label.recall.estimate == pytest.approx(0.1)
     assert report.warning is None
 

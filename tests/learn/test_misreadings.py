@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 import modsim3d
-from modsim3d.cli import app
-from modsim3d.errors import ModsimError
+from modsim3d.cli.main import app
+from modsim3d.core.errors import ModsimError
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 

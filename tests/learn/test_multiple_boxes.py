@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.campaign.detectors.drawing import drawn_detector
-from modsim3d.campaign.detectors.learned_file import LearnedUncertainty
+from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.unread import dead_lines
 from modsim3d.formats.labelled import LabelledSet
@@ -16,13 +15,12 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.learn.kinds.counted_kinds import NAMES
-from modsim3d.learn.kinds.detection_kinds import kinds_of
-from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.multiple_boxes.merge_persistence import ConsecutiveMerges
-from modsim3d.learn.multiple_boxes.multiple_box_estimate import choose_multiple_boxes
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.states.states import each_its_own, transitions_of
+from modsim3d.learn.counted_types import NAMES
+from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.learn.match_types import kinds_of
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.multiple_boxes import ConsecutiveMerges, choose_multiple_boxes
+from modsim3d.learn.states import each_its_own, transitions_of
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.round_trip import ROOT, asked_of, outside, simulate
 
@@ -47,7 +45,7 @@ def observed_in(labelled, method, without=frozenset()):
 
 def learned_from(labelled, method, without=frozenset(), replicates=100):
     observed = observed_in(labelled, method, without)
-    settings = Settings(Rule(method), replicates=replicates, without=without)
+    settings = LearnSettings(Rule(method), replicates=replicates, without=without)
     return learn(observed, transitions_of(labelled.images, observed.image_state, 2, 1.0), settings)
 
 

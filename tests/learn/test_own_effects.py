@@ -9,20 +9,19 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.campaign.detectors.drawing import drawn_detector
-from modsim3d.campaign.detectors.learned_file import LearnedUncertainty
+from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.gate.gate_bias import simulated
-from modsim3d.learn.learned import Learned, Settings, learn
-from modsim3d.learn.misses.dropout_fit import Effect, fit_misses
-from modsim3d.learn.misses.own_effects import own_effects
-from modsim3d.learn.numbers.resampling import resample
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.states.transitions import Transitions
+from modsim3d.learn.bootstrap import resample
+from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
+from modsim3d.learn.learned import Learned, LearnSettings, learn
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.matching_bias import simulated
+from modsim3d.learn.misses import own_effects
+from modsim3d.learn.states import Transitions
 from modsim3d.learn.uncertainty import uncertainty_text
-from modsim3d.scene.detector_choice import choose_detector
+from modsim3d.scene.settings import choose_detector
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.scored_sets import detector
 
@@ -61,7 +60,7 @@ def observed_in(slopes: dict[str, float], seed: int, without: frozenset[str] = f
 def learned_again(slopes: dict[str, float], seed: int, without: frozenset[str] = frozenset()) -> Learned:
     """What is learned from it."""
     observed = observed_in(slopes, seed, without)
-    return learn(observed, Transitions(np.zeros((2, 2))), Settings(replicates=60, without=without))
+    return learn(observed, Transitions(np.zeros((2, 2))), LearnSettings(replicates=60, without=without))
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +91,7 @@ def test_slopes_that_do_not_differ_are_one(learned) -> None:
 
 
 def test_misses_that_persist_count_for_fewer() -> None:
-    observed, effects = observed_in(SLOPES, 3), (Effect("distance_m", 200.0),)
+    observed, effects = observed_in(SLOPES, 3), (EffectTerm("distance_m", 200.0),)
     fit = fit_misses(observed, effects, resample(observed.labelled.images, 0, 0))
     found = [own_effects(observed, effects, fit, {"distance_m": inflation}, [])[0] for inflation in (1.0, 100.0)]
     assert [effect.state for effect in found[0]] == [0, 1]

@@ -12,11 +12,10 @@ from scipy.stats import binom
 
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned import Learned, Settings, learn
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.persistence.mean_bias import Stretches
-from modsim3d.learn.persistence.persistence_fit import Consecutive
-from modsim3d.learn.states.transitions import Transitions
+from modsim3d.learn.learned import Learned, LearnSettings, learn
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.persistence import Consecutive, SightingStretches
+from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
 
 RATE_HZ = 5.0
@@ -48,7 +47,7 @@ def two_boats(frames: int, errors_px: np.ndarray, missed: np.ndarray | None = No
 def learned_from(labelled: LabelledSet) -> Learned:
     state = np.zeros(len(labelled.images), dtype=np.int64)
     observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2)
-    return learn(observed, Transitions(np.zeros((1, 1))), Settings(replicates=20))
+    return learn(observed, Transitions(np.zeros((1, 1))), LearnSettings(replicates=20))
 
 
 def notes_on(key: str, learned: Learned) -> list[str]:
@@ -81,7 +80,7 @@ def test_the_correlation_time_of_errors_is_right_where_frames_last_only_a_few_ti
 
 def test_what_the_mean_takes_of_a_correlation_is_what_matrices_say():
     counts, gap_s, times_s = (40, 30, 1), 0.2, np.array([0.3, 3.0, 30.0])
-    stretches = Stretches(np.array(counts, dtype=float), np.array([gap_s, gap_s, 0]), np.zeros(3, dtype=int))
+    stretches = SightingStretches(np.array(counts, dtype=float), np.array([gap_s, gap_s, 0]), np.zeros(3, dtype=int))
     centred = np.eye(71) - 1 / 71
     earlier = np.r_[0:39, 40:69]
     for time_s, left in zip(times_s, stretches.correlation_left(times_s), strict=True):

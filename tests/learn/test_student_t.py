@@ -11,25 +11,22 @@ import yaml
 from scipy import optimize, stats
 from typer.testing import CliRunner
 
-from modsim3d.boxes import move
-from modsim3d.cli import app
-from modsim3d.detector import load_detector
-from modsim3d.detector.box_error_law import StudentT, standardised
+from modsim3d.cli.main import app
+from modsim3d.core.boxes import move
+from modsim3d.detector.draws import StudentT, standardised
+from modsim3d.detector.file.reading import load_detector
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule
-from modsim3d.learn.box_error_fits.error_fit import ErrorFit, slopes
-from modsim3d.learn.box_error_fits.error_fits import ErrorFits
-from modsim3d.learn.box_error_fits.error_model import LEAST_DEGREES, ErrorModel, Unit
-from modsim3d.learn.box_error_fits.matched_edges import MatchedEdges
-from modsim3d.learn.box_error_fits.student_t_fit import fit_student_t
-from modsim3d.learn.box_errors.error_choice import heavy_tails
-from modsim3d.learn.box_errors.error_laws import ErrorSample, learned_errors
-from modsim3d.learn.box_errors.error_persistence import correlation_left
-from modsim3d.learn.gate.gate_bias import bias_of
+from modsim3d.learn.bootstrap import resample
+from modsim3d.learn.box_errors.fit import ErrorFit, slopes
+from modsim3d.learn.box_errors.laws import ErrorSample, heavy_tails, learned_errors
+from modsim3d.learn.box_errors.matched_edges import LEAST_DEGREES, ErrorModel, MatchedEdges, Unit, fit_student_t
+from modsim3d.learn.box_errors.persistence import correlation_left
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import Settings
-from modsim3d.learn.numbers.resampling import resample
-from modsim3d.learn.told.report import Report
+from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.matches import ErrorFits
+from modsim3d.learn.matching_bias import bias_of
+from modsim3d.learn.report import LearnReport
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verify_run import verify_run
 from tests.formats.labelled_sets import images
@@ -166,7 +163,7 @@ def test_directions_show_how_the_normal_numbers_behind_t_errors_persist() -> Non
 class RoundTrip:
     detector: Path
     run: Path
-    report: Report
+    report: LearnReport
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +175,7 @@ def round_trip(tmp_path_factory: pytest.TempPathFactory) -> RoundTrip:
     detector = folder / "asked.yaml"
     detector.write_text(yaml.safe_dump(data))
     run = simulate("simulation_1", folder, mode=0, steps=700, detector=detector)
-    settings = Settings(Rule("provenance"), replicates=150)
+    settings = LearnSettings(Rule("provenance"), replicates=150)
     return RoundTrip(detector, run, learn_detector(labelled_run(run)[0], settings, LearnOptions(interval_s=1.0)))
 
 
@@ -210,7 +207,7 @@ def test_a_run_with_the_learned_t_law_passes_verify_against_the_original(round_t
 
 
 def test_matching_by_provenance_does_not_shift_a_t_law(round_trip: RoundTrip) -> None:
-    bias = bias_of(round_trip.report.learned, Settings(Rule("provenance")), repeats=4)
+    bias = bias_of(round_trip.report.learned, LearnSettings(Rule("provenance")), repeats=4)
     shifts = [shift for shift in bias.shifts if "degrees" in shift.entry.key.path]
     assert len(shifts) == 2
     assert not any(np.any(bias.significant(shift)) for shift in shifts)
@@ -219,6 +216,6 @@ def test_matching_by_provenance_does_not_shift_a_t_law(round_trip: RoundTrip) ->
 
 def test_normal_errors_are_learned_as_normal(tmp_path: Path) -> None:
     run = simulate("simulation_1", tmp_path, mode=0, steps=700)
-    report = learn_detector(labelled_run(run)[0], Settings(Rule("provenance"), replicates=20), LearnOptions())
+    report = learn_detector(labelled_run(run)[0], LearnSettings(Rule("provenance"), replicates=20), LearnOptions())
     assert {form.law for form in report.learned.form.box_errors.states} == {"normal"}
     assert "law" not in report.learned.detector()["states"]["clear"]["box_error"]

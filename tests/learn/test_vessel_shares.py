@@ -12,12 +12,12 @@ from scipy.stats import binom
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned import Learned, Settings, learn
-from modsim3d.learn.misses.class_estimate import choose_classes
-from modsim3d.learn.numbers.resampling import Resampling
-from modsim3d.learn.observed.observed import Observed
-from modsim3d.learn.persistence.vessel_noise import LagTable
-from modsim3d.learn.states.transitions import Transitions
+from modsim3d.learn.bootstrap import Resampling
+from modsim3d.learn.learned import Learned, LearnSettings, learn
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.misses import choose_classes
+from modsim3d.learn.persistence import LagTable
+from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.test_persistence import RATE_HZ, chain
 
@@ -56,7 +56,7 @@ def observed_in(labelled: LabelledSet, without: frozenset[str] = frozenset()) ->
 
 
 def learned_from(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> Learned:
-    return learn(observed_in(labelled, without), Transitions(np.zeros((1, 1))), Settings(replicates=30))
+    return learn(observed_in(labelled, without), Transitions(np.zeros((1, 1))), LearnSettings(replicates=30))
 
 
 def test_shares_and_correlation_times_come_back_inside_their_intervals() -> None:

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from modsim3d.cli import app
-from modsim3d.errors import InputError
-from modsim3d.learn.form import RICHER
+from modsim3d.cli.main import app
+from modsim3d.core.errors import InputError
 from modsim3d.learn.learning import learn_detector
+from modsim3d.learn.model_selection import RICHER
 from tests.learn.round_trip import simulate
 
 

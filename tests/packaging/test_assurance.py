@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.cli import COMMANDS
+from modsim3d.cli.main import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "assurance.md"

@@ -13,7 +13,7 @@ from benchmarks import bench, child, pyrender_pass, scenes
 from benchmarks.growth import COUNTS
 from benchmarks.measured import Bench, significant
 from benchmarks.whole_commands import differing_files
-from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.scene.reading import load_scene
 
 HERE = scenes.HERE

@@ -1,7 +1,7 @@
 """Barges that drift with the current in a swell: a pose source, a wave level and a shape for modsim3d."""
 
-from modsim3d.motion.poses import PosesByTime
-from modsim3d.motion.waves import Axis
+from modsim3d.world.poses.base import PosesByTime
+from modsim3d.world.second_order_waves import Axis
 
 
 class Drift(PosesByTime):

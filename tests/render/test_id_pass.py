@@ -118,7 +118,7 @@ def id_images(backend: str) -> bytes:
     script = (
         "import sys, numpy as np\n"
         "from tests.scenes import *\n"
-        "from modsim3d.truth.triangles import triangles_of\n"
+        "from modsim3d.truth.buffer_drawing import triangles_of\n"
         "from modsim3d.render.context import open_context\n"
         "from modsim3d.render.id_pass import IdRenderer, Region\n"
         "with open_context() as context:\n"
@@ -163,7 +163,7 @@ def test_context_can_be_opened_again_after_it_was_closed():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_ids_in_the_image_are_those_of_the_vessels_drawn(renderer, seed):
-    from modsim3d.truth.triangles import triangles_of
+    from modsim3d.truth.buffer_drawing import triangles_of
 
     outlines = outlines_of(random_places(np.random.default_rng(seed), 10))
     triangles = triangles_of(outlines, INTRINSICS)

@@ -27,7 +27,7 @@ import os
 os.environ["MODSIM3D_GL"] = os.environ["PYOPENGL_PLATFORM"] = "egl"
 from OpenGL.platform import PLATFORM
 PLATFORM.GL = None  # as PyOpenGL has it where no library is found
-from modsim3d.errors import RendererError
+from modsim3d.core.errors import RendererError
 from modsim3d.render.context import open_context
 try:
     with open_context():

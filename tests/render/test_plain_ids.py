@@ -6,7 +6,7 @@ from shapely import LineString, distance, points
 
 from modsim3d.render.id_pass import Region
 from modsim3d.render.plain_ids import PlainIds
-from modsim3d.truth.triangles import triangles_of
+from modsim3d.truth.buffer_drawing import triangles_of
 from tests.scenes import INTRINSICS, outlines_of, random_places
 
 

@@ -17,12 +17,10 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.geometry.camera_poses import Mount, poses_ashore
-from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
 from modsim3d.render.id_pass import Region
-from modsim3d.truth.analytic import image_silhouettes
-from modsim3d.truth.pixel_masks import ROUNDING_PX
-from modsim3d.truth.triangles import triangles_of
+from modsim3d.truth.analytic import ROUNDING_PX, image_silhouettes
+from modsim3d.truth.buffer_drawing import triangles_of
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, cyclic_beams, outlines_at, random_places, vessel
 
 WHOLE = Region(0, 0, *INTRINSICS.image_size_px)

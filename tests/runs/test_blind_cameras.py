@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.commands.run_summary import run_warnings
-from modsim3d.runs.blind_cameras import blind_at_first
+from modsim3d.cli.run_summary import run_warnings
+from modsim3d.runs.camera_sequences import blind_at_first
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene, shipped_scenes
 from modsim3d.scene.scene import Scene
-from tests.commands.bad_input.builders import at, lens
+from tests.cli.bad_input.builders import at, lens
 
 DETECTOR = Path(__file__).parents[2] / "scenes" / "detectors" / "thesis.yaml"
 SIZE = {"length_m": 12.0, "beam_m": 4.0, "air_draft_m": 3.0, "label": "Vessel"}

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from modsim3d.detector import TargetCensus
+from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.geometry.rotations import camera_R_parent
+from modsim3d.geometry.camera_poses import camera_R_parent
 from modsim3d.runs.pipeline import Simulation, block_ranges, truth_block
 from modsim3d.scene.reading import load_scene
-from modsim3d.truth.truth_record import COLUMNS, concatenate
+from modsim3d.truth.record import COLUMNS, concatenate
 from tests.scenes import outlines_of, vessel
 
 STEPS = 24
@@ -20,7 +20,7 @@ def test_truth_and_detections_are_the_same_bits_in_blocks_of_one_step_and_of_man
     scene = load_scene(name, mode=2, source=source, steps=STEPS)
     truths, boxes = [], []
     for size in (1, 7, STEPS):
-        simulation, parts, found = Simulation(scene, TargetCensus()), [], []
+        simulation, parts, found = Simulation(scene, TargetStatistics()), [], []
         for first, stop in block_ranges(STEPS, size):
             truth = truth_block(scene, first, stop, renderer)
             parts += [truth.take(truth.step == step) for step in range(first, stop)]

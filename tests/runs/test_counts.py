@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.boxes import iou
-from modsim3d.errors import RunDirectoryError
+from modsim3d.core.boxes import iou
+from modsim3d.core.errors import RunDirectoryError
 from modsim3d.runs.frames import Frame
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import RunResult, run_scene

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.commands.run_summary import print_summary
+from modsim3d.cli.run_summary import print_summary
 from modsim3d.runs import pipeline
 from modsim3d.runs.files.block_files import finished_truth
 from modsim3d.runs.run import run_scene

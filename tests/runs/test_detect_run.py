@@ -8,13 +8,13 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from modsim3d import cli
-from modsim3d.errors import InputError, RunDirectoryError
-from modsim3d.runs import detect_run as detecting
-from modsim3d.runs.detect_run import detect_run
-from modsim3d.runs.run import run_scene
+from modsim3d.cli import main
+from modsim3d.core.errors import InputError, RunDirectoryError
+from modsim3d.io.input_files import data_folder
+from modsim3d.runs import run as detecting
+from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.reading import load_scene
 
 DETECTORS = data_folder("scenes") / "detectors"
 ORIGINAL, EXPERIMENT = DETECTORS / "thesis_original.yaml", DETECTORS / "experiment_1.yaml"
@@ -140,7 +140,7 @@ def test_an_interrupted_run_is_refused(tmp_path, monkeypatch, capsys):
         run_scene(load_scene("simulation_1", steps=STEPS, source="analytic"), tmp_path / "cut", progress=stop)
     monkeypatch.setattr(sys, "argv", ["modsim3d", "detect", str(tmp_path / "cut"), "--out", str(tmp_path / "new")])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     assert stopped.value.code == 2
     assert "interrupted run" in capsys.readouterr().err
 
@@ -151,7 +151,7 @@ def test_the_command_writes_a_run_and_says_what_is_in_it(first, tmp_path, monkey
     arguments = ["detect", first, "--detector", detector, "--seed", 3, "--out", tmp_path / "new"]
     monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     assert stopped.value.code == 0
     assert "detections" in capsys.readouterr().out
     assert (tmp_path / "new" / "scene" / "detector.yml").read_bytes() == detector.read_bytes()

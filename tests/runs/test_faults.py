@@ -21,8 +21,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from modsim3d.errors import ModsimError
-from modsim3d.outputs.placing import write_files
+from modsim3d.core.errors import ModsimError
+from modsim3d.io.atomic_write import write_files
 from modsim3d.runs import pipeline
 from modsim3d.runs.files.run_directory import RunDirectory
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter

@@ -11,17 +11,16 @@ import numpy as np
 import orjson
 import pytest
 
-from modsim3d.boxes import centre_form
+from modsim3d.core.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.json_text import frame_lines, list_texts, number_texts, string_texts
-from modsim3d.runs.files.thesis_json import annotation_lines, detection_lines, join_lines
-from modsim3d.runs.files.tracker_input import tracker_lines
+from modsim3d.runs.files.block_files import annotation_lines, detection_lines, join_lines
+from modsim3d.runs.files.run_file import frame_lines, list_texts, number_texts, string_texts
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
-from modsim3d.runs.told import Told
+from modsim3d.runs.tracker_view import TrackerDetections, tracker_lines
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from modsim3d.truth.modes import annotation_boxes
+from modsim3d.truth.record import annotation_boxes
 
 Made = tuple[Scene, Block]
 
@@ -61,7 +60,7 @@ def plain_detections(block: Block, part: CameraBlock, scene: Scene) -> list[byte
 
 
 def plain_tracker_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
-    told, labels, lines = Told.of(part.detections), scene.detector.labels, []
+    told, labels, lines = TrackerDetections.of(part.detections), scene.detector.labels, []
     times_s = scene.times_s(block.first, block.stop)
     for frame, step in enumerate(part.steps.tolist()):
         entries = [
@@ -113,7 +112,7 @@ def test_lines_do_not_depend_on_how_many_rows_are_made_at_once(made: Made, monke
     functions = (annotation_lines, detection_lines, tracker_lines)
     whole = [function(block, part, scene) for function in functions for part in block.cameras]
     for count in (1, 7):
-        monkeypatch.setattr("modsim3d.runs.files.json_text.ROWS_AT_ONCE", count)
+        monkeypatch.setattr("modsim3d.runs.files.run_file.ROWS_AT_ONCE", count)
         assert [function(block, part, scene) for function in functions for part in block.cameras] == whole
 
 
@@ -160,7 +159,7 @@ def test_a_line_holds_the_rows_of_its_frame_and_may_be_empty() -> None:
 def test_joined_lines_are_one_object(
     entries: list[dict[str, Any]], at_a_time: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("modsim3d.runs.files.thesis_json.JOINED_BYTES", at_a_time)
+    monkeypatch.setattr("modsim3d.runs.files.block_files.JOINED_BYTES", at_a_time)
     content = {str(number): entry for number, entry in enumerate(entries)}
     lines = tmp_path / "lines.jsonl"
     lines.write_bytes(b"".join(orjson.dumps({key: entry}) + b"\n" for key, entry in content.items()))

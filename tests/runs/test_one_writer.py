@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.errors import OutputError
-from modsim3d.outputs.locks import LOCK_FILE, locked_file, locked_folder
+from modsim3d.core.errors import OutputError
+from modsim3d.io.locks import LOCK_FILE, locked_file, locked_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
@@ -20,7 +20,7 @@ LONG_S = 120
 
 
 def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "modsim3d.cli", *map(str, arguments)]
+    return [sys.executable, "-m", "modsim3d.cli.main", *map(str, arguments)]
 
 
 def done(program: Path, *arguments: object) -> subprocess.CompletedProcess[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes, having, outcomes
+from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes, having, outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, open_run

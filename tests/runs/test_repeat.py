@@ -13,14 +13,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from modsim3d.runs.detect_run import detect_run
-from modsim3d.runs.files.differences import difference
-from modsim3d.runs.repeat_run import repeat_run
-from modsim3d.runs.run import run_scene
+from modsim3d.io.input_files import data_folder
+from modsim3d.runs.repeat_run import difference, repeat_run
+from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run, read_finished
-from modsim3d.scene.reading import data_folder, load_scene
-from tests.commands.bad_input.builders import Call
-from tests.commands.bad_input.conftest import call
+from modsim3d.scene.reading import load_scene
+from tests.cli.bad_input.builders import Call
+from tests.cli.bad_input.conftest import call
 from tests.runs.test_stream import lines, live_scene
 
 __all__ = ["call"]  # a fixture

@@ -11,12 +11,13 @@ import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
-from modsim3d.detector import TargetCensus
-from modsim3d.errors import RunDirectoryError
+from modsim3d.core.errors import RunDirectoryError
+from modsim3d.detector.target_statistics import TargetStatistics
+from modsim3d.io.input_files import data_folder
 from modsim3d.runs import pipeline
 from modsim3d.runs.pipeline import Simulation, block_ranges, simulate_frames, truth_block
 from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.reading import load_scene
 
 STEPS = 600
 FILES = {
@@ -183,7 +184,7 @@ def test_truth_table_obeys_its_own_arithmetic(finished):
 @pytest.mark.parametrize("mode", [0, 1, 2])
 def test_modes_annotate_what_they_say(mode, renderer):
     scene = load_scene("simulation_1", mode=mode, steps=1500)
-    simulation = Simulation(scene, TargetCensus())
+    simulation = Simulation(scene, TargetStatistics())
     truth = truth_block(scene, 1200, 1300, renderer)  # holds vessels that are wholly and partly hidden
     assert (truth.visible_px == 0).any()
     part = simulation.detect(truth, 1200, 1300).cameras[0]
@@ -201,7 +202,7 @@ def test_blocks_of_any_size_give_the_same_frames(renderer):
     scene = load_scene("simulation_1", mode=2, steps=130)
 
     def boxes(block_steps):
-        simulation = Simulation(scene, TargetCensus())
+        simulation = Simulation(scene, TargetStatistics())
         parts = []
         for first, stop in block_ranges(scene.steps, block_steps):
             block = simulation.detect(truth_block(scene, first, stop, renderer), first, stop)

@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
-from modsim3d import cli
-from modsim3d.detector import KINDS
+from modsim3d.cli import main
+from modsim3d.detector.records import KINDS
 from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.scene import Scene
@@ -165,7 +165,7 @@ def test_a_contact_sheet_shows_the_detections_of_the_run(prepared: Path, folder:
 def command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     monkeypatch.setattr(sys, "argv", ["modsim3d", *arguments])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        main.main()
     assert isinstance(ended.value.code, int)
     return ended.value.code
 

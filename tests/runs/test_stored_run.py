@@ -11,14 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from modsim3d.errors import ModsimError, RunDirectoryError
+from modsim3d.core.errors import ModsimError, RunDirectoryError
 from modsim3d.runs import pipeline, stored_run
-from modsim3d.runs.files.reading import truth_of
+from modsim3d.runs.files.stored_tables import truth_of
 from modsim3d.runs.pipeline import open_renderer, simulate_frames, truth_block
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.truth.truth_record import COLUMNS
+from modsim3d.truth.record import COLUMNS
 from tests.scenes import write_scene
 
 BLOCK, STEPS = 100, 120  # two blocks

@@ -15,15 +15,15 @@ import pyarrow as pa
 import pytest
 import yaml
 
-from modsim3d import cli
-from modsim3d.errors import InputError, ModsimError
-from modsim3d.motion.poses import LivePoses, Poses
-from modsim3d.motion.poses.stream import follow, read_steps
+from modsim3d.cli import main
+from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.runs.files import tables
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from modsim3d.world.poses.base import Poses
+from modsim3d.world.poses.replay import LivePoses, follow, read_steps
 from tests.scenes import write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -158,7 +158,7 @@ def test_loading_and_checking_read_nothing(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdin", Stdin())
     monkeypatch.setattr(sys, "argv", ["modsim3d", "check", str(path)])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        main.main()
     assert not ended.value.code
     assert "as they come" in capsys.readouterr().out
     assert load_scene(path).live
@@ -296,7 +296,7 @@ def test_a_bad_line_is_told_with_its_number_and_what_is_finished_is_kept(tmp_pat
     path, out = scene_of(tmp_path, {"stream": "-"}), tmp_path / "out"
     monkeypatch.setattr(sys, "argv", ["modsim3d", "run", str(path), "--out", str(out), "--no-sheet"])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        main.main()
     assert ended.value.code == 2
     said = capsys.readouterr().err
     for part in (*parts, "the 2 steps before are kept as complete lines in"):
@@ -317,7 +317,7 @@ def test_an_interrupted_live_run_says_how_to_make_a_finished_one_of_it(tmp_path,
     name, *options = command
     monkeypatch.setattr(sys, "argv", ["modsim3d", name, str(out), *options])
     with pytest.raises(SystemExit):
-        cli.main()
+        main.main()
     (advice,) = re.findall(r"`modsim3d run (\S+) --out DIR` makes a finished run", capsys.readouterr().err)
     run_scene(load_scene(advice), tmp_path / "finished")
     assert open_run(tmp_path / "finished").steps == 2
@@ -391,7 +391,7 @@ def test_what_a_stream_cannot_do_is_refused_in_one_message(tmp_path, monkeypatch
     monkeypatch.setattr(sys, "argv", ["modsim3d", command, str(path), *options])
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        main.main()
     assert ended.value.code == 2
     assert part in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()

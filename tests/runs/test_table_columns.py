@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from modsim3d.boxes import centre_form, corner_form
-from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, COLUMNS, Column, schema_of
+from modsim3d.core.boxes import centre_form, corner_form
+from modsim3d.core.errors import RunDirectoryError
+from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, COLUMNS, TableColumn, schema_of
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
@@ -33,7 +33,7 @@ def rows_of_the_page(table: str) -> list[str]:
     return [line for line in section.splitlines() if line.startswith("| `")]
 
 
-def row_of(column: Column) -> str:
+def row_of(column: TableColumn) -> str:
     return re.sub(" +", " ", f"| `{column.name}` | `{column.type}` | {column.unit} | {column.meaning} |")
 
 

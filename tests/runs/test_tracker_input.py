@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.arrays import Indices
+from modsim3d.core.types import Indices
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.files.tracker_input import tracker_lines
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.runs.tracker_view import tracker_lines
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 

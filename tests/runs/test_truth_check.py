@@ -13,12 +13,11 @@ import pytest
 from typer.testing import CliRunner
 
 import modsim3d
-from modsim3d.cli import app, main
-from modsim3d.commands.run_summary import _check_rows
+from modsim3d.cli.main import app, main
+from modsim3d.cli.run_summary import _check_rows
 from modsim3d.runs import pipeline
-from modsim3d.runs.detect_run import detect_run
 from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.runs.run import run_scene
+from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.truth_check import (
     STREAM_STEPS,
     TruthCheckError,
@@ -31,11 +30,13 @@ from modsim3d.runs.truth_check import (
 from modsim3d.scene import sight
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from modsim3d.truth import buffer_drawing, nearer_first, outlines, rendered, triangles
+from modsim3d.truth import buffer_drawing, outlines, rendered
+from modsim3d.truth import buffer_drawing as triangles
+from modsim3d.truth import rendered as nearer_first
 from modsim3d.truth.crosscheck import comparison
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
-from modsim3d.truth.pixel_spans import Spans
+from modsim3d.truth.silhouettes import Spans
 from tests.scenes import write_scene
 
 BOATS = {

@@ -11,8 +11,8 @@ import tracemalloc
 
 import pytest
 
-from modsim3d import cli
-from modsim3d.inputs.text_files import read_text
+from modsim3d.cli import main
+from modsim3d.io.input_files import read_text
 from modsim3d.scene.keys import PoseKeys
 from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
@@ -30,7 +30,7 @@ def refused(tmp_path, monkeypatch, capsys):
         for command in (["check", scene], ["run", scene, "--out", tmp_path / "out", "--no-sheet"]):
             monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, command)])
             with pytest.raises(SystemExit) as stopped:
-                cli.main()
+                main.main()
             said = capsys.readouterr()
             assert stopped.value.code == 2, said.out + said.err
             assert "Traceback" not in said.out + said.err
@@ -105,7 +105,7 @@ def test_poses_are_unpacked_if_they_are_packed_whatever_their_name(tmp_path, for
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_poses_that_unpack_to_more_than_can_be_read_are_refused(tmp_path, refused, monkeypatch, packed):
-    monkeypatch.setattr("modsim3d.inputs.budgets.MAX_TEXT_BYTES", 100_000)
+    monkeypatch.setattr("modsim3d.io.input_files.MAX_TEXT_BYTES", 100_000)
     long = whole("json") + b" " * 100_000
     (tmp_path / "poses.json").write_bytes(gzip.compress(long) if packed else long)
     said = refused(scene_of(tmp_path, "poses.json"))

@@ -12,18 +12,17 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from modsim3d.errors import InputError, RunDirectoryError
-from modsim3d.inputs.plugins import POSE_SOURCES, Plugin
-from modsim3d.inputs.validation import Strict
-from modsim3d.motion.poses import registry
-from modsim3d.motion.poses.base import PoseRequest, SourceKeys
-from modsim3d.motion.poses.timed import PosesByTime
+from modsim3d.core.errors import InputError, RunDirectoryError
+from modsim3d.io.plugins import POSE_SOURCES, Plugin
+from modsim3d.io.validation import Strict
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from modsim3d.vessels.meshes import shipped_meshes
-from tests.commands.bad_input.builders import ASHORE, GOOD, lens
+from modsim3d.world.mesh_reading import shipped_meshes
+from modsim3d.world.poses import registry
+from modsim3d.world.poses.base import PoseRequest, PosesByTime, SourceKeys
+from tests.cli.bad_input.builders import ASHORE, GOOD, lens
 
 seen: list[PoseRequest] = []
 

@@ -13,10 +13,10 @@ import pytest
 
 from benchmarks.campaigns.traffic import RateTest, rates_of, verdict
 from benchmarks.traffic_measures import Drawn, measure
-from modsim3d.arrays import Array
-from modsim3d.commands.run_summary import traffic_in_words
-from modsim3d.motion.encounters import hull_tracks
+from modsim3d.cli.run_summary import traffic_in_words
+from modsim3d.core.types import Array
 from modsim3d.scene.reading import draws_traffic, load_scene, shipped_scenes
+from modsim3d.world.encounters import hull_tracks
 
 CAMPAIGN = Path(__file__).parents[2] / "docs" / "campaigns" / "traffic.json"
 Change = Callable[[Array, Drawn], None]

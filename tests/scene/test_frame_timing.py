@@ -12,17 +12,18 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.errors import InputError
+from modsim3d.core.errors import InputError
+from modsim3d.io.input_files import data_folder
 from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.pipeline import detector_inputs, simulate_frames, truth_block
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.selection import select
 from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.frame_timing import takes_frame
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import takes_frame
 from modsim3d.view.films.plan import FilmPlan
 from modsim3d.view.films.renderer import FilmRenderer
-from modsim3d.view.pictures.solids import open_id_renderer
+from modsim3d.view.pictures.plain import open_id_renderer
 from modsim3d.view.report.report import write_report
 from tests.scenes import CAMERA_HEIGHT_M, write_scene
 from tests.view.report.unpacking import read

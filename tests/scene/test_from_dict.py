@@ -13,13 +13,13 @@ import yaml
 from typer.testing import CliRunner
 
 from modsim3d import Scene, load_scene, run_scene, simulate_frames
-from modsim3d.cli import app
-from modsim3d.detector import load_detector
-from modsim3d.errors import InputError
+from modsim3d.cli.main import app
+from modsim3d.core.errors import InputError
+from modsim3d.detector.file.reading import load_detector
+from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run import settings_of
 from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import data_folder
-from tests.commands.bad_input.builders import ASHORE, GOOD, lens
+from tests.cli.bad_input.builders import ASHORE, GOOD, lens
 
 SCENES = data_folder("scenes")
 THESIS = SCENES / "detectors" / "thesis.yaml"

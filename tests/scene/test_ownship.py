@@ -12,19 +12,18 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from modsim3d.arrays import Array
-from modsim3d.errors import InputError
-from modsim3d.geometry.rotations import rotation_vector, world_R_vehicle
-from modsim3d.motion.imu import Imu
-from modsim3d.motion.poses.base import generated_timestamps
-from modsim3d.motion.poses.circular import CircularMotion
-from modsim3d.motion.vessel_motion import Waves
-from modsim3d.motion.waves import GRAVITY_M_S2, Motion
-from modsim3d.runs.files.own_ships_table import MEASURED_ATTITUDE
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array
+from modsim3d.geometry.camera_poses import rotation_vector, world_R_vehicle
+from modsim3d.runs.files.table_columns import MEASURED_ATTITUDE
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.own_ships import own_ships_at, true_attitudes
+from modsim3d.scene.cameras import own_ships_at, true_attitudes
 from modsim3d.scene.reading import load_scene
+from modsim3d.world.floating_vessels import GRAVITY_M_S2, Motion
+from modsim3d.world.poses.base import generated_timestamps
+from modsim3d.world.poses.circular import CircularMotion
+from modsim3d.world.vessel_motion import Imu, Waves
 from tests.scenes import write_scene
 
 STEPS, STEP_S = 120, 0.05

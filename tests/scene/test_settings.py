@@ -12,21 +12,19 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.detector import load_detector
+from modsim3d.core.errors import InputError
 from modsim3d.detector.confidence import NormalScores
+from modsim3d.detector.file.reading import load_detector
 from modsim3d.detector.file.writing import detector_text
-from modsim3d.errors import InputError
-from modsim3d.inputs.conditions import conditions_in
-from modsim3d.inputs.shipped import data_folder
-from modsim3d.inputs.strict_yaml import load_yaml, parse_yaml
-from modsim3d.runs.detect_run import detect_run
+from modsim3d.io.input_files import data_folder
+from modsim3d.io.strict_yaml import load_yaml, parse_yaml
+from modsim3d.io.validation import conditions_in
 from modsim3d.runs.repeat_run import repeat_run
-from modsim3d.runs.run import run_scene
+from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run, read_finished
-from modsim3d.scene.detector_choice import choose_detector
 from modsim3d.scene.reading import load_scene
-from modsim3d.scene.settings import Setting, changed, read_settings
-from tests.commands.bad_input.builders import GOOD, Inputs
+from modsim3d.scene.settings import Setting, changed, choose_detector, read_settings
+from tests.cli.bad_input.builders import GOOD, Inputs
 
 RICH = data_folder("scenes") / "detectors" / "rich.yaml"
 DETECTOR_RATE = "detector.states.clear.false_discovery_rate"

@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from modsim3d.motion.poses.circular import swept_ring
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.world.poses.circular import swept_ring
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import load_scene
-from modsim3d.scene.snapshot import CV_TO_GL
-from modsim3d.truth.triangles import triangles_of
-from modsim3d.vessels.vessel import Vessel
+from modsim3d.scene.sight import CV_TO_GL
+from modsim3d.truth.buffer_drawing import triangles_of
+from modsim3d.world.vessels import Vessel
 from tests.scenes import write_scene
 
 STEP = 255

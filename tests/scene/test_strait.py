@@ -7,9 +7,10 @@ import pytest
 import shapely
 import yaml
 
-from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.geometry.camera_poses import world_R_vehicle
+from modsim3d.io.input_files import data_folder
 from modsim3d.runs.pipeline import truth_block
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.reading import load_scene
 from modsim3d.verify.sources.compare import compare_sources
 
 

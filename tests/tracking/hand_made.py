@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from modsim3d.io.input_files import data_folder
 from modsim3d.runs.files.table_columns import schema_of
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from modsim3d.tracking.scores.rules import Rules
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.scored import Rules, Scored
 from modsim3d.tracks.tracks import Tracks
 
 VESSELS = 6

@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from modsim3d.boxes import centres, corner_form, iou
-from modsim3d.errors import ModsimError
-from modsim3d.tracking.trackers.detection_trackers import ByteTracker, OcSortTracker, SortTracker
-from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
+from modsim3d.core.boxes import centres, corner_form, iou
+from modsim3d.core.errors import ModsimError
+from modsim3d.tracking.trackers.interface import (
+    ByteTracker,
+    CameraFacts,
+    OcSortTracker,
+    SensedFrame,
+    SortTracker,
+    TrackedFrame,
+    Tracker,
+)
 from modsim3d.tracking.trackers.stone_soup import StoneSoupGnn, StoneSoupJpda
 
 BY_IOU = [SortTracker, ByteTracker, OcSortTracker]

@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 import trackeval
 
-from modsim3d.errors import ModsimError
-from modsim3d.tracking.scores.association import clear, hota, identity
-from modsim3d.tracking.scores.rules import Rules
-from modsim3d.tracking.scores.scored import Scored
-from modsim3d.tracking.scores.sequence import sequence
-from modsim3d.tracks.similarity import Similarity
+from modsim3d.core.errors import ModsimError
+from modsim3d.tracking.scores.association import clear, hota, identity, sequence
+from modsim3d.tracking.scores.scored import Rules, Scored
+from modsim3d.tracks.tracks import Similarity
 from tests.tracking.hand_made import Seen, box, hand_made, rows_of, tracks_of
 
 A, B, FAR = box(0), box(100), box(300)

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from modsim3d.formats.writing import mot
-from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.runs.files.columns import NOBODY
+from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.scores.association import clear, hota, identity
-from modsim3d.tracking.scores.rules import Rules
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.scored import Rules, Scored
 from modsim3d.tracks.tracks import Tracks
 from tests.formats.exported import exported_run
 from tests.formats.test_export_mot import scores

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from modsim3d.tracking.report.score_page import _bin_table
+from modsim3d.tracking.score_page import _bin_table
 from modsim3d.tracking.scores.breakdown import Bin, association_of_pairs, breakdown
 from modsim3d.tracking.scores.scored import Scored
 from tests.tracking.hand_made import LABELS, Seen, box, hand_made

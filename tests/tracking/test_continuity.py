@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modsim3d.tracking.scores.continuity import Continuity, continuity, false_track_lengths_s
-from modsim3d.tracking.scores.frame_times import frame_lengths_s
+from modsim3d.tracking.scores.scored import frame_lengths_s
 from tests.tracking.hand_made import box, hand_made
 
 

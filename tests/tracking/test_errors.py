@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from modsim3d.tracking.scores.errors import Errors, errors, nees_or_infinity
-from modsim3d.tracking.scores.rules import Rules
-from modsim3d.tracks.similarity import Similarity
+from modsim3d.tracking.scores.scored import Rules
+from modsim3d.tracks.tracks import Similarity
 from tests.tracking.hand_made import box, hand_made
 
 RULES = Rules(similarity=Similarity("centre", 100))

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from modsim3d.tracking.kalman import Motion
+from modsim3d.tracking.kalman import MotionEstimates
 
 
 def motion(*values):
-    return Motion(*(np.array([value], dtype=float) for value in values))
+    return MotionEstimates(*(np.array([value], dtype=float) for value in values))
 
 
 def values(found):

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from modsim3d.tracking.scores.hidden import Hidden, hidden
-from modsim3d.tracking.scores.occlusions import Occlusion, Survival, occlusions, survival, within
+from modsim3d.tracking.scores.occlusions import Hidden, OcclusionEpisode, Survival, hidden, occlusions, survival, within
 from modsim3d.tracking.scores.scored import Scored
 from tests.tracking.hand_made import Seen, box, hand_made
 
@@ -40,7 +39,7 @@ def test_a_track_from_before_an_absence_or_of_another_vessel_is_not_the_same_tra
 
 
 def test_an_occlusion_is_from_the_first_frame_below_half_to_the_next_frame_after_the_last() -> None:
-    found = Occlusion("C0", "v0", 2.0, 3.5, 1.5, 0.0, True, 1, 1, True)
+    found = OcclusionEpisode("C0", "v0", 2.0, 3.5, 1.5, 0.0, True, 1, 1, True)
     assert occlusions(seen([(3, 1), (8, 1)])) == (found,)
 
 

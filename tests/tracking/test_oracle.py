@@ -6,21 +6,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.boxes import centre_form, centres, corner_form
+from modsim3d.core.boxes import centre_form, centres, corner_form
+from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.records import FALSE_KINDS, KINDS
-from modsim3d.errors import InputError, ModsimError
-from modsim3d.inputs.shipped import data_folder
-from modsim3d.runs.files.columns import indices, numbers
+from modsim3d.io.input_files import data_folder
+from modsim3d.runs.files.tables import indices, number_column
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.tracking.oracle import noise as noise_module
-from modsim3d.tracking.oracle import oracle_tracks
-from modsim3d.tracking.oracle.association import Provenance, Spans
-from modsim3d.tracking.oracle.fitting import LIMITS, fitted_noise, most_likely_noise
-from modsim3d.tracking.oracle.noise import SmootherNoise, smoother_noise
-from modsim3d.tracking.oracle.smoothing import BoxSequences, log_likelihood, smoothed_motion
+from modsim3d.tracking import oracle as noise_module
+from modsim3d.tracking.oracle import (
+    LIMITS,
+    BoxSequences,
+    DetectionSources,
+    IdentitySpans,
+    SmootherNoise,
+    fitted_noise,
+    log_likelihood,
+    most_likely_noise,
+    oracle_tracks,
+    smoothed_motion,
+    smoother_noise,
+)
 from modsim3d.tracks.true_tracks import TrueTracks
 from tests.scenes import crossing
 
@@ -129,7 +137,7 @@ def test_boxes_and_confidences_are_those_that_a_tracker_is_given_and_no_false_on
     def rows(frame, boxes_px, confidence):
         return sorted(map(tuple, np.column_stack([frame, boxes_px, confidence]).tolist()))
 
-    told = np.round(noisy.detection_boxes_px(), 3), np.round(numbers(noisy.detections, "confidence"), 6)
+    told = np.round(noisy.detection_boxes_px(), 3), np.round(number_column(noisy.detections, "confidence"), 6)
     assert rows(raw.frame, raw.boxes_px, raw.confidence) == rows(
         noisy.detection_frame[~false], *(column[~false] for column in told)
     )
@@ -235,7 +243,7 @@ def test_the_noise_that_made_boxes_is_found_again():
 
 def test_fitted_noise_makes_the_detections_of_a_run_more_likely_than_other_noise(perfect):
     truth = TrueTracks.of(perfect)
-    sequences = Spans.of(perfect, Provenance.of(perfect, truth)).sequences
+    sequences = IdentitySpans.of(perfect, DetectionSources.of(perfect, truth)).sequences
     found = fitted_noise(perfect, truth)
     for name in ("noise_x_px", "noise_y_px", "growth_change_px_s"):
         for factor in (0.3, 3):

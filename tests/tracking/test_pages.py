@@ -11,9 +11,9 @@ from typing import get_args
 import pytest
 
 from modsim3d.tracking.scores.breakdown import Bin
-from modsim3d.tracking.scores.occlusions import Occlusion
+from modsim3d.tracking.scores.occlusions import OcclusionEpisode
 from modsim3d.tracking.scores.scoring import Part, SubsetScores
-from modsim3d.tracking.trackers.names import BUILT_IN
+from modsim3d.tracking.trackers.registry import BUILT_IN
 from modsim3d.tracking.world.encounters import MetVessel
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -46,7 +46,7 @@ def test_the_page_of_trackers_has_each_setting_with_its_default(name: str) -> No
     ("page", "kinds"),
     [
         ("scores.md", get_args(Part)),
-        ("json.md", (SubsetScores, Bin, Occlusion)),
+        ("json.md", (SubsetScores, Bin, OcclusionEpisode)),
         ("world_tracks.md", (MetVessel,)),
     ],
 )

@@ -14,7 +14,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from modsim3d.errors import InputError
+from modsim3d.core.errors import InputError
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.track_run import track_run

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.boxes import centres, corner_form
+from modsim3d.core.boxes import centres, corner_form
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame
 from modsim3d.tracking.trackers.reference import ReferenceTracker
 

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.errors import InputError, ModsimError
-from modsim3d.inputs.plugins import TRACKERS, Plugin
-from modsim3d.tracking.trackers import chosen_settings as files
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.io.plugins import TRACKERS, Plugin
 from modsim3d.tracking.trackers import registry
+from modsim3d.tracking.trackers import registry as files
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
-from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn, tracker_names
-from modsim3d.tracking.trackers.registry import named_tracker
+from modsim3d.tracking.trackers.registry import BUILT_IN, BuiltIn, named_tracker, tracker_names
 
 
 class Toy(Tracker):

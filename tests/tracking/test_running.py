@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from modsim3d.errors import ModsimError
-from modsim3d.inputs.plugins import TRACKERS, Plugin
-from modsim3d.runs.camera_sequences import CameraSequence, TrueBoxes
-from modsim3d.runs.told import Told
+from modsim3d.core.errors import ModsimError
+from modsim3d.io.plugins import TRACKERS, Plugin
+from modsim3d.runs.camera_sequences import CameraSequence, SequenceTruth
+from modsim3d.runs.tracker_view import TrackerDetections
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
@@ -45,9 +45,9 @@ def sequence(scene: Scene, steps: list[int], boxes: list[tuple[int, float]]) -> 
     """Frames at some steps of 0.5 s; detections as (place of the frame, x_min), 10 pixels wide and high."""
     count, none = len(boxes), np.empty(0)
     frame, x = np.array([at for at, _ in boxes], dtype=np.int64), np.array([x for _, x in boxes], dtype=float)
-    truth = TrueBoxes(*(none.astype(kind) for kind in (int, int, int, bool)), np.empty((0, 4)), none, none, none)
+    truth = SequenceTruth(*(none.astype(kind) for kind in (int, int, int, bool)), np.empty((0, 4)), none, none, none)
     edges = np.column_stack([x, np.zeros(count), x + 10, np.full(count, 10.0)]).reshape(count, 4)
-    told = Told(frame, np.zeros(count, dtype=np.int64), edges, np.full(count, 0.5))
+    told = TrackerDetections(frame, np.zeros(count, dtype=np.int64), edges, np.full(count, 0.5))
     return CameraSequence(scene.cameras[0], np.array(steps), np.array(steps) * 0.5, truth, told)
 
 

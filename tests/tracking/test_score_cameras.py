@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 import modsim3d
-from modsim3d.cli import app
-from modsim3d.errors import ModsimError
+from modsim3d.cli.main import app
+from modsim3d.core.errors import ModsimError
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from tests.tracks.track_files import csv_text, detected_tracks, mot_texts, write_mot

@@ -12,20 +12,19 @@ import orjson
 import pytest
 
 import modsim3d
-from modsim3d.errors import ModsimError, RunDirectoryError
+from modsim3d.core.errors import ModsimError, RunDirectoryError
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.detector_seeds import Spread, detector_runs
-from modsim3d.tracking.report.numbers import keys_of
-from modsim3d.tracking.report.score_json import score_data
-from modsim3d.tracking.report.score_page import score_page
-from modsim3d.tracking.report.score_tables import REFERENCES, remarks_of, seed_rows
+from modsim3d.tracking.oracle import REFERENCES
+from modsim3d.tracking.score_page import score_page
 from modsim3d.tracking.score_run import RunScores, score_run
+from modsim3d.tracking.score_tables import remarks_of, score_data, seed_rows
+from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.track_run import track_run
-from modsim3d.tracks.track_set import TrackSet
-from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.tracks import Tracks, TrackSet
 from modsim3d.tracks.true_tracks import TrueTracks
 from tests.scenes import crossing
 

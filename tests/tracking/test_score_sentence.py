@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from modsim3d.tracking.report.numbers import number, percent
-from modsim3d.tracking.report.score_tables import survived_of
-from modsim3d.tracking.report.sentence import LengthBin, TrackerOutcome, conclusion
+from modsim3d.tracking.score_tables import survived_of
+from modsim3d.tracking.score_text import LengthBin, TrackerOutcome, conclusion, number, percent
 from modsim3d.tracking.scores.breakdown import Bin
 
 Numbers = dict[str, float | int | None]

@@ -8,8 +8,8 @@ from math import sqrt
 
 import pytest
 
-from modsim3d.errors import ModsimError
-from modsim3d.tracking.scores.rules import Rules
+from modsim3d.core.errors import ModsimError
+from modsim3d.tracking.scores.scored import Rules
 from modsim3d.tracking.scores.scoring import Scores, SubsetScores, score_tracks
 from tests.tracking.hand_made import LABELS, Seen, box, rows_of, tracks_of
 

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.errors import ModsimError
-from modsim3d.tracking.scores.rules import LARGEST_CUTOFF, Rules, SetDistance
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.core.errors import ModsimError
+from modsim3d.tracking.scores.scored import LARGEST_CUTOFF, Rules, Scored, SetDistance
 from modsim3d.tracking.scores.set_distances import Gospa, Ospa, gospa, ospa
 from tests.tracking.hand_made import box, hand_made
 

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 import modsim3d
-from modsim3d.errors import ModsimError, OutputError, RunDirectoryError
+from modsim3d.core.errors import ModsimError, OutputError, RunDirectoryError
 from modsim3d.runs.camera_sequences import camera_sequences
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.tracking.trackers import chosen_settings
+from modsim3d.tracking.trackers import registry
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
-from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn
+from modsim3d.tracking.trackers.registry import BUILT_IN, BuiltIn
 from tests.scenes import crossing
 
 STEPS = 40
@@ -40,7 +40,7 @@ class EveryBox(Tracker):
 def every_box(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "EveryBox"))
     monkeypatch.setattr(
-        chosen_settings, "data_folder", lambda kind: Path("/nowhere")
+        registry, "data_folder", lambda kind: Path("/nowhere")
     )  # the settings that were chosen for SORT are not its own
 
 

@@ -10,20 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.errors import ModsimError
-from modsim3d.geometry.closest_approach import HullTracks
+from modsim3d.core.errors import ModsimError
+from modsim3d.geometry.kinematics import HullTracks
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.tracking.report.score_page import score_page
+from modsim3d.tracking.score_page import score_page
 from modsim3d.tracking.score_run import score_run
 from modsim3d.tracking.scores.errors import nees
-from modsim3d.tracking.scores.rules import SetDistance
+from modsim3d.tracking.scores.scored import SetDistance
 from modsim3d.tracking.world.encounters import Quartiles, quartiles
-from modsim3d.tracking.world.errors import OverVessels
-from modsim3d.tracking.world.following import Estimates
-from modsim3d.tracking.world.scoring import WorldScores, score_world
-from modsim3d.tracking.world.truth import WorldTruth
-from modsim3d.tracks.world_tracks import WorldTracks
+from modsim3d.tracking.world.following import TrackEstimates, WorldTruth
+from modsim3d.tracking.world.scoring import OverVessels, WorldScores, score_world
+from modsim3d.tracks.tracks import WorldTracks
 from tests.tracks.sea_runs import (
     ANCHORED,
     ASTERN,
@@ -257,7 +255,7 @@ def test_a_tracker_slower_than_the_steps_is_there_at_each(rows: RunRows, scored:
 
 def test_the_nearest_estimate_in_time_stands_for_a_step() -> None:
     tracks = WorldTracks.of("t", np.zeros(3, dtype=np.int64), ("a", "b"), np.array([0.0, 0.9, 2.1]), np.zeros((3, 2)))
-    found = Estimates.of(np.array([0.0, 1.0, 2.0, 3.0]), tracks)
+    found = TrackEstimates.of(np.array([0.0, 1.0, 2.0, 3.0]), tracks)
     np.testing.assert_array_equal([found.step, found.row], [[0, 1, 2], [0, 1, 2]])
 
 

@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.errors import ModsimError
-from modsim3d.tracks.following import best_pairs, follow
-from modsim3d.tracks.similarity import Similarity
-from modsim3d.tracks.tracks import Tracks
-from modsim3d.tracks.true_tracks import TrueTracks
+from modsim3d.core.errors import ModsimError
+from modsim3d.tracks.tracks import Similarity, Tracks
+from modsim3d.tracks.true_tracks import TrueTracks, best_pairs, follow
 
 Row = tuple[int, int, float]
 """Frame, identity or track, and the left edge of a box of 10 × 10 px."""

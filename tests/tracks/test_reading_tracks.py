@@ -10,14 +10,13 @@ import pytest
 import yaml
 
 import modsim3d
-from modsim3d.errors import InputError, ModsimError
+from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.formats.writing.mot import files as mot_files
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.scene.reading import data_folder
 from modsim3d.tracks.reading import read_tracks
-from modsim3d.tracks.sequence_names import camera_sequence_names
-from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.tracks import Tracks, camera_sequence_names
 from modsim3d.tracks.true_tracks import TrueTracks
 from tests.tracks.track_files import IMAGE_PX, centred, csv_text, detected_tracks, mot_texts, top_left, write_mot
 

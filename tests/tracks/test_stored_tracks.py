@@ -13,13 +13,11 @@ import pytest
 from hypothesis import given, settings
 
 import modsim3d
-from modsim3d.errors import ModsimError, OutputError
-from modsim3d.runs.files.file_list import file_list
+from modsim3d.core.errors import ModsimError, OutputError
+from modsim3d.runs.files.overwrite import file_list
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.tracks.reading import read_tracks
-from modsim3d.tracks.stored_tracks import write_tracks
-from modsim3d.tracks.track_set import Origin, TrackSet
-from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.reading import read_tracks, write_tracks
+from modsim3d.tracks.tracks import Origin, Tracks, TrackSet
 
 ORIGIN = Origin("toy", {"gate": 3.5, "names": ["a"]}, "By hand.", "toys 1.2", {"numpy": "2.0"})
 COLUMNS = ("frame", "track", "boxes_px", "label", "confidence", "covariance_px2")

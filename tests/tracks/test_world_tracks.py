@@ -11,12 +11,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
-from modsim3d.ais.geography import places
-from modsim3d.errors import InputError, ModsimError
+from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.tracks.reading_world import is_world, read_world_tracks
-from modsim3d.tracks.world_bag import _VISION_MSGS, ARRAYS, ODOMETRY
-from modsim3d.tracks.world_tracks import WorldTracks
+from modsim3d.scene.ais.messages import places
+from modsim3d.tracks.tracks import WorldTracks
+from modsim3d.tracks.world_reading import _VISION_MSGS, ARRAYS, ODOMETRY, is_world, read_world_tracks
 from tests.tracks.sea_runs import CROSSER, ORIGIN, PLACES_M, TIMES_S, VELOCITIES_M_S, sea_run, write_csv
 
 TWO = [CROSSER, 3]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.boxes import centre_form
+from modsim3d.core.boxes import centre_form
 from modsim3d.tracks.tracks import Tracks
 
 IMAGE_PX = (1920, 1080)

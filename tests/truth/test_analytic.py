@@ -144,7 +144,7 @@ def test_vessel_cut_at_the_image_edge_is_hidden_in_the_part_that_is_in_the_image
 RUN_WITHOUT_OPENGL = """
 import sys
 sys.modules["OpenGL"] = None
-from modsim3d.cli import main
+from modsim3d.cli.main import main
 for mode in ("1", "2"):
     sys.argv = ["modsim3d", "run", SCENE, "--source", "analytic", "--mode", mode]
     sys.argv += ["--out", FOLDER + "/" + mode]

@@ -8,22 +8,18 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.geometry.camera_poses import Mount, poses_ashore
-from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth import analytic
-from modsim3d.truth.analytic import analytic_occlusion, image_silhouettes
+from modsim3d.truth.analytic import analytic_occlusion, boundary_pixels, image_silhouettes
 from modsim3d.truth.full_frame import full_frame_occlusion
-from modsim3d.truth.occlusion_order import order_of
+from modsim3d.truth.occlusion_order import hull_vertices, order_of
 from modsim3d.truth.outlines import outline
-from modsim3d.truth.polygon_occlusion import boundary_pixels
-from modsim3d.truth.separating_axes import hull_vertices
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
-from modsim3d.vessels.bodies import vessel_bodies
-from modsim3d.vessels.meshes import load_mesh, shipped_meshes
-from modsim3d.vessels.obstacles import Obstacle, obstacle_bodies, placed
-from modsim3d.vessels.vessel import Solid, shoebox
+from modsim3d.world.bodies import Obstacle, obstacle_bodies, placed, vessel_bodies
+from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
+from modsim3d.world.vessels import Solid, shoebox
 from tests.scenes import INTRINSICS, outlines_of, pixel_masks, random_scene, vessel
 from tests.truth.test_mesh_truth import own_ship_scene
 

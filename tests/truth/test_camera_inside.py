@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.geometry.rotations import world_R_vehicle
-from modsim3d.truth.camera_inside import first_body_around, solid_angle
-from modsim3d.vessels.bodies import Bodies, vessel_bodies
-from modsim3d.vessels.vessel import Solid, shoebox
+from modsim3d.geometry.camera_poses import world_R_vehicle
+from modsim3d.truth.outlines import first_body_around, solid_angle
+from modsim3d.world.bodies import Bodies, vessel_bodies
+from modsim3d.world.vessels import Solid, shoebox
 from tests.scenes import vessel
 
 ORIGIN = np.zeros(3)

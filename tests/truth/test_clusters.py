@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from modsim3d.render.id_pass import Region
-from modsim3d.truth.clusters import SHEET_PX, Cluster, ClusteredPairs, batches_of, clusters_of
+from modsim3d.truth.cluster_visibility import SHEET_PX, Cluster, ClusteredPairs, batches_of, clusters_of
+from modsim3d.truth.occlusion_order import overlapping_pairs
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.overlaps import overlapping_pairs
 
 
 def random_outlines(rng: np.random.Generator, count: int) -> Outlines:

@@ -7,18 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.geometry.camera import Intrinsics
-from modsim3d.geometry.camera_poses import Mount, poses_ashore
-from modsim3d.geometry.lens import Distortion
-from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.geometry.camera import Distortion, Intrinsics
+from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.scene.reading import load_scene
-from modsim3d.truth.crosscheck.clipping import cut
-from modsim3d.truth.crosscheck.drawing import Drawing, tiles_of
-from modsim3d.truth.crosscheck.possible_ids import possible_ids, undecided
-from modsim3d.truth.crosscheck.world_triangles import vessel_triangles
+from modsim3d.truth.crosscheck.comparison import possible_ids, undecided
+from modsim3d.truth.crosscheck.drawing import Drawing, cut, tiles_of, vessel_triangles
 from modsim3d.truth.full_frame import vessel_masks
-from modsim3d.vessels.vessel import Vessel
+from modsim3d.world.vessels import Vessel
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, random_scene, vessel
 
 Places = list[tuple[Vessel, tuple[float, float], float]]

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from modsim3d.geometry.clipping import clip_triangles, guard_planes, near_plane
 from modsim3d.truth import outlines as outlines_module
-from modsim3d.truth.cutting import cut_faces, cut_near
+from modsim3d.truth.buffer_drawing import subdivided, triangles_of, within_guard
 from modsim3d.truth.scan_conversion import facing
-from modsim3d.truth.triangles import subdivided, triangles_of, within_guard
-from modsim3d.vessels.vessel import shoebox
+from modsim3d.truth.silhouettes import cut_faces, cut_near
+from modsim3d.world.vessels import shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 
 LENS = replace(INTRINSICS, near_clip_m=2.0)
@@ -98,7 +98,7 @@ def test_solids_are_cut_together_as_each_by_itself(convex, monkeypatch):
     vertices = vertices[(vertices[..., 2] > 2.0).any(axis=1)]
     crosses = (vertices[..., 2] < 2.0).any(axis=1)
     assert 5 < crosses.sum() < len(crosses) - 5
-    monkeypatch.setattr("modsim3d.truth.cutting.PORTION_FACES", 100)
+    monkeypatch.setattr("modsim3d.truth.silhouettes.PORTION_FACES", 100)
     portions = list(cut_faces(vertices, crosses, LENS, solid))
     assert len(portions) > 3
     triangles, member = (np.concatenate(parts) for parts in zip(*portions, strict=True))

@@ -4,9 +4,9 @@ import sys
 
 import pytest
 
-from modsim3d import cli
-from modsim3d.errors import InputError
-from modsim3d.scene.reading import data_folder
+from modsim3d.cli import main
+from modsim3d.core.errors import InputError
+from modsim3d.io.input_files import data_folder
 
 SCENE = """
 steps: 4
@@ -41,7 +41,7 @@ def test_run_names_intersecting_vessels_whose_visibility_it_leaves_open(
     out = str(tmp_path / "run")
     monkeypatch.setattr(sys, "argv", ["modsim3d", "run", str(scene), "--source", source, "--out", out, "--no-sheet"])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     assert stopped.value.code == 0
     said = "".join(capsys.readouterr())
     assert ("rafted1 and rafted2 intersect" in said) == (source == "analytic")

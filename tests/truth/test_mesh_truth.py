@@ -11,20 +11,20 @@ import pytest
 import shapely
 from typer.testing import CliRunner
 
-from modsim3d.cli import app
-from modsim3d.errors import InputError
+from modsim3d.cli.main import app
+from modsim3d.core.errors import InputError
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from modsim3d.truth.analytic import mask_box
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.pixel_masks import mask_box
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.silhouettes import silhouette_polygons
-from modsim3d.vessels.meshes import load_mesh, shipped_meshes
-from modsim3d.vessels.vessel import shoebox
+from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
+from modsim3d.world.vessels import shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_scene, vessel, write_scene
 
 

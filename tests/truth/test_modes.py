@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.truth.modes import Annotation, annotated_rows, annotation_boxes
-from modsim3d.truth.truth_record import Truth, no_truth
+from modsim3d.truth.record import Annotation, Truth, annotated_rows, annotation_boxes, no_truth
 
 WHOLE, SEEN, HIDDEN, UNKNOWN = range(4)
 

@@ -5,19 +5,18 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from modsim3d.geometry.camera import Mount
+from modsim3d.geometry.camera_poses import Mount
 from modsim3d.scene.reading import load_scene
-from modsim3d.truth import nearer_first, rendered
 from modsim3d.truth import outlines as projection
-from modsim3d.truth.cluster_visibility import Ordered, visibility_in_order
-from modsim3d.truth.clusters import ClusteredPairs
+from modsim3d.truth import rendered
+from modsim3d.truth import rendered as nearer_first
+from modsim3d.truth.cluster_visibility import ClusteredPairs, OrderedClusters, visibility_in_order
 from modsim3d.truth.full_frame import full_frame_occlusion
-from modsim3d.truth.nearer_first import _ranks, ranks_of
 from modsim3d.truth.occlusion_order import _boxes_around
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.pixel_spans import Spans
-from modsim3d.truth.rendered import rendered_occlusion
-from modsim3d.vessels.vessel import shoebox
+from modsim3d.truth.rendered import _ranks, ranks_of, rendered_occlusion
+from modsim3d.truth.silhouettes import Spans
+from modsim3d.world.vessels import shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 from tests.truth.test_regions_against_full import assert_same
 
@@ -57,7 +56,7 @@ def test_cut_spans_are_those_of_painting_pixel_by_pixel_from_far_to_near(seed):
         front[masks[row]] = row
     first, second = np.triu_indices(count, 1)
     pairs = ClusteredPairs(first, second, np.zeros(len(first), dtype=np.int64))
-    ordered = Ordered(pairs, ranks, Spans(*np.array(spans, dtype=np.int64).reshape(-1, 4).T))
+    ordered = OrderedClusters(pairs, ranks, Spans(*np.array(spans, dtype=np.int64).reshape(-1, 4).T))
     seen = visibility_in_order(ordered, boxed, (WIDTH, HEIGHT))
     covered = (masks & (front != np.arange(count)[:, None, None])).any(axis=(1, 2)) & boxed
     assert 0 < covered.sum() < boxed.sum()

@@ -3,8 +3,8 @@
 import numpy as np
 import shapely
 
+from modsim3d.truth.analytic import Hiding, boxes_and_areas, hidden_areas, hidden_by, visible_of
 from modsim3d.truth.occlusion import HiddenPixels, Occlusion
-from modsim3d.truth.polygon_occlusion import Hiding, boxes_and_areas, hidden_areas, hidden_by, visible_of
 from tests.scenes import outlines_of, vessel
 
 

@@ -7,16 +7,14 @@ import pytest
 import shapely
 from scipy.optimize import linprog
 
-from modsim3d.geometry.rotations import rotation, world_R_vehicle
+from modsim3d.geometry.camera_poses import rotation, world_R_vehicle
 from modsim3d.truth import occlusion_order
-from modsim3d.truth.analytic import analytic_occlusion, image_silhouettes
-from modsim3d.truth.occlusion_order import order_of
-from modsim3d.truth.outlines import Part
-from modsim3d.truth.rectangle_rule import rectangle_occlusion
+from modsim3d.truth.analytic import analytic_occlusion, image_silhouettes, rectangle_occlusion
+from modsim3d.truth.occlusion_order import axis_count, candidate_axes, order_of
+from modsim3d.truth.outlines import OutlinePart
 from modsim3d.truth.rendered import rendered_occlusion
-from modsim3d.truth.separating_axes import axis_count, candidate_axes
 from modsim3d.verify.sources.agreement import compare_with_analytic
-from modsim3d.vessels.vessel import shoebox
+from modsim3d.world.vessels import shoebox
 from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, pixel_masks, vessel
 
 SHIP, BOAT = 0, 1
@@ -197,7 +195,7 @@ def test_order_does_not_depend_on_how_solids_are_grouped_or_how_many_are_looked_
     whole, group = order_of(outlines), np.random.default_rng(12).integers(0, 3, len(outlines))
     groups = [np.flatnonzero(group == number) for number in range(3)]
     parts = tuple(
-        Part(replace(part.solid), rows, part.vertices_camera[rows], part.vertices_px[rows]) for rows in groups
+        OutlinePart(replace(part.solid), rows, part.vertices_camera[rows], part.vertices_px[rows]) for rows in groups
     )
     monkeypatch.setattr(occlusion_order, "MOST_COORDINATES", 2_000)
     for name in ("first", "second", "first_can_hide", "second_can_hide", "intersecting"):

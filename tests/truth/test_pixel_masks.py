@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from modsim3d.render.id_pass import Region
-from modsim3d.truth.pixel_masks import counted_from, mask_box, mask_fits
+from modsim3d.truth.analytic import counted_from, mask_box, mask_fits
 
 REGION = Region(30, 60, 60, 45)
 SHAPE = shapely.Polygon([(12.3, 21.2), (27.9, 22.1), (25.2, 33.8), (14.1, 31.7)])

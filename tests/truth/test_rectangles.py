@@ -9,9 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.truth.analytic import analytic_occlusion
-from modsim3d.truth.modes import Annotation, annotated_rows, annotation_boxes
-from modsim3d.truth.rectangle_rule import rectangle_occlusion
+from modsim3d.truth.analytic import analytic_occlusion, rectangle_occlusion
+from modsim3d.truth.record import Annotation, annotated_rows, annotation_boxes
 from tests.scenes import INTRINSICS, outlines_of, vessel
 
 B = (100.0, 100.0, 200.0, 200.0)  # the box that is looked at; everything else is before it unless its depth says not

@@ -6,13 +6,13 @@ import pytest
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import load_scene
+from modsim3d.truth.buffer_drawing import within_guard
 from modsim3d.truth.full_frame import full_frame_occlusion
-from modsim3d.truth.pixel_spans import Spans, counts_and_boxes, spans_of_ids
+from modsim3d.truth.record import COLUMNS
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.scan_conversion import facing, scan_convert
-from modsim3d.truth.triangles import within_guard
-from modsim3d.truth.truth_record import COLUMNS
-from modsim3d.vessels.vessel import shoebox
+from modsim3d.truth.silhouettes import Spans, counts_and_boxes, spans_of_ids
+from modsim3d.world.vessels import shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_scene, vessel
 
 

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.geometry.camera_poses import Mount
-from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.geometry.camera_poses import Mount, world_R_vehicle
 from modsim3d.render.id_pass import Region
+from modsim3d.truth.buffer_drawing import triangles_of
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.rendered import rendered_occlusion
-from modsim3d.truth.triangles import triangles_of
 from tests.scenes import INTRINSICS, outlines_of, random_rafts, vessel
 from tests.truth.test_regions_against_full import assert_same
 

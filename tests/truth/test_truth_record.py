@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from modsim3d.truth.truth_record import Truth, concatenate, no_truth
+from modsim3d.truth.record import Truth, concatenate, no_truth
 
 
 def two_rows(step: int, vessels: tuple[int, int], hider: int) -> Truth:

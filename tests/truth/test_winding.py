@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from modsim3d.render.id_pass import Region
-from modsim3d.truth.pixel_spans import spans_of_ids
+from modsim3d.truth.buffer_drawing import triangles_of, within_guard
 from modsim3d.truth.scan_conversion import scan_convert
-from modsim3d.truth.triangles import triangles_of, within_guard
-from modsim3d.truth.winding import edges_of, winding_spans
-from modsim3d.vessels.meshes import load_mesh
-from modsim3d.vessels.vessel import Solid, shoebox
+from modsim3d.truth.silhouettes import edges_of, spans_of_ids, winding_spans
+from modsim3d.world.mesh_reading import load_mesh
+from modsim3d.world.vessels import Solid, shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_places
 
 SIZE = INTRINSICS.image_size_px
@@ -49,7 +48,7 @@ def assert_same_spans(one, other):
 
 @pytest.mark.parametrize("most", [300, 200_000])
 def test_convex_solids_have_the_spans_of_convex_scan_conversion(monkeypatch, most):
-    monkeypatch.setattr("modsim3d.truth.winding.MOST_CROSSINGS", most)
+    monkeypatch.setattr("modsim3d.truth.silhouettes.MOST_CROSSINGS", most)
     pixels, _ = seen(shoebox(), 1)
     expected, odd = scan_convert(pixels, shoebox(), SIZE)
     assert len(odd) == 0

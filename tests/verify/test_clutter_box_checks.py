@@ -9,8 +9,8 @@ import pytest
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.scene.reading import load_scene
-from modsim3d.verify.clutter_checks import clutter_checks
-from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.evidence import ManyDetections
+from modsim3d.verify.false_positive_checks import clutter_checks
 from tests.detector_variants import thesis_data
 
 PERSISTENCE = {"lifetime_s": 2.0, "share": 0.5}

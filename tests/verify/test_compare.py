@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.campaigns import compare as campaign
-from modsim3d import cli
+from modsim3d.cli import main
 from modsim3d.truth import rendered
 from modsim3d.truth.occlusion import HiddenPixels
 from modsim3d.verify.sources import compare
@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def call(monkeypatch, *arguments):
     monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     return stopped.value.code
 
 

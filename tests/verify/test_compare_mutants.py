@@ -12,9 +12,9 @@ import pytest
 
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import sight
-from modsim3d.truth import analytic, nearer_first, occlusion_order
+from modsim3d.truth import analytic, occlusion_order, rendered
+from modsim3d.truth.analytic import Hiding
 from modsim3d.truth.crosscheck.drawing import Drawing
-from modsim3d.truth.polygon_occlusion import Hiding
 from modsim3d.verify.sources import agreement, compare
 from tests.scenes import write_scene
 from tests.verify.test_compare import behind_is_before, call
@@ -121,7 +121,7 @@ def near_plane_of_drawing(monkeypatch):
 
 
 MUTANTS = {
-    "order, fast path": lambda m: wrap(m, nearer_first, "order_of_pairs", lambda f, *rest: swap_order(f(*rest))),
+    "order, fast path": lambda m: wrap(m, rendered, "order_of_pairs", lambda f, *rest: swap_order(f(*rest))),
     "order, analytic": lambda m: wrap(m, analytic, "order_of", lambda f, *rest: swap_order(f(*rest))),
     "order, fast path and analytic alike": lambda m: wrap(
         m, occlusion_order, "_who_can_hide", lambda f, *rest: (f(*rest)[0][:, ::-1], f(*rest)[1])

@@ -20,7 +20,7 @@ from modsim3d.view.pictures.comparison_picture import (
     comparison_picture,
     differing_pixels,
 )
-from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.plain import Solids
 from tests.scenes import crossing, write_scene
 
 

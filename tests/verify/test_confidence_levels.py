@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.detector.confidence import NormalScores, QuantileScores, Scores
-from modsim3d.detector.confidence_levels import LEVELS, drawn_levels
+from modsim3d.detector.confidence import LEVELS, ConfidenceLaw, NormalScores, QuantileScores, drawn_levels
 
-LAWS: dict[str, Scores] = {
+LAWS: dict[str, ConfidenceLaw] = {
     "normal": NormalScores(0.6, 0.3),
     "quantiles": QuantileScores(np.array([0.1, 0.3, 0.3, 0.7, 1.2])),
 }

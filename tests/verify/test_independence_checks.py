@@ -13,12 +13,10 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.runs.pipeline import DetectorInput
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.box_error_checks import state_fits
-from modsim3d.verify.error_fit import MomentTable
-from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.error_fit import Draw, MomentTable, capped_poisson, miss_residuals, residuals_of
+from modsim3d.verify.evidence import Evidence, ManyDetections
 from modsim3d.verify.independence_checks import GROUP, independence_checks
-from modsim3d.verify.many_seeds import ManyDetections
 from modsim3d.verify.parameters import Parameter
-from modsim3d.verify.residuals import Draw, capped_poisson, miss_residuals, residuals_of
 from modsim3d.verify.verification import verify
 from tests.detector_variants import Data, thesis_data
 from tests.verify.lies import LIES, Lie, same_errors_in_both_cameras, told

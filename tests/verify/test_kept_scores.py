@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modsim3d.detector.confidence_pairs import pair_likelihood, pair_score
-from modsim3d.verify.clipped_checks import Clipped
-from modsim3d.verify.kept_scores import KeptScores
+from modsim3d.detector.confidence import pair_likelihood, pair_score
+from modsim3d.verify.confidence_checks import Clipped, KeptScores
 
 TRACKS, FRAMES, KEPT = 12, 60, 0.8
 CORRELATION_S = -1 / np.log(KEPT)

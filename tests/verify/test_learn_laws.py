@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.boxes import inside_image, move
-from modsim3d.detector.clipped_normal import clipped_score
+from modsim3d.core.boxes import inside_image, move
+from modsim3d.detector.confidence import clipped_score
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.truncation import accepted_errors, ordered_root
-from modsim3d.verify.box_persistence_checks import latent_paths, replayed_errors
-from modsim3d.verify.clipped_checks import Clipped
-from modsim3d.verify.error_fit import ErrorSample, MomentTable, fit_step, fitted_law
-from modsim3d.verify.error_likelihoods import directions
-from modsim3d.verify.error_parameters import ErrorParameters
-from modsim3d.verify.pairs import inflation, lag_pairs
-from modsim3d.verify.run_lengths import expected_run_lengths
+from modsim3d.verify.box_error_checks import latent_paths, replayed_errors
+from modsim3d.verify.class_checks import inflation, lag_pairs
+from modsim3d.verify.confidence_checks import Clipped
+from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step, fitted_law
+from modsim3d.verify.error_parameters import ErrorParameters, directions
+from modsim3d.verify.figures import expected_run_lengths
 from modsim3d.verify.state_checks import occupancy_law
 from tests.detector_variants import thesis_data
 
@@ -111,14 +110,14 @@ def enough(law: ErrorParameters, box: np.ndarray, count: int, seed: int) -> np.n
     return np.concatenate(parts)
 
 
-def samples_of(law: ErrorParameters, copies: int, count: int) -> list[ErrorSample]:
+def samples_of(law: ErrorParameters, copies: int, count: int) -> list[StateErrors]:
     """Errors of four boxes, so many of each, so many times over."""
     boxes = np.repeat(BOXES_PX[:4], copies, axis=0)
     images = np.tile(np.array(IMAGE_PX, float), (len(boxes), 1))
     means, stds = law.at(boxes)
     pools = [enough(law, box, copies * count, seed) for seed, box in enumerate(BOXES_PX[:4])]
     return [
-        ErrorSample(
+        StateErrors(
             means + stds * np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]),
             np.arange(len(boxes)),
             boxes,
@@ -154,7 +153,7 @@ def test_replayed_errors_have_the_truncated_law_and_keep_their_correlation():
     law = law_of()
     frames = 40
     boxes = np.tile(BOXES_PX[1], (frames, 1))
-    sample = ErrorSample(np.zeros((frames, 4)), np.arange(frames), boxes, np.tile([3600.0, 2400], (frames, 1)))
+    sample = StateErrors(np.zeros((frames, 4)), np.arange(frames), boxes, np.tile([3600.0, 2400], (frames, 1)))
     tracks, times = np.zeros((frames, 1), dtype=np.int64), 0.1 * np.arange(frames)
     rng = np.random.default_rng(2)
     errors = replayed_errors(law, sample, latent_paths(tracks, times, Persistence(box_s=0.5), rng, 400, 4), rng)

@@ -9,13 +9,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from modsim3d.verify.law_measures import Law, Occupancy
-from modsim3d.verify.measures import AMOUNT, CORRELATION, SHARE, Estimate, Exact, Measure
-from modsim3d.verify.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Parameter, judge
-from modsim3d.verify.pattern_measures import Drift, Strongest
-from modsim3d.verify.rate_measures import DiscoveryRate, ImageRate, Rate
+from modsim3d.verify.independence_checks import Strongest, SumDrift
+from modsim3d.verify.measures import (
+    AMOUNT,
+    CORRELATION,
+    SHARE,
+    DiscoveryRate,
+    Estimate,
+    Exact,
+    ImageRate,
+    Measure,
+    Rate,
+    binomial_interval,
+    poisson_interval,
+    skewed_quantile,
+    skewed_tails,
+)
+from modsim3d.verify.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Law, Occupancy, Parameter, judge
 from modsim3d.verify.report import conclusion
-from modsim3d.verify.tails import binomial_interval, poisson_interval, skewed_quantile, skewed_tails
 
 
 def test_binomial_interval_is_clopper_and_pearsons():
@@ -139,7 +150,7 @@ def test_tests_share_the_overall_level():
         (Estimate(0.95, 0.8, 0.09, 90, possible=CORRELATION), "1]"),
         (Estimate(1.02, 1.0, 1.2, 40, possible=AMOUNT), "[0, "),
         (Estimate(1.3, 0.7, 0.2, 90, possible=CORRELATION), "1]"),
-        (Drift(0.01, 100.0), "[0, "),
+        (SumDrift(0.01, 100.0), "[0, "),
         (Rate(1, 40, 0.05), "[0"),
         (ImageRate(0, 30, 0.1), "[0, "),
     ],

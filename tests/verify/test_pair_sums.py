@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from modsim3d.verify.pair_sums import group_sums, lag_sums
+from modsim3d.verify.independence_checks import group_sums, lag_sums
 
 RNG = np.random.default_rng(1)
 

@@ -7,21 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.boxes import sizes
+from modsim3d.core.boxes import sizes
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.box_error_checks import LEAST_DETECTIONS, box_error_checks, with_known_errors
 from modsim3d.verify.class_checks import class_checks
-from modsim3d.verify.clutter_checks import clutter_checks
 from modsim3d.verify.confidence_checks import confidence_checks
 from modsim3d.verify.error_fit import MomentTable
-from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.evidence import Evidence, ManyDetections
+from modsim3d.verify.false_positive_checks import clutter_checks
+from modsim3d.verify.figures import run_lengths
 from modsim3d.verify.measures import Estimate, Exact
 from modsim3d.verify.parameters import Parameter, judge
 from modsim3d.verify.report import conclusion, row_of
-from modsim3d.verify.run_lengths import run_lengths
 from modsim3d.verify.state_checks import state_checks
 from tests.detector_variants import Data, thesis_data, variant
 

@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 import yaml
 
-from modsim3d import cli
+from modsim3d.cli import main
+from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.file.reading import load_detector, parse_detector
-from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.detect_run import detect_run
-from modsim3d.runs.run import run_scene
+from modsim3d.io.input_files import data_folder
+from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.reading import load_scene
 from modsim3d.verify.error_fit import MomentTable
-from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.parameters import FALLS_SHORT
 from modsim3d.verify.report import write_report
 from modsim3d.verify.verification import verify
@@ -48,7 +48,7 @@ def table(many) -> MomentTable:
 def command(monkeypatch, *arguments) -> int:
     monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     return stopped.value.code
 
 

@@ -7,8 +7,8 @@ import pytest
 from scipy import special
 
 from modsim3d.detector.persistence import Persistence
-from modsim3d.verify.box_persistence_checks import latent_paths
-from modsim3d.verify.vessel_shares import at_each, variance_of_sum
+from modsim3d.verify.box_error_checks import latent_paths
+from modsim3d.verify.class_checks import at_each, variance_of_sum
 
 VESSELS, TURNS, STEP_S, SHARE = 3, 8, 0.5, 0.4
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.tracks.track_set import TrackSet
-from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.tracks import Tracks, TrackSet
 
 FALSE_TRACK = 90
 """A track in the corner of the first camera's image, where no vessel is."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d.outputs.pictures import encoded
+from modsim3d.io.atomic_write import encoded
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 2), (2, 4), (641, 77)])

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d import cli
+from modsim3d.cli import main
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.films.layout import FilmLayout
-from modsim3d.view.pictures import ids_picture
+from modsim3d.view.pictures import id_buffer
 from tests.scenes import crossing
 
 STEPS = 12
@@ -46,7 +46,7 @@ def two_cameras(tmp_path_factory):
 def view(monkeypatch, *arguments):
     monkeypatch.setattr(sys, "argv", ["modsim3d", "view", *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     return stopped.value.code
 
 
@@ -95,7 +95,7 @@ def test_colours_survive_the_film(monkeypatch, run, tmp_path):
     assert "bt709" in stream
     still = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
     assert np.abs(pictures[0].astype(int) - still).mean() < 2
-    for colour in (ids_picture.SEA, ids_picture.SKY, palette.VESSELS[2]):  # the ship's
+    for colour in (id_buffer.SEA, id_buffer.SKY, palette.VESSELS[2]):  # the ship's
         here = (still == colour).all(axis=-1)
         assert here.sum() > 5000
         assert np.abs(np.median(pictures[0][here], axis=0) - colour).max() <= 4

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modsim3d.runs.files.columns import NOBODY
+from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.tracks.similarity import Similarity
-from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.view.followed_tracks import FollowedTracks
 from tests.scenes import crossing
 from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, swapped, with_false

@@ -6,24 +6,21 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.render.plain_ids import PlainIds
-from modsim3d.runs.outcomes import NOTHING_WRONG
+from modsim3d.runs.counts import NOTHING_WRONG
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.pictures import ids_picture as ids_module
+from modsim3d.view.pictures import id_buffer as ids_module
 from modsim3d.view.pictures import legend as legend_module
-from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
-from modsim3d.view.pictures.hatching import silhouette_mask
-from modsim3d.view.pictures.ids_picture import ids_picture
+from modsim3d.view.pictures.canvas import Window
+from modsim3d.view.pictures.frame_picture import CameraView, FrameTracks, frame_picture, silhouette_mask
+from modsim3d.view.pictures.id_buffer import ids_picture
 from modsim3d.view.pictures.layers import DETECTIONS, SCENE, Layers
-from modsim3d.view.pictures.legend import Entry, detection_entries, id_entries, legend, letters
-from modsim3d.view.pictures.plain import background
-from modsim3d.view.pictures.solids import Solids
-from modsim3d.view.pictures.track_marks import FrameTracks
-from modsim3d.view.pictures.window import Window
+from modsim3d.view.pictures.legend import LegendEntry, detection_entries, id_entries, legend, letters
+from modsim3d.view.pictures.plain import Solids, background
 from tests.scenes import crossing
 
 SIZES = (320, 1280, 3600)
@@ -234,7 +231,7 @@ def test_a_boat_too_small_for_its_number_has_it_beside_it(hiding, renderer, monk
 
 
 def names(count):
-    return [Entry(f"{i}: vessel{i}", palette.vessel_colour(i), "filled") for i in range(count)]
+    return [LegendEntry(f"{i}: vessel{i}", palette.vessel_colour(i), "filled") for i in range(count)]
 
 
 def test_a_crowded_legend_is_set_smaller_and_counts_those_without_room(monkeypatch):

@@ -13,17 +13,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnnotationBbox
 
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.render.plain_ids import PlainIds
-from modsim3d.runs.outcomes import Outcome, frame_outcomes
+from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import frame_plot
 from modsim3d.view.outcome_words import NAMES, WEATHER
+from modsim3d.view.pictures.canvas import Window
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.layers import DETECTIONS
 from modsim3d.view.pictures.plain import below_horizon
-from modsim3d.view.pictures.window import Window
 from tests.scenes import mistaken_strait
 
 

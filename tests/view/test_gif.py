@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from modsim3d.view import palette
-from modsim3d.view.films.gif import UNCHANGED, film_palette, quantised, write_gif
+from modsim3d.view.films.files import UNCHANGED, film_palette, quantised, write_gif
 
 
 def written(frames, ticks, colours):

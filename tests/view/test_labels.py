@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from modsim3d.boxes import intersections
-from modsim3d.view.pictures.canvas import Canvas
-from modsim3d.view.pictures.labels import Label, draw_labels
+from modsim3d.core.boxes import intersections
+from modsim3d.view.pictures.canvas import Canvas, Label, draw_labels
 
 
 def drawn_plates(boxes, width, height, monkeypatch_plates):

@@ -6,16 +6,26 @@ import math
 import numpy as np
 import pytest
 
-from modsim3d.scene.meshes import mesh_name
+from modsim3d.scene.parts import mesh_name
 from modsim3d.scene.reading import load_scene
-from modsim3d.vessels.vessel import Vessel
-from modsim3d.view.pictures.solids import Solids
-from modsim3d.view.pictures.window import Window
-from modsim3d.view.shaded.lights.glow import draw_lights
-from modsim3d.view.shaded.lights.kinds import Kind, kind_of
-from modsim3d.view.shaded.lights.lantern import NAUTICAL_MILE_M, THRESHOLD_LUX, Colour, Lantern, Sector
-from modsim3d.view.shaded.lights.rules import KNOT_M_S, lanterns
-from modsim3d.view.shaded.lights.seen import ground_speeds, is_hidden, lights_towards
+from modsim3d.view.lights import (
+    KNOT_M_S,
+    NAUTICAL_MILE_M,
+    THRESHOLD_LUX,
+    Colour,
+    Kind,
+    Lantern,
+    Sector,
+    ground_speeds,
+    is_hidden,
+    kind_of,
+    lanterns,
+    lights_towards,
+)
+from modsim3d.view.pictures.canvas import Window
+from modsim3d.view.pictures.plain import Solids
+from modsim3d.view.shaded_picture import draw_lights
+from modsim3d.world.vessels import Vessel
 from tests.scenes import crossing, write_scene
 
 W, R, G = "white", "red", "green"

@@ -14,15 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from modsim3d import cli
+from modsim3d.cli import main
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
-from modsim3d.view.maps.birds_eye import BirdsEye, footprint, hull_m, ring_step, view_of
-from modsim3d.view.maps.map_marks import RINGS, RangeRings
-from modsim3d.view.maps.map_picture import Map, map_figure, map_height_px, map_picture
+from modsim3d.view.map_marks import RINGS, BirdsEye, RangeRings, footprint, hull_m, ring_step, view_of
+from modsim3d.view.map_picture import Map, map_figure, map_height_px, map_picture
 from tests.scenes import INTRINSICS, crossing
 from tests.view.test_film import view
 
@@ -318,7 +317,7 @@ def test_a_film_of_maps_has_one_map_for_all_cameras(monkeypatch, run, tmp_path):
 )
 def test_what_is_wrong_is_said(monkeypatch, capsys, run, tmp_path, arguments, words):
     monkeypatch.chdir(tmp_path)
-    assert view(monkeypatch, run, *arguments) == cli.BAD_INPUT
+    assert view(monkeypatch, run, *arguments) == main.BAD_INPUT
     said = capsys.readouterr().err
     assert "Traceback" not in said
     assert all(word in said for word in words), said
@@ -326,14 +325,14 @@ def test_what_is_wrong_is_said(monkeypatch, capsys, run, tmp_path, arguments, wo
 
 
 def test_maps_are_imported_without_matplotlib():
-    script = "import sys\nsys.modules['matplotlib'] = None\nimport modsim3d.view.maps.map_picture"
+    script = "import sys\nsys.modules['matplotlib'] = None\nimport modsim3d.view.map_picture"
     subprocess.run([sys.executable, "-c", script], check=True)
 
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch, capsys, run, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     for arguments in (("--map", "--out", tmp_path / "m.png"), ("--film", "map", "--out", tmp_path / "m.gif")):
-        assert view(monkeypatch, run, *arguments) == cli.BAD_INPUT
+        assert view(monkeypatch, run, *arguments) == main.BAD_INPUT
         assert "pip install 'modsim3d[view]'" in capsys.readouterr().err
 
 
@@ -374,7 +373,7 @@ def test_without_opengl_scenes_are_plain_and_shaded_ones_refused(monkeypatch, ca
     monkeypatch.setattr("modsim3d.render.context.library_found", lambda backend: False)
     plain = picture(monkeypatch, run, tmp_path / "a.png", "--film", "scene")
     assert tuple(plain[40, 390]) == palette.SKY
-    assert view(monkeypatch, run, "--film", "scene", "--look", "shaded", "--out", tmp_path / "b.mp4") == cli.BAD_INPUT
+    assert view(monkeypatch, run, "--film", "scene", "--look", "shaded", "--out", tmp_path / "b.mp4") == main.BAD_INPUT
     said = capsys.readouterr().err
     assert "libosmesa6" in said
     assert "--look plain" in said

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.maps.birds_eye import BirdsEye
-from modsim3d.view.maps.map_film import MapFilmRenderer
-from modsim3d.view.maps.map_picture import map_figure, map_height_px, map_picture
+from modsim3d.view.films.renderer import MapFilmRenderer
+from modsim3d.view.map_marks import BirdsEye
+from modsim3d.view.map_picture import map_figure, map_height_px, map_picture
 
 ROUNDING = 2
 """Units of a colour: what stays above what moves is blended by its own 8 bits."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from modsim3d.render.plain_ids import PlainIds
-from modsim3d.runs.outcomes import NOTHING_WRONG, Outcome, detected_rows, frame_outcomes
+from modsim3d.runs.counts import NOTHING_WRONG, Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.selection import select
@@ -21,15 +21,14 @@ from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmPlan, mistakes_in, vessels_in
 from modsim3d.view.films.renderer import FilmRenderer
 from modsim3d.view.outcome_words import NAMES, WEATHER, fate, is_a
-from modsim3d.view.pictures import contact_sheet, frame_picture, highlights
-from modsim3d.view.pictures.canvas import text_size
+from modsim3d.view.pictures import contact_sheet, frame_picture
+from modsim3d.view.pictures import contact_sheet as highlights
+from modsim3d.view.pictures.canvas import Label, Window, text_size
+from modsim3d.view.pictures.contact_sheet import pick_highlights
 from modsim3d.view.pictures.frame_picture import CameraView
-from modsim3d.view.pictures.highlights import pick_highlights
-from modsim3d.view.pictures.labels import Label
 from modsim3d.view.pictures.layers import DETECTIONS, Layers
 from modsim3d.view.pictures.legend import detection_entries
-from modsim3d.view.pictures.window import Window
-from modsim3d.view.shaded.render_style import RenderStyle
+from modsim3d.view.sea_and_sky import RenderStyle
 from tests.scenes import crossing, mistaken_strait
 
 MARKED = Layers.of(["detections", "mistakes"])

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from modsim3d.cli import app
+from modsim3d.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md")] + sorted((ROOT / "docs").glob("*.md"))

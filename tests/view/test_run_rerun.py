@@ -14,15 +14,14 @@ import pytest
 from PIL import Image
 from rerun.chunk import RrdReader
 
-from modsim3d import cli
-from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
+from modsim3d.cli import main
+from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
-from modsim3d.view.rerun.boxes import TEXT
-from modsim3d.view.rerun.pictures import fill
-from modsim3d.view.rerun.recording import write_recording
+from modsim3d.view.rerun_boxes import TEXT
+from modsim3d.view.rerun_recording import fill, write_recording
 from tests.scenes import crossing, mistaken_strait
 
 STEPS, EVERY = 14, 2
@@ -44,7 +43,7 @@ def run(tmp_path_factory) -> Path:
 def call(monkeypatch, *arguments) -> int:
     monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     return int(stopped.value.code)
 
 

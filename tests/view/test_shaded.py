@@ -10,18 +10,16 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 from modsim3d.render.context import open_context
 from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer, lit_colours
 from modsim3d.scene.reading import load_scene
-from modsim3d.truth.pixel_masks import ROUNDING_PX
-from modsim3d.view import palette
-from modsim3d.view.pictures.solids import Solids
-from modsim3d.view.pictures.window import Window
-from modsim3d.view.shaded import shaded_picture
-from modsim3d.view.shaded.render_style import RenderStyle
-from modsim3d.view.shaded.sea_and_sky import DAY, Rays, fogged
-from modsim3d.view.shaded.shaded_picture import ShadedPictureRenderer
+from modsim3d.truth.analytic import ROUNDING_PX
+from modsim3d.view import palette, shaded_picture
+from modsim3d.view.pictures.canvas import Window
+from modsim3d.view.pictures.plain import Solids
+from modsim3d.view.sea_and_sky import DAY, Rays, RenderStyle, fogged
+from modsim3d.view.shaded_picture import ShadedPictureRenderer
 from tests.scenes import crossing
 
 DAYLIGHT = RenderStyle(shaded=True)

@@ -67,7 +67,7 @@ def stalled(run, prepared, tmp_path_factory):
             "OPENBLAS_NUM_THREADS": "1",
             "JE_ARROW_MALLOC_CONF": "background_thread:false",
         }
-        program = [sys.executable, "-m", "modsim3d.cli"] if alone else [prepared]
+        program = [sys.executable, "-m", "modsim3d.cli.main"] if alone else [prepared]
         arguments = ("view", run, "--film", "detections", "--width", "320", "--out", out, *options)
         drawing = subprocess.Popen(
             [*map(str, program), *map(str, arguments)],

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.view.films.timetable import LEAST_RATE, Timetable
+from modsim3d.view.films.plan import LEAST_RATE, Timetable
 
 MOST = 60
 

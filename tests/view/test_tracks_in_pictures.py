@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d import cli
+from modsim3d.cli import main
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.tracks.similarity import Similarity
+from modsim3d.tracks.tracks import Similarity
 from modsim3d.view import palette
 from modsim3d.view.films.layout import FilmLayout
 from modsim3d.view.followed_tracks import FollowedTracks
@@ -53,7 +53,7 @@ def tracks(rows, followed, tmp_path_factory) -> Path:
 def call(monkeypatch, *arguments) -> int:
     monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     return int(stopped.value.code)
 
 

@@ -9,7 +9,7 @@ import warnings
 import imageio_ffmpeg
 import pytest
 
-from modsim3d import cli
+from modsim3d.cli import main
 from modsim3d.runs import pipeline
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
@@ -25,7 +25,7 @@ def run(tmp_path_factory):
 
 
 def refused(monkeypatch, capsys, *arguments) -> str:
-    assert view(monkeypatch, *arguments) == cli.BAD_INPUT
+    assert view(monkeypatch, *arguments) == main.BAD_INPUT
     said = capsys.readouterr()
     assert "Traceback" not in said.err
     return said.err

@@ -3,21 +3,218 @@
 from __future__ import annotations
 
 import html
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from modsim3d.campaign.report.coverage_counts import Counted, Truths, counted_states
-from modsim3d.campaign.report.draws import empty_draws
-from modsim3d.campaign.report.trace import trace_sections
-from modsim3d.campaign.results.folder import CampaignFolder
-from modsim3d.campaign.work.coverage import KINDS, VESSELS
-from modsim3d.campaign.work.coverage_bins import OCCLUSIONS, RANGES, SIZES
-from modsim3d.display import counted
+from modsim3d.campaign.done_rows import text_of
+from modsim3d.campaign.folder import FILE, VERDICTS, CampaignFolder
+from modsim3d.campaign.keys import CampaignKeys, Range
+from modsim3d.campaign.plan import Plan
+from modsim3d.campaign.report.coverage_counts import CountedBin, Truths, counted_states
+from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.work.coverage import KINDS, OCCLUSIONS, RANGES, SIZES, VESSELS
+from modsim3d.campaign.work.row import DONE
+from modsim3d.campaign.work.task import PLAN
+from modsim3d.core.text import counted
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.view.pages import page
+from modsim3d.view.pages.provenance import shown_path
+
+# ---- The sections of a page that trace each requirement to its runs, and say how to repeat them ----
+
+_MOST_RANGES = 6
+_MOST_ROWS = 200
+"""Of a table; the files of the campaign have all."""
+_DIGITS = 16
+"""Hexadecimal digits of a checksum on the page; `plan.json` has all."""
+
+
+def trace_sections(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[str]:
+    """HTML of what each verdict rests on: runs, seeds, checksums, versions, and the commands that repeat it.
+
+    Args:
+        folder: The campaign.
+        table: Its rows so far, see `results_table`.
+        verdicts: The verdicts on its requirements.
+    """
+    return [
+        page.heading("What each verdict rests on"),
+        *_verdicts(folder.plan, table, verdicts),
+        *_conditions(folder),
+        *_repeating(folder, table),
+    ]
+
+
+def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
+    if not verdicts:
+        yield page.paragraph("The campaign has no requirements.")
+        return
+    conditions = table["condition"].to_numpy()
+    trackers = table["tracker"].to_numpy(zero_copy_only=False)
+    runs, seeds, looks = (table[name].to_numpy() for name in ("run", "traffic_seed", "detector_seed"))
+    names, rows = {each.label for each in plan.keys.trackers}, []
+    for verdict in verdicts[:_MOST_ROWS]:
+        labels = [verdict.tracker]
+        if verdict.tracker not in names:  # a difference between two
+            requirement = plan.keys.require[verdict.requirement]
+            labels = [label for label in (requirement.of, requirement.minus) if label is not None]
+        chosen = (conditions == verdict.condition) & np.isin(trackers, labels)
+        rows.append(
+            [
+                f"{verdict.requirement + 1}. {verdict.text}",
+                verdict.tracker,
+                f"{verdict.condition}",
+                verdict.outcome,
+                numbers_in_words(runs[chosen]),
+                numbers_in_words(np.unique(seeds[chosen])),
+                f"{len(np.unique(looks[chosen]))}",
+            ]
+        )
+    header = ["requirement", "tracker", "condition", "outcome", "runs", "traffic seeds", "detector seeds"]
+    yield page.table(rows, header)
+    yield from _left_out(len(verdicts), VERDICTS)
+
+
+def _left_out(count: int, file: str) -> Iterator[str]:
+    if count > _MOST_ROWS:
+        yield page.paragraph(f"{count - _MOST_ROWS} more are in {file}.")
+
+
+def numbers_in_words(numbers: Indices) -> str:
+    """Ascending numbers, shape (n,): `3, 9, … 57 (10, every 6th)`, or ranges; at most six of them."""
+    found = numbers.tolist()
+    if not found:
+        return "none"
+    steps = np.diff(numbers)
+    if len(found) > 3 and len(set(steps.tolist())) == 1 and steps[0] > 1:
+        return f"{found[0]}, {found[1]}, … {found[-1]} ({len(found)} of them, {int(steps[0])} apart)"
+    ends = np.flatnonzero(steps != 1)
+    firsts, lasts = numbers[np.append(0, ends + 1)], numbers[np.append(ends, -1)]
+    ranges = [f"{a}" if a == b else f"{a}–{b}" for a, b in zip(firsts, lasts, strict=True)]
+    more = f" and {len(ranges) - _MOST_RANGES} ranges more" if len(ranges) > _MOST_RANGES else ""
+    return ", ".join(ranges[:_MOST_RANGES]) + more + (f" ({len(found)} of them)" if len(found) > 1 else "")
+
+
+def _conditions(folder: CampaignFolder) -> Iterator[str]:
+    """Checksums of the scene and the detector of each condition."""
+    yield "<h3>Conditions</h3>"
+    rows = []
+    conditions = folder.facts["conditions"]
+    for number, each in enumerate(conditions[:_MOST_ROWS]):
+        values = ", ".join(f"{key} {text_of(value)}" for key, value in each["values"].items())
+        sums = (each[name][:_DIGITS] for name in ("truth_sha256", "detector_sha256"))
+        rows.append([f"{number}", each["scene"], values or "as it is", *sums])
+    yield page.table(rows, ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"])
+    yield from _left_out(len(conditions), PLAN)
+    if folder.plan.drawn:
+        keys = ", ".join(folder.plan.drawn)
+        yield page.paragraph(f"Checksums are those of the first traffic seed: {keys} differ from seed to seed.", "soft")
+
+
+def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[str]:
+    """Versions, the checksum of the plan, and the commands."""
+    number = int(table["run"][0].as_py()) if len(table) else 0
+    yield "<h3>Versions</h3>"
+    versions = dict(folder.facts["versions"])
+    for condition in folder.facts["conditions"]:
+        for tracker in condition["trackers"].values():
+            versions |= tracker["versions"]
+    yield page.table([[name, text] for name, text in versions.items()], ["package", "version"])
+    yield "<h3>Again</h3>"
+    yield page.paragraph(
+        f"SHA-256 of the plan: {folder.facts['sha256']}. {PLAN} has all checksums in full. With the same plan and the "
+        "same versions the rows come out the same, byte by byte. "
+        f"Paths in {FILE} are relative to {shown_path(Path(folder.facts['base']))}."
+    )
+    path, again = folder.path, f"{folder.path.name}_again"
+    commands = {
+        "the whole campaign again": ["modsim3d", "campaign", str(path / FILE), "--out", again],
+        f"run {number} alone": ["modsim3d", "campaign-run", str(path), str(number), "--out", f"run_{number}"],
+    }
+    rows = "\n".join(
+        f"<tr><td>{html.escape(what)}</td><td><code>{html.escape(shlex.join(words))}</code></td></tr>"
+        for what, words in commands.items()
+    )
+    yield page.scrolling(f"<table>\n{rows}\n</table>")
+
+
+# ---- Parts of the ranges of a campaign file that no draw came near ----
+
+TENTHS, QUARTERS = 10, 4
+"""A range is looked at in tenths, and each pair of ranges in squares of quarters."""
+
+
+def empty_draws(keys: CampaignKeys, table: pa.Table) -> list[str]:
+    """In words, which parts of the drawn ranges have no run that is done.
+
+    Args:
+        keys: The campaign file.
+        table: The rows.
+    """
+    done = table.filter(pc.equal(table["status"], DONE))
+    drawn = {key: values for factor in keys.vary for key, values in factor.ranges.items() if key in table.column_names}
+    said = [text for key, values in drawn.items() for text in _of_key(key, values, done[key])]
+    numbers = {key: values for key, values in drawn.items() if values.choices is None}
+    for one, other in combinations(numbers, 2):
+        squares = {
+            (int(a), int(b))
+            for a, b in zip(
+                *(np.floor(_shares(numbers[key], done[key]) * QUARTERS) for key in (one, other)), strict=True
+            )
+        }
+        if missing := QUARTERS**2 - len(squares):
+            said.append(f"{one} with {other}: no draw in {missing} of {QUARTERS**2} squares of quarters of both ranges")
+    return said
+
+
+def _of_key(key: str, values: Range, column: pa.ChunkedArray) -> Iterator[str]:
+    if values.choices is not None:
+        as_text = pa.types.is_string(column.type)  # so it is if not all choices are numbers
+        found = set(column.to_pylist())
+        missing = [text_of(each) for each in values.choices if (text_of(each) if as_text else each) not in found]
+        if missing:
+            yield f"{key}: {', '.join(missing)}: never drawn"
+        return
+    filled = np.zeros(TENTHS, dtype=bool)
+    filled[np.floor(_shares(values, column) * TENTHS).astype(int)] = True
+    parts = [[_at(values, place / TENTHS) for place in part] for part in _stretches(~filled)]
+    if parts:
+        yield f"{key}: no draw from {', '.join(f'{low:.4g} to {high:.4g}' for low, high in parts)}"
+
+
+def _shares(values: Range, column: pa.ChunkedArray) -> Array:
+    """Where drawn values lie in their range, in [0, 1), shape (n,)."""
+    assert values.low is not None and values.high is not None
+    drawn, ends = np.asarray(column.to_numpy(), dtype=np.float64), np.array([values.low, values.high])
+    if values.whole:
+        ends[1] += 1
+    if values.scale == "log" and not values.whole:
+        drawn, ends = np.log10(drawn), np.log10(ends)
+    shares: Array = np.clip((drawn - ends[0]) / (ends[1] - ends[0]), 0.0, np.nextafter(1.0, 0.0))
+    return shares
+
+
+def _at(values: Range, share: float) -> float:
+    assert values.low is not None and values.high is not None
+    if values.scale == "log" and not values.whole:
+        return float(values.low * (values.high / values.low) ** share)
+    return values.low + share * (values.high - values.low)
+
+
+def _stretches(empty: Mask) -> Iterator[tuple[int, int]]:
+    """First and stop of each stretch of empty parts."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], empty, [False]])))
+    return ((int(first), int(stop)) for first, stop in list(pairwise(edges.tolist()))[::2])
+
+
+# ---- The sections of a page on what a campaign covered, and what not ----
 
 __all__ = ["coverage_sections", "trace_sections"]
 
@@ -53,7 +250,7 @@ _FRAMES = "vessel-frames"
 
 
 @dataclass(frozen=True)
-class Part:
+class CoverageTable:
     """A table of a page.
 
     Attributes:
@@ -65,7 +262,7 @@ class Part:
 
     title: str
     unit: str
-    rows: tuple[Counted, ...]
+    rows: tuple[CountedBin, ...]
     note: str = ""
 
     @property
@@ -118,32 +315,36 @@ def _extent(folder: CampaignFolder, table: pa.Table, truths: Truths) -> str:
     return said
 
 
-def _parts(folder: CampaignFolder, table: pa.Table, truths: Truths) -> Iterator[Part]:
+def _parts(folder: CampaignFolder, table: pa.Table, truths: Truths) -> Iterator[CoverageTable]:
     """All tables; the counts of a truth are counted once, however many detectors and trackers met it."""
     yield _encounters(truths)
-    yield Part("Performance states of the detector", "frames", counted_states(folder, table))
+    yield CoverageTable("Performance states of the detector", "frames", counted_states(folder, table))
     classes = sorted(name for name in table.column_names if name.startswith(VESSELS))
     named = [(name, name.removeprefix(VESSELS)) for name in classes]
-    yield Part("Classes", "vessels", tuple(truths.counted(*each) for each in named), "Vessels that a camera saw.")
+    yield CoverageTable(
+        "Classes", "vessels", tuple(truths.counted(*each) for each in named), "Vessels that a camera saw."
+    )
     span = truths.span("covered.least_range_m", "covered.most_range_m", "m")
     note = f"Distance of a visible vessel from the camera. {span}"
-    yield Part("Range", _FRAMES, _binned(truths, RANGES.names, RANGES.labels), note)
+    yield CoverageTable("Range", _FRAMES, _binned(truths, RANGES.names, RANGES.labels), note)
     span = truths.span("covered.least_size_px", "covered.most_size_px", "px")
     note = f"√(width × height) of the box of a visible vessel. {span}"
-    yield Part("Size", _FRAMES, _binned(truths, SIZES.names, SIZES.labels), note)
+    yield CoverageTable("Size", _FRAMES, _binned(truths, SIZES.names, SIZES.labels), note)
     yield _occlusions(truths)
     yield _waves(truths)
     yield _rolls(truths)
 
 
-def _binned(truths: Truths, names: Sequence[str], labels: Sequence[str]) -> tuple[Counted, ...]:
+def _binned(truths: Truths, names: Sequence[str], labels: Sequence[str]) -> tuple[CountedBin, ...]:
     return tuple(truths.counted(*each) for each in zip(names, labels, strict=True))
 
 
-def _encounters(truths: Truths) -> Part:
+def _encounters(truths: Truths) -> CoverageTable:
     title, unit = "Encounters of own ship", "encounters"
     if not truths.known("met.seen"):
-        return Part(title, unit, (), "No vessel carries a camera, so there is no own ship that could meet another.")
+        return CoverageTable(
+            title, unit, (), "No vessel carries a camera, so there is no own ship that could meet another."
+        )
     rows = tuple(truths.counted(*each) for each in ENCOUNTERS.items())
     met, seen = sum(row.count for row in rows), truths.counted("met.seen", "").count
     nearest = truths.span("covered.closest_approach_m", "covered.closest_approach_m", "m", "Closest approach of a run")
@@ -151,22 +352,24 @@ def _encounters(truths: Truths) -> Part:
         f"Vessels that came nearer and passed within a nautical mile; a camera saw {seen:,} of {met:,} before the "
         f"closest approach. {nearest}"
     )
-    return Part(title, unit, rows, note)
+    return CoverageTable(title, unit, rows, note)
 
 
-def _occlusions(truths: Truths) -> Part:
+def _occlusions(truths: Truths) -> CoverageTable:
     title, unit = "Occlusions by length", "occlusions"
     if not truths.known(OCCLUSIONS.names[0]):
-        return Part(title, unit, (), "The source of the truth cannot tell what is hidden: no occlusion is known.")
+        return CoverageTable(
+            title, unit, (), "The source of the truth cannot tell what is hidden: no occlusion is known."
+        )
     hidden_s = truths.total("covered.hidden_s")
     note = (
         "Less than half of the vessel's silhouette is visible. "
         f"Vessels are wholly hidden for {hidden_s:,.0f} s, all of them together."
     )
-    return Part(title, unit, _binned(truths, OCCLUSIONS.names, OCCLUSIONS.labels), note)
+    return CoverageTable(title, unit, _binned(truths, OCCLUSIONS.names, OCCLUSIONS.labels), note)
 
 
-def _waves(truths: Truths) -> Part:
+def _waves(truths: Truths) -> CoverageTable:
     name = "covered.wave_height_m"
     rows = []
     for (sea, low), high in zip(SEAS.items(), (*list(SEAS.values())[1:], np.inf), strict=True):
@@ -174,18 +377,18 @@ def _waves(truths: Truths) -> Part:
         rows.append(truths.within(name, low, high, label))
     unknown = truths.unknown(name, "wave levels, which have no height")
     note = "Significant wave height, by the degrees of WMO code table 3700."
-    return Part("Sea", "truths", (*rows, *([unknown] if unknown.count else [])), note)
+    return CoverageTable("Sea", "truths", (*rows, *([unknown] if unknown.count else [])), note)
 
 
-def _rolls(truths: Truths) -> Part:
+def _rolls(truths: Truths) -> CoverageTable:
     rows = []
     for low, high in pairwise((*ROLLS_DEG, 180.0)):
         label = f"{low:g} to {high:g}°" if high < 180 else f"{low:g}° and more"
         rows.append(truths.within("covered.camera_roll_rad", np.radians(low), np.radians(high), label))
-    return Part("Roll of a camera", "truths", tuple(rows), "By the largest angle of the horizon in an image.")
+    return CoverageTable("Roll of a camera", "truths", tuple(rows), "By the largest angle of the horizon in an image.")
 
 
-def _gaps(folder: CampaignFolder, table: pa.Table, parts: Sequence[Part]) -> Iterator[str]:
+def _gaps(folder: CampaignFolder, table: pa.Table, parts: Sequence[CoverageTable]) -> Iterator[str]:
     """What was not covered, in one list."""
     said = [f"{part.title}: {', '.join(part.empty)}" for part in parts if part.empty]
     said += [f"{part.title}: {part.note}" for part in parts if not part.rows]

@@ -9,18 +9,18 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.campaign.results.folder import CampaignFolder
+from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.work.coverage import COVERED, MET
 from modsim3d.campaign.work.row import DONE
-from modsim3d.view.pages.page import UNKNOWN
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.view.pages.tables import UNKNOWN
 
 _NEEDED = (COVERED, MET, "condition", "frames", "traffic_seed")
 """How the columns begin that are counted; those of scores are many, and left where they are."""
 
 
 @dataclass(frozen=True)
-class Counted:
+class CountedBin:
     """A bin.
 
     Attributes:
@@ -73,10 +73,10 @@ class Covered:
             return np.full(len(self), np.nan)
         return np.asarray(self.rows[name].to_numpy(zero_copy_only=False), dtype=np.float64)
 
-    def in_rows(self, chosen: Mask, label: str, count: int) -> Counted:
+    def in_rows(self, chosen: Mask, label: str, count: int) -> CountedBin:
         """A bin that is in some of the rows."""
         seeds = self.rows["traffic_seed"].to_numpy()[chosen]
-        return Counted(label, count, int(self.runs[chosen].sum()), len(np.unique(seeds)))
+        return CountedBin(label, count, int(self.runs[chosen].sum()), len(np.unique(seeds)))
 
 
 class Truths(Covered):
@@ -105,18 +105,18 @@ class Truths(Covered):
         """The sum of a column over the truths."""
         return float(np.nansum(self.numbers(name)))
 
-    def counted(self, name: str, label: str) -> Counted:
+    def counted(self, name: str, label: str) -> CountedBin:
         """The bin of a column that counts."""
         values = self.numbers(name)
         return self.in_rows(values > 0, label, int(np.nansum(values)))
 
-    def within(self, name: str, low: float, high: float, label: str) -> Counted:
+    def within(self, name: str, low: float, high: float, label: str) -> CountedBin:
         """Truths in which a column is at least `low` and below `high`."""
         values = self.numbers(name)
         chosen = (values >= low) & (values < high)
         return self.in_rows(chosen, label, int(np.count_nonzero(chosen)))
 
-    def unknown(self, name: str, label: str) -> Counted:
+    def unknown(self, name: str, label: str) -> CountedBin:
         """Truths in which a column is null."""
         chosen = np.isnan(self.numbers(name))
         return self.in_rows(chosen, label, int(np.count_nonzero(chosen)))
@@ -134,7 +134,7 @@ def _short(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
-def counted_states(folder: CampaignFolder, table: pa.Table) -> tuple[Counted, ...]:
+def counted_states(folder: CampaignFolder, table: pa.Table) -> tuple[CountedBin, ...]:
     """Frames in each performance state, the frames of a detector over a truth counted once."""
     looks = Covered.by(table, "detections_key")
     conditions = folder.facts["conditions"]

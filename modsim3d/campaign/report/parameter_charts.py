@@ -4,19 +4,215 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
-from itertools import combinations
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.report.cells import Estimates, by_level, mean_of, seed_cells
-from modsim3d.campaign.report.parameters import Parameter, parameters_of
+from modsim3d.campaign.done_rows import text_of
+from modsim3d.campaign.keys import Range
+from modsim3d.campaign.means import LEVEL
+from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.report.words import Score, axis_of, number, required_scores
-from modsim3d.campaign.results.means import LEVEL
+from modsim3d.campaign.verdicts.bounds import half_widths
+from modsim3d.core.types import Array, Indices
 from modsim3d.view.pages import charts, page
-from modsim3d.view.pages.intervals import Interval, band, forest, legend, marks, span_of
+from modsim3d.view.pages.charts import ChartInterval, band, forest, legend, marks, span_of
+
+# ---- The scores of a campaign as arrays, and their means with intervals over traffic seeds ----
+
+
+@dataclass(frozen=True, eq=False)
+class MeanGrid:
+    """Means over traffic seeds with Student's intervals, arrays of one shape; NaN where there are too few seeds.
+
+    Attributes:
+        mean: The means.
+        low: Lower ends of the intervals.
+        high: Upper ends.
+        seeds: Numbers of traffic seeds with a value.
+    """
+
+    mean: Array
+    low: Array
+    high: Array
+    seeds: Indices
+
+    def with_least(self, seeds: int) -> MeanGrid:
+        """The estimates that rest on so many seeds; the others are NaN."""
+        few = self.seeds < seeds
+        mean, low, high = (np.where(few, np.nan, each) for each in (self.mean, self.low, self.high))
+        return MeanGrid(mean, low, high, self.seeds)
+
+
+def seed_cells(plan: Plan, table: pa.Table, column: str) -> Array:
+    """A score by traffic seed, condition and tracker: the mean over detector seeds, NaN where no run has a value.
+
+    Args:
+        plan: The plan.
+        table: Rows of the campaign, in any number and order.
+        column: The column with the score.
+
+    Returns:
+        Shape (traffic seeds up to the last with a row, conditions, trackers).
+    """
+    seeds, trackers = plan.keys.seeds.detector, len(plan.keys.trackers)
+    runs = table["run"].to_numpy()
+    count = int(runs.max()) // plan.runs_by_seed + 1 if len(runs) else 0
+    values = np.full(count * plan.runs_by_seed, np.nan)
+    if column in table.column_names and len(runs):
+        values[runs] = table[column].cast(pa.float64()).to_numpy()
+    return mean_of(values.reshape(count, len(plan.conditions), seeds, trackers), 2)
+
+
+def mean_of(values: Array, axis: int | tuple[int, ...]) -> Array:
+    """The mean over axes of what is no NaN; NaN where there is nothing."""
+    known = ~np.isnan(values)
+    count = known.sum(axis=axis)
+    total = np.where(known, values, 0.0).sum(axis=axis)
+    found: Array = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    return found
+
+
+def over_seeds(values: Array) -> MeanGrid:
+    """Means over the first axis, which is that of traffic seeds; NaN is no value."""
+    known = ~np.isnan(values)
+    count = known.sum(axis=0)
+    mean = mean_of(values, 0)
+    with np.errstate(invalid="ignore"):  # an infinite mean has no interval
+        square = np.where(known, values - mean, 0.0) ** 2
+        deviation = np.sqrt(square.sum(axis=0) / np.maximum(count - 1, 1))
+        half = half_widths(mean, deviation, count, (1 - LEVEL) / 2)
+    return MeanGrid(mean, mean - half, mean + half, count)
+
+
+def by_level(cells: Array, index: Indices, levels: int) -> MeanGrid:
+    """Means over the traffic seeds at each level of a parameter.
+
+    The value of a seed at a level is the mean over its conditions at that level.
+
+    Args:
+        cells: A score, shape (seeds, conditions, trackers).
+        index: The level of each seed and condition, −1 for none, shape (seeds, conditions).
+        levels: Number of levels.
+
+    Returns:
+        Arrays of the shape (levels, trackers).
+    """
+    found = []
+    for level in range(levels):
+        at = index == level
+        seeds = at.any(axis=1)
+        found.append(over_seeds(mean_of(np.where(at[seeds, :, None], cells[seeds], np.nan), 1)))
+    return MeanGrid(*(np.stack([getattr(each, name) for each in found]) for name in ("mean", "low", "high", "seeds")))
+
+
+# ---- The parameters that a campaign varies, and the levels at which scores are shown ----
+
+MOST_LEVELS = 12
+"""Numbers of a grid that are shown one by one."""
+BINS = 6
+"""Stretches into which drawn numbers are put."""
+DECADES = 1.5
+"""From so many between the least and the greatest number on, an axis is logarithmic."""
+
+
+@dataclass(frozen=True, eq=False)
+class VariedKey:
+    """A key that is varied.
+
+    Attributes:
+        key: The key.
+        levels: Names of the levels: values, or stretches of numbers.
+        index: The level of each traffic seed and condition, −1 where the key is not set, shape (seeds, conditions).
+        numbers: The numbers of each, NaN where the key is not set, shape (seeds, conditions); None if they are none.
+        places: Numbers of the levels, shape (levels,); middles of stretches; None without numbers.
+        binned: Whether levels are stretches.
+        log: Whether numbers belong on a logarithmic axis.
+    """
+
+    key: str
+    levels: tuple[str, ...]
+    index: Indices
+    numbers: Array | None = None
+    places: Array | None = None
+    binned: bool = False
+    log: bool = False
+
+    @cached_property
+    def on_axis(self) -> Array:
+        """Places of the levels on the axis of a chart, shape (levels,)."""
+        assert self.places is not None
+        return np.log10(self.places) if self.log else self.places
+
+
+def parameters_of(plan: Plan, table: pa.Table) -> list[VariedKey]:
+    """The parameters with more than one value, in the order of the file.
+
+    Args:
+        plan: The plan.
+        table: Rows of the campaign.
+    """
+    seed = table["run"].to_numpy() // plan.runs_by_seed
+    seeds = int(seed.max()) + 1 if len(seed) else 0
+    ranges = {key: each for factor in plan.keys.vary for key, each in factor.ranges.items()}
+    there, first = np.unique(seed, return_index=True)
+    found = []
+    for key in plan.parameters:
+        if key in ranges:
+            drawn: list[Any] = [None] * seeds
+            for place, value in zip(there.tolist(), table[key].take(first).to_pylist(), strict=True):
+                drawn[place] = value
+            found.append(_parameter(key, [[value] * len(plan.conditions) for value in drawn], ranges[key]))
+        else:
+            row = [_value(condition, key) for condition in plan.conditions]
+            found.append(_parameter(key, [row], None, seeds))
+    return [each for each in found if len(each.levels) > 1]
+
+
+def _value(condition: Any, key: str) -> Any:
+    return Path(condition.scene).stem if key == "scene" else condition.values.get(key)
+
+
+def _parameter(key: str, values: Sequence[Sequence[Any]], span: Range | None, repeat: int = 1) -> VariedKey:
+    """A parameter of its values, a row for each seed; one row that holds for all is repeated."""
+    flat = [value for row in values for value in row if value is not None]
+    numeric = all(isinstance(value, int | float) and not isinstance(value, bool) for value in flat)
+    if not (numeric and flat):
+        names = list(dict.fromkeys(map(text_of, flat)))
+        places = {name: place for place, name in enumerate(names)}
+        index = np.array(
+            [[-1 if value is None else places[text_of(value)] for value in row] for row in values], dtype=np.int64
+        )
+        return VariedKey(key, tuple(names), np.repeat(index, repeat, axis=0))
+    numbers = np.array([[np.nan if value is None else float(value) for value in row] for row in values])
+    known = np.unique(numbers[np.isfinite(numbers)])
+    log = bool(known[0] > 0 and np.log10(known[-1] / known[0]) >= DECADES) if span is None else span.scale == "log"
+    if len(known) <= MOST_LEVELS:
+        index = np.where(np.isfinite(numbers), np.searchsorted(known, numbers), -1)
+        names = [f"{value:g}" for value in known]
+        places_of = known
+    else:
+        index, names, places_of = _binned(numbers, known, log)
+    numbers, index = (np.repeat(each, repeat, axis=0) for each in (numbers, index))
+    return VariedKey(key, tuple(names), index, numbers, places_of, len(known) > MOST_LEVELS, log)
+
+
+def _binned(numbers: Array, known: Array, log: bool) -> tuple[Indices, list[str], Array]:
+    """Equal stretches of the axis: the one of each number, their names and their middles."""
+    ends = (float(known[0]), float(known[-1]))
+    edges = np.geomspace(*ends, BINS + 1) if log else np.linspace(*ends, BINS + 1)
+    index = np.clip(np.searchsorted(edges, numbers, side="right") - 1, 0, BINS - 1)
+    middles = np.sqrt(edges[:-1] * edges[1:]) if log else (edges[:-1] + edges[1:]) / 2
+    names = [f"{low:.3g} to {high:.3g}" for low, high in pairwise(edges.tolist())]
+    return np.where(np.isfinite(numbers), index, -1), names, middles
+
+
+# ---- Scores against what is varied ----
 
 MOST_SCORES, MOST_PARAMETERS, MOST_PAIRS, MOST_SHOWN_TRACKERS = 3, 8, 10, 6
 CHART_PX = 500
@@ -51,7 +247,7 @@ def parameter_sections(plan: Plan, table: pa.Table) -> list[str]:
     return parts + _heat_maps(parameters, scores[0], cells[scores[0].column], trackers)
 
 
-def tied(first: Parameter, second: Parameter) -> bool:
+def tied(first: VariedKey, second: VariedKey) -> bool:
     """Whether a level of one decides that of the other, so that their effects cannot be told apart."""
     if first.binned or second.binned:
         return False
@@ -59,7 +255,7 @@ def tied(first: Parameter, second: Parameter) -> bool:
     return len(found) <= max(len({a for a, _ in found}), len({b for _, b in found}))
 
 
-def _remark(parameter: Parameter, plan: Plan, parameters: Sequence[Parameter], scores: Sequence[Score]) -> str:
+def _remark(parameter: VariedKey, plan: Plan, parameters: Sequence[VariedKey], scores: Sequence[Score]) -> str:
     said = f"By {parameter.key}."
     if parameter.key in plan.drawn:
         said += " It is drawn for each traffic seed, so each level has other seeds."
@@ -70,7 +266,7 @@ def _remark(parameter: Parameter, plan: Plan, parameters: Sequence[Parameter], s
     return said
 
 
-def _chart(parameter: Parameter, score: Score, cells: Array, trackers: Sequence[str]) -> str:
+def _chart(parameter: VariedKey, score: Score, cells: Array, trackers: Sequence[str]) -> str:
     found = by_level(cells, parameter.index, len(parameter.levels))
     title = f"{score.name} by {parameter.key}"
     if parameter.places is None:
@@ -78,12 +274,12 @@ def _chart(parameter: Parameter, score: Score, cells: Array, trackers: Sequence[
     return _lines(parameter, score, cells, found, title)
 
 
-def _rows(parameter: Parameter, found: Estimates) -> list[tuple[str, list[Interval]]]:
+def _rows(parameter: VariedKey, found: MeanGrid) -> list[tuple[str, list[ChartInterval]]]:
     return [
         (
             level,
             [
-                Interval(float(found.mean[place, t]), float(found.low[place, t]), float(found.high[place, t]), t)
+                ChartInterval(float(found.mean[place, t]), float(found.low[place, t]), float(found.high[place, t]), t)
                 for t in range(found.mean.shape[1])
             ],
         )
@@ -91,7 +287,7 @@ def _rows(parameter: Parameter, found: Estimates) -> list[tuple[str, list[Interv
     ]
 
 
-def _lines(parameter: Parameter, score: Score, cells: Array, found: Estimates, title: str) -> str:
+def _lines(parameter: VariedKey, score: Score, cells: Array, found: MeanGrid, title: str) -> str:
     """Lines with bands through the levels; where numbers are drawn, dots of the seeds too."""
     dots = _dots(parameter, cells) if parameter.binned else []
     if parameter.binned:
@@ -117,7 +313,7 @@ def _lines(parameter: Parameter, score: Score, cells: Array, found: Estimates, t
     return _with_thresholds(axes, content, score, title, parameter)
 
 
-def _with_thresholds(axes: charts.Axes, content: str, score: Score, title: str, parameter: Parameter) -> str:
+def _with_thresholds(axes: charts.Axes, content: str, score: Score, title: str, parameter: VariedKey) -> str:
     """The drawing with a dashed line at each threshold, which its side of what is right is written at."""
     for text, value in score.threshold_words:
         content += charts.line(axes, np.array(axes.x), np.full(2, value), "var(--ink)", dashed=True, width=1.4)
@@ -126,7 +322,7 @@ def _with_thresholds(axes: charts.Axes, content: str, score: Score, title: str, 
     return axes.drawing(content, title, axis_of(parameter.key), score.label)
 
 
-def _x_ticks(parameter: Parameter) -> tuple[tuple[float, str], ...]:
+def _x_ticks(parameter: VariedKey) -> tuple[tuple[float, str], ...]:
     if not parameter.binned:
         return tuple(zip(parameter.on_axis.tolist(), parameter.levels, strict=True))
     if not parameter.log:
@@ -137,7 +333,7 @@ def _x_ticks(parameter: Parameter) -> tuple[tuple[float, str], ...]:
     return tuple((float(np.log10(value)), f"{value:g}") for value in decades if low <= value <= high)
 
 
-def _dots(parameter: Parameter, cells: Array) -> list[tuple[Array, Array]]:
+def _dots(parameter: VariedKey, cells: Array) -> list[tuple[Array, Array]]:
     """For each tracker the numbers of seeds and their scores, shape (n,) each; of many seeds evenly chosen ones."""
     assert parameter.numbers is not None
     x = mean_of(parameter.numbers, 1)
@@ -151,7 +347,7 @@ def _dots(parameter: Parameter, cells: Array) -> list[tuple[Array, Array]]:
     return found
 
 
-def _heat_maps(parameters: Sequence[Parameter], score: Score, cells: Array, trackers: Sequence[str]) -> list[str]:
+def _heat_maps(parameters: Sequence[VariedKey], score: Score, cells: Array, trackers: Sequence[str]) -> list[str]:
     pairs = [pair for pair in combinations(parameters, 2) if not tied(*pair)]
     if not pairs:
         return []
@@ -181,7 +377,7 @@ def _heat_maps(parameters: Sequence[Parameter], score: Score, cells: Array, trac
 
 
 def _heat_map(
-    first: Parameter, second: Parameter, mean: Array, seeds: Indices, span: tuple[float, float], name: str
+    first: VariedKey, second: VariedKey, mean: Array, seeds: Indices, span: tuple[float, float], name: str
 ) -> str:
     head = "".join(f'<th class="number">{html.escape(level)}</th>' for level in second.levels)
     lines = [f"<tr><th>{html.escape(axis_of(first.key))}</th>{head}</tr>"]

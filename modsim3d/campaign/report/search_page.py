@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.campaign.file.keys import Range, SearchKeys
-from modsim3d.campaign.report.rests_on import rests_on
-from modsim3d.campaign.report.words import Score, number
-from modsim3d.campaign.results.done_rows import text_of
-from modsim3d.campaign.results.folder import CampaignFolder
-from modsim3d.campaign.search.folder import search_table
+from modsim3d.campaign.done_rows import text_of
+from modsim3d.campaign.folder import CampaignFolder
+from modsim3d.campaign.keys import Range, SearchKeys
+from modsim3d.campaign.report.campaign_page import write_campaign_page
+from modsim3d.campaign.report.words import Score, number, rests_on
+from modsim3d.campaign.search_folder import search_table
 from modsim3d.campaign.work.row import DONE
-from modsim3d.display import counted
-from modsim3d.outputs.placing import write_files
+from modsim3d.core.text import counted
+from modsim3d.io.atomic_write import write_files
 from modsim3d.view.pages import charts, page
-from modsim3d.view.pages.intervals import marks, span_of
+from modsim3d.view.pages.charts import marks, span_of
+
+# ---- The page of a search ----
 
 SHOWN = 20
 """Trials in the table."""
@@ -167,3 +169,28 @@ def _again(folder: CampaignFolder, number: int) -> str:
 
 def _value(value: Any) -> str:
     return number(value) if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)
+
+
+# ---- Writes the page that a campaign has ----
+
+
+def write_page(
+    folder: CampaignFolder,
+    path: Path,
+    advance: Callable[[int], None] = lambda done: None,
+    command: str | None = None,
+) -> str:
+    """Write the page of a campaign, and return its first sentence.
+
+    Args:
+        folder: The campaign, finished or not.
+        path: The file.
+        advance: Called with 1 after each picture.
+        command: What the page says it was made by; the call from Python if None.
+
+    Raises:
+        ModsimError: The results are damaged, or the page cannot be written.
+    """
+    if folder.keys.search is not None:
+        return write_search_page(folder, path, command)
+    return write_campaign_page(folder, path, advance, command)

@@ -1,4 +1,4 @@
-"""The bounds that a verdict is held against: those of a campaign looked at once, or after every seed."""
+"""Intervals and bounds of a mean, for a number of seeds that was fixed beforehand."""
 
 from __future__ import annotations
 
@@ -7,11 +7,287 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy import special
 
-from modsim3d.arrays import Array, Mask
-from modsim3d.campaign.verdicts.betting import betting_bounds
-from modsim3d.campaign.verdicts.means import skewed_bounds
-from modsim3d.campaign.verdicts.proportions import exact_bounds, mixture_bounds
+from modsim3d.core.types import Array, Mask
+
+# ---- Intervals and bounds of a mean, for a number of seeds that was fixed beforehand ----
+
+_SAME = 1e-12
+"""Values that differ by less than this share of their size are the same: the mean of equal numbers may be off by so
+much."""
+SKEWNESS = 1.0
+"""The least skewness that values are taken to have: a few of them seldom show the tail that they come from."""
+VARIATION = 1.5
+"""How much of h/d a half-width h gains of itself, if the values lack d to the best one."""
+VARIATION_FROM_ZERO = 1.1
+"""The same of scores that are 0 at best, as numbers, times and errors are; all three by `script/campaign sequences`."""
+
+
+def half_widths(mean: ArrayLike, deviation: ArrayLike, count: ArrayLike, alpha: float) -> Array:
+    """How far the bounds of means lie from them; NaN with fewer than two values, or if all are the same.
+
+    Values that are all the same say nothing of how far the next one may be off: an interval of no width would claim
+    that none ever differs.
+
+    Args:
+        mean: Means, all of one shape.
+        deviation: Standard deviations of the values, with n − 1.
+        count: Numbers of values.
+        alpha: The probability of error, of each bound; exact for normal values, an approximation for others.
+    """
+    mean, deviation, count = (np.asarray(each, dtype=np.float64) for each in (mean, deviation, count))
+    differ = (count > 1) & (deviation > _SAME * np.maximum(1.0, np.abs(mean)))
+    half = special.stdtrit(np.maximum(count - 1, 1), 1 - alpha) * deviation / np.sqrt(np.maximum(count, 1))
+    widths: Array = np.where(differ, half, np.nan)
+    return widths
+
+
+def t_bounds(values: Array, alpha: float) -> tuple[float, float] | None:
+    """The bounds of the mean; None of fewer than two values, if all are the same, or if one is not finite.
+
+    Args:
+        values: A value for each seed, shape (n,).
+        alpha: The probability of error of each bound, as in `half_widths`.
+    """
+    if len(values) < 2 or not np.all(np.isfinite(values)):
+        return None
+    mean = float(values.mean())
+    half = float(half_widths(mean, values.std(ddof=1), len(values), alpha))
+    return None if np.isnan(half) else (mean - half, mean + half)
+
+
+def skewed_bounds(values: Array, alpha: float, greatest: float = math.inf) -> Array:
+    """Lower bounds of means of values that may be skewed towards low ones, see `corrected_bounds`.
+
+    Args:
+        values: Shape (…, n); those of each row have a mean.
+        alpha: The probability of error that is aimed at.
+        greatest: The greatest possible value.
+    """
+    count, mean = values.shape[-1], values.mean(axis=-1)
+    falls = mean[..., None] - values
+    variance, cubed = (falls**2).mean(axis=-1), (falls**3).mean(axis=-1)
+    deviation = np.sqrt(variance * count / max(count - 1, 1))
+    scale = variance**1.5
+    skewness = np.divide(cubed, scale, out=np.zeros_like(cubed), where=scale > 0)
+    return corrected_bounds(mean, deviation, skewness, count, alpha, greatest)
+
+
+def corrected_bounds(
+    mean: ArrayLike, deviation: ArrayLike, skewness: ArrayLike, count: int, alpha: float, greatest: float = math.inf
+) -> Array:
+    """Lower bounds of means, the lesser of two; minus infinity where there is none. They are approximations.
+
+    - Student's t, corrected by the cubic of Hall (1992), "On the removal of skewness by transformation", J. R. Stat.
+      Soc. B 54, 221-228, for the skewness of the sample, and one of at least `SKEWNESS`.
+    - Student's t with h·(1 + v·h/d) for the half-width h, at most 2·h, where d is what the mean lacks to the best value
+      and v is `VARIATION` or `VARIATION_FROM_ZERO`. In scores that cannot be better than best, spread and skewness come
+      from the same bad runs. For v = 1 and small h/d it is the correction for a skewness of three times the
+      coefficient of variation of what values lack to the best one, which the inverse Gaussian distribution has; a gamma
+      distribution has two, a Poisson distribution one.
+
+    The rule was chosen, and how often it errs measured, by `script/campaign sequences`.
+
+    Args:
+        mean: Means, all of one shape.
+        deviation: Standard deviations of the values, with n − 1.
+        skewness: Skewness of the values, with n, mirrored: positive if they are skewed towards low ones.
+        count: Number of values.
+        alpha: The probability of error that is aimed at.
+        greatest: The greatest possible value.
+    """
+    mean, deviation = np.asarray(mean, dtype=np.float64), np.asarray(deviation, dtype=np.float64)
+    half, lacks = half_widths(mean, deviation, count, alpha), greatest - mean
+    skewness, variation = np.maximum(skewness, SKEWNESS), VARIATION if greatest else VARIATION_FROM_ZERO
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = half / deviation
+        cubic = deviation * 3 / skewness * (1 - np.cbrt(1 - skewness * (error + skewness / (6 * count))))
+        related = half * (1 + np.minimum(variation * half / lacks, 1))
+    bounds: Array = np.where(np.isnan(half), -math.inf, mean - np.maximum(cubic, related))
+    return bounds
+
+
+# ---- Where a statement changes from true to false ----
+
+
+def lower_end(excluded: Callable[[float], bool], halvings: int) -> float:
+    """The greatest number in [0, 1) up to which all are excluded, 0 if none is.
+
+    Args:
+        excluded: Whether a number is; if it is, so are all below it.
+        halvings: How often the interval is halved: the number is rounded down by 2**-halvings at most.
+    """
+    low, high = 0.0, 1.0
+    for _ in range(halvings):
+        middle = (low + high) / 2
+        if excluded(middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def least_whole(holds: Callable[[int], bool], first: int) -> int:
+    """The least whole number, from the first on, for which a statement holds that then holds for all greater ones."""
+    step = 1
+    while not holds(first + step - 1):
+        step *= 2
+    low, high = first + step // 2 - 1, first + step - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high
+
+
+# ---- Bounds of a proportion ----
+
+HALF = 0.5
+"""Both parameters of the beta distribution that the sequence mixes over (Jeffreys' prior)."""
+_HALVINGS = 52
+"""As close to 1 as numbers are."""
+
+
+def exact_bounds(right: int, seeds: int, alpha: float) -> tuple[float, float]:
+    """The lower and the upper bound of Clopper & Pearson (1934) for a number of seeds that was fixed beforehand.
+
+    Args:
+        right: Number of seeds that are right.
+        seeds: Number of all.
+        alpha: The greatest probability of error, of each bound.
+    """
+    wrong = seeds - right
+    low = float(special.betaincinv(right, wrong + 1, alpha)) if right else 0.0
+    high = float(special.betainccinv(right + 1, wrong, alpha)) if wrong else 1.0
+    return low, high
+
+
+def clean_seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
+    """The least number of seeds, fixed beforehand, that shows a share if so many of them are wrong.
+
+    For 0.99 at 0.95 it is 299 without failures and 473 with one.
+
+    Args:
+        share: The least share that must be right, in (0, 1).
+        confidence: The confidence of the statement.
+        failures: Number of seeds that are wrong.
+    """
+    return least_whole(lambda seeds: bool(special.bdtr(failures, seeds, 1 - share) <= 1 - confidence), failures + 1)
+
+
+def mixture_log_capital(right: Mask, share: float) -> Array:
+    """How strongly the seeds so far speak against a share being the true one, after each seed.
+
+    The logarithm of a capital that starts at 1 and is a martingale if the share is the true one, so that it ever
+    reaches 1/α with probability α at most (Ville's inequality). It is the likelihood of the seeds, mixed over all
+    shares by a beta(1/2, 1/2) distribution, divided by their likelihood at this share (Robbins 1970).
+
+    Args:
+        right: Which seeds are right, in the order of the plan, shape (…, n).
+        share: The share, in (0, 1).
+
+    Returns:
+        The logarithms, shape (…, n).
+    """
+    count = np.arange(1, right.shape[-1] + 1)
+    good = np.cumsum(right, axis=-1)
+    mixed = special.betaln(good + HALF, count - good + HALF) - special.betaln(HALF, HALF)
+    likelihood = good * math.log(share) + (count - good) * math.log1p(-share)
+    capital: Array = mixed - likelihood
+    return capital
+
+
+def mixture_bounds(right: Mask, alpha: float) -> tuple[float, float]:
+    """The greatest lower bound and the least upper bound after any number of the seeds.
+
+    Args:
+        right: Which seeds are right, in the order of the plan, shape (n,).
+        alpha: The greatest probability that an upper or a lower bound is ever wrong, of both together.
+    """
+    return _lower(right, alpha), 1 - _lower(~right, alpha)
+
+
+def clean_seeds_needed_sequential(share: float, confidence: float) -> int:
+    """The least number of seeds, all of them right, after which the sequence shows a share: 680 for 0.99 at 0.95."""
+
+    def shown(seeds: int) -> bool:
+        mixed = special.betaln(seeds + HALF, HALF) - special.betaln(HALF, HALF)
+        return bool(mixed - seeds * math.log(share) >= -math.log1p(-confidence))
+
+    return least_whole(shown, 1)
+
+
+def _lower(right: Mask, alpha: float) -> float:
+    """Every share that is below that of some first seeds and has a capital of 1/α there is excluded."""
+    if not len(right):
+        return 0.0
+    found = np.cumsum(right) / np.arange(1, len(right) + 1)
+
+    def excluded(share: float) -> bool:
+        capital = mixture_log_capital(right, share)
+        return bool(np.any((capital >= -math.log(alpha)) & (found > share)))
+
+    return lower_end(excluded, _HALVINGS)
+
+
+# ---- A sequence of bounds of the mean of values between 0 and 1 that holds after every number of them, ----
+
+STAKES: Array = np.exp2(-0.5 * np.arange(21))
+"""Shares of the capital that are lost if a value is 0, from all of it to a thousandth."""
+_BETTING_HALVINGS = 30
+"""To a billionth."""
+_WEIGHTS: Array = 1.0 / np.arange(1, len(STAKES) + 1)
+_LOG_WEIGHTS: Array = np.log(_WEIGHTS / _WEIGHTS.sum())
+"""How much of the capital is bet so at the start: most on high stakes, which win early if they win."""
+
+
+def log_capital(values: Array, mean: float) -> Array:
+    """The logarithm of the capital after each value, of a gambler who bets that the values are above a mean.
+
+    Args:
+        values: Values in [0, 1], in the order of the plan, shape (…, n).
+        mean: The mean, in (0, 1].
+
+    Returns:
+        Shape (…, n).
+    """
+    stakes = STAKES.reshape(-1, *(1,) * values.ndim)
+    with np.errstate(divide="ignore"):  # all is lost: minus infinity, and so it stays
+        grown = np.cumsum(np.log1p(stakes * (values / mean - 1)), axis=-1)
+    capital: Array = special.logsumexp(grown + _LOG_WEIGHTS.reshape(stakes.shape), axis=0)
+    return capital
+
+
+def betting_bounds(values: Array, alpha: float) -> tuple[float, float]:
+    """The greatest lower bound and the least upper bound of the mean after any number of the values.
+
+    Args:
+        values: Values in [0, 1], in the order of the plan, shape (n,).
+        alpha: The greatest probability that a lower bound is ever wrong; the same for an upper one.
+    """
+    return _lower_by_betting(values, alpha), 1 - _lower_by_betting(1 - values, alpha)
+
+
+def perfect_seeds_needed(mean: float, confidence: float) -> float:
+    """The least number of values, all of them 1, that shows a mean; infinite for 1, which nothing can show."""
+    if mean >= 1:
+        return math.inf
+    if mean <= 0:
+        return 0
+    grown = np.log1p(STAKES * (1 / mean - 1))
+    return least_whole(
+        lambda count: bool(special.logsumexp(count * grown + _LOG_WEIGHTS) >= -math.log1p(-confidence)), 1
+    )
+
+
+def _lower_by_betting(values: Array, alpha: float) -> float:
+    if not len(values):
+        return 0.0
+    return lower_end(lambda mean: bool(np.max(log_capital(values, mean)) >= -math.log(alpha)), _BETTING_HALVINGS)
+
+
+# ---- The bounds that a verdict is held against ----
 
 
 @dataclass(frozen=True)

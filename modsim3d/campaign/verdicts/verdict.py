@@ -2,8 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+
+from modsim3d.campaign.keys import CampaignKeys, Requirement
+from modsim3d.campaign.plan import SCENE, Case, Plan, traffic_seed
+from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, clean_seeds_needed, mean_bounds, share_bounds
+from modsim3d.campaign.verdicts.seed_values import Runs, SeedRows
+from modsim3d.campaign.verdicts.wording import (
+    at_step,
+    cases_of_all,
+    counted,
+    never_met,
+    offered,
+    percent,
+    requirement_text,
+    rounded,
+    rounded_down,
+    rounded_up,
+    stepped,
+)
+from modsim3d.campaign.work.row import facts_of, limits_of, without_tracks
+from modsim3d.core.types import Indices
+
+# ---- What a requirement comes to ----
 
 Outcome = Literal["met", "failed", "undecided"]
 
@@ -56,3 +85,247 @@ class Verdict:
     def qualified(self) -> bool:
         """Whether there is more to say than its interval does: runs that are missing, or nothing that it takes."""
         return bool(self.crashed or self.nothing or self.undefined or self.left_out or self.met_without_tracks)
+
+
+# ---- Judges the requirements of a campaign on its rows ----
+
+NO_TRACKS = "No tracks at all would meet it too: `resting_on` asks for a share of vessel-frames to be followed."
+_NAMED = 5
+"""Most seeds without a value that are named."""
+
+
+def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
+    """A verdict for each requirement, tracker and condition that it is about.
+
+    A campaign with `stop: once` is looked at once: until all its runs are there, every verdict is undecided.
+
+    Args:
+        plan: The plan.
+        table: The rows so far, see `results_table`; those before the first traffic seed that is not whole count.
+    """
+    rows, cases = SeedRows(plan, table), cases_of_all(plan)
+
+    @cache
+    def verdict(index: int, taken: int) -> Verdict:
+        place, case = cases[index]
+        return _verdict(plan, place, at_step(plan, place, len(cases), taken), case, rows)
+
+    if plan.keys.level == "each":
+        return tuple(verdict(index, 0) for index in range(len(cases)))
+    met = stepped(len(cases), lambda index, taken: verdict(index, taken).outcome == "met")
+    failed = stepped(len(cases), lambda index, taken: verdict(index, taken).outcome == "failed")
+    decided, rest = met | failed, min(len(met), len(failed))
+    return tuple(
+        verdict(index, decided[index]) if index in decided else replace(verdict(index, rest), outcome="undecided")
+        for index in range(len(cases))
+    )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the rows say: an outcome, its numbers, and the sentence that gives them."""
+
+    outcome: Outcome
+    estimate: float | None
+    bounds: Bounds
+    why: str
+
+
+def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows: SeedRows) -> Verdict:
+    keys = plan.keys
+    runs = rows.runs_of(case, requirement.score, requirement.resting_on)
+    group, undefined = case.group, int(runs.undefined.sum())
+    of_mean = requirement.share is None
+    own = rows.runs_of(replace(case, minus=None), requirement.score, requirement.resting_on)
+    found = _of_mean(requirement, runs, own, keys, group) if of_mean else _of_share(requirement, runs, keys)
+    impossible = never_met(keys, requirement, group, undefined)
+    if found.outcome == "met" and impossible:
+        found = replace(found, outcome="undecided")
+    why = [found.why]
+    if keys.stop == "once" and rows.seeds < keys.seeds.traffic:
+        found, why = _not_yet(found, requirement, runs, keys.seeds.traffic)
+    elif found.outcome == "undecided" and impossible:
+        why.append(f"This plan can never meet it: {impossible}.")
+    why += _of_lost(runs, requirement, keys)
+    why += _of_left_out(runs, requirement, requirement.what + case.within, keys.seed)
+    facts, rests_on = facts_of(requirement.score, group), runs.rests_on
+    if rests_on is not None and (facts.managed or requirement.resting_on is not None):
+        less = "" if case.minus is None else ", the less of both trackers"
+        why.append(f"It rests on {rounded(100 * rests_on)} % of {facts.basis.of}{less}, mean over runs.")
+    if met_without_tracks := _met_without_tracks(requirement, keys, runs, rows, case):
+        why.append(NO_TRACKS)
+    if keys.level == "family":
+        why.append(f"Judged at {percent(requirement.confidence)}, by Holm for all verdicts together.")
+    low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
+    return Verdict(
+        place,
+        requirement_text(requirement, case.within),
+        " − ".join(keys.trackers[place].label for place in (case.tracker, case.minus) if place is not None),
+        case.condition,
+        found.outcome,
+        " ".join(why),
+        requirement.confidence,
+        found.estimate,
+        low,
+        high,
+        int(np.count_nonzero(~runs.undefined)),
+        int(runs.crashed.sum()),
+        int(runs.nothing.sum()),
+        undefined,
+        int(runs.left_out.sum()),
+        rests_on,
+        met_without_tracks,
+        _values(plan, case),
+    )
+
+
+def _not_yet(found: _Found, requirement: Requirement, runs: Runs, planned: int) -> tuple[_Found, list[str]]:
+    """Undecided, with the state so far and without bounds, which hold for one look only."""
+    done, state = counted(len(runs.values), "traffic seed"), ""
+    if found.estimate is not None:
+        mean = requirement.share is None
+        state = f", mean {rounded(found.estimate)} so far" if mean else f", {100 * found.estimate:.4g} % right so far"
+    why = f"{done} of {planned:,} {'is' if len(runs.values) == 1 else 'are'} done{state}; it is judged when all are."
+    return _Found("undecided", found.estimate, UNKNOWN, why), [why]
+
+
+def _of_left_out(runs: Runs, requirement: Requirement, name: str, base: int) -> Iterator[str]:
+    """Which seeds and runs the truth leaves without a value, and why."""
+    alone = counted(int(runs.left_out.sum()), "run")
+    whole = counted(int(runs.undefined.sum()), "traffic seed")
+    for seeds, what in ((runs.undefined, whole), (runs.left_out.any(axis=1), f"{alone} of other traffic seeds")):
+        if seeds.any():
+            yield f"{what} without {name} left out: {_named(np.flatnonzero(seeds), base)}."
+    if np.any(runs.undefined) or np.any(runs.left_out):
+        clean = " or nothing of that kind went wrong" if facts_of(requirement.score).of_faults else ""
+        yield f"The truth has nothing to score there{clean}."
+
+
+def _named(seeds: Indices, base: int) -> str:
+    named = ", ".join(str(traffic_seed(base, int(index))) for index in seeds[:_NAMED])
+    return named + (", …" if len(seeds) > _NAMED else "")
+
+
+def _met_without_tracks(requirement: Requirement, keys: CampaignKeys, runs: Runs, rows: SeedRows, case: Case) -> bool:
+    """Whether the runs would have been right without any track, in a difference of the first tracker."""
+    values = without_tracks(requirement.score, keys.score, rows.columns(case))
+    at_most = requirement.at_most is not None
+    if values is None or requirement.resting_on is not None:
+        return False
+    if case.minus is not None:
+        values = values - rows.runs_of(replace(case, tracker=case.minus, minus=None), requirement.score).values
+    if facts_of(requirement.score).without_tracks is None and not at_most:
+        return False  # no more than an upper bound is known
+    without = replace(runs, values=values, nothing=np.zeros_like(runs.nothing))
+    if requirement.share is not None:
+        right = without.right(requirement)
+        return len(right) > 0 and float(right.mean()) >= requirement.share
+    means = without.means(math.nan)
+    means = means[~np.isnan(means)]
+    return len(means) > 0 and requirement.holds(float(means.mean()))
+
+
+def _values(plan: Plan, case: Case) -> dict[str, Any]:
+    """The values of the varied keys, and the part of the runs if it names one."""
+    condition = plan.conditions[case.condition]
+    scene = {SCENE: Path(condition.scene).stem} if SCENE in plan.parameters else {}
+    return {**scene, **condition.values, **({} if case.part is None else {case.group: case.part.name})}
+
+
+def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Found:
+    assert requirement.share is not None
+    right = runs.right(requirement)
+    if not len(right):
+        return _Found("undecided", None, UNKNOWN, "No traffic seed has a value.")
+    bounds = share_bounds(right, requirement.confidence, keys.stop)
+    outcome = _outcome(bounds.low >= requirement.share, bounds.high < requirement.share)
+    good = int(right.sum())
+    why = f"{good:,} of {counted(len(right), 'traffic seed')} {'is' if 1 in (good, len(right)) else 'are'} right; "
+    why += f"{_between(bounds, requirement)}."
+    if outcome == "undecided" and keys.stop == "once" and good > requirement.share * len(right):
+        needed = clean_seeds_needed(requirement.share, requirement.confidence, len(right) - good)
+        most = f"no more than {len(right) - good:,}" if good < len(right) else "none"
+        why += (
+            f" It would have taken {needed:,} seeds with {most} wrong. A second campaign, with another `seed`, may err "
+            "too, and errors add up: plan both beforehand with half the error each "
+            f"(`confidence: {(1 + requirement.confidence) / 2:g}`), or use `stop: sequential`."
+        )
+    return _Found(outcome, float(right.mean()), bounds, why)
+
+
+def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys, group: str) -> _Found:
+    """What is found of a mean; `own` are the runs of the tracker itself, if they are not those of a difference."""
+    limits = least, greatest = limits_of(requirement, keys.score)
+    worst, best, seen = runs.means(least), runs.means(greatest), runs.means(math.nan)
+    if not len(worst):
+        return _Found("undecided", None, UNKNOWN, "No traffic seed has a value.")
+    every = mean_bounds(worst, best, requirement.confidence, keys.stop, limits)
+    bounds = offered(every, requirement, len(worst), group) if keys.stop == "once" else every
+    if requirement.at_least is not None:
+        outcome = _outcome(bounds.low >= requirement.threshold, bounds.high < requirement.threshold)
+    else:
+        outcome = _outcome(bounds.high <= requirement.threshold, bounds.low > requirement.threshold)
+    seen = seen[~np.isnan(seen)]
+    estimate = float(seen.mean()) if len(seen) else None
+    clean = facts_of(requirement.score).of_faults and runs.undefined.any()  # in these seeds nothing went wrong
+    hopeless = own.lost.any() and np.all(np.isnan(own.means(math.nan))) and not clean
+    if hopeless or (estimate == math.inf and requirement.at_most is not None):
+        outcome = "failed"
+    said = f"the mean is {rounded(estimate)}" if estimate is not None else f"no run has {requirement.what}"
+    if estimate is not None and runs.lost.any():
+        said = f"the mean of the {len(seen):,} with a value is {rounded(estimate)}"
+    why = f"Over {counted(len(worst), 'traffic seed')} {said}"
+    if bounds.known:
+        why += f"; {_between(bounds, requirement)}."
+    elif len(worst) < 2 and estimate is not None:
+        why += "; one seed says nothing of how much seeds differ."
+    elif not runs.lost.any() and estimate != math.inf and not every.known:
+        why += (
+            ", the same in each, which says nothing of how much others may differ: ask for a share of seeds with `in`."
+        )
+    else:
+        why += "."
+    return _Found(outcome, estimate, bounds, why)
+
+
+def _outcome(met: bool, failed: bool) -> Outcome:
+    return "met" if met else "failed" if failed else "undecided"
+
+
+def _between(bounds: Bounds, requirement: Requirement) -> str:
+    """Which bounds there are, and how sure each is."""
+    sides = []
+    if math.isfinite(bounds.low):
+        sides.append(f"at least {rounded_down(bounds.low)}")
+    if math.isfinite(bounds.high):
+        sides.append(f"at most {rounded_up(bounds.high)}")
+    what = "the true mean" if requirement.share is None else "the true share"
+    each = "each " if len(sides) == 2 else ""
+    return f"{what} is {' and '.join(sides)}, {each}with {percent(requirement.confidence)} confidence"
+
+
+def _of_lost(runs: Runs, requirement: Requirement, keys: CampaignKeys) -> Iterator[str]:
+    """What is done about runs that crashed, and those whose tracker gave nothing to score."""
+    least, greatest = limits_of(requirement, keys.score)
+    worst = least if requirement.at_least is not None else greatest
+    crashed, nothing = int(runs.crashed.sum()), int(runs.nothing.sum())
+    parts = [f"{counted(crashed, 'run')} crashed"] if crashed else []
+    if nothing:
+        too_little = "" if requirement.resting_on is None else " or too little"
+        parts.append(f"in {counted(nothing, 'run')} the tracker gave nothing{too_little} to score")
+    if not parts:
+        return
+    said = " and ".join(parts)
+    said = said[0].upper() + said[1:] + (", of either tracker" if requirement.of is not None else "")
+    kind = "score" if requirement.of is None else "difference"
+    if runs.lost[~runs.undefined].all():
+        yield f"{said}."
+    elif requirement.share is not None:
+        yield f"{said}: {'this counts' if crashed + nothing == 1 else 'these count'} as wrong."
+    elif math.isfinite(worst):
+        yield f"{said}: the bounds take the worst and the best possible {kind} in their place."
+    else:
+        yield (
+            f"{said}, and {requirement.what} has no worst possible value to take in their place: it cannot be met. "
+            "With `in` such runs are wrong, and others can be right."
+        )

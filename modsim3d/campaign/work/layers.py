@@ -2,41 +2,258 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+import errno
+import shutil
+import uuid
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
-from modsim3d.campaign.file.keys import CampaignKeys
-from modsim3d.campaign.plan.plan import PlannedRun
-from modsim3d.campaign.work.digests import detector_digest, digest, truth_digest
-from modsim3d.campaign.work.latest import Latest
-from modsim3d.campaign.work.layer_tables import (
-    DETECTIONS,
-    TRACKS,
-    TRUTH,
-    TruthLayer,
-    rows_of,
-    stored_detections,
-    tracks_of_table,
-)
-from modsim3d.campaign.work.scenes import Scenes
-from modsim3d.campaign.work.stored_layers import StoredLayers
+from modsim3d.campaign.keys import CampaignKeys, Layer
+from modsim3d.campaign.plan import PlannedRun
+from modsim3d.campaign.work.scenes import Latest, Scenes, detector_digest, digest, truth_digest
+from modsim3d.core.errors import OutputError
+from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.runs.camera_sequences import sequences_of
+from modsim3d.runs.files import tables
 from modsim3d.runs.files.block_files import TABLES
-from modsim3d.runs.pipeline import Simulation, open_renderer, scene_census, step_ranges, truth_block
+from modsim3d.runs.files.stored_tables import truth_of
+from modsim3d.runs.files.table_columns import BOX_SIDES
+from modsim3d.runs.files.tables import indices, integer_column, number_column
+from modsim3d.runs.pipeline import Simulation, detected_block, open_renderer, scene_census, step_ranges, truth_block
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.trackers.registry import NamedTracker, named_tracker
 from modsim3d.tracking.trackers.running import tracked
-from modsim3d.tracks.files.track_columns import track_table
-from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.tracks import COVARIANCES, SCHEMA, Tracks, track_table
+from modsim3d.truth.record import Truth
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
+
+# ---- The tables in which layers are kept on the disk ----
+
+DETECTED = "detected"
+"""The only column of a run's truth that depends on the detector; a table of its own in the layer of detections."""
+TRUTH = {"truth": tables.TRUTH.remove(tables.TRUTH.get_field_index(DETECTED))}
+DETECTIONS = {
+    "frames": tables.FRAMES,
+    "detections": tables.DETECTIONS,
+    DETECTED: pa.schema([tables.TRUTH.field(DETECTED)]),
+}
+TRACKS = {"tracks": SCHEMA}
+Blocks = Sequence[tuple[Truth, int, int]]
+"""The truth of some steps, the first of them, and the step after the last."""
+
+
+@dataclass(frozen=True, eq=False)
+class TruthLayer:
+    """The truth of a run: as blocks for its detector, and as a table; one is made from the other when it is needed.
+
+    Attributes:
+        scene: The scene, with any detector.
+        made: The blocks, if they were made here.
+        stored: The table, if it was read.
+    """
+
+    scene: Scene
+    made: Blocks | None = None
+    stored: pa.Table | None = None
+
+    @classmethod
+    def of_blocks(cls, blocks: Blocks, scene: Scene) -> TruthLayer:
+        """Truth that was made."""
+        return cls(scene, made=blocks)
+
+    @classmethod
+    def of_table(cls, table: pa.Table, scene: Scene) -> TruthLayer:
+        """Truth that was read."""
+        return cls(scene, stored=table)
+
+    @cached_property
+    def blocks(self) -> Blocks:
+        """The truth of each block of steps."""
+        if self.made is not None:
+            return self.made
+        table = self.with_detected(pa.nulls(len(self.table), pa.bool_()))
+        step = integer_column(table, "step")
+        found = []
+        for first, stop in step_ranges(self.scene):
+            low, high = np.searchsorted(step, (first, stop)).tolist()
+            found.append((truth_of(table.slice(low, high - low), self.scene), first, stop))
+        return found
+
+    @cached_property
+    def table(self) -> pa.Table:
+        """The rows of the table `truth` of a run, without the column that depends on the detector."""
+        if self.stored is not None:
+            return self.stored.combine_chunks()
+        scene = self.scene
+        blocks = [detected_block(scene, *block, _nothing_detected) for block in self.blocks]
+        rows = [tables.truth_table(block, scene).drop_columns([DETECTED]) for block in blocks]
+        return pa.concat_tables(rows).combine_chunks()
+
+    def with_detected(self, detected: pa.Array | pa.ChunkedArray) -> pa.Table:
+        """The table `truth` of a run.
+
+        Args:
+            detected: Whether each row was detected.
+        """
+        return self.table.append_column(tables.TRUTH.field(DETECTED), detected)
+
+
+def _nothing_detected(frames: CameraFrames, targets: Targets) -> Detections:
+    none, no_boxes, nobody = np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty(0, dtype=bool)
+    states, gated = np.zeros(len(frames.steps), dtype=np.int64), np.zeros(len(targets.frame), dtype=bool)
+    return Detections(states, none, none, none, none, none, np.empty(0), no_boxes, no_boxes, nobody, gated)
+
+
+def stored_detections(made: Mapping[str, pa.Table]) -> dict[str, pa.Table]:
+    """What is kept of the detections, from the tables of a run."""
+    detected = pa.table([made["truth"][DETECTED]], schema=DETECTIONS[DETECTED])
+    return {"frames": made["frames"], "detections": made["detections"], DETECTED: detected}
+
+
+def rows_of(stored: Mapping[str, pa.Table], truth: TruthLayer, scene: Scene) -> RunRows | None:
+    """The rows of a run from its layers; None if they do not belong together.
+
+    Args:
+        stored: What was kept of the detections.
+        truth: The truth.
+        scene: The scene with its detector.
+    """
+    detected = stored[DETECTED]
+    if len(detected) != len(truth.table):
+        return None
+    found = {"frames": stored["frames"], "detections": stored["detections"]}
+    return RunRows.of_tables(scene, scene.steps, {**found, "truth": truth.with_detected(detected[DETECTED])})
+
+
+def tracks_of_table(table: pa.Table, scene: Scene) -> Tracks:
+    """The tracks in a table that `track_table` made."""
+    cameras = [camera.name for camera in scene.cameras]
+    frame = integer_column(table, "step") * len(cameras) + indices(table, "camera", cameras)
+    x, xy, y = (number_column(table, name) for name in COVARIANCES)
+    return Tracks.of(
+        len(cameras),
+        frame,
+        integer_column(table, "track"),
+        np.column_stack([number_column(table, name) for name in BOX_SIDES]),
+        indices(table, "label", scene.detector.labels),
+        number_column(table, "confidence"),
+        np.stack([x, xy, xy, y], axis=-1).reshape(-1, 2, 2),
+    )
+
+
+# ---- Layers of runs on the disk, each in a folder named by the checksum of all that decides it ----
+
+CACHE_FOLDER = "cache"
+"""In the folder of a campaign, unless another one is named."""
+_KEY = b"modsim3d_layer"
+
+
+class StoredLayers:
+    """Layers in a folder that any number of processes, campaigns and machines may share.
+
+    A layer is in `LAYER/AB/ABCD…/`, a Parquet file for each of its tables. Its folder is complete from the moment at
+    which it has its name. Pages carry checksums, so that a damaged layer is noticed and made anew.
+    """
+
+    def __init__(self, folder: Path, kept: Collection[Layer]) -> None:
+        """Take the folder, and the layers that are written; those that are there are read, whichever they are."""
+        self._folder, self._kept = folder, frozenset(kept)
+
+    def keeps(self, layer: Layer) -> bool:
+        """Whether this layer is written."""
+        return layer in self._kept
+
+    def path(self, layer: Layer, key: str) -> Path:
+        """The folder of a layer.
+
+        Args:
+            layer: Which one.
+            key: The checksum of all that decides it, in hexadecimal.
+        """
+        return self._folder / layer / key[:2] / key
+
+    def read(self, layer: Layer, key: str, schemas: Mapping[str, pa.Schema]) -> dict[str, pa.Table] | None:
+        """The tables of a layer, by their names; None if they are not there, or are damaged."""
+        folder = self.path(layer, key)
+        if not folder.is_dir():
+            return None
+        try:
+            return {name: _read(folder / f"{name}.parquet", schema, key) for name, schema in schemas.items()}
+        except (OSError, ValueError, KeyError, pa.ArrowException):
+            return None
+
+    def write(self, layer: Layer, key: str, tables: Mapping[str, pa.Table]) -> None:
+        """Write a layer, in place of a damaged one if there is one.
+
+        Nothing waits for the disk here: what a machine that stops leaves half written is damaged, and made anew.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        final = self.path(layer, key)
+        partial = final.with_name(f".{uuid.uuid4().hex}")
+        try:
+            partial.mkdir(parents=True)
+            for name, table in tables.items():
+                _write(partial / f"{name}.parquet", table, key)
+            _put_in_place(partial, final)
+        except OSError as error:
+            raise OutputError(f"{final} cannot be written: {error.strerror or error}") from error
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def _put_in_place(partial: Path, final: Path) -> None:
+    """Give a complete folder its name; one that is there is damaged, or another process has made the same meanwhile.
+
+    Raises:
+        OSError: It cannot be renamed.
+    """
+    if final.exists():
+        damaged = final.with_name(f".{uuid.uuid4().hex}")
+        with suppress(FileNotFoundError):
+            final.rename(damaged)
+        shutil.rmtree(damaged, ignore_errors=True)
+    try:
+        partial.rename(final)
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):  # another process was faster
+            raise
+
+
+def _write(path: Path, table: pa.Table, key: str) -> None:
+    table = table.replace_schema_metadata({_KEY: key.encode()})
+    with path.open("wb") as out:
+        pq.write_table(table, out, compression="zstd", write_page_checksum=True)
+
+
+def _read(path: Path, schema: pa.Schema, key: str) -> pa.Table:
+    """A table of a layer.
+
+    Raises:
+        ValueError: It is of another layer, or has other columns.
+        OSError: It cannot be read, or is damaged.
+    """
+    with path.open("rb") as file:
+        table = pq.read_table(file, page_checksum_verification=True, use_threads=False)
+    if (table.schema.metadata or {}).get(_KEY) != key.encode() or not table.schema.equals(schema):
+        raise ValueError(f"{path} is of another layer")
+    return table.cast(schema)  # its descriptions of columns are those of the schema
+
+
+# ---- The layers of a run, each made from the one before or read from the disk, and in memory while runs ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +275,7 @@ class Made:
     tracks_key: str
 
 
-class Layers:
+class RunLayers:
     """Makes the layers of runs, in one process with one OpenGL context."""
 
     def __init__(self, keys: CampaignKeys, folder: Path, cache: Path) -> None:

@@ -2,26 +2,141 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from modsim3d.campaign.detectors.drawing import drawn_detector
-from modsim3d.campaign.detectors.learned_file import LearnedUncertainty, read_uncertainty
-from modsim3d.campaign.plan.conditions import Condition
-from modsim3d.campaign.work.digests import digest
-from modsim3d.campaign.work.latest import Latest
-from modsim3d.detector.file.finding import find_detector, shipped_detectors
+import orjson
+
+from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector, read_uncertainty
+from modsim3d.campaign.plan import Condition
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.detector.file.reading import content_of, find_detector, shipped_detectors
 from modsim3d.detector.model import DetectorModel
-from modsim3d.errors import InputError, ModsimError
-from modsim3d.inputs.strict_json import load_json
-from modsim3d.inputs.strict_yaml import load_yaml
-from modsim3d.inputs.validation import shown
+from modsim3d.io.input_files import data_folder
+from modsim3d.io.strict_json import load_json
+from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.validation import shown
 from modsim3d.learn.uncertainty import uncertainty_file
-from modsim3d.scene.detector_choice import choose_detector, state_settings
+from modsim3d.runs.run import VERSIONED
 from modsim3d.scene.reading import find_scene, load_scene, shipped_scenes
 from modsim3d.scene.scene import Scene
+from modsim3d.scene.settings import choose_detector, state_settings
+
+# ---- Checksums of all that decides a layer ----
+
+
+def digest(*parts: Any) -> str:
+    """The SHA-256 of values as JSON, in hexadecimal."""
+    content = orjson.dumps(parts, option=orjson.OPT_SORT_KEYS | orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY)
+    return hashlib.sha256(content).hexdigest()
+
+
+def truth_digest(scene: Scene, backend: str) -> str:
+    """Of the truth: the scene without its detector, and the versions of what makes it.
+
+    Args:
+        scene: The scene.
+        backend: The OpenGL context that draws it.
+    """
+    packages = {name: version(name) for name in VERSIONED}
+    plugins = [[plugin.group, plugin.name, plugin.package, plugin.sha256] for plugin in scene.plugins]
+    return digest(scene.copy.truth_sha256(), scene.seed if scene.truth_has_seed else None, packages, plugins, backend)
+
+
+def plan_digest(facts: Mapping[str, Any]) -> str:
+    """Of all that decides the results, given the content of `plan.json`."""
+    campaign = {key: value for key, value in facts["campaign"].items() if key != "keep"}  # which decides no row
+    conditions = [{key: value for key, value in each.items() if key != "values"} for each in facts["conditions"]]
+    plugins = [facts["plugins"]] if facts.get("plugins") else []
+    return digest(campaign, conditions, facts["versions"], *plugins)
+
+
+def detector_digest(detector: DetectorModel) -> str:
+    """Of a detector that was read from a file, with what was set."""
+    return digest(content_of(detector))
+
+
+def versions() -> dict[str, str]:
+    """The version of every package that decides a row.
+
+    Raises:
+        ModsimError: TrackEval, which makes the scores, is not installed.
+    """
+    try:
+        return {name: version(name) for name in (*VERSIONED, "trackeval")}
+    except PackageNotFoundError:
+        raise ModsimError('the scores of a campaign need TrackEval: pip install "modsim3d[trackers]"') from None
+
+
+# ---- The files that a campaign is made of, by their checksums, so that a change is noticed by its name ----
+
+
+def checksums(paths: Iterable[Path], base: Path) -> dict[str, str]:
+    """The SHA-256 of files by their paths; what ships with the package is left out, since its version is known.
+
+    Args:
+        paths: The files.
+        base: The folder of the campaign file: paths of what is in it are relative to it.
+    """
+    shipped = (data_folder("scenes").resolve(), data_folder("meshes").resolve())
+    own = sorted(path for path in set(paths) if not any(path.is_relative_to(folder) for folder in shipped))
+    return {_name(path, base): _sha256(path) for path in own}
+
+
+def changed_files(files: Mapping[str, str], base: Path) -> list[str]:
+    """What is not as its checksum says, one line for each file."""
+    problems = []
+    for name, expected in files.items():
+        try:
+            found = _sha256(base / name)
+        except OSError as error:
+            problems.append(f"{name} cannot be read any more: {error.strerror or error}")
+            continue
+        if found != expected:
+            problems.append(f"{name} has changed since the campaign was planned")
+    return problems
+
+
+def differing_files(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """The files of two plans whose checksums differ; none if the plans are not of the same files."""
+    return [name for name in now if before[name] != now[name]] if before.keys() == now.keys() else []
+
+
+def _name(path: Path, base: Path) -> str:
+    return path.relative_to(base).as_posix() if path.is_relative_to(base) else path.as_posix()
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# ---- The latest things that were made, kept in memory ----
+
+T = TypeVar("T")
+
+
+class Latest(Generic[T]):
+    """The last few things by their keys."""
+
+    def __init__(self, most: int) -> None:
+        """Keep so many."""
+        self._most = most
+        self._kept: dict[str, T] = {}
+
+    def get(self, key: str, make: Callable[[], T]) -> T:
+        """What the key stands for, made if it is not there."""
+        found = self._kept.pop(key) if key in self._kept else make()
+        self._kept[key] = found  # the last one from now on
+        if len(self._kept) > self._most:
+            del self._kept[next(iter(self._kept))]
+        return found
+
+
+# ---- The scene of a run ----
 
 
 @dataclass(frozen=True)

@@ -8,24 +8,28 @@ import platform
 import resource
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from modsim3d.campaign.file.keys import CampaignKeys
-from modsim3d.campaign.plan.plan import PlannedRun
-from modsim3d.campaign.work.digests import digest
-from modsim3d.campaign.work.files import changed_files
-from modsim3d.campaign.work.layers import Layers
+from modsim3d.campaign.keys import CampaignKeys
+from modsim3d.campaign.plan import TRACKER, Condition, PlannedRun, layer_of
+from modsim3d.campaign.work.layers import CACHE_FOLDER, RunLayers
 from modsim3d.campaign.work.row import CRASHED, crashed_row, row_of, rules_of, table_of
-from modsim3d.campaign.work.stored_layers import CACHE_FOLDER
-from modsim3d.errors import ModsimError, OutputError
-from modsim3d.inputs.plugins import changed_plugins
+from modsim3d.campaign.work.scenes import changed_files, digest
+from modsim3d.core.errors import InputError, ModsimError, OutputError
+from modsim3d.detector.file.unread import unread_settings
+from modsim3d.detector.model import DetectorModel
+from modsim3d.io.plugins import changed_plugins
+from modsim3d.io.validation import shown
+
+# ---- A task ----
 
 PLAN = "plan.json"
 """In the folder of a campaign: its plan."""
@@ -120,7 +124,7 @@ class Worker:
 
     def __init__(self) -> None:
         """Open nothing yet."""
-        self._layers: tuple[str, Layers] | None = None
+        self._layers: tuple[str, RunLayers] | None = None
 
     def close(self) -> None:
         """Close what was opened."""
@@ -165,11 +169,11 @@ class Worker:
         except Exception as error:
             return crashed_row(run.number, f"{type(error).__name__}: {error}")
 
-    def _layers_of(self, work: Work) -> Layers:
+    def _layers_of(self, work: Work) -> RunLayers:
         made_of = f"{work.plan_sha256} {work.layers}"
         if self._layers is None or self._layers[0] != made_of:
             self.close()
-            self._layers = (made_of, Layers(work.keys, Path(work.base), work.layers))
+            self._layers = (made_of, RunLayers(work.keys, Path(work.base), work.layers))
         return self._layers[1]
 
 
@@ -243,3 +247,77 @@ def _cpu_s() -> float:
     """Processor time of this process so far, with its threads."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
+
+
+# ---- What a scene, a detector or a tracker refuses, in the words of the campaign file ----
+
+_OPTIONS = {"state": "--state", "from": "--from", "detector": "--detector"}
+"""Keys of a condition that messages of scenes call by the option of a command."""
+
+
+def condition_problems(condition: Condition, error: ModsimError, section: str = "vary") -> Iterator[str]:
+    """The problems of a condition, each with the varied key that it is about, or with all of them.
+
+    Args:
+        condition: The condition with the values of all its keys.
+        error: What its scene, its detector or a tracker said.
+        section: Where its keys are in the file.
+    """
+    if not isinstance(error, InputError):
+        yield f"{_in_words(condition)}: {error}"
+        return
+    for problem in error.problems:
+        said = f"{error.source}: {problem}"
+        key = next((key for key in _longest_first(condition.all_values) if _is_about(key, problem, said)), None)
+        if key is None:
+            yield f"{_in_words(condition)}: {said}"
+        else:
+            source = f" ({error.source})" if layer_of(key) == "tracks" else ""
+            place = section if key in condition.values else "set"
+            yield f"{place}: {key} {shown(condition.all_values[key])}: {_without(problem, _option_of(key))}{source}"
+
+
+def key_readings(condition: Condition, detector: DetectorModel, searched: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Each key of a condition's detector, and why that does not read it; empty if it does."""
+    values = condition.all_values
+    paths = {key.removeprefix("detector."): key for key in values if key.startswith("detector.")}
+    found = unread_settings(detector, paths, [key.removeprefix("detector.") for key in searched]) if paths else {}
+    for path, key in paths.items():
+        place = "set" if key in condition.fixed else "search.over" if key in searched else "vary"
+        yield key, f"{place}: {key} {shown(values[key])}: {found[path]}" if path in found else ""
+
+
+def tracker_problems(place: int, error: ModsimError) -> Iterator[str]:
+    """The problems of a tracker, with its place in the file."""
+    for problem in error.problems if isinstance(error, InputError) else (str(error),):
+        yield f"trackers[{place}]: {problem.removeprefix('--set ')}"
+
+
+def _is_about(key: str, problem: str, said: str) -> bool:
+    """Whether a problem, or what is said with its source, is about a key."""
+    if layer_of(key) == "tracks":
+        return problem.startswith(f"{_option_of(key)}:")
+    return _option_of(key) in said
+
+
+def _longest_first(values: Mapping[str, Any]) -> list[str]:
+    return sorted(values, key=len, reverse=True)
+
+
+def _option_of(key: str) -> str:
+    """What messages call a key."""
+    if key in _OPTIONS:
+        return _OPTIONS[key]
+    return key.removeprefix(f"{TRACKER}.") if layer_of(key) == "tracks" else f"--set {key}"
+
+
+def _without(problem: str, option: str) -> str:
+    """A problem without the option at its beginning."""
+    rest = problem.removeprefix(option)
+    return rest.removeprefix(":").strip() if rest.startswith((":", " ")) else rest
+
+
+def _in_words(condition: Condition) -> str:
+    """A scene, with the values of its keys."""
+    values = ", ".join(f"{key} {shown(value)}" for key, value in condition.values.items())
+    return f"{condition.scene} with {values}" if values else condition.scene

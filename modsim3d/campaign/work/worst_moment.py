@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.runs.files.columns import NOBODY
-from modsim3d.tracking.scores.frame_times import frame_lengths_s
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.runs.files.tables import NOBODY
+from modsim3d.tracking.scores.scored import Scored, frame_lengths_s
 
 WINDOW_S = 5.0
 """As long as a look at what happens in a film."""

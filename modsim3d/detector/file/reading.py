@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import math
+import os
 import pickle
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import ValidationError
 
-from modsim3d.arrays import Array, read_only
-from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS, BoxErrorLaw
-from modsim3d.detector.clutter import ClutterOptions, FixedSize, LognormalSize, Sizes
-from modsim3d.detector.confidence import NormalScores, PrecisionRecall, QuantileScores, Scores, StateConfidence
-from modsim3d.detector.dropout import Dropout, Effect, Slope, Table
-from modsim3d.detector.file.agreement import agreement_problems
-from modsim3d.detector.file.finding import find_detector
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array, StrPath, as_path, read_only
+from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, PrecisionRecall, QuantileScores, StateConfidence
+from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, BoxErrorLaw
+from modsim3d.detector.dropout import ATTRIBUTES, Dropout, Effect, FactorTable, Slope
+from modsim3d.detector.false_positive_placement import Placement
+from modsim3d.detector.false_positives import CLUTTER_MODELS, FalsePositiveOptions, FixedSize, LognormalSize, Sizes
 from modsim3d.detector.file.schema import BoxErrorSection, DetectorFile, FalsePositivesSection, StateSection
 from modsim3d.detector.file.schema_models import (
     ConfidenceKeys,
@@ -27,16 +29,157 @@ from modsim3d.detector.file.schema_models import (
     ScoreSection,
     SizeSection,
 )
-from modsim3d.detector.gates import Gates
 from modsim3d.detector.merges_and_splits import MergesAndSplits
-from modsim3d.detector.model import DetectorModel, PerformanceState
-from modsim3d.detector.performance import Performance
+from modsim3d.detector.model import DetectorModel, Performance, PerformanceState
 from modsim3d.detector.persistence import Persistence
-from modsim3d.detector.placement import Placement
-from modsim3d.errors import InputError
-from modsim3d.inputs.strict_yaml import load_yaml
-from modsim3d.inputs.validation import describe, kind_of
-from modsim3d.paths import StrPath
+from modsim3d.detector.records import Gates
+from modsim3d.io.input_files import data_folder
+from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.validation import describe, kind_of, nearest, shown
+
+# ---- Which file a detector's path or name stands for ----
+
+
+def shipped_detectors() -> dict[str, Path]:
+    """Detector files that come with the package, by names such as `thesis` and `conditions/foggy_cloudy`."""
+    folder = data_folder("scenes") / "detectors"
+    files = [*folder.glob("*.yaml"), *folder.glob("conditions/*.yaml")]
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in sorted(files)}
+
+
+def find_detector(detector: StrPath) -> Path:
+    """The detector file that a path or the name of a shipped detector stands for.
+
+    A file comes before a name. What has an ending is a path, also where there is no such file.
+
+    Raises:
+        InputError: It is neither a file nor a name.
+        TypeError: It is neither text nor a path.
+    """
+    path = as_path(detector, "detector", "a path or the name of a shipped detector")
+    name, shipped = os.fspath(detector), shipped_detectors()
+    try:
+        exists = path.exists() and not (path.is_dir() and name in shipped)
+    except OSError as error:
+        raise InputError(f"detector {shown(name)}", [f"cannot be read: {error.strerror}"]) from None
+    if exists or path.suffix or path.is_absolute():
+        return path
+    if name not in shipped:
+        problem = f"no such file, and no shipped detector has this name ({nearest(name, shipped)})"
+        raise InputError(f"detector {path}", [problem])
+    return shipped[name]
+
+
+# ---- Contradictions between the sections of a detector file, each of which is valid by itself ----
+
+RATE_TOLERANCE = 0.01
+"""Greatest difference between the end of a precision-recall curve and the rates of its state."""
+
+
+def agreement_problems(file: DetectorFile) -> list[str]:
+    """One line for each contradiction, with its path."""
+    problems = _clutter_problems(file) + _dropout_problems(file)
+    least, asked = file.confidence_threshold, file.operating_threshold
+    if asked is not None and asked < least:
+        problems.append(f"operating_threshold: is {asked:g}, must be at least {least:g}, the confidence_threshold")
+    for name, state in file.states.items():
+        path = f"states.{name}"
+        problems += _extra_problems(path, state, file) + _curve_problems(path, state, file)
+    return problems
+
+
+def _dropout_problems(file: DetectorFile) -> list[str]:
+    """The effects of states are of the shared model, which has effects at all."""
+    model = file.dropout.model
+    if model != "confusion" and not any(each.effects() for each in (file.dropout, *_own_dropout(file).values())):
+        return [f"dropout: model {model} needs at least one of {', '.join(ATTRIBUTES)}"]
+    misfits = {name: own.misfit(model) for name, own in _own_dropout(file).items()}
+    return [f"states.{name}.dropout: {misfit} (dropout.model)" for name, misfit in misfits.items() if misfit]
+
+
+def _own_dropout(file: DetectorFile) -> dict[str, EffectsSection]:
+    return {name: state.dropout for name, state in file.states.items()}
+
+
+def _clutter_problems(file: DetectorFile) -> list[str]:
+    keys = file.false_positives
+    problems = []
+    if CLUTTER_MODELS[keys.model].side_px is not None:
+        own = ("placement", "far_half_px", "size", "persistence")
+        given = [key for key in own if key in keys.model_fields_set]
+        problems += [
+            f"false_positives.{key}: model {keys.model} has its own: choose calibrated or per_image" for key in given
+        ]
+    problems += _rate_problems(file)
+    if (keys.band_px is None) != (keys.placement != "horizon_band"):
+        problems.append("false_positives.band_px: goes with placement horizon_band, and only there")
+    if (keys.density is None) != (keys.placement != "density"):
+        problems.append("false_positives.density: goes with placement density, and only there")
+    if keys.placement == "density" and keys.far_half_px is not None:
+        problems.append("false_positives.far_half_px: the density map already says where they are")
+    if keys.duplicates + keys.splits > 1:
+        problems.append("false_positives: duplicates and splits together exceed 1, and no detection is both")
+    return problems
+
+
+def _rate_problems(file: DetectorFile) -> list[str]:
+    """The rate is where the model looks for it; one of each image is nowhere else."""
+    keys = file.false_positives
+    given = {name: state.false_positives_per_image is not None for name, state in file.states.items()}
+    if CLUTTER_MODELS[keys.model].rate_key == "false_positives_per_image":
+        if keys.rate is not None or all(given.values()):
+            return []
+        missing = ", ".join(name for name, there in given.items() if not there)
+        return [
+            f"false_positives.rate: model {keys.model} needs it, or false_positives_per_image in each state (missing "
+            f"in {missing})"
+        ]
+    unused = [] if keys.rate is None else ["false_positives.rate"]
+    unused += [f"states.{name}.false_positives_per_image" for name, there in given.items() if there]
+    works = "set false_discovery_rate of the states, or choose per_image"
+    return [f"{path}: model {keys.model} has none: {works}" for path in unused] + [
+        f"states.{name}.false_discovery_rate: missing: model {keys.model} reads it"
+        for name, state in file.states.items()
+        if state.false_discovery_rate is None
+    ]
+
+
+def _extra_problems(path: str, state: StateSection, file: DetectorFile) -> list[str]:
+    """Second boxes are false positives too, so the false discovery rate must leave room for them."""
+    keys = file.false_positives
+    rate, extra = state.false_discovery_rate, keys.duplicates + keys.splits
+    if rate is None or not CLUTTER_MODELS[keys.model].counts_second_boxes or rate / (1 - rate) >= extra - 1e-12:
+        return []
+    return [
+        f"{path}.false_discovery_rate: {rate:g} leaves room for {rate / (1 - rate):.3g} false detections for each true "
+        f"one, but false_positives.duplicates and splits alone may make {extra:g}: lower them, or choose per_image"
+    ]
+
+
+def _curve_problems(path: str, state: StateSection, file: DetectorFile) -> list[str]:
+    """A curve must end at the recall and the precision that the state has."""
+    curve = state.confidence.precision_recall
+    if curve is None:
+        return []
+    recall, precision = curve[-1]
+    found = [1 - rate for rate in state.confusion[-1]]
+    problems = []
+    if not min(found) - RATE_TOLERANCE <= recall <= max(found) + RATE_TOLERANCE:
+        problems.append(
+            f"{path}.confidence.precision_recall: ends at recall {recall:g}, but the confusion matrix detects "
+            + " to ".join(f"{rate:g}" for rate in dict.fromkeys((min(found), max(found))))
+            + " of the vessels: a curve ends at the recall that the detector has"
+        )
+    rate = state.false_discovery_rate if CLUTTER_MODELS[file.false_positives.model].counts_second_boxes else None
+    if rate is not None and abs(precision - (1 - rate)) > RATE_TOLERANCE:
+        problems.append(
+            f"{path}.confidence.precision_recall: ends at precision {precision:g}, but false_discovery_rate {rate:g} "
+            f"makes it {1 - rate:g}"
+        )
+    return problems
+
+
+# ---- Reads detector files into detector models ----
 
 
 def load_detector(path: StrPath) -> DetectorModel:
@@ -160,8 +303,8 @@ def _box_error(section: BoxErrorSection) -> BoxErrorLaw:
 
 
 def _confidence(keys: ConfidenceKeys, threshold: float) -> StateConfidence:
-    true: Scores
-    false: Scores
+    true: ConfidenceLaw
+    false: ConfidenceLaw
     if keys.precision_recall is not None:
         true, false = PrecisionRecall.through(keys.precision_recall).scores(threshold)
     elif keys.true is not None and keys.false is not None:
@@ -171,7 +314,7 @@ def _confidence(keys: ConfidenceKeys, threshold: float) -> StateConfidence:
     return StateConfidence(true, false, keys.visibility_slope, keys.size_slope, keys.size_reference_px)
 
 
-def _scores(section: ScoreSection) -> Scores:
+def _scores(section: ScoreSection) -> ConfidenceLaw:
     if section.mean is not None and section.std is not None:
         return NormalScores(section.mean, section.std)
     return QuantileScores(read_only(section.quantiles or []))
@@ -187,17 +330,17 @@ def _effects(section: EffectsSection) -> tuple[Effect, ...]:
     effects: list[Effect] = []
     for name, keys in section.effects().items():
         if keys.edges is not None and keys.odds is not None:
-            effects.append(Table(name, tuple(keys.edges), tuple(keys.odds)))
+            effects.append(FactorTable(name, tuple(keys.edges), tuple(keys.odds)))
         elif keys.reference is not None:
             slope = keys.per_unit if keys.per_doubling is None else keys.per_doubling
             effects.append(Slope(name, slope or 0.0, keys.reference, doublings=keys.per_doubling is not None))
     return tuple(effects)
 
 
-def _clutter(section: FalsePositivesSection) -> ClutterOptions:
+def _clutter(section: FalsePositivesSection) -> FalsePositiveOptions:
     persistent = section.persistence
     density = None if section.density is None else read_only(section.density)
-    return ClutterOptions(
+    return FalsePositiveOptions(
         model=section.model,
         placement=Placement(section.band_px, section.far_half_px, density),
         size=None if section.size is None else _sizes(section.size),

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, mod
 
 from modsim3d.detector.confidence import PrecisionRecall
 from modsim3d.detector.dropout import ATTRIBUTES
-from modsim3d.inputs.validation import MOST, NotNegative, Number, Positive, Probability, Strict, nearest
+from modsim3d.io.validation import MOST, NotNegative, Number, Positive, Probability, Strict, nearest
 
 MOST_PER_IMAGE = 1000
 """False positives, which all take memory; a detector has a few."""
@@ -145,7 +145,7 @@ def _density(value: list[list[float]]) -> list[list[float]]:
     return value
 
 
-class ClutterKeys(Strict):
+class FalsePositiveKeys(Strict):
     """What false positives have besides their model."""
 
     rate: PerImage | None = None

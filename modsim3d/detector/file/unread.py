@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.detector.clutter_models import CLUTTER_MODELS
 from modsim3d.detector.dropout import ATTRIBUTES
+from modsim3d.detector.false_positives import CLUTTER_MODELS
 from modsim3d.detector.file.reading import file_of
 from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.model import DetectorModel

@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import yaml
 
-from modsim3d.inputs.strict_yaml import NUMBERS
+from modsim3d.core.errors import InputError
+from modsim3d.io.strict_yaml import NUMBERS
+from modsim3d.io.validation import nearest, shown
+
+# ---- A detector file as text, with matrices in rows ----
 
 
 class _Dumper(yaml.SafeDumper):
@@ -25,3 +30,59 @@ def detector_text(content: Mapping[str, Any], comments: Sequence[str] = ()) -> s
         dict(content), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=118, allow_unicode=True
     )
     return head + text
+
+
+# ---- The miss rate of a detector file, which is no key of it ----
+
+MISS_RATE = "miss_rate"
+
+
+def is_miss_rate(parts: tuple[str, ...]) -> bool:
+    """Whether keys lead to a miss rate: `detector.miss_rate`, or `detector.states.NAME.miss_rate`."""
+    inside = len(parts) == 2 or (len(parts) > 3 and parts[1] == "states")
+    return inside and parts[0] == "detector" and parts[-1] == MISS_RATE
+
+
+def with_miss_rate(content: Mapping[str, Any], rate: object, state: str | None, option: str) -> dict[str, Any]:
+    """The content of a detector file in which every label is missed at one rate.
+
+    The other rows of the confusion matrix keep their proportions in each column.
+
+    Args:
+        content: The content; what is wrong with it is left to its own checks.
+        rate: The rate, from 0 to below 1.
+        state: The performance state that it is for; None: all states.
+        option: What errors call the setting.
+
+    Raises:
+        InputError: It is no such rate, there is no such state, or a label is never found.
+    """
+    if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 <= rate < 1:
+        raise InputError(option, [f"a miss rate is a number from 0 to below 1 (got {shown(rate)})"])
+    states = content.get("states")
+    if not isinstance(states, Mapping):
+        return dict(content)
+    if state is not None and state not in states:
+        raise InputError(option, [f"the detector has no state '{state}' ({nearest(state, states)})"])
+    changed = {
+        name: _section(section, float(rate), f"{option}: states.{name}") if state in (None, name) else section
+        for name, section in states.items()
+    }
+    return {**content, "states": changed}
+
+
+def _section(section: Any, rate: float, where: str) -> Any:
+    try:
+        matrix = np.array(section["confusion"], dtype=np.float64)
+    except (TypeError, KeyError, ValueError):
+        return section
+    if matrix.ndim != 2 or len(matrix) < 2:
+        return section
+    found = matrix[:-1].sum(axis=0)
+    if np.any(found <= 0):
+        column = int(np.argmax(found <= 0))
+        raise InputError(
+            where, [f"column {column} of its confusion matrix has nothing but misses, so no miss rate fits"]
+        )
+    rows = np.vstack([matrix[:-1] * ((1 - rate) / found), np.full(matrix.shape[1], rate)])
+    return {**section, "confusion": np.round(rows, 12).tolist()}

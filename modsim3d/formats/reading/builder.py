@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import PurePosixPath
 from typing import Any, TypeGuard
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.boxes import from_top_left
-from modsim3d.errors import InputError
-from modsim3d.formats.horizon import UNKNOWN
-from modsim3d.formats.labelled import NOBODY, Annotations, FileIds, Images, LabelledSet, Results
-from modsim3d.inputs.budgets import MAX_PROBLEMS
-from modsim3d.inputs.validation import shown
+from modsim3d.core.boxes import from_top_left
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array, Indices
+from modsim3d.formats.labelled import NOBODY, UNKNOWN, Annotations, FileIds, Images, LabelledSet, Results
+from modsim3d.io.input_files import MAX_PROBLEMS
+from modsim3d.io.validation import shown
+
+# ---- What all readers of labelled sets share ----
 
 MOST_PROBLEMS = 20
 MOST_PX = 1e7
@@ -134,7 +136,7 @@ def valid_box(values: Any, where: str, problems: Problems) -> bool:
 
 
 @dataclass(frozen=True)
-class Place:
+class LabelledRow:
     """Row of the image, index of the label and box, four numbers in the form of the file, of an entry."""
 
     image: int
@@ -147,7 +149,7 @@ class _Rows:
     """Rows as they are read; `to_corners` makes boxes as x_min, y_min, x_max, y_max of the file's, shapes (n, 4)."""
 
     to_corners: Callable[[Array], Array] = from_top_left
-    places: list[Place] = field(default_factory=list)
+    places: list[LabelledRow] = field(default_factory=list)
 
     def _columns(self) -> tuple[Indices, Indices, Array]:
         """Images (n,), labels (n,) and boxes as corners (n, 4)."""
@@ -169,7 +171,7 @@ class AnnotationRows(_Rows):
 
     def add(
         self,
-        place: Place,
+        place: LabelledRow,
         ignored: bool = False,
         crowd: bool = False,
         identity: Any = None,
@@ -209,7 +211,7 @@ class ResultRows(_Rows):
     confidence: list[float] = field(default_factory=list)
     probabilities: list[list[float] | None] = field(default_factory=list)
 
-    def add(self, place: Place, confidence: float, probabilities: list[float] | None = None) -> None:
+    def add(self, place: LabelledRow, confidence: float, probabilities: list[float] | None = None) -> None:
         """Append a row."""
         self.places.append(place)
         self.confidence.append(confidence)
@@ -297,4 +299,152 @@ def labelled_set(
     )
     return LabelledSet(
         tuple(labels), conditions, columns, annotations.annotations(), results.results(len(labels)), tuple(notes), ids
+    )
+
+
+# ---- Which images COCO results name ----
+
+ID = int | str
+_MOST_DIGITS = 18
+"""Of a file's name that is a number."""
+
+
+@dataclass(frozen=True)
+class ImageNames:
+    """Rows of images by what results may call them.
+
+    Attributes:
+        by_image_id: By `image_id`.
+        by_file_name: By the `file_name` that a result may have beside it.
+        image_ids_are_files: Whether each `image_id` is taken for the name of a file.
+        doubt: A remark if every `image_id` can be read as an ID and as a file, and some differ; else empty.
+    """
+
+    by_image_id: Mapping[Any, int]
+    by_file_name: Mapping[ID, int]
+    image_ids_are_files: bool
+    doubt: str
+
+
+def image_names(entries: Sequence[Any], rows_of_ids: Mapping[Any, int], names: Sequence[str]) -> ImageNames:
+    """How results name images: the reading of their `image_id` by which more of them are images.
+
+    Args:
+        entries: The results as they are in the file.
+        rows_of_ids: Row of each image by its ID.
+        names: File name of each row.
+    """
+    results = [entry for entry in entries if isinstance(entry, dict)]
+    given: set[Any] = {
+        image for entry in results if isinstance(image := entry.get("image_id"), str) or is_number(image)
+    }
+    files, stems = _by_file(names)
+    if len(given & stems.keys()) > len(given & rows_of_ids.keys()):
+        return ImageNames(stems, files, True, "")
+    doubt = ""
+    file_names_decide = any("file_name" in entry for entry in results)
+    both = given <= stems.keys() & rows_of_ids.keys()
+    if both and not file_names_decide and any(stems[image] != rows_of_ids[image] for image in given):
+        doubt = "each image_id of the results is an image's id, and the name of another's file too: taken for the id"
+    return ImageNames(rows_of_ids, files, False, doubt)
+
+
+def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
+    """Rows of images by file name, and by name without folder and ending; names of several images are left out."""
+    files, stems = defaultdict[ID, list[int]](list), defaultdict[ID, list[int]](list)
+    for row, name in enumerate(names):
+        path = PurePosixPath(name.replace("\\", "/"))
+        names_of: set[ID] = {name, str(path), path.name}
+        number: set[ID] = {int(path.stem)} if path.stem.isdecimal() and len(path.stem) <= _MOST_DIGITS else set()
+        for key in names_of:
+            files[key].append(row)
+        for key in names_of | {path.stem} | number:
+            stems[key].append(row)
+    by_file, by_stem = ({key: rows[0] for key, rows in each.items() if len(rows) == 1} for each in (files, stems))
+    return by_file, by_stem
+
+
+# ---- Confidences as files have them ----
+
+NOT_GIVEN = -1
+"""What stands for a confidence that is not given, as MOT has it."""
+Scale = tuple[float, float]
+_PERCENT, _MANY = 100, 8
+
+
+@dataclass(frozen=True)
+class Confidences:
+    """How the confidences of one file are read.
+
+    Attributes:
+        name: What the file calls a confidence.
+        low: What becomes 0.
+        high: What becomes 1.
+        given: Whether the file gives confidences.
+        example: Place and value of one that is given; of use where others are not.
+        ones: Their number if all are 1, and many; else 0.
+    """
+
+    name: str
+    low: float
+    high: float
+    given: bool
+    example: str
+    ones: int = 0
+
+    @classmethod
+    def of(
+        cls, values: Iterable[tuple[str, Any]], scale: Scale | None, problems: Problems, name: str = "confidence"
+    ) -> Confidences:
+        """How to read these values, each with its place in the file; a hint if they are on another scale.
+
+        Raises:
+            InputError: None is given, and they are to be scaled.
+        """
+        low, high = scale or (0.0, 1.0)
+        rows = [(where, float(value)) for where, value in values if is_number(value)]
+        known = [(where, value) for where, value in rows if value != NOT_GIVEN]
+        if rows and not known and scale:
+            raise InputError(problems.source, [f"--confidence-scale: every {name} is -1, which means not given"])
+        if known and not all(low <= value <= high for _, value in known):
+            found = [value for _, value in rows]
+            problems.hint = problems.hint or _hint(min(found), max(found), name)
+            if all(value == int(value) for value in found):
+                problems.hint = f"whole numbers may be tracks or classes, not {name}s; if not so, {problems.hint}"
+        inside = next((f"{where} has {value:g}" for where, value in known if low <= value <= high), "")
+        whole = all(low <= value <= high for _, value in known)
+        ones = len(known) if all(value == 1 for _, value in known) and len(known) >= _MANY and scale is None else 0
+        return cls(name, low, high, bool(known) or not rows, inside if whole else "", ones)
+
+    @property
+    def notes(self) -> list[str]:
+        """A remark if they are scaled, or may be something else."""
+        if self.ones:
+            return [f"all {self.ones:,} {self.name}s are 1: if that is the number of a track, {self.name}s are missing"]
+        if (self.low, self.high) == (0, 1):
+            return []
+        return [f"{self.name}s from {self.low:g} to {self.high:g} were mapped onto 0 to 1 (--confidence-scale)"]
+
+    def read(self, value: Any, where: str, problems: Problems) -> float | None:
+        """A confidence from 0 to 1, NaN where the file gives none; None with a problem if it is wrong."""
+        if value == NOT_GIVEN and not self.given:
+            return math.nan
+        if is_number(value, self.low, self.high):
+            return (value - self.low) / (self.high - self.low)
+        if value == NOT_GIVEN and self.example:
+            problems.add(f"{where}: has no {self.name} (-1), but {self.example}: give one everywhere, or nowhere")
+        else:
+            got = f"{value:g}" if is_number(value) else shown(value)
+            problems.add(f"{where}: {self.name} must be from {self.low:g} to {self.high:g} (got {got})")
+        return None
+
+
+def _hint(least: float, most: float, name: str) -> str:
+    """What to do about values from least to most that are not from 0 to 1."""
+    low, high = math.floor(least * 100) / 100, math.ceil(most * 100) / 100
+    if least >= 0 and 10 < most <= _PERCENT:
+        low, high = 0, _PERCENT
+    return (
+        f"{name}s are from {least:g} to {most:g} here: --confidence-scale LOW,HIGH maps LOW to 0 and HIGH to 1, as in "
+        f"--confidence-scale {low:.10g},{high:.10g}"
     )

@@ -20,31 +20,30 @@ from typing import Any, TypeGuard
 
 import orjson
 
-from modsim3d.errors import InputError
-from modsim3d.formats.horizon import read_horizon
-from modsim3d.formats.labelled import FileIds, LabelledSet
+from modsim3d.core.errors import InputError
+from modsim3d.formats.labelled import FileIds, LabelledSet, read_horizon
 from modsim3d.formats.reading.builder import (
+    ID,
     MOST_NUMBER,
     MOST_PROBLEMS,
     MOST_PX,
     NO_OPTIONS,
     AnnotationRows,
+    Confidences,
     ImageRows,
-    Place,
+    LabelledRow,
     Problems,
     ReadOptions,
     ResultRows,
+    image_names,
     is_number,
     labelled_set,
     read_flag,
     valid_box,
 )
-from modsim3d.formats.reading.confidences import Confidences
-from modsim3d.formats.reading.image_names import ID, image_names
-from modsim3d.inputs.budgets import COCO_BYTES_PER_VALUE
-from modsim3d.inputs.strict_json import check_values, composed_values, parse_json
-from modsim3d.inputs.text_files import read_text
-from modsim3d.inputs.validation import nearest, shown
+from modsim3d.io.input_files import COCO_BYTES_PER_VALUE, read_text
+from modsim3d.io.strict_json import check_values, composed_values, parse_json
+from modsim3d.io.validation import nearest, shown
 
 _MOST_NAMES = 1000
 """The search for a similar name among more of them takes seconds."""
@@ -251,7 +250,7 @@ def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float | No
     return float(time) if is_number(time) else None
 
 
-def _place(entry: Any, where: str, known: _Known, problems: Problems) -> Place | None:
+def _place(entry: Any, where: str, known: _Known, problems: Problems) -> LabelledRow | None:
     """Image, label and box of an entry; None with a problem if it has none."""
     if not isinstance(entry, dict):
         problems.add(f"{where}: must be a mapping (got {shown(entry)})")
@@ -262,7 +261,7 @@ def _place(entry: Any, where: str, known: _Known, problems: Problems) -> Place |
     category = None if row is None else _named(entry, "category_id", known.categories, where, problems)
     if row is None or category is None or not valid_box(entry.get("bbox"), where, problems):
         return None
-    return Place(row, category[1], entry["bbox"])
+    return LabelledRow(row, category[1], entry["bbox"])
 
 
 def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: str, problems: Problems) -> Any:

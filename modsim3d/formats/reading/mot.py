@@ -16,19 +16,21 @@ import configparser
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
-from modsim3d.arrays import Array
-from modsim3d.boxes import from_top_left
-from modsim3d.errors import InputError
+from modsim3d.core.boxes import from_top_left
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array
 from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading.builder import (
     MOST_NUMBER,
     MOST_PX,
     NO_OPTIONS,
     AnnotationRows,
+    Confidences,
     ImageRows,
-    Place,
+    LabelledRow,
     Problems,
     ReadOptions,
     ResultRows,
@@ -37,11 +39,73 @@ from modsim3d.formats.reading.builder import (
     read_flag,
     valid_box,
 )
-from modsim3d.formats.reading.confidences import Confidences
-from modsim3d.formats.reading.text_lines import number_lines
-from modsim3d.inputs.budgets import FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES
-from modsim3d.inputs.text_files import read_text
-from modsim3d.inputs.validation import shown
+from modsim3d.io.input_files import FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES, MAX_LINE_CHARACTERS, read_text
+from modsim3d.io.validation import LOST, has_lost_digits, no_commas, shown
+
+# ---- Numbers from the lines of a text file ----
+
+_LOOKED_AT_LINES = 20
+
+
+def number_lines(
+    path: Path, what: str, separator: str | None, least: int, problems: Problems
+) -> Iterator[tuple[str, list[float]]]:
+    """Lines of numbers, each with its place in the file; skips empty lines.
+
+    Args:
+        path: The file.
+        what: Name of the file in messages.
+        separator: Between numbers, and perhaps at the end of a line; white space if None.
+        least: Numbers that a line must have.
+        problems: Collects the lines that are wrong.
+
+    Raises:
+        InputError: The file cannot be read, or its first lines hold no number at all.
+    """
+    lines = read_text(path, what).splitlines()
+    begin = list(islice(filter(str.strip, lines), _LOOKED_AT_LINES))
+    cells = (cell for line in begin for cell in line[:MAX_LINE_CHARACTERS].split(separator))
+    if begin and not any(map(_is_number, cells)):
+        form = "white space" if separator is None else f"'{separator}'"
+        told = f"its first lines hold no numbers, must be numbers with {form} between them{_why(begin[0], separator)}"
+        raise InputError(f"{what} {path}", [told])
+    for index, line in enumerate(lines):
+        if not line.strip():
+            continue
+        where = f"{path.name} line {index + 1}"
+        if len(line) > MAX_LINE_CHARACTERS:
+            problems.add(f"{where}: has {len(line):,} characters, must have at most {MAX_LINE_CHARACTERS:,}")
+            continue
+        try:
+            parts = line.strip().removesuffix(separator or "").split(separator)
+            numbers = [float(part) for part in parts]
+        except ValueError:
+            problems.add(f"{where}: must be numbers (got {shown(line)}){_why(line, separator)}")
+            continue
+        if len(numbers) < least:
+            problems.add(f"{where}: has {len(numbers)} numbers, must have at least {least} (got {shown(line)})")
+        elif separator and has_lost_digits(parts[1]):  # of MOT, whose second number is an identity
+            problems.add(f"{where}: identity {LOST} (got {shown(parts[1])})")
+        elif not all(map(math.isfinite, numbers)):
+            problems.add(f"{where}: must be finite (got {shown(line)})")
+        else:
+            yield where, numbers
+
+
+def _why(line: str, separator: str | None) -> str:
+    """Why the numbers of a line cannot be read, to be added to a message; empty if that is not known."""
+    return no_commas(line) if separator else ": commas stand neither between nor in them" * ("," in line)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+# ---- MOT challenge text ----
 
 _MOST_CLASSES = 10_000
 """A larger number is no class but something else."""
@@ -228,7 +292,7 @@ def _corners(boxes_px: Array) -> Array:
     return from_top_left(boxes_px) - 1
 
 
-def _place(where: str, numbers: list[float], problems: Problems, known: _Known) -> Place | None:
+def _place(where: str, numbers: list[float], problems: Problems, known: _Known) -> LabelledRow | None:
     """Image, label and box of a line; None with a problem if it has none."""
     frame, number, to_label = numbers[0], _class_of(numbers), known.to_label
     if not 1 <= frame <= known.most_frames or frame != int(frame):
@@ -245,7 +309,7 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
         problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {got})")
         problems.hint = next((told for told in known.said if told.startswith(where.partition(" line ")[0])), "")
     elif valid_box(numbers[2:6], where, problems):
-        return Place(int(frame) - 1, to_label[number] if to_label else 0, numbers[2:6])
+        return LabelledRow(int(frame) - 1, to_label[number] if to_label else 0, numbers[2:6])
     return None
 
 

@@ -8,18 +8,25 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.errors import InputError
-from modsim3d.formats.horizon import with_horizon
-from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array, Indices, StrPath, as_path
+from modsim3d.formats.labelled import NOBODY, Images, LabelledSet, with_horizon
 from modsim3d.formats.reading.builder import NO_OPTIONS, ReadOptions
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.reading.mot import read_mot
 from modsim3d.formats.reading.yolo import read_yolo
-from modsim3d.inputs.validation import shown
-from modsim3d.paths import StrPath, as_path
-from modsim3d.tracks.files.box_forms import CENTRE, MOT, TOP_LEFT, BoxForm
-from modsim3d.tracks.files.diagnosis import BoxRows, KnownBoxes, agree, implausible, misreading
+from modsim3d.io.validation import shown
+from modsim3d.tracks.diagnosis import (
+    CENTRE,
+    MOT,
+    TOP_LEFT,
+    BoxForm,
+    BoxRows,
+    KnownBoxes,
+    agree,
+    implausible,
+    misreading,
+)
 
 _FORMS = {"COCO": TOP_LEFT, "MOT": MOT, "YOLO": CENTRE}
 _UNUSED = {

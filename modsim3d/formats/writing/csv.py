@@ -13,20 +13,18 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.core.types import Array, Indices
+from modsim3d.formats.writing.registry import ExportRequest
 from modsim3d.geometry.camera import Camera
-from modsim3d.geometry.camera_poses import CameraPoses
-from modsim3d.geometry.rotations import BASE_R_WORLD
-from modsim3d.outputs.placing import write_files
-from modsim3d.positions.locating import Attitude, locate
-from modsim3d.positions.viewpoints import Viewpoints
+from modsim3d.geometry.camera_poses import BASE_R_WORLD, CameraPoses
+from modsim3d.io.atomic_write import write_files
 from modsim3d.runs.camera_sequences import CameraSequence
-from modsim3d.runs.files.columns import numbers
 from modsim3d.runs.files.table_columns import BOX_SIDES
+from modsim3d.runs.files.tables import number_column
+from modsim3d.runs.locating import Attitude, Viewpoints, locate
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.told import BOX_DECIMALS
-from modsim3d.scene.own_ships import own_ships_at, true_attitudes
+from modsim3d.runs.tracker_view import BOX_DECIMALS
+from modsim3d.scene.cameras import own_ships_at, true_attitudes
 from modsim3d.scene.scene import Scene
 
 Columns = Mapping[str, Any]
@@ -139,7 +137,7 @@ def _truth(rows: RunRows, index: int) -> Columns:
         **_when(scene, steps),
         **{name: seen[name] for name in ("vessel", "label", "annotated")},
         **_boxes(rows.annotated_boxes_px[mine]),
-        "visible_fraction": _rounded(numbers(seen, "visible_fraction")),
+        "visible_fraction": _rounded(number_column(seen, "visible_fraction")),
         "w1_m": _rounded(places[:, 0]),
         "w2_m": _rounded(places[:, 1]),
         "heading_rad": _rounded(headings),

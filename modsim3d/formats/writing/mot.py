@@ -19,15 +19,15 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import iou, sizes
-from modsim3d.errors import OutputError
-from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.outputs.placing import write_files
-from modsim3d.runs.camera_sequences import CameraSequence, TrueBoxes
-from modsim3d.runs.told import Told
-from modsim3d.tracks.sequence_names import SEQUENCE_HEADING, free_name
-from modsim3d.vessels.vessel import Vessel
+from modsim3d.core.boxes import iou, sizes
+from modsim3d.core.errors import OutputError
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.io.atomic_write import write_files
+from modsim3d.runs.camera_sequences import CameraSequence, SequenceTruth
+from modsim3d.runs.tracker_view import TrackerDetections
+from modsim3d.tracks.tracks import SEQUENCE_HEADING, free_name
+from modsim3d.world.vessels import Vessel
 
 ALL_SET, CLASS_SET = "modsim3d-all", "modsim3d-class"
 SCORED, DISTRACTOR = 1, 8
@@ -76,8 +76,8 @@ class _Sequence:
     set: str
     name: str
     frames: CameraSequence
-    truth: TrueBoxes
-    detections: Told
+    truth: SequenceTruth
+    detections: TrackerDetections
 
     @property
     def folder(self) -> str:
@@ -136,7 +136,7 @@ def _detections(sequence: _Sequence) -> str:
     return detection_text(sequence.detections)
 
 
-def detection_text(found: Told, classes: Indices | None = None) -> str:
+def detection_text(found: TrackerDetections, classes: Indices | None = None) -> str:
     """Lines of frame, −1, x, y, width, height, confidence, and −1 for the place in the world, which is not known.
 
     With classes, shape (m,), they stand in place of the first number of that place, as in truth.
@@ -149,7 +149,7 @@ def detection_text(found: Told, classes: Indices | None = None) -> str:
 _SEQUENCE_FILES = {"seqinfo.ini": _info, "gt/gt.txt": _truth, "det/det.txt": _detections}
 
 
-def _near_scored(truth: TrueBoxes) -> Mask:
+def _near_scored(truth: SequenceTruth) -> Mask:
     """Which boxes overlap an annotated box so much that its own track could be matched to them, shape (n,)."""
     near = np.zeros(len(truth), dtype=bool)
     scored = np.flatnonzero(truth.annotated)

@@ -1,1 +1,1 @@
-"""Box errors: their unit and law, how long they persist, and what each vessel keeps of them."""
+"""Box errors: their distribution, unit and persistence, from the edges of matched boxes."""

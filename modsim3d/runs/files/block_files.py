@@ -6,22 +6,241 @@ import hashlib
 import io
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
+import orjson
 import pyarrow as pa
+from numpy.typing import NDArray
 
-from modsim3d.outputs.placing import written_whole
-from modsim3d.runs.blocks import Block
-from modsim3d.runs.files import own_ships_table, tables, thesis_json
-from modsim3d.runs.files.kept_truth import truth_of_columns
-from modsim3d.runs.files.tracker_input import TRACKER_INPUT, tracker_lines
+from modsim3d.core.boxes import centre_form
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.detector.records import DUPLICATE, FRAGMENT
+from modsim3d.io.atomic_write import written_whole
+from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.runs.files import table_columns, tables
+from modsim3d.runs.files.row_checks import MOST_DEPTH_M, ROUNDING, frames_taken
+from modsim3d.runs.files.run_file import Column, frame_lines, string_texts
+from modsim3d.runs.tracker_view import TRACKER_INPUT, tracker_lines
 from modsim3d.scene.scene import Scene
-from modsim3d.truth.truth_record import COLUMNS, Truth
+from modsim3d.truth.record import COLUMNS, Truth, annotation_boxes, no_truth
+
+# ---- The thesis's JSON ----
+
+JOINED_BYTES = 1 << 17
+"""Bytes of lines that are joined at a time."""
+
+
+def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
+    """The annotations of a camera, one line a frame: timestamp → vessel ID → label and box with depth."""
+    truth, rows = part.truth, part.target_rows
+    names = string_texts(scene.vessel_names)
+    labels = _label_texts([vessel.label for vessel in scene.vessels], b"bbox")
+    heads = [name + label + b"{" for name, label in zip(names, labels, strict=True)]
+    boxes = centre_form(annotation_boxes(truth, scene.annotation.mode)[rows])
+    return _lines(
+        block,
+        part,
+        np.searchsorted(part.steps, truth.step[rows]),
+        [heads[vessel] for vessel in truth.vessel[rows].tolist()],
+        *_box_columns(boxes),
+        b',"depth":',
+        truth.depth_m[rows],
+        b"}}",
+    )
+
+
+def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
+    """The detections of a camera, one line a frame: timestamp → vessel ID or `false_positive_<n>` → label and so on."""
+    detections = part.detections
+    second = np.isin(detections.kind, (DUPLICATE, FRAGMENT))
+    order = np.lexsort((second, detections.frame))  # a vessel's first detection gets its plain name
+    frame, rows = detections.frame[order], part.truth_row[order]
+    vessel = np.full(len(rows), -1)
+    vessel[rows >= 0] = part.truth.vessel[rows[rows >= 0]]
+    before = _before_in_group(frame * (len(scene.vessels) + 1) + vessel + 1)
+    labels = _label_texts(scene.detector.labels, b"confidenceScore")
+    return _lines(
+        block,
+        part,
+        frame,
+        _keys(scene, vessel, before),
+        [labels[label] for label in detections.label[order].tolist()],
+        detections.confidence[order],
+        b',"bbox":{',
+        *_box_columns(centre_form(detections.boxes_px[order])),
+        b"}}",
+    )
+
+
+def pose_lines(scene: Scene, first: int, stop: int) -> bytes:
+    """The poses of steps first to stop − 1; reading the lines gives exactly the same numbers."""
+    poses = scene.poses.poses(first, stop)
+    lines = []
+    for row, timestamp in enumerate(scene.timestamps(first, stop)):
+        entries = {
+            name: {
+                "center_position_m": poses.positions_m[row, column].tolist(),
+                "heading_rad": float(poses.headings_rad[row, column]),
+            }
+            for column, name in enumerate(scene.vessel_names)
+            if poses.present[row, column]
+        }
+        lines.append(orjson.dumps({timestamp: entries}) + b"\n")
+    return b"".join(lines)
+
+
+def _before_in_group(group: Indices) -> Indices:
+    """How many rows before each row are of its group, shape (n,)."""
+    order = np.argsort(group, kind="stable")
+    ordered, before = group[order], np.empty_like(order)
+    before[order] = np.arange(len(group)) - np.searchsorted(ordered, ordered)
+    return before
+
+
+def _keys(scene: Scene, vessel: Indices, before: Indices) -> list[bytes]:
+    """The key of each detection in the object of its frame.
+
+    It is the vessel's ID, and `<vessel ID>#2` for the vessel's second box. False positives are numbered from 1.
+
+    Args:
+        scene: The scene.
+        vessel: The vessel of each of m detections, −1 for a false positive, shape (m,).
+        before: How many detections of the frame before each are of its vessel, shape (m,).
+    """
+    names = string_texts(scene.vessel_names)
+    keys = [names[index] for index in vessel.tolist()]
+    for row in np.flatnonzero((vessel < 0) | (before > 0)).tolist():
+        prefix = f"{scene.vessel_names[vessel[row]]}#" if vessel[row] >= 0 else "false_positive_"
+        keys[row] = orjson.dumps(f"{prefix}{before[row] + 1}")
+    return keys
+
+
+def _label_texts(labels: Sequence[str], after: bytes) -> list[bytes]:
+    """What follows the key of an entry, up to what comes after its label."""
+    return [b':{"label":' + label + b',"' + after + b'":' for label in string_texts(labels)]
+
+
+def _box_columns(boxes: Array) -> tuple[Column, ...]:
+    """Boxes in centre form, shape (n, 4), up to the width."""
+    x, y, width, height = boxes.T
+    return b'"centre":{"x":', x, b',"y":', y, b'},"height":', height, b',"width":', width
+
+
+def _lines(block: Block, part: CameraBlock, frame: Indices, *columns: Column) -> bytes:
+    timestamps = string_texts(block.timestamps)
+    heads = [b"{" + timestamps[step - block.first] + b":{" for step in part.steps.tolist()]
+    return frame_lines(heads, b"}}\n", frame, *columns)
+
+
+def join_lines(lines: Path, out: IO[bytes]) -> None:
+    """Join a file of such lines to one JSON object.
+
+    JSON escapes line breaks inside strings, so the bytes `}`, line break, `{` occur only between two lines.
+    """
+    with lines.open("rb") as source:
+        if not source.read(1):
+            out.write(b"{}\n")
+            return
+        out.write(b"{\n")
+        end = b""  # perhaps a part of what is between two lines
+        while some := source.read(JOINED_BYTES):
+            text = (end + some).replace(b"}\n{", b",\n")
+            out.write(memoryview(text)[:-2])
+            end = text[-2:]
+        out.write(b"\n}\n")
+
+
+# ---- Whether the columns that an interrupted run kept of a block can be the truth of that block ----
+
+_INTEGERS = ("step", "camera", "vessel", "occluder_offsets", "occluder", "intersections")
+_OF_OCCLUDERS = ("occluder", "occluder_px")
+_EMPTY = {name: getattr(no_truth(), name) for name in COLUMNS}
+
+
+def truth_of_columns(columns: Mapping[str, NDArray[Any]], scene: Scene, first: int, stop: int) -> Truth | None:
+    """The truth of steps first to stop − 1 of a scene; None if the columns cannot be that."""
+    if not _has_form(columns):
+        return None
+    truth = Truth(**columns)
+    return truth if _has_places(truth, scene, first, stop) and _has_values(truth, scene) else None
+
+
+def _has_form(columns: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether all columns are there, each of its kind and with as many rows as it must have."""
+    if columns.keys() != set(COLUMNS) or any(columns[name].ndim != _EMPTY[name].ndim for name in COLUMNS):
+        return False
+    rows, occluders = len(columns["step"]), len(columns["occluder"])
+    own = {"occluder_offsets": rows + 1, "intersections": len(columns["intersections"])}
+    counts = {**dict.fromkeys(COLUMNS, rows), **dict.fromkeys(_OF_OCCLUDERS, occluders), **own}
+    return all(
+        columns[name].shape == (counts[name], *_EMPTY[name].shape[1:]) and columns[name].dtype.kind in _kinds(name)
+        for name in COLUMNS
+    )
+
+
+def _kinds(name: str) -> str:
+    """Kinds of NumPy's types that a column may have."""
+    return "b" if name in ("annotated", "drawn") else "i" if name in _INTEGERS else "if"
+
+
+def _has_places(truth: Truth, scene: Scene, first: int, stop: int) -> bool:
+    """Whether rows are in order, of frames that were taken, and whether indices name what the scene has."""
+    names = len(scene.occluder_names)
+    indices = ((truth.camera, len(scene.cameras)), (truth.vessel, len(scene.vessels)), (truth.occluder, names))
+    if not all(((index >= 0) & (index < count)).all() for index, count in indices):
+        return False
+    within = ((first <= truth.step) & (truth.step < stop)).all()
+    frame = truth.step * len(scene.cameras) + truth.camera
+    offsets = truth.occluder_offsets
+    pairs = truth.intersections[:, 2:]
+    return bool(
+        within
+        and np.isin(frame, frames_taken(scene, first, stop)).all()
+        and (np.diff(frame * len(scene.vessels) + truth.vessel) > 0).all()
+        and offsets[0] == 0
+        and offsets[-1] == len(truth.occluder)
+        and (np.diff(offsets) >= 0).all()
+        and ((pairs >= 0) & (pairs < names)).all()
+    )
+
+
+def _has_values(truth: Truth, scene: Scene) -> bool:
+    """Whether boxes lie in their images, and numbers in their ranges; NaN only where it may be."""
+    sizes_px = np.array([camera.intrinsics.image_size_px for camera in scene.cameras], dtype=np.float64)[truth.camera]
+    most_px = sizes_px.prod(axis=1) * (1 + ROUNDING)
+    hidden = np.repeat(most_px, np.diff(truth.occluder_offsets))
+    unseen = np.isnan(truth.visible_boxes_px).all(axis=1)
+    if scene.annotation.mode == 2 and (truth.annotated & unseen).any():
+        return False
+    ranges = (
+        (truth.silhouette_px, 0.0, most_px, False),
+        (truth.visible_px, 0.0, most_px, True),
+        (truth.visible_fraction, 0.0, 1 + ROUNDING, True),
+        (truth.in_frame_fraction, 0.0, 1 + ROUNDING, True),
+        (truth.depth_m, -MOST_DEPTH_M, MOST_DEPTH_M, False),
+        (truth.occluder_px, 0.0, hidden, False),
+    )
+    boxes = _in_image(truth.full_boxes_px, sizes_px) & (unseen | _in_image(truth.visible_boxes_px, sizes_px))
+    return bool(boxes.all()) and all(
+        bool((((least <= values) & (values <= most)) | (np.isnan(values) & unknown)).all())
+        for values, least, most, unknown in ranges
+    )
+
+
+def _in_image(boxes_px: Array, sizes_px: Array) -> Mask:
+    """Whether boxes, shape (n, 4), are within images of these sizes, shape (n, 2), with no side below 0, shape (n,)."""
+    slack = ROUNDING * sizes_px
+    low, high = boxes_px[:, :2], boxes_px[:, 2:]
+    return np.asarray(((low >= -slack) & (high <= sizes_px + slack) & (high >= low - slack)).all(axis=1))
+
+
+# ---- A block as rows of tables and JSON lines ----
 
 TABLES = {
     "frames": (tables.FRAMES, tables.frame_table),
@@ -32,7 +251,7 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 OWN_SHIP = "ownship"
 SETTINGS_FILE = "settings.json"
 """The settings of a run, beside its kept blocks."""
-THESIS_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
+THESIS_LINES = {"annotations": annotation_lines, "detections": detection_lines}
 """Kinds of JSON lines that become one JSON object at the end of a run."""
 JSON_LINES = {**THESIS_LINES, TRACKER_INPUT: tracker_lines}
 """All kinds of JSON lines; there is a file of each for each camera."""
@@ -45,7 +264,7 @@ def line_kinds(thesis_json: bool) -> tuple[str, ...]:
 
 def schemas_of(scene: Scene) -> dict[str, pa.Schema]:
     """The schema of each table that a run of the scene has."""
-    own_ship = {OWN_SHIP: own_ships_table.OWN_SHIP} if scene.own_ships else {}
+    own_ship = {OWN_SHIP: table_columns.OWN_SHIP_SCHEMA} if scene.own_ships else {}
     return {**{name: schema for name, (schema, _) in TABLES.items()}, **own_ship}
 
 
@@ -66,7 +285,7 @@ class BlockFiles:
         """Format a block, with these kinds of JSON lines."""
         rows = {name: table(block, scene) for name, (_, table) in TABLES.items()}
         if scene.own_ships and not scene.live:  # accelerations need later steps: written at the end
-            rows[OWN_SHIP] = own_ships_table.own_ship_table(scene, block.first, block.stop)
+            rows[OWN_SHIP] = table_columns.own_ship_table(scene, block.first, block.stop)
         lines = {(kind, part.camera): JSON_LINES[kind](block, part, scene) for part in block.cameras for kind in kinds}
         return cls(rows, lines)
 

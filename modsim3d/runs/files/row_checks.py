@@ -12,23 +12,23 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import centre_form
+from modsim3d.core.boxes import centre_form
+from modsim3d.core.errors import RunDirectoryError
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, MERGED, PERSISTENT
-from modsim3d.errors import RunDirectoryError
-from modsim3d.inputs.validation import MAX_COORDINATE_M, shown
-from modsim3d.runs.files.columns import (
+from modsim3d.io.validation import MAX_COORDINATE_M, shown
+from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS
+from modsim3d.runs.files.tables import (
     NOBODY,
     Occluders,
     detection_boxes_px,
     flags,
     indices,
-    integers,
-    numbers,
+    integer_column,
+    number_column,
     positions,
     truth_boxes_px,
 )
-from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS
 from modsim3d.scene.scene import Scene
 
 ROUNDING = 1e-6
@@ -40,7 +40,7 @@ OF_NO_VESSEL = (FALSE_POSITIVE, PERSISTENT)
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class TableRows:
     """Consecutive rows of a table of a run, with the steps that they may belong to.
 
     Attributes:
@@ -77,7 +77,7 @@ class Rows:
     def integers(self, column: str, least: int = 0) -> Indices:
         """A column of whole numbers, shape (n,)."""
         self.filled(column)
-        values = integers(self.table, column)
+        values = integer_column(self.table, column)
         self.refuse(column, values < least, f"at least {least}")
         return values
 
@@ -93,7 +93,7 @@ class Rows:
 
         NaN for null, shape (n,).
         """
-        values = numbers(self.table, column)
+        values = number_column(self.table, column)
         if not nullable:
             self.refuse(column, np.isnan(values), "a number")
         wrong = (values < least - slack) | (values > greatest + slack)
@@ -119,7 +119,7 @@ def _text(value: pa.Scalar) -> str:
         return "bytes that are no UTF-8"
 
 
-def check_frames(rows: Rows, scene: Scene) -> Indices:
+def check_frames(rows: TableRows, scene: Scene) -> Indices:
     """Check rows of `frames`; the index of each frame's performance state, shape (n,).
 
     Raises:
@@ -151,7 +151,7 @@ def _frame_text(scene: Scene, frame: int) -> str:
     return f"step {step} of camera '{scene.cameras[camera].name}'"
 
 
-def _frame_numbers(rows: Rows, scene: Scene) -> Indices:
+def _frame_numbers(rows: TableRows, scene: Scene) -> Indices:
     """Check camera, step and timestamp; the number of each row's frame, shape (n,)."""
     step = rows.integers("step")
     rows.refuse("step", (step < rows.first) | (step >= rows.stop), f"from {rows.first} to {rows.stop - 1}")
@@ -164,7 +164,7 @@ def _frame_numbers(rows: Rows, scene: Scene) -> Indices:
     return step * len(scene.cameras) + camera
 
 
-def check_truth(rows: Rows, scene: Scene) -> None:
+def check_truth(rows: TableRows, scene: Scene) -> None:
     """Check rows of `truth`.
 
     Raises:
@@ -195,7 +195,7 @@ def _image_sizes_px(frame: Indices, scene: Scene) -> Array:
     return sizes_px[frame % len(scene.cameras)]
 
 
-def _check_boxes(rows: Rows, prefix: str, boxes_px: Array, size_px: Array, *, nullable: bool) -> None:
+def _check_boxes(rows: TableRows, prefix: str, boxes_px: Array, size_px: Array, *, nullable: bool) -> None:
     """Check that boxes, shape (n, 4), lie in their images and have no side below 0; a missing one has no number."""
     slack = ROUNDING * float(size_px.max(initial=1.0))
     for i, side in enumerate(BOX_SIDES):
@@ -207,7 +207,7 @@ def _check_boxes(rows: Rows, prefix: str, boxes_px: Array, size_px: Array, *, nu
         rows.refuse(f"{prefix}{side}", wrong, f"at least {prefix}{BOX_SIDES[i]}")
 
 
-def _check_visibility(rows: Rows, scene: Scene, most_px: Array) -> None:
+def _check_visibility(rows: TableRows, scene: Scene, most_px: Array) -> None:
     silhouette_px = rows.numbers("silhouette_px", 0.0, most_px)
     rows.numbers("visible_px", 0.0, silhouette_px * (1 + ROUNDING) + ROUNDING, nullable=True)
     rows.numbers("visible_fraction", 0.0, 1 + ROUNDING, nullable=True)
@@ -222,7 +222,7 @@ def _check_visibility(rows: Rows, scene: Scene, most_px: Array) -> None:
     rows.refuse("occluded_by", wrong, "a list with numbers of pixels")
 
 
-def check_detections(rows: Rows, scene: Scene) -> None:
+def check_detections(rows: TableRows, scene: Scene) -> None:
     """Check rows of `detections`.
 
     Raises:
@@ -254,7 +254,7 @@ def check_detections(rows: Rows, scene: Scene) -> None:
         rows.refuse(name, one_missing, "a number like the other errors of the box, or null like them")
 
 
-def check_together(frames: Rows, truth: Rows, detections: Rows, scene: Scene) -> None:
+def check_together(frames: TableRows, truth: TableRows, detections: TableRows, scene: Scene) -> None:
     """Check that the rows of the same steps in the three tables, each checked before, are of one run.
 
     Raises:
@@ -281,16 +281,16 @@ def check_together(frames: Rows, truth: Rows, detections: Rows, scene: Scene) ->
     counts = count(of_truth[annotated]), count(drawn[own]), count(drawn[~own])
     for name, found in zip(("n_annotated", "n_detected", "n_false"), counts, strict=True):
         right = "the number in truth.parquet and detections.parquet"
-        frames.refuse(name, integers(frames.table, name) != found, right)
+        frames.refuse(name, integer_column(frames.table, name) != found, right)
 
 
 def _numbers_of(table: pa.Table, scene: Scene) -> Indices:
     """The number of each row's frame, see `frames_taken`, shape (n,)."""
     cameras = [camera.name for camera in scene.cameras]
-    return integers(table, "step") * len(cameras) + indices(table, "camera", cameras)
+    return integer_column(table, "step") * len(cameras) + indices(table, "camera", cameras)
 
 
-def _boxes_of(truth: Rows, detections: Rows, drawn: Indices, own: Mask, scene: Scene) -> Indices:
+def _boxes_of(truth: TableRows, detections: TableRows, drawn: Indices, own: Mask, scene: Scene) -> Indices:
     """How many boxes of its own each row of the truth has, 0 or 1, shape (n,).
 
     Args:

@@ -15,36 +15,38 @@ from typing import IO, Any
 
 import orjson
 
-from modsim3d.errors import RunDirectoryError
-from modsim3d.outputs.locks import LOCK_FILE, locked_folder
-from modsim3d.outputs.placing import sync_file, sync_folder, written_whole
-from modsim3d.outputs.same_file import identities, identity, is_inside
-from modsim3d.runs.files import tables, thesis_json
+from modsim3d.core.errors import RunDirectoryError
+from modsim3d.io.atomic_write import sync_file, sync_folder, written_whole
+from modsim3d.io.locks import LOCK_FILE, locked_folder
+from modsim3d.io.overwrite_guard import identities, identity, is_inside
+from modsim3d.runs.files import block_files, tables
 from modsim3d.runs.files.block_files import (
     OWN_SHIP,
     SETTINGS_FILE,
     THESIS_LINES,
     BlockFiles,
     line_kinds,
+    pose_lines,
     schemas_of,
 )
-from modsim3d.runs.files.file_list import FileList, ListedFile, listed
-from modsim3d.runs.files.own_ships_table import own_ship_table
-from modsim3d.runs.files.replacing import (
+from modsim3d.runs.files.overwrite import (
     LOG_FILE,
     POSES_FILE,
     RUN_FILE,
     SCENE_FOLDER,
     UNFINISHED,
+    FileList,
+    ListedFile,
     files_of_run,
     foreign,
     is_of_a_run,
+    listed_file,
     made_of_run,
     read_json,
     remove_files,
     safe_names,
 )
-from modsim3d.runs.files.thesis_json import pose_lines
+from modsim3d.runs.files.table_columns import own_ship_table
 from modsim3d.scene.scene import Scene
 
 FILES_AT_ONCE = 8
@@ -308,9 +310,9 @@ class RunDirectory:
                 self._writers[path.stem].close()
         elif lines in {self._lines_path(*key) for key in self._lines} and path != lines:
             with path.open("wb") as out:
-                thesis_json.join_lines(lines, out)
+                block_files.join_lines(lines, out)
         sync_file(path)
-        return listed(path)
+        return listed_file(path)
 
     def _file_names(self) -> list[str]:
         """Paths of the finished run's files inside the run directory, without `run.json` and `run.log`."""

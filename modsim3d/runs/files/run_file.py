@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, TypeVar
 
+import numpy as np
+import orjson
 from pydantic import AfterValidator, Field, ValidationError, field_validator
 
-from modsim3d.detector.box_error_law import ErrorUnit
-from modsim3d.errors import InputError, RunDirectoryError
-from modsim3d.inputs.strict_json import load_json
-from modsim3d.inputs.validation import Count, Number, Strict, describe, shown
+from modsim3d.core.errors import InputError, RunDirectoryError
+from modsim3d.core.types import Array, Indices
+from modsim3d.detector.draws import ErrorUnit
+from modsim3d.io.strict_json import load_json
+from modsim3d.io.validation import Count, Number, Strict, describe, shown
 from modsim3d.runs.counts import Counts
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked
+
+# ---- What a run says about itself ----
 
 Sha256 = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
 Text = Annotated[str, Field(strict=True)]
@@ -77,7 +82,7 @@ class Truncation(Strict):
     covariance: Annotated[list[Four], Field(min_length=4, max_length=4)]
 
 
-class Settings(Strict):
+class RunSettings(Strict):
     """Everything that decides the content of the files, see `runs.run.settings_of`.
 
     Attributes:
@@ -103,7 +108,7 @@ class Settings(Strict):
     truth_versions: dict[Text, Text] | None = None
 
 
-class RunFile(Settings):
+class RunFile(RunSettings):
     """The settings, and what is known after the run.
 
     Attributes:
@@ -132,7 +137,7 @@ class RunFile(Settings):
         return files
 
 
-Model = TypeVar("Model", bound=Settings)
+Model = TypeVar("Model", bound=RunSettings)
 
 
 def read_settings(path: Path, model: type[Model]) -> tuple[dict[str, Any], Model]:
@@ -152,7 +157,7 @@ def read_settings(path: Path, model: type[Model]) -> tuple[dict[str, Any], Model
     raise RunDirectoryError(f"{path} is not what a run has written: {'; '.join([*problems[:MOST_PROBLEMS], *more])}")
 
 
-def check_scene_copy(folder: Path, settings: Settings, source: Path, listed: Collection[str] | None) -> None:
+def check_scene_copy(folder: Path, settings: RunSettings, source: Path, listed: Collection[str] | None) -> None:
     """Check that the copy of the scene is the one that the run has made.
 
     Args:
@@ -199,7 +204,7 @@ def _sha256(path: Path) -> bytes:
         return hashlib.file_digest(file, "sha256").digest()
 
 
-def check_same_scene(settings: Settings, scene: Scene, source: Path) -> None:
+def check_same_scene(settings: RunSettings, scene: Scene, source: Path) -> None:
     """Check that the settings are those of the scene in its copy.
 
     Raises:
@@ -274,3 +279,69 @@ def check_content(path: Path, sha256: str, source: str) -> None:
         raise RunDirectoryError(f"{path} cannot be read: {error.strerror or error}") from None
     if found != sha256:
         raise RunDirectoryError(f"{path} was changed after the run: its checksum is {found}, {source} has {sha256}")
+
+
+# ---- JSON text of many rows at once ----
+
+Column = bytes | Sequence[bytes] | Array
+"""A text that is the same in all n rows; one for each row; or numbers of shape (n,), or (n, k) with commas between."""
+ROWS_AT_ONCE = 1024
+"""Rows whose texts are made together: those of many more rows take fresh memory, which costs more time than to fill it.
+"""
+
+
+def string_texts(strings: Sequence[str]) -> list[bytes]:
+    """The JSON text of each string."""
+    # One a line: JSON has no line breaks inside a string.
+    return orjson.dumps(strings, option=orjson.OPT_INDENT_2)[4:-2].split(b",\n  ") if strings else []
+
+
+def number_texts(numbers: Array | Indices) -> list[bytes]:
+    """The JSON text of each number, `null` for NaN; the numbers have shape (n,)."""
+    if not len(numbers):
+        return []
+    return orjson.dumps(np.ascontiguousarray(numbers), option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].split(b",")
+
+
+def list_texts(numbers: Array) -> list[bytes]:
+    """The JSON text of each row of numbers of shape (n, k), with commas between them and without brackets."""
+    if not len(numbers):
+        return []
+    return orjson.dumps(np.ascontiguousarray(numbers), option=orjson.OPT_SERIALIZE_NUMPY)[2:-2].split(b"],[")
+
+
+def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: Column) -> bytes:
+    """A line for each frame: its head, the texts of its rows with commas between them, and the tail.
+
+    Args:
+        heads: What the line of each of F frames begins with.
+        tail: What every line ends with.
+        frame: The frame of each of n rows, from 0, ascending, shape (n,).
+        columns: What stands side by side in each row.
+    """
+    bounds = np.searchsorted(frame, np.arange(len(heads) + 1)).tolist()
+    before, between = [b","] * len(frame), b""
+    for head, start, stop in zip(heads, bounds[:-1], bounds[1:], strict=True):
+        if start == stop:
+            between += head + tail
+        else:
+            before[start], between = between + head, tail
+    starts = range(0, len(frame), ROWS_AT_ONCE)
+    parts = [_joined(slice(start, start + ROWS_AT_ONCE), before, *columns) for start in starts]
+    return b"".join([*parts, between])
+
+
+def _joined(rows: slice, before: Sequence[bytes], *columns: Column) -> bytes:
+    """The texts of some rows, each after what stands before it."""
+    texts = [column if isinstance(column, bytes) else _texts(column[rows]) for column in (before, *columns)]
+    count = len(before[rows])
+    pieces = [b""] * (count * len(texts))
+    for place, text in enumerate(texts):
+        pieces[place :: len(texts)] = [text] * count if isinstance(text, bytes) else text
+    return b"".join(pieces)
+
+
+def _texts(column: Sequence[bytes] | Array) -> Sequence[bytes]:
+    if not isinstance(column, np.ndarray):
+        return column
+    return number_texts(column) if column.ndim == 1 else list_texts(column)

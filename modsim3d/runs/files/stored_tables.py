@@ -2,31 +2,162 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.arrays import Indices
-from modsim3d.errors import RunDirectoryError
+from modsim3d.core.boxes import corner_form
+from modsim3d.core.errors import RunDirectoryError
+from modsim3d.core.types import Indices
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import KINDS, MERGED, CameraFrames, Detections, Targets
 from modsim3d.runs.files.block_files import OWN_SHIP, schemas_of
-from modsim3d.runs.files.format_1 import FORMAT_1_DETECTIONS, from_format_1
-from modsim3d.runs.files.own_ships_table import BEFORE_ATTITUDE, with_attitude
-from modsim3d.runs.files.replacing import RUN_FILE
-from modsim3d.runs.files.row_checks import (
-    Rows,
-    check_detections,
-    check_frames,
-    check_together,
-    check_truth,
-)
+from modsim3d.runs.files.overwrite import RUN_FILE
+from modsim3d.runs.files.row_checks import TableRows, check_detections, check_frames, check_together, check_truth
 from modsim3d.runs.files.run_file import FileEntry, check_content
+from modsim3d.runs.files.table_columns import (
+    BEFORE_ATTITUDE,
+    BOX_SIDES,
+    CENTRE_FORM,
+    ERRORS,
+    TRUTH_NUMBERS,
+    with_attitude,
+)
+from modsim3d.runs.files.tables import (
+    DETECTIONS,
+    NOBODY,
+    Occluders,
+    detection_boxes_px,
+    flags,
+    indices,
+    integer_column,
+    number_column,
+    positions,
+    truth_boxes_px,
+)
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.record import Truth
 
-CHECKS: dict[str, Callable[[Rows, Scene], object]] = {
+# ---- The truth and detections of a finished run, read back from its tables as the pipeline had them ----
+
+
+def truth_of(table: pa.Table, scene: Scene) -> Truth:
+    """The truth in rows of the table `truth` of a run of a scene.
+
+    The table does not say which boxes intersect in space, so `intersections` is empty.
+    """
+    occluders = Occluders.of(table, scene.occluder_names)
+    return Truth(
+        step=integer_column(table, "step"),
+        camera=indices(table, "camera", [camera.name for camera in scene.cameras]),
+        vessel=indices(table, "vessel", scene.vessel_names),
+        full_boxes_px=truth_boxes_px(table, "full"),
+        visible_boxes_px=truth_boxes_px(table, "visible"),
+        **{name: number_column(table, name) for name in TRUTH_NUMBERS},
+        occluder_offsets=occluders.offsets,
+        occluder=occluders.name,
+        occluder_px=occluders.px,
+        annotated=flags(table, "annotated"),
+        drawn=np.zeros(len(table), dtype=bool),
+        intersections=np.empty((0, 4), dtype=np.int64),
+    )
+
+
+def detections_of(
+    tables: Mapping[str, pa.Table], model: DetectorModel, frames: CameraFrames, targets: Targets
+) -> Detections:
+    """The detections of a camera in a run, whose detector was given these targets.
+
+    The tables do not say which box errors were resampled, so `redrawn` is false. They do not say which vessels the
+    limit on the number of detections or the operating threshold removed either, so `gated` knows only the other gates.
+
+    Args:
+        tables: Rows of `frames`, `truth` and `detections` of the same steps as the camera's frames.
+        model: The detector, which need not be the run's.
+        frames: All frames of the camera at these steps.
+        targets: The annotated vessels in these frames.
+
+    Raises:
+        RunDirectoryError: The model does not know a performance state or a label in the tables.
+    """
+    chosen = {name: table.filter(pc.equal(table["camera"], frames.camera)) for name, table in tables.items()}
+    table = chosen["detections"]
+    frame, kind = np.searchsorted(frames.steps, integer_column(table, "step")), indices(table, "kind", KINDS)
+    count, vessel = len(targets.vessel_ids), indices(table, "vessel", targets.vessel_ids)
+    wanted = np.where(vessel == NOBODY, NOBODY, frame * count + vessel)
+    target = positions(targets.frame * count + targets.vessel, wanted)
+    return Detections(
+        states=_known_indices(chosen["frames"], "state", [state.name for state in model.states]),
+        frame=frame,
+        target=target,
+        partner=_partners(chosen["truth"], targets, frame, target, kind),
+        kind=kind,
+        label=_known_indices(table, "label", model.labels),
+        confidence=number_column(table, "confidence"),
+        boxes_px=detection_boxes_px(table),
+        errors_px=np.column_stack([number_column(table, name) for name in ERRORS]),
+        redrawn=np.zeros(len(table), dtype=bool),
+        gated=~model.gates.passed(frames, targets),
+    )
+
+
+def _partners(truth: pa.Table, targets: Targets, frame: Indices, target: Indices, kind: Indices) -> Indices:
+    """Row of the second target of each merged box, else −1, shape (m,).
+
+    The second targets of a frame are those that were detected and have no box of their own. The tables do not say which
+    of them belongs to which of several merged boxes of a frame, so they are assigned in order.
+    """
+    partner = np.full(len(frame), -1)
+    merged = np.flatnonzero(kind == MERGED)
+    without_box = flags(truth, "detected")[flags(truth, "annotated")]
+    without_box[target[target >= 0]] = False
+    rows = np.flatnonzero(without_box)
+    for where in np.unique(frame[merged]):
+        partner[merged[frame[merged] == where]] = rows[targets.frame[rows] == where]
+    return partner
+
+
+def _known_indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
+    """A column of names as indices; a name that the detector does not know is an error."""
+    found = indices(table, name, names)
+    unknown = np.flatnonzero(found == NOBODY)
+    if len(unknown):
+        raise RunDirectoryError(
+            f"the run has the {name} '{table[name][int(unknown[0])]}', which is not one of the detector file's "
+            f"({', '.join(names)}): this detector cannot have made this run"
+        )
+    return found
+
+
+# ---- The table of detections of format 1, which had centre and size of a box, and called the centre x ----
+
+_CENTRE_FORM = dict(zip(CENTRE_FORM, ("x_px", "y_px", "width_px", "height_px"), strict=True))
+FORMAT_1_DETECTIONS = pa.schema(
+    [
+        field.with_name(_CENTRE_FORM.get(field.name, field.name)).remove_metadata()
+        for field in DETECTIONS
+        if field.name not in BOX_SIDES
+    ]
+)
+
+
+def from_format_1(table: pa.Table) -> pa.Table:
+    """Rows of format 1 as rows of today's table; the corners are rounded as the centres were."""
+    boxes_px = corner_form(np.column_stack([number_column(table, name) for name in _CENTRE_FORM.values()]))
+    columns = dict(zip(table.column_names, table.columns, strict=True))
+    columns |= {name: columns[former] for name, former in _CENTRE_FORM.items()}
+    columns |= {side: pa.array(boxes_px[:, i], from_pandas=True) for i, side in enumerate(BOX_SIDES)}
+    return pa.table([columns[name] for name in DETECTIONS.names], schema=DETECTIONS)
+
+
+# ---- The tables of a finished run, checked when they are opened and as their rows are read ----
+
+CHECKS: dict[str, Callable[[TableRows, Scene], object]] = {
     "frames": check_frames,
     "truth": check_truth,
     "detections": check_detections,
@@ -73,7 +204,7 @@ class StoredTable:
                 yield self.rows(first, stop).table
                 first = stop
 
-    def rows(self, first: int, stop: int) -> Rows:
+    def rows(self, first: int, stop: int) -> TableRows:
         """The rows of steps first to stop − 1; only the row groups are read that may hold such rows.
 
         Raises:
@@ -83,13 +214,13 @@ class StoredTable:
         begin, end = (int(here[0]), int(here[-1]) + 1) if len(here) else (0, 0)
         return self._checked(begin, end, first, stop)
 
-    def _checked(self, begin: int, end: int, first: int, stop: int) -> Rows:
+    def _checked(self, begin: int, end: int, first: int, stop: int) -> TableRows:
         """The checked rows of steps first to stop − 1 in row groups begin to end − 1."""
-        whole = Rows(self.path, int(self._first_row[begin]), self._groups(begin, end), first, stop)
+        whole = TableRows(self.path, int(self._first_row[begin]), self._groups(begin, end), first, stop)
         steps = whole.integers("step")
         whole.refuse("step", np.diff(steps, prepend=-1) < 0, "in ascending order")
         low, high = np.searchsorted(steps, (first, stop)).tolist()
-        rows = Rows(self.path, whole.first_row + low, whole.table.slice(low, high - low), first, stop)
+        rows = TableRows(self.path, whole.first_row + low, whole.table.slice(low, high - low), first, stop)
         CHECKS[self._name](rows, self._scene)
         return rows
 

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from modsim3d.detector.records import KINDS
+from modsim3d.scene.cameras import own_ships_at
+from modsim3d.scene.scene import Scene
+
+# ---- What the columns of a run's tables are ----
 
 BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
 CENTRE_FORM = ("centre_x_px", "centre_y_px", "width_px", "height_px")
@@ -20,7 +27,7 @@ _NO_ERROR = "null for what is not one box of one vessel"
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A column of a table.
 
     Attributes:
@@ -39,23 +46,23 @@ class Column:
         return pa.field(self.name, self.type, metadata={"unit": self.unit, "description": self.meaning})
 
 
-def _text(name: str, meaning: str) -> Column:
-    return Column(name, pa.string(), "", meaning)
+def _text(name: str, meaning: str) -> TableColumn:
+    return TableColumn(name, pa.string(), "", meaning)
 
 
-def _whole(name: str, meaning: str) -> Column:
-    return Column(name, pa.int64(), "", meaning)
+def _whole(name: str, meaning: str) -> TableColumn:
+    return TableColumn(name, pa.int64(), "", meaning)
 
 
-def _flag(name: str, meaning: str) -> Column:
-    return Column(name, pa.bool_(), "", meaning)
+def _flag(name: str, meaning: str) -> TableColumn:
+    return TableColumn(name, pa.bool_(), "", meaning)
 
 
-def _number(name: str, unit: str, meaning: str) -> Column:
-    return Column(name, pa.float64(), unit, meaning)
+def _number(name: str, unit: str, meaning: str) -> TableColumn:
+    return TableColumn(name, pa.float64(), unit, meaning)
 
 
-def _box(prefix: str, of: str) -> tuple[Column, ...]:
+def _box(prefix: str, of: str) -> tuple[TableColumn, ...]:
     sides = {"x_min_px": "left", "y_min_px": "upper", "x_max_px": "right", "y_max_px": "lower"}
     return tuple(_number(f"{prefix}{name}", "px", f"{side} edge of the {of}") for name, side in sides.items())
 
@@ -87,7 +94,7 @@ TRUTH = (
         "area of the silhouette in the image / area of the whole silhouette; null where the near plane cuts the vessel",
     ),
     _number("depth_m", "m", "mean distance of the vessel's corners along the axis of the camera"),
-    Column(
+    TableColumn(
         "occluded_by",
         _OCCLUDERS,
         "px",
@@ -147,3 +154,45 @@ COLUMNS = {"frames": FRAMES, "truth": TRUTH, "detections": DETECTIONS, "ownship"
 def schema_of(table: str) -> pa.Schema:
     """Arrow's schema of a table of a run."""
     return pa.schema([column.field for column in COLUMNS[table]])
+
+
+# ---- The table of the motion of the vessels that carry cameras ----
+
+MEASURED_ATTITUDE = ("measured_roll_rad", "measured_pitch_rad", "measured_heading_rad")
+_COLUMNS = {
+    "positions_m": ("w1_m", "w2_m", "w3_m"),
+    "headings_rad": ("heading_rad",),
+    "angles_rad": ("roll_rad", "pitch_rad", "yaw_rad"),
+    "rates_rad_s": ("p_rad_s", "q_rad_s", "r_rad_s"),
+    "forces_m_s2": ("f1_m_s2", "f2_m_s2", "f3_m_s2"),
+    "measured_rates_rad_s": ("measured_p_rad_s", "measured_q_rad_s", "measured_r_rad_s"),
+    "measured_forces_m_s2": ("measured_f1_m_s2", "measured_f2_m_s2", "measured_f3_m_s2"),
+    "measured_attitudes_rad": MEASURED_ATTITUDE,
+}
+"""Attribute of `OwnShips` → names of the columns of its components."""
+OWN_SHIP_SCHEMA = schema_of("ownship")
+BEFORE_ATTITUDE = pa.schema([field for field in OWN_SHIP_SCHEMA if field.name not in MEASURED_ATTITUDE])
+"""As runs wrote it before inertial units measured attitudes."""
+
+
+def own_ship_table(scene: Scene, first: int, stop: int) -> pa.Table:
+    """One row for each step from first to stop − 1 and each vessel that carries a camera, in this order."""
+    own = own_ships_at(scene, first, stop)
+    steps, vessels = own.headings_rad.shape
+    names = pa.array([scene.vessel_names[index] for index in own.vessels])
+    columns: dict[str, Any] = {
+        "vessel": names.take(pa.array(np.tile(np.arange(vessels), steps))),
+        "step": np.repeat(np.arange(first, stop), vessels),
+        "timestamp": pa.array(scene.timestamps(first, stop)).take(pa.array(np.repeat(np.arange(steps), vessels))),
+    }
+    for attribute, components in _COLUMNS.items():
+        columns |= zip(components, getattr(own, attribute).reshape(-1, len(components)).T, strict=True)
+    return pa.table([columns[name] for name in OWN_SHIP_SCHEMA.names], schema=OWN_SHIP_SCHEMA)
+
+
+def with_attitude(table: pa.Table) -> pa.Table:
+    """A table of `BEFORE_ATTITUDE` with the measured attitudes: those units had no error."""
+    heading = pc.add(table["heading_rad"], table["yaw_rad"])
+    for name, values in zip(MEASURED_ATTITUDE, (table["roll_rad"], table["pitch_rad"], heading), strict=True):
+        table = table.append_column(OWN_SHIP_SCHEMA.field(name), values)
+    return table

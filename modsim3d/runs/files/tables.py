@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.boxes import centre_form
+from modsim3d.core.boxes import centre_form
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS, TRUTH_NUMBERS, schema_of
 from modsim3d.scene.scene import Scene
+
+# ---- The Parquet tables of a run ----
 
 ROW_GROUP_ROWS = 65_536
 MOST_WAITING = 64
@@ -202,3 +206,83 @@ class TableWriter:
         except BaseException:
             self._failed, self._writer.is_open = True, False
             raise
+
+
+# ---- Columns of a run's tables as NumPy arrays ----
+
+NOBODY = -1
+"""The index of a name that is null, or not among the names."""
+
+
+def number_column(table: pa.Table, name: str) -> Array:
+    """A column of numbers, NaN for null, shape (n,)."""
+    return np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def integer_column(table: pa.Table, name: str) -> Indices:
+    """A column of whole numbers without nulls, shape (n,)."""
+    return np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.int64)
+
+
+def flags(table: pa.Table, name: str) -> Mask:
+    """A column of truth values without nulls, shape (n,)."""
+    return np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=bool)
+
+
+def indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
+    """A column of names as indices, `NOBODY` for null and for a name that is not among them, shape (n,)."""
+    found = pc.index_in(table[name], value_set=pa.array(list(names), pa.string()))
+    return np.asarray(found.fill_null(NOBODY).to_numpy(zero_copy_only=False), dtype=np.int64)
+
+
+def positions(keys: Indices, wanted: Indices) -> Indices:
+    """Where each of m wanted keys stands among n distinct keys, `NOBODY` if nowhere, shape (m,)."""
+    if not len(keys):
+        return np.full(len(wanted), NOBODY)
+    order = np.argsort(keys)
+    place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return np.where(keys[place] == wanted, place, NOBODY)
+
+
+def truth_boxes_px(table: pa.Table, prefix: str) -> Array:
+    """The `full` or `visible` boxes of a truth table as x_min, y_min, x_max, y_max; NaN for no box, shape (n, 4)."""
+    return np.column_stack([number_column(table, f"{prefix}_{side}") for side in BOX_SIDES])
+
+
+def detection_boxes_px(table: pa.Table) -> Array:
+    """The boxes of a table of detections as x_min, y_min, x_max, y_max, shape (n, 4)."""
+    return np.column_stack([number_column(table, name) for name in BOX_SIDES])
+
+
+@dataclass(frozen=True, eq=False)
+class Occluders:
+    """Who hides whom: m entries of the n rows of a truth table.
+
+    Attributes:
+        counts: Number of entries of each row, shape (n,).
+        name: Index of the occluder's name, shape (m,).
+        px: Number of pixels that it hides, shape (m,).
+    """
+
+    counts: Indices
+    name: Indices
+    px: Array
+
+    @classmethod
+    def of(cls, truth: pa.Table, occluder_names: Sequence[str]) -> Occluders:
+        """Read the column `occluded_by`."""
+        lists = truth["occluded_by"].combine_chunks()
+        entries = lists.flatten()
+        table = pa.table({name: entries.field(name) for name in ("id", "px")})
+        counts = np.asarray(lists.value_lengths(), dtype=np.int64)
+        return cls(counts, indices(table, "id", occluder_names), number_column(table, "px"))
+
+    @property
+    def hidden(self) -> Indices:
+        """Row of the hidden vessel of each entry, shape (m,)."""
+        return np.repeat(np.arange(len(self.counts)), self.counts)
+
+    @property
+    def offsets(self) -> Indices:
+        """Where the entries of each row begin, and the end, shape (n + 1,)."""
+        return np.concatenate([[0], np.cumsum(self.counts)])

@@ -13,10 +13,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask, ranges
-from modsim3d.boxes import areas
-from modsim3d.runs.files.columns import NOBODY
-from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, Spans, Survival, within
+from modsim3d.core.boxes import areas
+from modsim3d.core.types import Array, Indices, Mask, ranges
+from modsim3d.runs.files.tables import NOBODY
+from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionSpans, Survival, within
 from modsim3d.tracking.scores.scored import Scored
 
 NEAR_S = 2.0
@@ -175,7 +175,7 @@ def _places(values: Array, edges: Sequence[int]) -> Indices:
 
 def _by_occlusion(scored: Scored, followed: _Followed) -> tuple[Group, Group]:
     """The vessel-frames by phase of an occlusion, and those during one by its length."""
-    spans = Spans.of(scored)
+    spans = OcclusionSpans.of(scored)
     during, phase = _phases(scored, spans)
     length = _places(spans.length_s, LENGTH_EDGES_S)
     of_row = np.append(length, NOBODY)[during]  # the last is that of NOBODY
@@ -189,7 +189,7 @@ def _by_occlusion(scored: Scored, followed: _Followed) -> tuple[Group, Group]:
     return Group("phase", phases, followed.bins(PHASES, phase)), Group("occlusion", lengths, tuple(bins))
 
 
-def _phases(scored: Scored, spans: Spans) -> tuple[Indices, Indices]:
+def _phases(scored: Scored, spans: OcclusionSpans) -> tuple[Indices, Indices]:
     """The occlusion during which each of n rows is, `NOBODY` for none, and its phase, shapes (n,)."""
     each, count = spans.histories, spans.last - spans.first + 1
     during = np.full(len(each.row), NOBODY)

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.tracking.scores.frame_times import frame_lengths_s, stretches
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.tracking.scores.scored import Scored, frame_lengths_s, stretches
 
 _HOUR_S = 3600.0
 

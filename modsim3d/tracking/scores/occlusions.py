@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.runs.files.columns import NOBODY
-from modsim3d.tracking.scores.frame_times import frame_lengths_s, stretches
-from modsim3d.tracking.scores.histories import Histories
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.runs.files.tables import NOBODY
+from modsim3d.tracking.scores.scored import Histories, Scored, frame_lengths_s, stretches
+
+# ---- Occlusions, and whether tracks survive them ----
 
 OCCLUDED_BELOW = 0.5
 """A vessel is occluded while less than this share of its silhouette in the image is visible."""
@@ -46,7 +46,7 @@ class Survival:
 
 
 @dataclass(frozen=True)
-class Occlusion:
+class OcclusionEpisode:
     """Consecutive frames of an appearance in which less than half of the vessel is visible.
 
     Frames in which the vessel is too small for any pixel are passed over: nothing can be said of them.
@@ -78,7 +78,7 @@ class Occlusion:
 
 
 @dataclass(frozen=True, eq=False)
-class Spans:
+class OcclusionSpans:
     """The m occlusions of a matching in order of identity and time, as places in its histories.
 
     Attributes:
@@ -104,7 +104,7 @@ class Spans:
     expected: Mask
 
     @classmethod
-    def of(cls, scored: Scored) -> Spans:
+    def of(cls, scored: Scored) -> OcclusionSpans:
         """All occlusions that begin in a frame that counts."""
         each = Histories.of(scored)
         known = np.cumsum(~np.isnan(each.visible_fraction))  # a vessel without a pixel has no visible fraction
@@ -165,13 +165,13 @@ def within(times_s: Array, limit_s: float) -> Mask:
 
 def survival(scored: Scored) -> Survival:
     """How many occlusions there are, and how many of them tracks survive."""
-    spans = Spans.of(scored)
+    spans = OcclusionSpans.of(scored)
     return spans.survival(np.ones(len(spans.first), dtype=bool))
 
 
-def occlusions(scored: Scored) -> tuple[Occlusion, ...]:
+def occlusions(scored: Scored) -> tuple[OcclusionEpisode, ...]:
     """All occlusions in order of time, then of camera and vessel."""
-    spans, following, scene = Spans.of(scored), scored.following, scored.rows.scene
+    spans, following, scene = OcclusionSpans.of(scored), scored.following, scored.rows.scene
     truth_row = spans.histories.row[spans.first]
     frame, vessel = following.truth.frame[truth_row], following.truth.vessel[truth_row]
     least = [
@@ -179,7 +179,7 @@ def occlusions(scored: Scored) -> tuple[Occlusion, ...]:
         for a, b in zip(spans.first.tolist(), spans.last.tolist(), strict=True)
     ]
     found = [
-        Occlusion(
+        OcclusionEpisode(
             scene.cameras[int(frame[k]) % scored.by_step].name,
             scene.vessel_names[vessel[k]],
             float(spans.start_s[k]),
@@ -198,10 +198,42 @@ def occlusions(scored: Scored) -> tuple[Occlusion, ...]:
     return tuple(found[k] for k in np.lexsort((vessel, frame)).tolist())
 
 
-def _track_numbers(scored: Scored, spans: Spans, places: Indices) -> Sequence[int | None]:
+def _track_numbers(scored: Scored, spans: OcclusionSpans, places: Indices) -> Sequence[int | None]:
     """The tracker's numbers of the tracks that follow at places in the histories; None for `NOBODY`."""
     following = scored.following
     numbers = following.tracks.track
     track_row = following.track_row[spans.histories.row[places[places != NOBODY]]]
     found = iter(numbers[track_row].tolist())
     return [None if place == NOBODY else next(found) for place in places.tolist()]
+
+
+# ---- What tracks do while other things hide all of a vessel ----
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """Tracks on vessels that are wholly hidden, against the box of the whole vessel.
+
+    Attributes:
+        hidden_vessel_frames: Number of frames of vessels of which no pixel is visible.
+        hidden_followed: Share of them in which a track follows the vessel.
+        hidden_same_track: Share of them in which that is the track that last followed it before it was hidden.
+    """
+
+    hidden_vessel_frames: int
+    hidden_followed: float | None
+    hidden_same_track: float | None
+
+
+def hidden(scored: Scored) -> Hidden:
+    """Recall and identity on rows that are wholly hidden."""
+    histories = Histories.of(scored)
+    chosen = histories.hidden & histories.counted
+    count = int(np.count_nonzero(chosen))
+    if not count:
+        return Hidden(0, None, None)
+    before = histories.last_before(histories.followed & ~histories.hidden)
+    earlier = np.append(histories.track, NOBODY)[before]
+    followed = histories.followed[chosen]
+    same = followed & (histories.track == earlier)[chosen]
+    return Hidden(count, float(np.mean(followed)), float(np.mean(same)))

@@ -2,19 +2,80 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.runs.files.columns import NOBODY
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.tracking.scores.rules import Rules
-from modsim3d.tracks.following import Following, follow
-from modsim3d.tracks.tracks import Tracks
-from modsim3d.tracks.true_tracks import TrueTracks
+from modsim3d.tracks.tracks import Similarity, Tracks
+from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, Following, TrueTracks, TruthName, follow
+
+# ---- The rules by which tracks are scored ----
+
+LARGEST_CUTOFF = 1e6
+"""More than any distance in an image, and its tenth power is still a number."""
+
+
+@dataclass(frozen=True)
+class SetDistance:
+    """What GOSPA and OSPA charge: the base distance is that of the centres.
+
+    Attributes:
+        cutoff: c, in the unit of the distance; a missed vessel and a false track cost c^p / 2 each in GOSPA.
+        power: p; with 1 the parts are additive distances.
+    """
+
+    cutoff: float = 100.0
+    power: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ModsimError: One is out of range.
+        """
+        if not 0 < self.cutoff <= LARGEST_CUTOFF:
+            raise ModsimError(f"--gospa-c must be above 0 and at most {LARGEST_CUTOFF:,.0f} (got {self.cutoff:g})")
+        if not 1 <= self.power <= 10:
+            raise ModsimError(f"--gospa-p must be from 1 to 10 (got {self.power:g})")
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The rules by which tracks are scored.
+
+    Attributes:
+        truth: What tracks are held against, as in `TrueTracks.of`.
+        gap_s: After so long outside the image a vessel that comes back is a new identity.
+        similarity: How boxes are compared.
+        by_class: Whether only tracks of a vessel's class count for it.
+        set_distance: Of GOSPA and OSPA, in pixels.
+        cameras: Names of the cameras that are scored, in the order of the scene; all if there are none.
+    """
+
+    truth: TruthName = "annotated"
+    gap_s: float = DEFAULT_GAP_S
+    similarity: Similarity = field(default_factory=Similarity)
+    by_class: bool = False
+    set_distance: SetDistance = field(default_factory=SetDistance)
+    cameras: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ModsimError: The gap is out of range.
+        """
+        if not 0 <= self.gap_s < np.inf:
+            raise ModsimError(f"--gap must be 0 or more seconds (got {self.gap_s:g})")
+
+
+# ---- What all scores are taken from ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,3 +146,120 @@ class Scored:
         """The frames of a performance state, shape (f,)."""
         chosen: Indices = self.frames[self.rows.states_of(self.frames) == state]
         return chosen
+
+
+# ---- The frames of each identity one after another, and which track followed it in them ----
+
+
+@dataclass(frozen=True, eq=False)
+class Histories:
+    """All vessels of a matching, n rows in order of identity and frame, whether they are scored or not.
+
+    Attributes:
+        row: Row of the matching's vessels, shape (n,).
+        identity: Number of the appearance, shape (n,).
+        frame: Number of the frame, shape (n,).
+        time_s: Time of the frame since the first step, shape (n,).
+        hidden: Whether other things hide all of the vessel, shape (n,).
+        visible_fraction: NaN where unknown, shape (n,).
+        track: Identity of the track that follows it, `NOBODY` for none, shape (n,).
+        counted: Whether the frame is among those that count, shape (n,).
+    """
+
+    row: Indices
+    identity: Indices
+    frame: Indices
+    time_s: Array
+    hidden: Mask
+    visible_fraction: Array
+    track: Indices
+    counted: Mask
+
+    @classmethod
+    def of(cls, scored: Scored) -> Self:
+        """Those of a matching."""
+        following, truth = scored.following, scored.following.truth
+        order = np.lexsort((truth.frame, truth.identity))
+        track = np.append(following.tracks.identity, NOBODY)[following.track_row]  # the last is that of NOBODY
+        return cls(
+            order,
+            truth.identity[order],
+            truth.frame[order],
+            scored.times_s[truth.frame[order] // scored.by_step],
+            truth.hidden[order],
+            scored.rows.numbers("visible_fraction")[truth.row[order]],
+            track[order],
+            np.isin(truth.frame[order], scored.frames),
+        )
+
+    @property
+    def followed(self) -> Mask:
+        """Whether a track follows the vessel, shape (n,)."""
+        return np.not_equal(self.track, NOBODY)
+
+    def last_before(self, wanted: Mask) -> Indices:
+        """The last wanted place before each place in the history of its identity, `NOBODY` if there is none, (n,)."""
+        count = len(self.row)
+        latest = np.maximum.accumulate(np.where(wanted, np.arange(count), NOBODY))
+        before = np.concatenate([[NOBODY], latest])[:count]
+        return self._own(before)
+
+    def first_after(self, wanted: Mask) -> Indices:
+        """The first wanted place after each place in the history of its identity, `NOBODY` if there is none, (n,)."""
+        count = len(self.row)
+        next_ones = np.minimum.accumulate(np.where(wanted, np.arange(count), count)[::-1])[::-1]
+        after = np.concatenate([next_ones, [count]])[1:]
+        return self._own(np.where(after < count, after, NOBODY))
+
+    def _own(self, place: Indices) -> Indices:
+        """Places in the history of another identity replaced by `NOBODY`, shape (n,)."""
+        same = np.append(self.identity, NOBODY)[place] == self.identity
+        return np.where(same, place, NOBODY)
+
+
+# ---- How long each frame stands for, and stretches of rows without a break ----
+
+
+def frame_lengths_s(scored: Scored, frames: Indices) -> Array:
+    """The time from each frame to the camera's next one, shape (k,).
+
+    A camera's last frame stands for as long as the one before it, and an only frame for a frame of the camera's rate.
+
+    Args:
+        scored: The run.
+        frames: Numbers of frames of the run, shape (k,).
+    """
+    every, cameras = scored.rows.frames, scored.by_step
+    length_s = np.empty(len(every))
+    for index, camera in enumerate(scored.rows.scene.cameras):
+        here = np.flatnonzero(every % cameras == index)
+        apart = np.diff(scored.times_s[every[here] // cameras])
+        alone = 1 / (camera.frame_rate_hz or 1.0)
+        length_s[here] = np.append(apart, apart[-1:] if len(apart) else alone)[: len(here)]
+    found: Array = length_s[np.searchsorted(every, frames)]
+    return found
+
+
+class RowStretches(NamedTuple):
+    """Stretches of rows that follow each other: r of them.
+
+    Attributes:
+        first: Place of each stretch's first row, shape (r,).
+        last: Place of its last row, shape (r,).
+    """
+
+    first: Indices
+    last: Indices
+
+
+def stretches(group: Indices, place: Indices) -> RowStretches:
+    """Stretches in which the group stays and the place grows by 1 from row to row.
+
+    Args:
+        group: Group of each row; rows of a group stand together, shape (k,).
+        place: Place of each row in its group, ascending in it, shape (k,).
+    """
+    ends = np.flatnonzero((np.diff(group) != 0) | (np.diff(place) != 1)) + 1
+    if not len(group):
+        return RowStretches(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+    return RowStretches(np.append(0, ends), np.append(ends, len(group)) - 1)

@@ -8,23 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.arrays import Indices
-from modsim3d.errors import ModsimError
-from modsim3d.runs.files.columns import NOBODY
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Indices
+from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.tracking.scores.association import Clear, Hota, Identity, clear_of, hota_of, identity_of
+from modsim3d.tracking.scores.association import Clear, Hota, Identity, clear_of, hota_of, identity_of, sequence
 from modsim3d.tracking.scores.breakdown import Breakdown, breakdown
 from modsim3d.tracking.scores.continuity import Continuity, continuity
 from modsim3d.tracking.scores.errors import Errors, errors
-from modsim3d.tracking.scores.hidden import Hidden, hidden
-from modsim3d.tracking.scores.occlusions import Occlusion, Survival, occlusions, survival
-from modsim3d.tracking.scores.rules import Rules
-from modsim3d.tracking.scores.scored import Scored
-from modsim3d.tracking.scores.sequence import sequence
-from modsim3d.tracking.scores.set_distances import Gospa, Ospa, gospa, ospa
-from modsim3d.tracking.scores.siap import Siap, siap
-from modsim3d.tracks.following import follow
+from modsim3d.tracking.scores.occlusions import Hidden, OcclusionEpisode, Survival, hidden, occlusions, survival
+from modsim3d.tracking.scores.scored import Rules, Scored
+from modsim3d.tracking.scores.set_distances import Gospa, Ospa, Siap, gospa, ospa, siap
 from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.true_tracks import follow
 
 Value = float | int | None | tuple[float, ...]
 Part = Hota | Clear | Identity | Gospa | Ospa | Siap | Errors | Continuity | Hidden | Survival
@@ -71,7 +67,7 @@ class Scores:
     """
 
     parts: tuple[Part, ...]
-    occlusions: tuple[Occlusion, ...]
+    occlusions: tuple[OcclusionEpisode, ...]
     breakdown: Breakdown
     by_state: dict[str, SubsetScores]
     by_camera: dict[str, SubsetScores]

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.inputs.validation import Strict
+from modsim3d.core.boxes import sizes
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array, Indices
+from modsim3d.io.validation import NotNegative, Probability, Strict
+
+# ---- What a tracker is ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,3 +86,203 @@ class Tracker(Strict):
     def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
         """Track the detections of one camera: for each frame, in order of time, one answer before the next is read."""
         raise NotImplementedError
+
+
+# ---- SORT, ByteTrack and OC-SORT, as the library `trackers` has them ----
+
+_BUFFER_RATE_HZ = 30
+"""The library counts `lost_track_buffer` in frames of this rate, whatever the camera's."""
+_LEAST_PERIODS_KEPT = 1.5
+"""The library drops what is lost for too long before it matches: tracks must outlive the time between two frames."""
+
+FrameCount = Annotated[int, Field(strict=True, ge=1, le=1000)]
+Overlap = Annotated[float, Field(strict=True, ge=-1, le=1)]
+
+
+class _LibraryTracker(Tracker):
+    """What the three have in common.
+
+    Attributes:
+        lost_s: A track without a detection for longer is dropped: the library's `lost_track_buffer` over 30.
+        minimum_consecutive_frames: Detections in a row that make a track.
+        minimum_iou_threshold: The least overlap of a detection and a track's predicted box, in terms of `iou`.
+        iou: The measure of overlap; `giou`, `diou` and `ciou` are below 0 for boxes apart.
+        state_estimator: The filter's state: corners, or centre, area and aspect ratio.
+        boxes: The box of a track with a detection: the detection's, as the library reports it, or the filter's.
+        coast_s: A track without a detection is reported for so long, with the filter's box; the library reports none.
+    """
+
+    library_name: ClassVar[str]
+    """Of the class in the library."""
+
+    lost_s: NotNegative = 2.0
+    minimum_consecutive_frames: FrameCount = 2
+    minimum_iou_threshold: Overlap = 0.1
+    iou: Literal["iou", "biou", "giou", "diou", "ciou"] = "iou"
+    state_estimator: Literal["xyxy", "xcycsr"] = "xyxy"
+    boxes: Literal["detected", "filtered"] = "detected"
+    coast_s: NotNegative = 0.0
+
+    def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+        """Track the detections of one camera.
+
+        Raises:
+            ModsimError: The library is not installed, or it failed in a frame.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tracker = self._library_tracker(camera)
+        labels: dict[int, int] = {}
+        for frame in frames:
+            try:
+                with warnings.catch_warnings(), np.errstate(all="ignore"):
+                    warnings.simplefilter("ignore")
+                    answer = self._step(tracker, frame, labels)
+            except Exception as error:
+                where = f"camera '{camera.name}' at {frame.time_s:g} s"
+                raise ModsimError(f"{self.library_name} failed in {where}: {type(error).__name__}: {error}") from error
+            yield answer
+
+    def _own_settings(self) -> dict[str, object]:
+        """Settings that only this tracker has, under the library's names."""
+        return {}
+
+    def _library_tracker(self, camera: CameraFacts) -> Any:
+        try:
+            import trackers
+            from trackers.utils import iou, state_representations
+        except ImportError:
+            raise ModsimError(
+                f'{self.library_name} needs the library trackers: pip install "modsim3d[trackers]"'
+            ) from None
+        measures: dict[str, Any] = {
+            "iou": iou.IoU,
+            "biou": iou.BIoU,
+            "giou": iou.GIoU,
+            "diou": iou.DIoU,
+            "ciou": iou.CIoU,
+        }
+        estimators: dict[str, Any] = {
+            "xyxy": state_representations.XYXYStateEstimator,
+            "xcycsr": state_representations.XCYCSRStateEstimator,
+        }
+        kept_s = max(self.lost_s, _LEAST_PERIODS_KEPT / camera.rate_hz)
+        return getattr(trackers, self.library_name)(
+            lost_track_buffer=math.ceil(kept_s * _BUFFER_RATE_HZ - 1e-6),
+            frame_rate=camera.rate_hz,
+            minimum_consecutive_frames=self.minimum_consecutive_frames,
+            minimum_iou_threshold=self.minimum_iou_threshold,
+            iou=measures[self.iou](),
+            state_estimator_class=estimators[self.state_estimator],
+            **self._own_settings(),
+        )
+
+    def _step(self, tracker: Any, frame: SensedFrame, labels: dict[int, int]) -> TrackedFrame:
+        """The answer to one frame; `labels` has the last label of each track."""
+        import supervision
+
+        found = tracker.update(
+            supervision.Detections(
+                xyxy=np.array(frame.boxes_px, dtype=np.float64).reshape(-1, 4),
+                confidence=np.array(frame.confidence, dtype=np.float64),
+                class_id=np.array(frame.label, dtype=np.int64),
+            ),
+            timestamp=frame.time_s,
+        )
+        known = np.asarray(found.tracker_id) >= 0  # -1: no track, or one that is not yet confirmed
+        if not known.any():
+            seen = TrackedFrame(np.empty(0, np.int64), np.empty((0, 4)), np.empty(0, np.int64), np.empty(0))
+        else:
+            columns = (found.tracker_id, found.xyxy, found.class_id, found.confidence)
+            seen = TrackedFrame(*(np.asarray(column)[known] for column in columns))
+        assert seen.label is not None
+        labels.update(zip(seen.track.tolist(), seen.label.tolist(), strict=True))
+        if self.boxes == "detected" and self.coast_s == 0:
+            return seen
+        return self._with_states(seen, tracker.tracks, labels)
+
+    def _with_states(self, seen: TrackedFrame, tracklets: list[Any], labels: dict[int, int]) -> TrackedFrame:
+        """The answer with boxes of the filter, and with tracks that were lost a short time ago."""
+        states: dict[int, Array] = {each.tracker_id: each.get_state_bbox() for each in tracklets}
+        boxes_px = seen.boxes_px
+        if self.boxes == "filtered":
+            filtered = np.array([states[track] for track in seen.track.tolist()]).reshape(-1, 4)
+            whole = (sizes(filtered) > 0).all(axis=1, keepdims=True)  # a filter of corners may cross them
+            boxes_px = np.where(whole, filtered, boxes_px)
+        away = [
+            each.tracker_id
+            for each in tracklets
+            if each.tracker_id in labels
+            and each.tracker_id not in seen.track
+            and each.time_since_update_seconds <= self.coast_s + 1e-6
+            and (sizes(states[each.tracker_id]) > 0).all()
+        ]
+        assert seen.label is not None
+        assert seen.confidence is not None
+        lost: Indices = np.array(away, dtype=np.int64)
+        return TrackedFrame(
+            np.append(seen.track, lost),
+            np.concatenate([boxes_px, np.array([states[track] for track in away]).reshape(-1, 4)]),
+            np.append(seen.label, np.array([labels[track] for track in away], dtype=np.int64)),
+            np.append(seen.confidence, np.full(len(away), np.nan)),
+        )
+
+
+class SortTracker(_LibraryTracker):
+    """SORT (Bewley et al. (2016)).
+
+    Attributes:
+        track_activation_threshold: The least confidence of a detection that starts a track.
+    """
+
+    library_name: ClassVar[str] = "SORTTracker"
+
+    track_activation_threshold: Probability = 0.25
+
+    def _own_settings(self) -> dict[str, object]:
+        return {"track_activation_threshold": self.track_activation_threshold}
+
+
+class ByteTracker(_LibraryTracker):
+    """ByteTrack (Zhang et al. (2022)).
+
+    Attributes:
+        track_activation_threshold: The least confidence of a detection that starts a track; the library's 0.7 starts
+            few where boats have a mean confidence of 0.67.
+        high_conf_det_threshold: Detections of at least this confidence are matched first, and only they start tracks.
+    """
+
+    library_name: ClassVar[str] = "ByteTrackTracker"
+
+    track_activation_threshold: Probability = 0.5
+    high_conf_det_threshold: Probability = 0.5
+
+    def _own_settings(self) -> dict[str, object]:
+        return {
+            "track_activation_threshold": self.track_activation_threshold,
+            "high_conf_det_threshold": self.high_conf_det_threshold,
+        }
+
+
+class OcSortTracker(_LibraryTracker):
+    """OC-SORT (Cao et al. (2023)).
+
+    Attributes:
+        high_conf_det_threshold: Detections of less confidence are not used.
+        direction_consistency_weight: Weight of the direction of motion beside the overlap.
+        delta_t: Frames back over which the direction is taken.
+    """
+
+    library_name: ClassVar[str] = "OCSORTTracker"
+
+    state_estimator: Literal["xyxy", "xcycsr"] = "xcycsr"
+    high_conf_det_threshold: Probability = 0.3
+    direction_consistency_weight: NotNegative = 0.2
+    delta_t: FrameCount = 3
+
+    def _own_settings(self) -> dict[str, object]:
+        return {
+            "high_conf_det_threshold": self.high_conf_det_threshold,
+            "direction_consistency_weight": self.direction_consistency_weight,
+            "delta_t": self.delta_t,
+        }

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import centre_form, clip, corner_form, inside_image
-from modsim3d.inputs.validation import NotNegative, Positive, Probability
-from modsim3d.tracking.kalman import Motion
+from modsim3d.core.boxes import centre_form, clip, corner_form, inside_image
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.io.validation import NotNegative, Positive, Probability
+from modsim3d.tracking.kalman import MotionEstimates
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
 
 _SIZE_NOISE = 1.5
@@ -41,7 +41,7 @@ class _Known:
         confidence: Of the last detection, shape (k,).
     """
 
-    motion: Motion
+    motion: MotionEstimates
     number: Indices
     hits: Indices
     misses: Indices
@@ -117,7 +117,7 @@ class ReferenceTracker(Tracker):
         """Tracks of some of a frame's detections, numbered from `begun` on."""
         boxes, votes = centre_form(frame.boxes_px[rows]), np.zeros((len(rows), labels))
         votes[np.arange(len(rows)), frame.label[rows]] = frame.confidence[rows]
-        motion = Motion.at(boxes, self._noise_px2(boxes), np.repeat([self.first_speed_px_s**2, 0.0], 2))
+        motion = MotionEstimates.at(boxes, self._noise_px2(boxes), np.repeat([self.first_speed_px_s**2, 0.0], 2))
         number = np.arange(begun, begun + len(rows))
         ones, seen_s = np.ones_like(number), np.full(len(rows), frame.time_s)
         return _Known(motion, number, ones, ones - 1, seen_s, votes, frame.confidence[rows])
@@ -127,11 +127,11 @@ class ReferenceTracker(Tracker):
         noise_px = self.noise_share * np.maximum(boxes[:, 2:], 1) + np.array([self.noise_x_px, self.noise_y_px])
         return np.concatenate([noise_px, _SIZE_NOISE * noise_px], axis=1) ** 2
 
-    def _predicted(self, motion: Motion, time_s: float) -> Motion:
+    def _predicted(self, motion: MotionEstimates, time_s: float) -> MotionEstimates:
         walk = _SIZE_WALK * np.maximum(motion.place, 1) * [0, 0, 1, 1]
         return motion.predicted(time_s, np.repeat([self.velocity_change_px_s, 0.0], 2), walk)
 
-    def _steadied(self, motion: Motion, frame: SensedFrame) -> Motion:
+    def _steadied(self, motion: MotionEstimates, frame: SensedFrame) -> MotionEstimates:
         """Moved by what all tracks are off by: the camera has turned."""
         track, found = self._assigned(motion, frame)
         if len(track) < _FEWEST:
@@ -139,7 +139,7 @@ class ReferenceTracker(Tracker):
         off = np.median(centre_form(frame.boxes_px)[found, :2] - motion.place[track, :2], axis=0)
         return replace(motion, place=motion.place + np.append(off, [0, 0]))
 
-    def _assigned(self, motion: Motion, frame: SensedFrame) -> tuple[Indices, Indices]:
+    def _assigned(self, motion: MotionEstimates, frame: SensedFrame) -> tuple[Indices, Indices]:
         """Rows of the tracks that have a detection, and of their detections."""
         variance = (motion.place_variance + self._noise_px2(motion.place))[:, None]
         squared = (centre_form(frame.boxes_px) - motion.place[:, None]) ** 2 / variance

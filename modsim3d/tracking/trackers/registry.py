@@ -3,22 +3,108 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 from pydantic_core import PydanticSerializationError
 
-from modsim3d.errors import InputError, ModsimError
-from modsim3d.inputs.plugins import TRACKERS, Plugin, failed, load_plugin
-from modsim3d.inputs.validation import describe
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.io.input_files import data_folder
+from modsim3d.io.plugins import TRACKERS, Plugin, failed, load_plugin, plugin_names
+from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.validation import Strict, describe
 from modsim3d.scene.settings import plain
-from modsim3d.tracking.trackers.chosen_settings import DEFAULTS, ChosenSettings, chosen_settings
 from modsim3d.tracking.trackers.interface import Tracker
-from modsim3d.tracking.trackers.names import BUILT_IN
-from modsim3d.tracks.track_set import Origin
+from modsim3d.tracks.tracks import Origin
+
+# ---- Names of trackers, found without loading one ----
+
+
+class BuiltIn(NamedTuple):
+    """Module and class of a built-in tracker, and the packages beside NumPy and SciPy that decide its tracks."""
+
+    module: str
+    class_name: str
+    packages: tuple[str, ...] = ()
+
+
+_HERE = "modsim3d.tracking.trackers"
+BUILT_IN = {
+    "reference": BuiltIn(f"{_HERE}.reference", "ReferenceTracker"),
+    "sort": BuiltIn(f"{_HERE}.detection_trackers", "SortTracker", ("trackers",)),
+    "bytetrack": BuiltIn(f"{_HERE}.detection_trackers", "ByteTracker", ("trackers",)),
+    "ocsort": BuiltIn(f"{_HERE}.detection_trackers", "OcSortTracker", ("trackers",)),
+    "stonesoup_gnn": BuiltIn(f"{_HERE}.stone_soup", "StoneSoupGnn", ("stonesoup",)),
+    "stonesoup_jpda": BuiltIn(f"{_HERE}.stone_soup", "StoneSoupJpda", ("stonesoup",)),
+}
+
+
+def tracker_names() -> tuple[str, ...]:
+    """Names of the built-in trackers, and of the installed plug-ins."""
+    return tuple(dict.fromkeys((*BUILT_IN, *plugin_names(TRACKERS))))
+
+
+# ---- Settings of the built-in trackers that were chosen for the shipped scenes ----
+
+DEFAULTS = "the tracker's defaults"
+
+
+class SettingsFile(Strict):
+    """The content of a file.
+
+    Attributes:
+        chosen: How the settings were chosen, and on which seeds, in a sentence.
+        settings: Settings for every scene, in place of the tracker's defaults.
+        scenes: Settings for the scenes of these names, in place of those.
+    """
+
+    chosen: Annotated[str, Field(min_length=1)]
+    settings: dict[str, Any] = Field(default_factory=dict)
+    scenes: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ChosenSettings:
+    """Settings for a scene, and where they come from in a sentence."""
+
+    settings: dict[str, Any] = field(default_factory=dict)
+    chosen: str = DEFAULTS
+
+
+def chosen_settings(name: str, model: type[Tracker], scene: str) -> ChosenSettings:
+    """The settings of a tracker that were chosen for a scene; none where there is no file.
+
+    Args:
+        name: Name of the tracker.
+        model: Its class, which says what is right.
+        scene: Name of the scene.
+
+    Raises:
+        InputError: The file cannot be read, or what it sets is wrong.
+    """
+    path = data_folder("scenes") / "trackers" / f"{name}.yaml"
+    if name not in BUILT_IN or not path.is_file():
+        return ChosenSettings()
+    source = f"settings of a tracker {path}"
+    content = load_yaml(path, "settings of a tracker")
+    try:
+        file = SettingsFile.model_validate(content)
+    except ValidationError as error:
+        raise InputError(source, describe(error, SettingsFile)) from None
+    for place, settings in [("settings",), file.settings], *((("scenes", at), file.scenes[at]) for at in file.scenes):
+        try:
+            model.model_validate(settings)
+        except ValidationError as error:
+            raise InputError(source, describe(error, model, *place)) from None
+    if not file.settings and scene not in file.scenes:
+        return ChosenSettings()
+    return ChosenSettings({**file.settings, **file.scenes.get(scene, {})}, file.chosen)
+
+
+# ---- Trackers by their names ----
 
 _ALWAYS = ("numpy", "scipy")
 

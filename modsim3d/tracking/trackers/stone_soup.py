@@ -9,8 +9,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from modsim3d.errors import ModsimError
-from modsim3d.inputs.validation import NotNegative, Positive
+from modsim3d.core.errors import ModsimError
+from modsim3d.io.validation import NotNegative, Positive
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
 
 Share = Annotated[float, Field(strict=True, gt=0, lt=1)]

@@ -31,8 +31,8 @@ from stonesoup.types.state import GaussianState
 from stonesoup.types.update import Update
 from stonesoup.updater.kalman import KalmanUpdater
 
-from modsim3d.arrays import Array
-from modsim3d.boxes import centre_form, corner_form
+from modsim3d.core.boxes import centre_form, corner_form
+from modsim3d.core.types import Array
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame
 
 _START = datetime(2000, 1, 1)
@@ -44,7 +44,7 @@ _LARGEST_CLUTTER_SHARE = 0.25
 _LEAST_SIDE_PX = 1.0
 
 
-class Ordered(MutableSet[Any]):
+class OrderedSet(MutableSet[Any]):
     """A set in order of insertion: Stone Soup's sets are in order of memory addresses, which differ between runs."""
 
     def __init__(self, items: Iterable[Any] = ()) -> None:
@@ -80,9 +80,9 @@ def _row(detection: Any) -> int:
 class _Starter(SimpleMeasurementInitiator):  # type: ignore[misc]
     """Starts tracks in order of the detections' rows."""
 
-    def initiate(self, detections: Iterable[Any], timestamp: datetime, **kwargs: Any) -> Ordered:
+    def initiate(self, detections: Iterable[Any], timestamp: datetime, **kwargs: Any) -> OrderedSet:
         """A track from each detection."""
-        return Ordered(
+        return OrderedSet(
             track
             for detection in sorted(detections, key=_row)
             for track in super(_Starter, self).initiate([detection], timestamp)
@@ -92,10 +92,10 @@ class _Starter(SimpleMeasurementInitiator):  # type: ignore[misc]
 class _Confirming(MultiMeasurementInitiator):  # type: ignore[misc]
     """Confirms tracks in order of the detections' rows."""
 
-    def initiate(self, detections: Iterable[Any], timestamp: datetime, **kwargs: Any) -> Ordered:
+    def initiate(self, detections: Iterable[Any], timestamp: datetime, **kwargs: Any) -> OrderedSet:
         """The tracks that are confirmed by these detections."""
-        left = Ordered(sorted(detections, key=_row))
-        return Ordered(sorted(super().initiate(left, timestamp, **kwargs), key=_row))
+        left = OrderedSet(sorted(detections, key=_row))
+        return OrderedSet(sorted(super().initiate(left, timestamp, **kwargs), key=_row))
 
 
 class ImageTracker:
@@ -125,7 +125,7 @@ class ImageTracker:
             self._tracker = MultiTargetMixtureTracker(confirming, lost, None, joint, updater)
         else:
             self._tracker = MultiTargetTracker(confirming, lost, None, nearest, updater)
-        self._tracker._tracks = Ordered()
+        self._tracker._tracks = OrderedSet()
 
     def _confirming(self, associator: Any, updater: Any) -> Any:
         settings = self._settings
@@ -140,13 +140,13 @@ class ImageTracker:
             min_points=settings.minimum_detections,
             initiator=_Starter(prior),
         )
-        confirming.holding_tracks = Ordered()
+        confirming.holding_tracks = OrderedSet()
         return confirming
 
     def step(self, frame: SensedFrame) -> TrackedFrame:
         """The tracks in one frame, with or without detections."""
         time = _START + timedelta(seconds=frame.time_s)
-        _, tracks = self._tracker.update_tracker(time, Ordered(self._detections(frame, time)))
+        _, tracks = self._tracker.update_tracker(time, OrderedSet(self._detections(frame, time)))
         coast = timedelta(seconds=self._settings.coast_s)
         shown = []
         for track in tracks:

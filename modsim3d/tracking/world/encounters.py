@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array
-from modsim3d.geometry.closest_approach import closest_approach
-from modsim3d.motion.encounters import encounter
-from modsim3d.tracking.world.following import WorldFollowing
-from modsim3d.tracking.world.truth import WorldTruth
+from modsim3d.core.types import Array
+from modsim3d.geometry.kinematics import closest_approach
+from modsim3d.tracking.world.following import WorldFollowing, WorldTruth
+from modsim3d.world.encounters import encounter
 
 ENCOUNTER_M = 1852.0
 """One nautical mile: vessels that do not come nearer have not met own ship."""

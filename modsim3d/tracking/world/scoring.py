@@ -4,20 +4,167 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array, Indices
+from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.tracking.scores.point_sets import GospaParts, mean_gospa
-from modsim3d.tracking.scores.rules import SetDistance
-from modsim3d.tracking.world.continuity import WorldContinuity, world_continuity
+from modsim3d.tracking.detector_seeds import half_interval
+from modsim3d.tracking.scores.errors import nees_or_infinity
+from modsim3d.tracking.scores.scored import SetDistance
+from modsim3d.tracking.scores.set_distances import GospaParts, mean_gospa
 from modsim3d.tracking.world.encounters import ENCOUNTER_M, MetVessel, met_vessels, quartiles
-from modsim3d.tracking.world.errors import OverVessels, WorldErrors, world_errors
-from modsim3d.tracking.world.following import follow_in_world
-from modsim3d.tracking.world.truth import WorldTruth
-from modsim3d.tracks.world_tracks import WorldTracks
+from modsim3d.tracking.world.following import WorldFollowing, WorldTruth, follow_in_world
+from modsim3d.tracks.tracks import WorldTracks
+
+# ---- Errors of tracks in the world ----
+
+
+@dataclass(frozen=True)
+class OverVessels:
+    """A mean over vessels, each with one value, however long it was followed.
+
+    Attributes:
+        mean: None without vessels.
+        low: Lower end of the 95 % t-interval of the mean; None with fewer than two vessels, or if all have one value.
+        high: Upper end.
+        vessels: Number of vessels.
+    """
+
+    mean: float | None
+    low: float | None
+    high: float | None
+    vessels: int
+
+    @classmethod
+    def of(cls, values: Array) -> Self:
+        """The mean of the values of n vessels, shape (n,); NaN for a vessel that has none."""
+        values = values[~np.isnan(values)]
+        mean, half = float(values.mean()) if len(values) else None, half_interval(values)
+        if mean is None or half is None:
+            return cls(mean, None, None, len(values))
+        return cls(mean, mean - half, mean + half, len(values))
+
+
+@dataclass(frozen=True)
+class WorldErrors:
+    """Errors of the tracks that follow a scored vessel, as means over vessels.
+
+    Attributes:
+        rmse_m: Root of a vessel's mean squared error of position.
+        rmse_m_s: The same of velocity, where tracks have one.
+        nees: A vessel's mean squared error of position over its covariance, e' P⁻¹ e: 2 if the covariance is right.
+        nees_velocity: The same of velocity: 2.
+        nees_state: The same of position and velocity together, where tracks have the whole covariance: 4.
+        pairs: Number of estimates that are compared, over all vessels and steps.
+    """
+
+    rmse_m: OverVessels
+    rmse_m_s: OverVessels
+    nees: OverVessels
+    nees_velocity: OverVessels
+    nees_state: OverVessels
+    pairs: int
+
+
+def world_errors(following: WorldFollowing) -> WorldErrors:
+    """The errors of all pairs."""
+    truth, tracks = following.truth, following.tracks
+    step, vessel = np.nonzero(following.found)
+    row = following.followed_by[step, vessel]
+    times_s = tracks.time_s[row]
+    position = tracks.position_m[row] - truth.positions_at(times_s, vessel)
+    velocity = tracks.velocity_m_s[row] - truth.velocities_at(times_s, vessel)
+    covariance = tracks.covariance[row]
+
+    def by_vessel(values: Array) -> Array:
+        return mean_by(vessel, values, len(truth.names))
+
+    whole = nees_or_infinity(np.concatenate([position, velocity], axis=1), covariance)
+    return WorldErrors(
+        rmse_m=OverVessels.of(np.sqrt(by_vessel((position**2).sum(axis=1)))),
+        rmse_m_s=OverVessels.of(np.sqrt(by_vessel((velocity**2).sum(axis=1)))),
+        nees=OverVessels.of(by_vessel(nees_or_infinity(position, covariance[:, :2, :2]))),
+        nees_velocity=OverVessels.of(by_vessel(nees_or_infinity(velocity, covariance[:, 2:, 2:]))),
+        nees_state=OverVessels.of(by_vessel(whole)),
+        pairs=len(row),
+    )
+
+
+def mean_by(group: Indices, values: Array, groups: int) -> Array:
+    """Mean of the values of each group that are not NaN, NaN for none, shape (groups,)."""
+    known = ~np.isnan(values)
+    count = np.bincount(group[known], minlength=groups)
+    total = np.bincount(group[known], values[known], minlength=groups)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+# ---- How much of the time vessels are followed in the world, by how many tracks, and tracks of nothing ----
+
+
+@dataclass(frozen=True)
+class WorldContinuity:
+    """Continuity over the steps at which vessels are scored.
+
+    Attributes:
+        vessels: Number of vessels that are scored at some step.
+        established: Number of those that are followed at one of these steps.
+        followed_share: Share of a vessel's scored steps at which it is followed.
+        id_switches: How often a vessel is followed by another track than when it was followed last.
+        track_breaks: Stretches of scored steps without a track, between two with one.
+        false_tracks: Number of tracks that never follow a vessel, scored or not.
+        false_track_s: Their time, that of the steps at which they are there.
+    """
+
+    vessels: int
+    established: int
+    followed_share: OverVessels
+    id_switches: int
+    track_breaks: int
+    false_tracks: int
+    false_track_s: float
+
+
+def world_continuity(following: WorldFollowing) -> WorldContinuity:
+    """Continuity of all vessels, and false tracks."""
+    scored, found = following.truth.scored, following.found
+    steps, followed = scored.sum(axis=0), found.sum(axis=0)
+    share = np.where(steps > 0, followed / np.maximum(steps, 1), np.nan)
+    tracks = following.tracks.track[following.estimates.row]
+    false = ~np.isin(tracks, tracks[following.vessel != NOBODY])
+    length_s = step_lengths_s(following.truth.times_s)
+    pairs = [_switches_and_breaks(following, vessel) for vessel in np.flatnonzero(followed).tolist()]
+    return WorldContinuity(
+        vessels=int((steps > 0).sum()),
+        established=int((followed > 0).sum()),
+        followed_share=OverVessels.of(share),
+        id_switches=sum(switches for switches, _ in pairs),
+        track_breaks=sum(breaks for _, breaks in pairs),
+        false_tracks=len(np.unique(tracks[false])),
+        false_track_s=float(length_s[following.estimates.step[false]].sum()),
+    )
+
+
+def _switches_and_breaks(following: WorldFollowing, vessel: int) -> tuple[int, int]:
+    """Of a vessel that is followed at some step."""
+    row = following.followed_by[following.truth.scored[:, vessel], vessel]
+    on = row != NOBODY
+    switches = int((np.diff(following.tracks.track[row[on]]) != 0).sum())
+    begins = int((np.diff(on.astype(np.int64)) == 1).sum())  # each but one that ends the wait before the first
+    return switches, begins - int(not on[0])
+
+
+def step_lengths_s(times_s: Array) -> Array:
+    """Time from each step to the next; the last is as long as the one before it, shape (S,)."""
+    gaps = np.diff(times_s)
+    return np.append(gaps, gaps[-1]) if len(gaps) else np.zeros(len(times_s))
+
+
+# ---- All scores of tracks in the world ----
 
 DEFAULT_GATE_M = 50.0
 """A track farther from a vessel than that does not follow it."""

@@ -8,18 +8,144 @@ the camera are drawn as well: the depth test hides them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 import shapely
 
-from modsim3d.arrays import Array, Indices, distinct, occurring
+from modsim3d.core.types import Array, Indices, Mask, distinct, occurring
 from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.curved_sea import drop_m
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
-from modsim3d.truth.crosscheck.clipping import HalfSpace, cut
-from modsim3d.truth.crosscheck.world_triangles import WorldTriangles
+from modsim3d.world.bodies import Obstacle
+from modsim3d.world.vessels import Solid, Vessel
+
+# ---- The solids of a scene at one step as one list of triangles in the world ----
+
+
+@dataclass(frozen=True, eq=False)
+class WorldTriangles:
+    """T triangles, those of a solid together, in order of occluder.
+
+    Attributes:
+        corners_m: In WCF, shape (T, 3, 3).
+        occluder: Index into the scene's occluder names of the solid of each, shape (T,).
+        closed: Number of the closed solid that it bounds, 1 or more; 0 for a surface with holes, shape (T,).
+    """
+
+    corners_m: Array
+    occluder: Indices
+    closed: Indices
+
+    @classmethod
+    def joined(cls, parts: Sequence[WorldTriangles]) -> WorldTriangles:
+        """The triangles of several lists."""
+        none = np.empty(0, dtype=np.int64)
+        parts = [cls(np.empty((0, 3, 3)), none, none), *parts]
+        return cls(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)))
+
+    @classmethod
+    def of_solid(cls, corners_m: Array, solid: Solid, occluder: int, number: int) -> WorldTriangles:
+        """The triangles of one solid, whose number is not below 1."""
+        count = len(corners_m)
+        return cls(corners_m, np.full(count, occluder), np.full(count, number if solid.closed else 0))
+
+
+def vessel_triangles(
+    vessels: Sequence[Vessel], present: Mask, positions_m: Array, world_R_vessel: Array
+) -> WorldTriangles:
+    """The solids of V vessels at one step: R · x + s for each corner (Jessen & Mohr (2023), eq. 7.1).
+
+    Args:
+        vessels: V vessels; the index of each is its occluder index.
+        present: Which of them to take, shape (V,).
+        positions_m: Origins of the vessels in WCF, shape (V, 3).
+        world_R_vessel: Rotations VCF to WCF, shape (V, 3, 3).
+    """
+    parts = []
+    for index in np.flatnonzero(present).tolist():
+        corners = vessels[index].triangles_m @ world_R_vessel[index].T + positions_m[index]
+        parts.append(WorldTriangles.of_solid(corners, vessels[index].solid, index, index + 1))
+    return WorldTriangles.joined(parts)
+
+
+def obstacle_triangles(obstacles: tuple[Obstacle, ...], first_occluder: int, camera_m: Array | None) -> WorldTriangles:
+    """The solids of obstacles; `first_occluder` is the occluder index of the first one.
+
+    On a curved sea `camera_m` is the camera's centre in WCF, shape (3,), and each obstacle is lowered by the drop at
+    its centre. On a flat sea it is None.
+    """
+    triangles = _standing(obstacles, first_occluder)
+    if camera_m is None or not obstacles:
+        return triangles
+    corners = triangles.corners_m.copy()
+    drops = np.array([drop_m(obstacle.centre_m, camera_m) for obstacle in obstacles])
+    corners[..., 2] -= drops[triangles.occluder - first_occluder, None]
+    return replace(triangles, corners_m=corners)
+
+
+@lru_cache(maxsize=4)
+def _standing(obstacles: tuple[Obstacle, ...], first_occluder: int) -> WorldTriangles:
+    solids = [(index, *each) for index, obstacle in enumerate(obstacles) for each in obstacle.solids]
+    return WorldTriangles.joined(
+        [
+            WorldTriangles.of_solid(vertices[solid.faces], solid, first_occluder + index, first_occluder + number + 1)
+            for number, (index, solid, vertices) in enumerate(solids)
+        ]
+    )
+
+
+# ---- Triangles cut by a half-space, in any number of dimensions (Sutherland & Hodgman, 1974) ----
+
+HalfSpace = tuple[Array, float]
+"""A normal n, shape (D,), and an offset d: inside is n · p >= d."""
+
+
+def cut(triangles: Array, half_spaces: Sequence[HalfSpace]) -> tuple[Array, Indices]:
+    """The parts of triangles, shape (T, 3, D), inside all half-spaces, in order, with the triangle of each."""
+    source = np.arange(len(triangles))
+    for normal, offset in half_spaces:
+        height = triangles @ normal - offset
+        if not (height >= 0).all():
+            triangles, of = _cut(triangles, height)
+            source = source[of]
+    return triangles, source
+
+
+def _cut(triangles: Array, height: Array) -> tuple[Array, Indices]:
+    """The parts of triangles (T, 3, D) where their corners' heights (T, 3), a linear function, are not negative."""
+    inside = height >= 0
+    corners_inside = inside.sum(axis=1)
+    whole = np.flatnonzero(corners_inside == 3)
+    parts, sources = [triangles[whole]], [whole]
+    for count in (1, 2):
+        rows = np.flatnonzero(corners_inside == count)
+        # First comes the corner that is alone on its side.
+        alone = inside[rows].argmax(axis=1) if count == 1 else inside[rows].argmin(axis=1)
+        turn = (alone[:, None] + np.arange(3)) % 3
+        a, b, c = np.moveaxis(np.take_along_axis(triangles[rows], turn[..., None], axis=1), 1, 0)
+        at_a, at_b, at_c = np.take_along_axis(height[rows], turn, axis=1).T[..., None]
+        if count == 1:
+            pieces = [(a, _crossing(a, at_a, b, at_b), _crossing(a, at_a, c, at_c))]
+        else:
+            to_b, to_c = _crossing(b, at_b, a, at_a), _crossing(c, at_c, a, at_a)
+            pieces = [(to_b, b, c), (to_b, c, to_c)]
+        parts += [np.stack(piece, axis=1) for piece in pieces]
+        sources += [rows] * len(pieces)
+    source = np.concatenate(sources)
+    order = np.argsort(source, kind="stable")
+    return np.concatenate(parts)[order], source[order]
+
+
+def _crossing(inner: Array, at_inner: Array, outer: Array, at_outer: Array) -> Array:
+    """Where edges leave the half-space, from the inner corner on: the same point for both triangles at an edge."""
+    point: Array = inner + (outer - inner) * (at_inner / (at_inner - at_outer))
+    return point
+
+
+# ---- One frame drawn as ID buffers in the most obvious way ----
 
 GUARD_PX, LENS_GUARD_PX = 2048.0, 1.0
 """How far outside the image triangles are drawn, in buffer pixels; the second where a lens distorts, since its formula

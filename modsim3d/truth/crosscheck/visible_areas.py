@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.arrays import Array
+from modsim3d.core.types import Array
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.truth.analytic import occlusion_of_regions, visible_regions
+from modsim3d.truth.analytic import boundary_pixels, occlusion_of_regions, visible_regions
+from modsim3d.truth.occlusion_order import overlapping_pairs
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.overlaps import overlapping_pairs
-from modsim3d.truth.polygon_occlusion import boundary_pixels
 
 
 def visible_areas(outlines: Outlines, intrinsics: Intrinsics, supersample: int) -> tuple[Array, Array]:

@@ -17,13 +17,19 @@ from enum import IntEnum
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.truth.analytic import VisibleRegions, occlusion_of_regions, visible_regions
+from modsim3d.truth.analytic import (
+    PixelMasks,
+    VisibleRegions,
+    boundary_pixels,
+    counted_from,
+    mask_fits,
+    occlusion_of_regions,
+    visible_regions,
+)
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.pixel_masks import PixelMasks, counted_from, mask_fits
-from modsim3d.truth.polygon_occlusion import boundary_pixels
 
 
 class Agreement(IntEnum):

@@ -8,32 +8,30 @@ import numpy as np
 import orjson
 from PIL import Image
 
-from modsim3d.outputs.pictures import encoded
-from modsim3d.outputs.placing import write_files
+from modsim3d.io.atomic_write import encoded, write_files
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import visible_regions
 from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison
-from modsim3d.verify.sources.figures import BoxFigures, Figures
-from modsim3d.verify.sources.findings import VesselDifference
+from modsim3d.verify.sources.figures import BoxFigures, ComparisonFigures, VesselDifference
 from modsim3d.view.pages import page
 from modsim3d.view.pages.provenance import Input, Provenance, sha256_of, shown_path
 from modsim3d.view.pictures.comparison_picture import RULE, Styles, boxes_that_differ, comparison_picture
-from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.plain import Solids
 
 FILES = ("compare.json", "compare.html", "rectangle_rule.png")
 
 Rows = list[tuple[str, str]]
 
 
-def verdict_rows(figures: Figures) -> list[tuple[str, str, str]]:
+def verdict_rows(figures: ComparisonFigures) -> list[tuple[str, str, str]]:
     """How many full and visible boxes agree, or why they do not."""
     full, visible = figures.full_box.verdicts, figures.visible_box.verdicts
     whole = figures.vessel_frames
     return [(name, _share(full[name], whole), _share(visible[name], whole)) for name in full]
 
 
-def figure_rows(figures: Figures) -> Rows:
+def figure_rows(figures: ComparisonFigures) -> Rows:
     """What was drawn, whether the rendered truth is the same, and how it differs from the analytic truth."""
     fraction, drawn = figures.visible_fraction, figures.drawn
     return [
@@ -54,7 +52,7 @@ def figure_rows(figures: Figures) -> Rows:
     ]
 
 
-def rule_rows(figures: Figures) -> Rows:
+def rule_rows(figures: ComparisonFigures) -> Rows:
     """The rectangle rule against the rendered source."""
     rule = figures.rectangles_against_rendered
     return [
@@ -66,7 +64,7 @@ def rule_rows(figures: Figures) -> Rows:
     ]
 
 
-def shoebox_rows(figures: Figures) -> list[tuple[str, str, str]]:
+def shoebox_rows(figures: ComparisonFigures) -> list[tuple[str, str, str]]:
     """How much looser the shoebox of each vessel with a mesh is."""
     return [
         (
@@ -79,12 +77,12 @@ def shoebox_rows(figures: Figures) -> list[tuple[str, str, str]]:
     ]
 
 
-def time_rows(figures: Figures) -> Rows:
+def time_rows(figures: ComparisonFigures) -> Rows:
     """Time per frame of each source."""
     return [(source, f"{milliseconds:.2f} ms") for source, milliseconds in figures.ms_per_frame.items()]
 
 
-def intersection_rows(figures: Figures) -> Rows:
+def intersection_rows(figures: ComparisonFigures) -> Rows:
     """Pairs of vessels or obstacles whose hulls intersect."""
     return [(pair, f"{frames} frames") for pair, frames in figures.intersecting.items()]
 
@@ -196,7 +194,7 @@ def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, rest
     return page.page(f"{scene.name}: sources of truth compared", body, rests_on)
 
 
-def _shoebox_table(figures: Figures) -> str:
+def _shoebox_table(figures: ComparisonFigures) -> str:
     rows = [
         (
             vessel,
@@ -211,7 +209,7 @@ def _shoebox_table(figures: Figures) -> str:
     return page.table(rows, header)
 
 
-def _introduction(figures: Figures) -> list[str]:
+def _introduction(figures: ComparisonFigures) -> list[str]:
     """The answer, and how it was found."""
     if figures.unexplained:
         answer = (

@@ -10,15 +10,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from modsim3d.outputs.pictures import encoded
-from modsim3d.outputs.placing import put_in_place
-from modsim3d.processes import WorkerCount, Workers, open_workers
+from modsim3d.io.atomic_write import encoded, put_in_place
+from modsim3d.io.processes import WorkerCount, Workers, open_workers
 from modsim3d.runs.selection import Selection, StepFrames
-from modsim3d.view.films.files import MOST_RATE, EncodedFrame, write_film
-from modsim3d.view.films.gif import film_palette
-from modsim3d.view.films.plan import FilmPlan
+from modsim3d.view.films.files import MOST_RATE, EncodedFrame, film_palette, write_film
+from modsim3d.view.films.plan import FilmPlan, Timetable
 from modsim3d.view.films.renderer import FilmRenderer, open_film_renderer
-from modsim3d.view.films.timetable import Timetable
 
 STEPS_TOGETHER = 4
 """Steps that a worker draws at a time."""

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 
 from modsim3d.view import palette
 from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font, words_apart
-from modsim3d.view.pictures.legend import Entry, legend
+from modsim3d.view.pictures.legend import LegendEntry, legend
 
 GAP_PX = 4
 KEY_SHARE = 0.12
@@ -34,7 +34,7 @@ class FilmLayout:
     width: int
     columns: int
     aspects: tuple[float, ...]
-    entries: tuple[Entry, ...]
+    entries: tuple[LegendEntry, ...]
     enlarged: float = 1.0
 
     @property

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
-from modsim3d.arrays import Array
-from modsim3d.boxes import intersections
-from modsim3d.errors import ModsimError
-from modsim3d.runs.outcomes import NOTHING_WRONG, Outcome, frame_outcomes
+from modsim3d.core.boxes import intersections
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array, Indices
+from modsim3d.runs.counts import NOTHING_WRONG, Outcome, frame_outcomes
 from modsim3d.runs.selection import Selection
 from modsim3d.scene.scene import Scene
 from modsim3d.view.films.layout import FilmLayout
 from modsim3d.view.followed_tracks import FollowedTracks
-from modsim3d.view.maps.birds_eye import BirdsEye
-from modsim3d.view.maps.map_picture import map_height_px
+from modsim3d.view.map_marks import BirdsEye
+from modsim3d.view.map_picture import map_height_px
+from modsim3d.view.pictures.canvas import Box, Window
 from modsim3d.view.pictures.layers import CORNERS, DETECTIONS, SCENE, Layers
-from modsim3d.view.pictures.legend import Entry, detection_entries, id_entries, vessel_entries
-from modsim3d.view.pictures.window import Box, Window
-from modsim3d.view.shaded.render_style import PLAIN_STYLE, RenderStyle
+from modsim3d.view.pictures.legend import LegendEntry, detection_entries, id_entries, vessel_entries
+from modsim3d.view.sea_and_sky import PLAIN_STYLE, RenderStyle
+
+# ---- The contents of a film's pictures ----
 
 KINDS = ("detections", "scene", "ids", "corners", "map")
 ALL = ("detections", "scene", "ids")
@@ -85,7 +89,7 @@ class FilmPlan:
 
     def layout(self, scene: Scene) -> FilmLayout:
         """The places of panels and legend."""
-        entries: list[Entry] = []
+        entries: list[LegendEntry] = []
         if "detections" in self.kinds:
             layers, tracker = self.layers_of("detections"), self.tracks.name if self.tracks else None
             entries += detection_entries(layers, scene.annotation.mode, self.mistakes, tracker)
@@ -194,3 +198,46 @@ def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:
         if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
             raise ModsimError(f"--crop {text} is not inside {camera.name}'s image of {width} × {height} px")
     return ((x0, y0, x1, y1),) * len(selection.cameras)
+
+
+# ---- When each frame of a film is shown ----
+
+LEAST_RATE = 5
+"""Frames per second; slower films show each frame several times, as some players stumble over long frames."""
+SAME_S = 1e-6
+"""Steps that differ by less are of the same length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timetable:
+    """A film's pace: pictures a second, and how many show each frame (0 if the film is too fast for it), shape (n,)."""
+
+    rate: Fraction
+    repeats: Indices
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the film in seconds."""
+        return float(int(self.repeats.sum()) / self.rate)
+
+    @classmethod
+    def of(cls, durations_s: Array, speed: float, most_rate: int) -> Timetable:
+        """The pace of frames that stand for given durations.
+
+        Steps of one length, at a rate from `LEAST_RATE` to `most_rate`, give one picture a frame. Otherwise each
+        picture shows the frame that is due at its time.
+
+        Args:
+            durations_s: Duration of each frame in the run, positive, shape (n,).
+            speed: Seconds of the run in one second of the film.
+            most_rate: The highest rate, in pictures a second.
+        """
+        film_s = durations_s / speed
+        shortest = float(film_s.min())
+        repeats = max(1, math.ceil(LEAST_RATE * shortest - SAME_S))
+        rate = min(Fraction(repeats / shortest).limit_denominator(1000), Fraction(most_rate))
+        if np.ptp(film_s) <= SAME_S and repeats / shortest <= most_rate + SAME_S:
+            return cls(rate, np.full(len(film_s), repeats))
+        ends = np.rint(np.cumsum(film_s) * float(rate)).astype(np.int64)
+        ends[-1] = max(ends[-1], 1)
+        return cls(rate, np.diff(ends, prepend=0))

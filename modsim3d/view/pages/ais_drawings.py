@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.ais.geography import local_metres
-from modsim3d.ais.scene_folder import CAMERA_HALF_ANGLE_RAD
-from modsim3d.ais.traffic import Traffic
-from modsim3d.ais.vessel_track import VesselTrack
-from modsim3d.arrays import Array, Mask
+from modsim3d.core.types import Array, Mask
+from modsim3d.scene.ais.messages import local_metres
+from modsim3d.scene.ais.scene_folder import CAMERA_HALF_ANGLE_RAD
+from modsim3d.scene.ais.traffic import AisTraffic
+from modsim3d.scene.ais.vessel_track import VesselTrack
 from modsim3d.view.pages.charts import colour_of, nice_ticks, svg, tick_text
 
 WIDTH = 1100.0
@@ -78,7 +78,7 @@ class _MapArea:
         return on_map
 
 
-def traffic_map(traffic: Traffic) -> str:
+def traffic_map(traffic: AisTraffic) -> str:
     """The map: tracks, reports, positions that were removed, and the camera."""
     camera_m = np.array([traffic.camera.position_m[:2]])
     jumps_m = np.concatenate([vessel.jumps_m for vessel in traffic.vessels])
@@ -117,11 +117,11 @@ def _not_far(places_m: Array, others_m: Array) -> Array:
     return near
 
 
-def _any_absent(traffic: Traffic) -> bool:
+def _any_absent(traffic: AisTraffic) -> bool:
     return any((np.diff(vessel.steps) > 1).any() for vessel in traffic.vessels)
 
 
-def _any_longer(traffic: Traffic, most: int) -> bool:
+def _any_longer(traffic: AisTraffic, most: int) -> bool:
     return any(len(vessel.steps) > most for vessel in traffic.vessels)
 
 
@@ -155,7 +155,7 @@ def _grid(area: _MapArea) -> str:
     return "\n".join(lines)
 
 
-def _region(traffic: Traffic, area: _MapArea) -> str:
+def _region(traffic: AisTraffic, area: _MapArea) -> str:
     """The edge of the region that was asked for."""
     region = traffic.options.region
     if region is None:
@@ -169,7 +169,7 @@ def _region(traffic: Traffic, area: _MapArea) -> str:
     return f'<g clip-path="url(#map)"><polygon points="{points}" {style}><title>region</title></polygon></g>'
 
 
-def _camera(traffic: Traffic, area: _MapArea) -> str:
+def _camera(traffic: AisTraffic, area: _MapArea) -> str:
     """The camera and the directions of its image's edges."""
     camera, far_m = traffic.camera, 2 * (area.east_m - area.west_m)
     angles = camera.yaw_rad + np.array([-CAMERA_HALF_ANGLE_RAD, CAMERA_HALF_ANGLE_RAD])
@@ -224,7 +224,7 @@ def _crosses(area: _MapArea, jumps_m: Array) -> str:
     return f'<path d="{marks}" stroke="var(--bad)" stroke-width="1.8" fill="none"/>' if marks else ""
 
 
-def _names(traffic: Traffic, area: _MapArea) -> str:
+def _names(traffic: AisTraffic, area: _MapArea) -> str:
     """A name where each track ends, unless it would lie on another one or on a vessel."""
     ends = area.place(np.concatenate([vessel.places_m[-1:] for vessel in traffic.vessels])).tolist()
     taken = [(x - 9, y + 4, 18.0) for x, y in ends]
@@ -247,7 +247,7 @@ def _names(traffic: Traffic, area: _MapArea) -> str:
     return f"<g {style}>{''.join(texts)}</g>"
 
 
-def presence_chart(traffic: Traffic, caption: str) -> str:
+def presence_chart(traffic: AisTraffic, caption: str) -> str:
     """A lane for each vessel: bars while it is in the scene, and dots at its reports."""
     shown = sorted(traffic.vessels, key=lambda vessel: (len(vessel.steps), vessel.mmsi))[:MOST_LANES]
     shown = sorted(shown, key=lambda vessel: vessel.mmsi)

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modsim3d.ais.gathering import SHOWN_PROBLEMS
-from modsim3d.ais.options import Options, time_text
-from modsim3d.ais.report import REASONS, messages_read, messages_used, summary_rows, warning
-from modsim3d.ais.traffic import Traffic
-from modsim3d.ais.vessel_track import VesselTrack
-from modsim3d.display import counted
+from modsim3d.core.text import counted
+from modsim3d.scene.ais.gathering import SHOWN_PROBLEMS
+from modsim3d.scene.ais.options import Options, time_text
+from modsim3d.scene.ais.report import REASONS, messages_read, messages_used, summary_rows, warning
+from modsim3d.scene.ais.traffic import AisTraffic
+from modsim3d.scene.ais.vessel_track import VesselTrack
 from modsim3d.view.pages import page
 from modsim3d.view.pages.ais_drawings import MOST_LANES, presence_chart, traffic_map
 from modsim3d.view.pages.provenance import Provenance, file_input
@@ -28,7 +28,7 @@ GUESSED = {
 }
 
 
-def ais_page(traffic: Traffic, command: str | None = None) -> str:
+def ais_page(traffic: AisTraffic, command: str | None = None) -> str:
     """The page as HTML; the same traffic from the same files gives the same page.
 
     Args:
@@ -58,7 +58,7 @@ def ais_page(traffic: Traffic, command: str | None = None) -> str:
     return page.page("Traffic from AIS", body, rests_on)
 
 
-def _result(traffic: Traffic) -> list[str]:
+def _result(traffic: AisTraffic) -> list[str]:
     kept, grid = len(traffic.vessels), traffic.grid
     span = f"from {_time(grid.start_s)} to {_time(grid.end_s)}"
     steps = f"{counted(len(grid.timestamps), 'step')}, one every {traffic.options.time_step_s:g} s"
@@ -77,11 +77,11 @@ def _result(traffic: Traffic) -> list[str]:
     ]
 
 
-def _guessed(traffic: Traffic) -> int:
+def _guessed(traffic: AisTraffic) -> int:
     return sum(bool({"length", "beam"} & set(vessel.hull.defaults)) for vessel in traffic.vessels)
 
 
-def _lost(traffic: Traffic) -> dict[int, str]:
+def _lost(traffic: AisTraffic) -> dict[int, str]:
     """Vessels that are not in the scene, and why."""
     gap = f"at no step: no two reports around one are at most {traffic.options.max_gap_s:g} s apart"
     lost = dict.fromkeys(traffic.elsewhere, gap)
@@ -92,11 +92,11 @@ def _lost(traffic: Traffic) -> dict[int, str]:
     return lost
 
 
-def _reason(name: str, traffic: Traffic) -> str:
+def _reason(name: str, traffic: AisTraffic) -> str:
     return REASONS[name].format(max_speed_kn=traffic.options.max_speed_kn)
 
 
-def _vessels(traffic: Traffic) -> list[str]:
+def _vessels(traffic: AisTraffic) -> list[str]:
     header = (
         *("MMSI", "name", "type", "label", "length, m", "beam, m", "air draft, m"),
         *("centre from antenna", "guessed from the type"),
@@ -128,7 +128,7 @@ def _offset(vessel: VesselTrack) -> str:
     return ", ".join(part for part in (along, across) if part) or "the same"
 
 
-def _left_out(traffic: Traffic) -> list[str]:
+def _left_out(traffic: AisTraffic) -> list[str]:
     lost = _lost(traffic)
     stations = sum(set(reasons) == {NOT_SHIPS} for reasons in traffic.left_out.values())
     others = "1 other sender is no ship" if stations == 1 else f"{stations:,} other senders are no ships"
@@ -148,7 +148,7 @@ def _left_out(traffic: Traffic) -> list[str]:
     return [*parts, *_limited(rows, ("MMSI", "why, with the number of its positions")), *also_said]
 
 
-def _messages(traffic: Traffic) -> list[str]:
+def _messages(traffic: AisTraffic) -> list[str]:
     read, used = messages_read(traffic), messages_used(traffic)
     particulars = traffic.dropped["particulars_only"]
     tables = dict(summary_rows(traffic))
@@ -171,7 +171,7 @@ def _messages(traffic: Traffic) -> list[str]:
     return parts
 
 
-def _jumps(traffic: Traffic) -> list[str]:
+def _jumps(traffic: AisTraffic) -> list[str]:
     header = ("MMSI", "name", "seconds after the start", "w1, m", "w2, m", "off the track, m")
     rows = [row for vessel in traffic.vessels for row in _jump_rows(vessel)]
     limit = f"{traffic.options.max_speed_kn:g} kn"
@@ -193,7 +193,7 @@ def _jump_rows(vessel: VesselTrack) -> list[tuple[str, ...]]:
     ]
 
 
-def _times(traffic: Traffic) -> list[str]:
+def _times(traffic: AisTraffic) -> list[str]:
     longest = f"{traffic.options.max_gap_s:g} s"
     said = (
         "Between two reports a vessel follows the curve that fits their positions, speeds and courses, or a straight "
@@ -209,7 +209,7 @@ def _times(traffic: Traffic) -> list[str]:
     return [page.heading("Between the reports"), page.paragraph(said), chart, *_limited(rows, header)]
 
 
-def _time_row(vessel: VesselTrack, traffic: Traffic) -> tuple[str, ...]:
+def _time_row(vessel: VesselTrack, traffic: AisTraffic) -> tuple[str, ...]:
     apart_s = np.diff(vessel.reported_s)
     bridged, gaps = (apart_s[apart_s <= traffic.options.max_gap_s], apart_s[apart_s > traffic.options.max_gap_s])
     present, steps = len(vessel.steps), len(traffic.grid.timestamps)
@@ -226,7 +226,7 @@ def _time_row(vessel: VesselTrack, traffic: Traffic) -> tuple[str, ...]:
     )
 
 
-def _values(traffic: Traffic) -> list[str]:
+def _values(traffic: AisTraffic) -> list[str]:
     tables = dict(summary_rows(traffic))
     parts = [page.heading("Values replaced and guessed")]
     for title, header, nothing in (
@@ -242,7 +242,7 @@ def _values(traffic: Traffic) -> list[str]:
     return parts
 
 
-def _how(traffic: Traffic) -> list[str]:
+def _how(traffic: AisTraffic) -> list[str]:
     return [
         page.heading("From latitude and longitude to metres"),
         page.paragraph(
@@ -252,7 +252,7 @@ def _how(traffic: Traffic) -> list[str]:
     ]
 
 
-def _options(traffic: Traffic) -> list[tuple[str, str]]:
+def _options(traffic: AisTraffic) -> list[tuple[str, str]]:
     """The options that make this scene again, and which of them were given."""
     options, usual = traffic.options, Options()
     origin, given, default = "{:.7f},{:.7f}".format(*traffic.origin), "given", "by default"
@@ -276,7 +276,7 @@ def _options(traffic: Traffic) -> list[tuple[str, str]]:
     return rows + [(f"--label {group}={_shown(label)}", given) for group, label in sorted(options.labels.items())]
 
 
-def _farthest(traffic: Traffic) -> str:
+def _farthest(traffic: AisTraffic) -> str:
     rows = {name: (number, meaning) for _, table in summary_rows(traffic) for name, number, meaning in table}
     return " ".join(rows["farthest"])
 

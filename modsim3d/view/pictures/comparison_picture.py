@@ -10,14 +10,12 @@ import shapely
 from numpy.typing import NDArray
 from PIL import Image
 
-from modsim3d.arrays import Mask
+from modsim3d.core.types import Mask
 from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.view import palette
 from modsim3d.view.palette import Colour
-from modsim3d.view.pictures.canvas import Canvas, font
-from modsim3d.view.pictures.plain import background, occluder_colour
-from modsim3d.view.pictures.solids import Solids
-from modsim3d.view.pictures.window import Box, Window
+from modsim3d.view.pictures.canvas import Box, Canvas, Window, font
+from modsim3d.view.pictures.plain import Solids, background, occluder_colour
 
 SIZE_PX = (960, 540)
 KEY_PX, LINE_PX, TEXT_PX = 66, 30, 18

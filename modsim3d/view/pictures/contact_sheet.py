@@ -2,32 +2,146 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import reduce
 from operator import or_
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from PIL import Image, ImageDraw
 
-from modsim3d.arrays import Array
-from modsim3d.boxes import areas, intersections
-from modsim3d.outputs.pictures import encoded
-from modsim3d.outputs.placing import put_in_place
+from modsim3d.core.boxes import areas, intersections, unions
+from modsim3d.core.types import Array
+from modsim3d.io.atomic_write import encoded, put_in_place
 from modsim3d.render.plain_ids import AnyIdRenderer
+from modsim3d.runs.counts import NOTHING_WRONG, Outcome, frame_outcomes, having
+from modsim3d.runs.files.stored_tables import StoredTables
+from modsim3d.runs.files.table_columns import BOX_SIDES
+from modsim3d.runs.files.tables import flags, number_column
 from modsim3d.runs.frames import Frame
-from modsim3d.runs.outcomes import NOTHING_WRONG, frame_outcomes
+from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.outcome_words import WEATHER, fate
-from modsim3d.view.pictures.canvas import ARROW_HEAD, Canvas, font, text_size
+from modsim3d.view.pictures.canvas import ARROW_HEAD, Box, Canvas, Label, Window, font, text_size
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
-from modsim3d.view.pictures.highlights import Highlight, pick_highlights
-from modsim3d.view.pictures.labels import Label
 from modsim3d.view.pictures.layers import DETECTIONS
 from modsim3d.view.pictures.legend import detection_entries, legend
-from modsim3d.view.pictures.plain import background
-from modsim3d.view.pictures.solids import open_id_renderer
-from modsim3d.view.pictures.window import Box, Window
+from modsim3d.view.pictures.plain import background, open_id_renderer
+from modsim3d.world.bodies import PREFIX
+
+# ---- Frames of a run that are worth looking at ----
+
+Rows = TypeVar("Rows")
+
+
+@dataclass(frozen=True)
+class Highlight:
+    """A frame of a run, the box to look at in it, the vessel if it is about one, and what happens there."""
+
+    step: int
+    camera: str
+    focus_px: Box
+    vessel: str | None
+    what: str = ""
+
+
+def pick_highlights(tables: StoredTables, scene: Scene) -> list[Highlight]:
+    """One highlight of each kind that a finished run has: occlusion, a miss, a wrong class, a bad box, ..."""
+    of_truth = _least(tables.by_name["truth"].groups(), _truth_ranks, _of_truth)
+    return of_truth + _least(_detection_groups(tables, scene), _detection_ranks, _of_detection)
+
+
+def _truth_ranks(truth: pa.Table) -> list[Array]:
+    """For each kind of highlight the rank of each row, shape (n,): the least is shown, an infinite one never."""
+    fraction = np.nan_to_num(number_column(truth, "visible_fraction"), nan=1.0)
+    silhouette_px, visible_px = number_column(truth, "silhouette_px"), number_column(truth, "visible_px")
+    occluded = pc.list_value_length(truth["occluded_by"]).to_numpy() > 0
+    annotated, detected = flags(truth, "annotated"), flags(truth, "detected")
+    partly_hidden = occluded & (fraction > 0) & (fraction < 1) & annotated
+    kinds = (
+        (partly_hidden & detected, np.abs(fraction - 0.5)),
+        (partly_hidden & ~detected, fraction),
+        ((visible_px == 0) & occluded, -silhouette_px),
+        ((fraction == 1) & annotated & ~detected, -silhouette_px),
+    )
+    return [np.where(wanted, rank, np.inf) for wanted, rank in kinds]
+
+
+def _of_truth(truth: pa.Table, index: int) -> Highlight:
+    row = truth.slice(index, 1).to_pylist()[0]
+    box = tuple(row[f"full_{side}"] for side in BOX_SIDES)
+    what = _hidden_by(row) if row["occluded_by"] else "in plain view"
+    return Highlight(row["step"], row["camera"], box, row["vessel"], what)
+
+
+def _hidden_by(row: dict[str, Any]) -> str:
+    hider = max(row["occluded_by"], key=lambda entry: entry["px"])["id"].removeprefix(PREFIX)
+    if row["visible_fraction"] == 0:
+        return f"wholly hidden by {hider}"
+    hidden = min(1 - row["visible_fraction"], 0.99)  # something is seen: "100 %" would be another thing
+    return f"{100 * hidden:.0f} % hidden by {hider}"
+
+
+def _detection_groups(tables: StoredTables, scene: Scene) -> Iterable[RunRows]:
+    """The detections, row group by row group, with the truth of their steps."""
+    for detections in tables.by_name["detections"].groups():
+        if not len(detections):
+            continue
+        first, stop = detections["step"][0].as_py(), detections["step"][-1].as_py() + 1
+        others = {name: tables.by_name[name].rows(first, stop).table for name in ("frames", "truth")}
+        yield RunRows.of_tables(scene, scene.steps, {**others, "detections": detections})
+
+
+def _detection_ranks(rows: RunRows) -> list[Array]:
+    """As `_truth_ranks`: the largest one of each kind."""
+    size, outcome = areas(rows.detection_boxes_px()), rows.outcomes
+    has = {flag: having(outcome, flag) for flag in Outcome}
+    known = ~has[Outcome.FALSE_POSITIVE]
+    vessel_size = np.zeros(len(size))
+    vessel_size[known] = areas(rows.annotated_boxes_px[rows.detected_row[known]])
+    kinds = (
+        (outcome == 0, vessel_size),
+        (has[Outcome.MISLABELLED], vessel_size),
+        (has[Outcome.BELOW_HALF_IOU] & ~has[Outcome.OFF_VESSEL], vessel_size),
+        (has[Outcome.OFF_VESSEL], vessel_size),
+        (has[Outcome.FALSE_POSITIVE], size),
+    )
+    return [np.where(wanted, -most, np.inf) for wanted, most in kinds]
+
+
+def _of_detection(rows: RunRows, index: int) -> Highlight:
+    row = rows.detections.slice(index, 1).to_pylist()[0]
+    box, vessel, what = rows.detection_boxes_px()[index : index + 1], row["vessel"], ""
+    if rows.outcomes[index] & Outcome.FALSE_POSITIVE:
+        double = f", {row['kind']} of {vessel}" if vessel else ""
+        what = f"a false alarm{double}: {row['label']} {row['confidence']:.2f}"
+        vessel = None
+    else:
+        box = unions(box, rows.annotated_boxes_px[rows.detected_row[index : index + 1]])
+    x0, y0, x1, y1 = box[0].tolist()
+    return Highlight(row["step"], row["camera"], (x0, y0, x1, y1), vessel, what)
+
+
+def _least(
+    groups: Iterable[Rows], ranks_of: Callable[[Rows], list[Array]], highlight_of: Callable[[Rows, int], Highlight]
+) -> list[Highlight]:
+    """For each kind that there is, the highlight of the row that ranks least."""
+    found: dict[int, tuple[float, Highlight]] = {}
+    for rows in groups:
+        for kind, rank in enumerate(ranks_of(rows)):
+            least = float(rank.min(initial=np.inf))
+            if least < (found[kind][0] if kind in found else np.inf):
+                found[kind] = least, highlight_of(rows, int(np.argmin(rank)))
+    return [found[kind][1] for kind in sorted(found)]
+
+
+# ---- One PNG that shows at a glance what happened in a run ----
 
 SHEET_FILE = "contact_sheet.png"
 PANEL_PX = (720, 440)

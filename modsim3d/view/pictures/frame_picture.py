@@ -4,27 +4,176 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.render.id_pass import Ids, Region
 from modsim3d.render.plain_ids import AnyIdRenderer
+from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.frames import Frame
-from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
+from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.outcome_words import is_a
-from modsim3d.view.palette import Colour
-from modsim3d.view.pictures.canvas import Canvas
-from modsim3d.view.pictures.hatching import hatch_hidden
-from modsim3d.view.pictures.labels import Label, draw_labels
+from modsim3d.view.palette import Colour, vessel_colour
+from modsim3d.view.pictures.canvas import Box, Canvas, Label, Window, draw_labels
 from modsim3d.view.pictures.layers import Layers
-from modsim3d.view.pictures.marks import draw_detection, draw_tether
-from modsim3d.view.pictures.plain import background, draw_horizon, fill_solids
-from modsim3d.view.pictures.solids import Solids
-from modsim3d.view.pictures.track_marks import NO_TRACKS, FrameTracks, draw_tracks
-from modsim3d.view.pictures.window import Box, Window
+from modsim3d.view.pictures.plain import Solids, background, draw_horizon, fill_solids
+
+# ---- Hidden parts of vessels, hatched in their colours over what hides them ----
+
+STRIPE_PX = 4.0
+
+
+def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids, unit: float) -> None:
+    """Hatch each vessel where something else is in front of it.
+
+    `ids` is occluder + 1 at each of the picture's pixels, shape (h, w). `unit` is 1 in a picture of nominal width.
+    """
+    stripe = max(2, round(STRIPE_PX * unit))
+    for row, occluder in enumerate(solids.occluders.tolist()):
+        if occluder >= len(solids.extents_m):
+            continue
+        region, silhouette = silhouette_mask(solids, row, window)
+        if not region.width or not region.height:
+            continue
+        seen = ids[region.y : region.y + region.height, region.x : region.x + region.width]
+        hidden = silhouette & (seen != occluder + 1) & (seen > 0)
+        if not hidden.any():
+            continue
+        diagonal = np.arange(region.y, region.y + region.height)[:, None] + np.arange(region.x, region.x + region.width)
+        striped = hidden & (diagonal // stripe % 2 == 0)
+        mask = Image.fromarray(np.where(striped, np.uint8(255), np.uint8(0)))
+        picture.paste(vessel_colour(occluder), (region.x, region.y), mask)
+
+
+def silhouette_mask(solids: Solids, row: int, window: Window) -> tuple[Region, Mask]:
+    """A region of the window, and which of its pixels the whole silhouette of a row covers, shape (h, w)."""
+    triangles = window.to_picture(solids.triangles.corners_px[solids.triangles.row == row])
+    if not len(triangles):
+        return Region(0, 0, 0, 0), np.zeros((0, 0), dtype=bool)
+    box = np.concatenate([triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))])
+    region = Region.around(box, window.size)
+    mask = Image.new("1", (max(region.width, 1), max(region.height, 1)))
+    draw = ImageDraw.Draw(mask)
+    # Pillow counts from pixel centres, and fills the pixels on the edge too.
+    for triangle in (triangles - (region.x + 0.5, region.y + 0.5)).reshape(-1, 6).tolist():
+        draw.polygon(triangle, fill=1)
+    return region, np.array(mask, dtype=bool)
+
+
+# ---- Boxes of detections, with marks of what is wrong with them ----
+
+LONG_DASH_PX, DASHES_A_SIDE = 10.0, 3
+FLAG_PX, FLAG_SHARE = 16.0, 0.6
+"""The legs of the filled corner of a wrong class, and their most share of the box's shorter side."""
+
+
+def draw_detection(canvas: Canvas, box: Box, colour: Colour, outcome: Outcome, weight: float = 1.5) -> None:
+    """Draw a detection's box, in pixels of the picture.
+
+    Solid if it fits its vessel, in long dashes if it does not, with a filled corner for a wrong class; crossed out and
+    in short dashes if it is a false positive.
+    """
+    if outcome & Outcome.FALSE_POSITIVE:
+        canvas.crossed(box, colour)
+        canvas.dashed_box(box, colour, weight)
+    elif outcome & Outcome.BELOW_HALF_IOU:
+        side = max(box[2] - box[0], box[3] - box[1])  # also a small box has dashes and gaps
+        canvas.dashed_box(box, colour, weight, min(LONG_DASH_PX, side / (2 * DASHES_A_SIDE - 1) / canvas.unit))
+    else:
+        canvas.box(box, colour, weight)
+    if outcome & Outcome.MISLABELLED:
+        _draw_flag(canvas, box)
+
+
+def _draw_flag(canvas: Canvas, box: Box) -> None:
+    """Fill the upper right corner of a box."""
+    x0, y0, x1, y1 = box
+    leg = max(5.0, min(FLAG_PX * canvas.unit, FLAG_SHARE * min(x1 - x0, y1 - y0)))
+    canvas.draw.polygon([(x1 - leg, y0), (x1, y0), (x1, y0 + leg)], fill=palette.ALARM, outline=palette.INK)
+
+
+def draw_tether(canvas: Canvas, box: Box, true_box: Box) -> None:
+    """Draw a line from the centre of a detection's box to the box of its vessel, which it does not touch."""
+    x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
+    end = (min(max(x, true_box[0]), true_box[2]), min(max(y, true_box[1]), true_box[3]))
+    canvas.segments(np.array([[(x, y), end]]), palette.ALARM, 0.75)
+    radius = max(2.0, 3.0 * canvas.unit)
+    canvas.draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=palette.ALARM)
+
+
+# ---- Boxes of tracks, with their numbers and where their centres have been ----
+
+WEIGHT = 2.5
+"""Of a track's box, in weights of a line; a detection's has 1.5."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTracks:
+    """The tracks in one frame, m of them.
+
+    Attributes:
+        number: Numbers that the tracker gave them, shape (m,).
+        boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
+        false: Which follow nothing, shape (m,).
+        unscored: Which follow a vessel that is hidden or not annotated, shape (m,).
+        trails_px: Where the centre of each has been, the newest first, each of shape (n, 2).
+    """
+
+    number: Indices
+    boxes_px: Array
+    false: Mask
+    unscored: Mask
+    trails_px: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, followed: FollowedTracks, scene: Scene, frame: Frame) -> Self:
+        """The tracks in a frame of a scene."""
+        camera = [each.name for each in scene.cameras].index(frame.camera)
+        rows = followed.rows_of(frame.step * len(scene.cameras) + camera)
+        return cls(
+            followed.tracks.track[rows],
+            followed.tracks.boxes_px[rows],
+            followed.false[rows],
+            followed.unscored[rows],
+            tuple(followed.trail_px(row) for row in range(rows.start, rows.stop)),
+        )
+
+
+NO_TRACKS = FrameTracks(
+    np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty(0, dtype=np.bool_), np.empty(0, dtype=np.bool_), ()
+)
+
+
+def track_colour(number: int, false: bool) -> Colour:
+    """The colour of a track, by its number; that of what went wrong where it follows nothing."""
+    return palette.ALARM if false else palette.track_colour(number)
+
+
+def draw_tracks(canvas: Canvas, window: Window, tracks: FrameTracks) -> list[Label]:
+    """Draw the tracks of a frame, and return their numbers as labels.
+
+    A box is solid where its track follows a vessel that is to be followed, and dashed elsewhere.
+    """
+    labels = []
+    numbers, dashed = tracks.number.tolist(), (tracks.false | tracks.unscored).tolist()
+    for i, (number, false) in enumerate(zip(numbers, tracks.false.tolist(), strict=True)):
+        colour, box = track_colour(number, false), window.corners(tracks.boxes_px[i])
+        trail = window.to_picture(tracks.trails_px[i])
+        canvas.segments(np.stack([trail[:-1], trail[1:]], axis=1), colour, 1.0)
+        if dashed[i]:
+            canvas.dashed_box(box, colour, WEIGHT)
+        else:
+            canvas.box(box, colour, WEIGHT, halo=True)
+        labels.append(Label(box, f"#{number}", colour, below=True))
+    return labels
+
+
+# ---- One picture of one frame, layer by layer, at any size ----
 
 DIM = 0.25
 """How much darker vessels are filled under boxes of their colour."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
-from modsim3d.errors import ModsimError
+from modsim3d.core.errors import ModsimError
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,14 @@ from typing import Literal
 import numpy as np
 from PIL import Image
 
-from modsim3d.runs.outcomes import Outcome
+from modsim3d.runs.counts import Outcome
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import TRAIL_S
 from modsim3d.view.outcome_words import NAMES
 from modsim3d.view.palette import Colour
-from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, Canvas, font, text_size, words_apart
+from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, Box, Canvas, font, text_size, words_apart
+from modsim3d.view.pictures.frame_picture import draw_detection, draw_tether
 from modsim3d.view.pictures.layers import Layers
-from modsim3d.view.pictures.marks import draw_detection, draw_tether
-from modsim3d.view.pictures.window import Box
 
 LEAST_SHARE, MOST_ROOM = 0.7, 2.0
 """How small the text of a crowded legend may become, as a share of its size, and how far it may exceed its room."""
@@ -27,7 +26,7 @@ MARKS = (Outcome.MISLABELLED, Outcome.BELOW_HALF_IOU, Outcome.OFF_VESSEL)
 
 
 @dataclass(frozen=True)
-class Entry:
+class LegendEntry:
     """An entry of a legend: a sample of a colour, and what it means."""
 
     text: str
@@ -35,42 +34,46 @@ class Entry:
     style: Literal["box", "dashed", "missed", "hatched", "filled", "track"] | Outcome = "box"
 
 
-def detection_entries(layers: Layers, mode: int, mistakes: Outcome, tracker: str | None = None) -> list[Entry]:
+def detection_entries(layers: Layers, mode: int, mistakes: Outcome, tracker: str | None = None) -> list[LegendEntry]:
     """The legend of some layers in an annotation mode, with the mistakes that are there and the tracks of a tracker."""
     marks = [mark for mark in MARKS if layers.detections and layers.mistakes and mark & mistakes]
     shown = (
-        (layers.truth, Entry("truth", palette.TRUTH)),
-        (layers.full and mode == 2, Entry("whole silhouette", palette.TRUTH, "dashed")),
-        (layers.visible and mode < 2, Entry("visible part", palette.TRUTH, "dashed")),
-        (layers.detections, Entry("detection, in its vessel's colour", palette.VESSELS[0])),
-        *((True, Entry(NAMES[mark], palette.VESSELS[0], mark)) for mark in marks),
-        (layers.missed, Entry("missed", palette.ALARM, "missed")),
-        (layers.false_positives, Entry(NAMES[Outcome.FALSE_POSITIVE], palette.ALARM, Outcome.FALSE_POSITIVE)),
+        (layers.truth, LegendEntry("truth", palette.TRUTH)),
+        (layers.full and mode == 2, LegendEntry("whole silhouette", palette.TRUTH, "dashed")),
+        (layers.visible and mode < 2, LegendEntry("visible part", palette.TRUTH, "dashed")),
+        (layers.detections, LegendEntry("detection, in its vessel's colour", palette.VESSELS[0])),
+        *((True, LegendEntry(NAMES[mark], palette.VESSELS[0], mark)) for mark in marks),
+        (layers.missed, LegendEntry("missed", palette.ALARM, "missed")),
+        (layers.false_positives, LegendEntry(NAMES[Outcome.FALSE_POSITIVE], palette.ALARM, Outcome.FALSE_POSITIVE)),
         *((layers.tracks, entry) for entry in _track_entries(tracker)),
-        (layers.hatching, Entry("hidden", palette.VESSELS[1], "hatched")),
+        (layers.hatching, LegendEntry("hidden", palette.VESSELS[1], "hatched")),
     )
     return [entry for drawn, entry in shown if drawn]
 
 
-def _track_entries(tracker: str | None) -> list[Entry]:
+def _track_entries(tracker: str | None) -> list[LegendEntry]:
     if tracker is None:
         return []
     return [
-        Entry(f"# track of {tracker}, in a colour of its own, with its last {TRAIL_S:g} s", palette.TRACKS[0], "track"),
-        Entry("on a vessel that is hidden or not annotated", palette.TRACKS[0], "dashed"),
-        Entry("on nothing", palette.ALARM, "dashed"),
+        LegendEntry(
+            f"# track of {tracker}, in a colour of its own, with its last {TRAIL_S:g} s", palette.TRACKS[0], "track"
+        ),
+        LegendEntry("on a vessel that is hidden or not annotated", palette.TRACKS[0], "dashed"),
+        LegendEntry("on nothing", palette.ALARM, "dashed"),
     ]
 
 
-def vessel_entries(names: Mapping[int, str]) -> list[Entry]:
+def vessel_entries(names: Mapping[int, str]) -> list[LegendEntry]:
     """The legend of vessels, by their indices in the scene."""
-    return [Entry(f"{i + 1}: {name}", palette.vessel_colour(i), "filled") for i, name in names.items()]
+    return [LegendEntry(f"{i + 1}: {name}", palette.vessel_colour(i), "filled") for i, name in names.items()]
 
 
-def id_entries(vessels: Mapping[int, str], obstacles: Sequence[str]) -> list[Entry]:
+def id_entries(vessels: Mapping[int, str], obstacles: Sequence[str]) -> list[LegendEntry]:
     """The legend of an ID map with these vessels, by their indices in the scene, and obstacles."""
-    land = [Entry(f"{letters(i)}: {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)]
-    return [*vessel_entries(vessels), *land, Entry("hidden", palette.VESSELS[0], "hatched")]
+    land = [
+        LegendEntry(f"{letters(i)}: {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)
+    ]
+    return [*vessel_entries(vessels), *land, LegendEntry("hidden", palette.VESSELS[0], "hatched")]
 
 
 def letters(index: int) -> str:
@@ -79,7 +82,7 @@ def letters(index: int) -> str:
     return (letters(rest - 1) if rest else "") + chr(ord("a") + last)
 
 
-def legend(entries: Sequence[Entry], width: int, text_px: int, room_px: float = math.inf) -> Image.Image:
+def legend(entries: Sequence[LegendEntry], width: int, text_px: int, room_px: float = math.inf) -> Image.Image:
     """A strip of the given width, as high as its entries need: 0 without any.
 
     A legend that needs more than `room_px` is set in smaller type. If it then needs more than `MOST_ROOM` times as
@@ -104,9 +107,9 @@ def legend(entries: Sequence[Entry], width: int, text_px: int, room_px: float = 
     return strip
 
 
-def _rows(entries: Sequence[Entry], width: int, text_px: int) -> list[list[tuple[int, Entry]]]:
+def _rows(entries: Sequence[LegendEntry], width: int, text_px: int) -> list[list[tuple[int, LegendEntry]]]:
     """The entries of each row of a legend, with their left edges."""
-    rows: list[list[tuple[int, Entry]]] = [[]] if entries else []
+    rows: list[list[tuple[int, LegendEntry]]] = [[]] if entries else []
     x = text_px // 2
     for entry in entries:
         needed = 3 * text_px + text_size(words_apart(entry.text, text_px), text_px)[2]
@@ -118,10 +121,10 @@ def _rows(entries: Sequence[Entry], width: int, text_px: int) -> list[list[tuple
     return rows
 
 
-def _without_last_names(entries: Sequence[Entry], count: int) -> list[Entry]:
+def _without_last_names(entries: Sequence[LegendEntry], count: int) -> list[LegendEntry]:
     """The entries with the number of the last names in place of them."""
     last = [i for i, entry in enumerate(entries) if entry.style == "filled"][-count:]
-    more = Entry(f"and {count} more", palette.PAPER, "filled")
+    more = LegendEntry(f"and {count} more", palette.PAPER, "filled")
     return [more if i == last[0] else entry for i, entry in enumerate(entries) if i not in last[1:]]
 
 
@@ -129,7 +132,7 @@ def _line_px(text_px: int) -> int:
     return round(1.8 * text_px)
 
 
-def _entry(canvas: Canvas, entry: Entry, x: int, y: int, text_px: int) -> None:
+def _entry(canvas: Canvas, entry: LegendEntry, x: int, y: int, text_px: int) -> None:
     chip = (x, y + round(0.35 * text_px), x + 2 * text_px, y + round(1.5 * text_px))
     ground = entry.colour if entry.style == "filled" else palette.SEA
     canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=ground)

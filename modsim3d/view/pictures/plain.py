@@ -2,17 +2,158 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from modsim3d.arrays import Array
-from modsim3d.render.id_pass import Region
-from modsim3d.render.plain_ids import AnyIdRenderer
+from modsim3d.core.errors import RendererError
+from modsim3d.core.types import Array, Indices
+from modsim3d.geometry.camera import Camera, Intrinsics
+from modsim3d.render.id_pass import Ids, Region
+from modsim3d.render.plain_ids import AnyIdRenderer, PlainIds
+from modsim3d.runs.pipeline import open_renderer
+from modsim3d.scene.scene import Scene
+from modsim3d.scene.sight import Sight
+from modsim3d.truth.buffer_drawing import Triangles, triangles_of
+from modsim3d.truth.outlines import Outlines
 from modsim3d.view import palette
 from modsim3d.view.palette import Colour
-from modsim3d.view.pictures.canvas import Canvas
-from modsim3d.view.pictures.solids import Solids
-from modsim3d.view.pictures.window import Window
+from modsim3d.view.pictures.canvas import Canvas, Window
+from modsim3d.world.vessels import shoebox
+
+# ---- The solids before a camera at a step, to be drawn in a window at the window's own size ----
+
+SUN = np.array([-0.35, 0.55, 0.76])
+"""Direction to the light that shades faces, in the world."""
+DIMMEST = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Solids:
+    """The solids before a camera.
+
+    Attributes:
+        sight: Poses of the camera and the vessels at one step.
+        camera: The camera that they are before.
+        outlines: A row for each solid before the camera.
+        extents_m: Length, beam and air draft of all vessels, shape (V, 3).
+    """
+
+    sight: Sight
+    camera: Camera
+    outlines: Outlines
+    extents_m: Array
+
+    @classmethod
+    def at(cls, scene: Scene, camera: Camera, step: int) -> Solids:
+        """The solids before a camera of a scene at a step."""
+        sight = scene.sight(camera, np.array([step]))
+        return cls(sight, camera, sight.outlines(), np.array([vessel.extents_m for vessel in scene.vessels]))
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The camera's intrinsics."""
+        return self.camera.intrinsics
+
+    @property
+    def sea_half_plane(self) -> Array:
+        """The side of the horizon on which the sea lies, shape (3,)."""
+        return self.intrinsics.sea_half_plane(self.sight.camera_poses.camera_R_world[0])
+
+    @property
+    def occluders(self) -> Indices:
+        """Index of the vessel or obstacle of each row, shape (n,)."""
+        return self.outlines.occluder
+
+    @cached_property
+    def triangles(self) -> Triangles:
+        """The triangles of all rows, cut at the near plane and far outside the image."""
+        return triangles_of(self.outlines, self.intrinsics)
+
+    def ids(self, window: Window, id_renderer: AnyIdRenderer, samples: int = 1) -> Ids:
+        """Occluder + 1 at each pixel of a window, 0 where nothing is, shape (h · samples, w · samples)."""
+        values = self.occluders[self.triangles.row] + 1
+        return self._drawn(values, window, id_renderer, Region(0, 0, *window.size), samples)
+
+    def faces(self, window: Window, id_renderer: AnyIdRenderer, region: Region, samples: int) -> Ids:
+        """Triangle + 1 at each pixel of a region of a window, 0 where nothing is; its shape is as that of `ids`."""
+        return self._drawn(np.arange(len(self.triangles.row)) + 1, window, id_renderer, region, samples)
+
+    def _drawn(
+        self, values: NDArray[np.integer], window: Window, id_renderer: AnyIdRenderer, region: Region, samples: int
+    ) -> Ids:
+        enlarged = Region(*(samples * side for side in (region.x, region.y, region.width, region.height)))
+        corners = window.to_picture(self.triangles.corners_px) * samples
+        return id_renderer.draw(corners, self.triangles.inverse_depth, values, enlarged)
+
+    def normals_camera(self) -> Array:
+        """Unit normals of the triangles in CCF, on the side turned to the camera, shape (T, 3)."""
+        depth = self.intrinsics.near_clip_m / self.triangles.inverse_depth
+        corners = self.intrinsics.unproject(self.triangles.corners_px, depth)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        # A face is seen from the side that is turned to the camera, whichever way its corners run.
+        away = np.einsum("ij,ij->i", normals, corners[:, 0]) > 0
+        normals[away] *= -1
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        unit: Array = normals / np.where(length > 0, length, 1.0)
+        return unit
+
+    def light(self) -> Array:
+        """Brightness of each triangle by its angle to the sun, from `DIMMEST` to 1, shape (T,)."""
+        world = self.normals_camera() @ self.sight.camera_poses.camera_R_world[0]
+        light: Array = DIMMEST + (1 - DIMMEST) * (0.5 + 0.5 * world @ (SUN / np.linalg.norm(SUN)))
+        return light
+
+    def shoeboxes(self) -> list[tuple[int, Array, Array]]:
+        """Shoeboxes of the vessels: index of the vessel, edges and corner points in the image, in pixels.
+
+        Edges are cut at the near plane, shape (E, 2, 2). Corners nearer than it are NaN, shape (8, 2).
+        """
+        body = shoebox().vertices
+        near = self.intrinsics.near_clip_m
+        found = []
+        for vessel in self.occluders[self.outlines.boxed].tolist():
+            turned = (body * self.extents_m[vessel]) @ self.sight.world_R_vessel[0, vessel].T
+            corners = self.sight.camera_poses.to_camera((turned + self.sight.poses.positions_m[0, vessel])[None])[0]
+            edges = _beyond(corners[_EDGES], near)
+            found.append((vessel, self.intrinsics.project(edges), self.intrinsics.project(corners)))
+        return found
+
+
+_EDGES = np.array([(a, a | bit) for bit in (1, 2, 4) for a in range(8) if not a & bit])
+"""Corner 4 i + 2 j + k of the shoebox: an edge joins corners that differ in one of i, j, k."""
+
+
+def _beyond(edges: Array, near_m: float) -> Array:
+    """The parts of segments beyond the near plane, shape (E', 2, 3)."""
+    depth = edges[..., 2]
+    kept = edges[(depth > near_m).any(axis=1)].copy()
+    for end in (0, 1):
+        cut = kept[:, end, 2] < near_m
+        a, b = kept[cut, end], kept[cut, 1 - end]
+        share = (near_m - a[:, 2]) / (b[:, 2] - a[:, 2])
+        kept[cut, end] = a + share[:, None] * (b - a)
+        kept[cut, end, 2] = near_m
+    return kept
+
+
+@contextmanager
+def open_id_renderer(scene: Scene) -> Iterator[AnyIdRenderer]:
+    """OpenGL for the ID buffers of pictures, or NumPy where there is no OpenGL or the scene uses none."""
+    with ExitStack() as stack:
+        try:
+            renderer = stack.enter_context(open_renderer(scene))
+        except RendererError:
+            renderer = None  # a picture of a run that was made elsewhere
+        yield renderer or PlainIds()
+
+
+# ---- The plain style of Jessen & Mohr (2023), Figures 9.3 and 9.4 ----
 
 SMOOTH_SAMPLES = 2
 """Vessels drawn this much larger and shrunk have edges without steps."""

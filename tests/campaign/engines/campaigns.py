@@ -12,12 +12,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from modsim3d.campaign.engines.interface import Engine
-from modsim3d.campaign.file.reading import read_campaign
-from modsim3d.campaign.results.folder import CampaignFolder, planned
+from modsim3d.campaign.folder import CampaignFolder, planned
+from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.work.checking import CheckedCampaign, checked
 from modsim3d.campaign.work.task import Task
+from modsim3d.campaign.workers import Engine
 
 PATIENCE_S = 60.0
 PLAIN = """

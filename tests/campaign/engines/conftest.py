@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.workers import ThisProcess
 from tests.campaign.engines.campaigns import Campaigns
 
 TRACKER = """

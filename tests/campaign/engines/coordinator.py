@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from modsim3d.campaign.engines.dask_engine import DaskEngine
-from modsim3d.campaign.engines.pool import ProcessPool
-from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.dask import DaskEngine
+from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.workers import ProcessPool
 
 if __name__ == "__main__":
     engine, file, out = sys.argv[1:]

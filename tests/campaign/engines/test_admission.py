@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.work import admission
-from modsim3d.campaign.work.admission import check_worker
-from modsim3d.errors import ModsimError
+from modsim3d.campaign import serving
+from modsim3d.campaign.serving import check_worker
+from modsim3d.core.errors import ModsimError
 from tests.campaign.engines.campaigns import Campaigns
 
 
@@ -20,13 +20,13 @@ def test_a_worker_with_other_versions_is_refused(
 ) -> None:
     here, _ = campaigns.planned(tmp_path / "out")
     check_worker(here.work)
-    here_is = admission.version(package)
-    other = {**admission.versions(), "numpy": "9.9"}
+    here_is = serving.version(package)
+    other = {**serving.versions(), "numpy": "9.9"}
     with monkeypatch.context() as patch:
         if package == "numpy":
-            patch.setattr(admission, "versions", lambda: other)
+            patch.setattr(serving, "versions", lambda: other)
         else:
-            patch.setattr(admission, "version", lambda name: "9.9")
+            patch.setattr(serving, "version", lambda name: "9.9")
         with pytest.raises(ModsimError, match=f"on {platform.node()} has .*{package} 9.9 instead of {here_is}"):
             check_worker(here.work)
 

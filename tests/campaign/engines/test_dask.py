@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.engines.dask_engine import DaskEngine, _raise_unless_killed
-from modsim3d.campaign.engines.death import Death
-from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.dask import DaskEngine, _raise_unless_killed
 from modsim3d.campaign.work.task import TaskReport
-from modsim3d.errors import ModsimError
+from modsim3d.campaign.workers import Death, ThisProcess
+from modsim3d.core.errors import ModsimError
 from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
 from tests.campaign.engines.cluster import Cluster, cluster, free_port
 
@@ -20,7 +19,7 @@ from tests.campaign.engines.cluster import Cluster, cluster, free_port
 @pytest.fixture(autouse=True)
 def quick_looks(monkeypatch: pytest.MonkeyPatch) -> None:
     """What was lost is looked for often, so that no test waits for the next look."""
-    monkeypatch.setattr("modsim3d.campaign.engines.dask_engine.LOOK_S", 0.1)
+    monkeypatch.setattr("modsim3d.campaign.dask.LOOK_S", 0.1)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +66,7 @@ def test_a_worker_without_the_folder_says_so(campaigns: Campaigns, shared: Clust
 
 
 def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("modsim3d.campaign.engines.dask_engine.CONNECT_S", 0.2)
+    monkeypatch.setattr("modsim3d.campaign.dask.CONNECT_S", 0.2)
     with pytest.raises(ModsimError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1"):
         DaskEngine(f"tcp://127.0.0.1:{free_port()}")
 

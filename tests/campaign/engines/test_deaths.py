@@ -7,13 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.engines.dask_engine import DaskEngine
-from modsim3d.campaign.engines.death import LOST, Death
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.engines.pool import ProcessPool
+from modsim3d.campaign.dask import DaskEngine
+from modsim3d.campaign.folder import killed_sentence
 from modsim3d.campaign.report.campaign_page import cautions
-from modsim3d.campaign.results.deaths import killed_sentence
 from modsim3d.campaign.work.task import Task, TaskReport
+from modsim3d.campaign.workers import LOST, Death, ProcessPool, ThisProcess
 from tests.campaign.engines.campaigns import MORTAL, Campaigns, content
 from tests.campaign.engines.cluster import cluster
 
@@ -98,7 +96,7 @@ def test_a_worker_that_is_lost_without_a_word_is_noted_with_its_runs(campaigns: 
 def test_a_run_that_closes_the_pipe_and_goes_on_has_crashed(
     campaigns: Campaigns, doomed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("modsim3d.campaign.engines.worker_process._END_S", 0.3)
+    monkeypatch.setattr("modsim3d.campaign.workers._END_S", 0.3)
     result = campaigns.run("deaf", lambda: ProcessPool(1), tmp_path / "out")
     assert result is not None
     assert result.table["error"].to_pylist() == ["the run ended its worker process (it closed the pipe)"]

@@ -9,10 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.engines.death import Death
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.engines.pool import ProcessPool
-from modsim3d.campaign.engines.worker_process import WorkerProcess
+from modsim3d.campaign.workers import CampaignWorker, Death, ProcessPool, ThisProcess
 from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
 
 
@@ -35,7 +32,7 @@ def test_a_process_that_is_killed_in_a_task_is_replaced(campaigns: Campaigns, tm
 
 
 def test_a_process_that_has_done_nothing_is_ended_at_once() -> None:
-    process = WorkerProcess()
+    process = CampaignWorker()
     process.close()
     assert process._process.returncode == -signal.SIGKILL
 

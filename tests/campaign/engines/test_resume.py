@@ -12,22 +12,21 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign import running
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.results import gather
-from modsim3d.campaign.results.folder import CampaignFolder
+from modsim3d.campaign import done_rows, running
+from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.work import task
 from modsim3d.campaign.work.row import crashed_row
 from modsim3d.campaign.work.task import TaskReport, Worker
-from modsim3d.errors import OutputError
+from modsim3d.campaign.workers import ThisProcess
+from modsim3d.core.errors import OutputError
 from tests.campaign.engines.campaigns import Campaigns, content
 
 STEPS = [
-    (gather, "make_folder"),
-    (gather, "sync_file"),
-    (gather, "sync_folder"),
-    (gather.shutil, "rmtree"),
-    (gather, "write_files"),
+    (done_rows, "make_folder"),
+    (done_rows, "sync_file"),
+    (done_rows, "sync_folder"),
+    (done_rows.shutil, "rmtree"),
+    (done_rows, "write_files"),
     (running, "remove_done"),
     (running, "write_verdicts"),
 ]
@@ -125,7 +124,7 @@ def test_a_crash_between_any_two_steps_of_the_end(
 def test_two_processes_that_end_at_once_where_there_are_no_locks(half: Path, campaigns: Campaigns) -> None:
     campaigns.run("plain", ThisProcess, half)
     here, _ = campaigns.planned(half)
-    gather.write_results(here, gather.results_table(here), [])
+    done_rows.write_results(here, done_rows.results_table(here), [])
 
 
 def test_results_in_place_beside_rows_that_were_not_removed(

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.engines.interface import Engine, ThisProcess
-from modsim3d.campaign.results.done_rows import DoneRows
-from modsim3d.campaign.results.folder import planned
-from modsim3d.errors import ModsimError, OutputError
+from modsim3d.campaign.done_rows import DoneRows
+from modsim3d.campaign.folder import planned
+from modsim3d.campaign.workers import Engine, ThisProcess
+from modsim3d.core.errors import ModsimError, OutputError
 from tests.campaign.engines.campaigns import Campaigns, content
 
 

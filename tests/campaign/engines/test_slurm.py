@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.engines.dask_engine import SlurmEngine
-from modsim3d.errors import ModsimError
+from modsim3d.campaign.dask import SlurmEngine
+from modsim3d.core.errors import ModsimError
 from tests.campaign.engines.campaigns import Campaigns, alive, content, waited_for
 
 SBATCH = """#!/bin/sh

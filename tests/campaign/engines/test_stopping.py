@@ -9,11 +9,10 @@ import pyarrow as pa
 import pytest
 
 from modsim3d.campaign import running
-from modsim3d.campaign.engines.death import LOST, Death
-from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.task import Task, TaskReport
+from modsim3d.campaign.workers import LOST, Death, ThisProcess
 from tests.campaign.engines.campaigns import Campaigns, content
 
 

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.runs.detect_run import detect_run
-from modsim3d.runs.run import run_scene
+from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.tracks.similarity import Similarity
+from modsim3d.tracks.tracks import Similarity
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.report.report import write_report
 from tests.scenes import mistaken_strait, write_scene

@@ -14,16 +14,15 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d import cli
-from modsim3d.errors import InputError
-from modsim3d.learn.learned import Settings
-from modsim3d.learn.told.sources import Sources
+from modsim3d.cli import main
+from modsim3d.core.errors import InputError
+from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.report_page import Sources
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.pages.provenance import Provenance, file_input, top_line
-from modsim3d.view.pages.run_inputs import CHANGED, run_inputs
+from modsim3d.view.pages.provenance import CHANGED, Provenance, file_input, run_inputs, top_line
 from tests.campaign.campaigns import run_campaign_file
 from tests.view.made_tracks import perfect, write_csv
 from tests.view.report.axe import grave_violations
@@ -60,7 +59,7 @@ PAGES = {
 def command(words: str) -> int:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
         patch.setattr(sys, "argv", ["modsim3d", *words.split(), "--quiet"])
-        cli.main()
+        main.main()
     return stopped.value.code
 
 
@@ -167,7 +166,7 @@ def test_the_seed_of_a_campaign_is_no_number_of_seeds(pages: Path) -> None:
 def learned_from(folder: Path, *pairs: tuple[str, str], read: list[str]) -> list[tuple[str, str, str]]:
     """What a page of learn says of its inputs: what, path and how many files."""
     truth, detections = zip(*([folder / name for name in pair] for pair in pairs), strict=True)
-    found = Sources(truth, detections, (), tuple(folder / name for name in read), Settings(), "learn").inputs
+    found = Sources(truth, detections, (), tuple(folder / name for name in read), LearnSettings(), "learn").inputs
     return [(each.what, Path(each.path).relative_to(folder).as_posix(), each.note.partition(", ")[0]) for each in found]
 
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from modsim3d.view.report.recording.overview import BEGINS, ENDS, Overview, ShownRows
+from modsim3d.view.report.overview import BEGINS, ENDS, Overview, ShownRows
 
 STEPS, VESSELS = 12, 3
 FRACTIONS = st.sampled_from([None, 0, 250, *(int(limit) + k for limit in (BEGINS, ENDS) for k in (-1, 0, 1))])

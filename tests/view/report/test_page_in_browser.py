@@ -13,13 +13,13 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
+from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
-from modsim3d.view.report.recording.overview import WHOLE
-from modsim3d.view.report.recording.part_columns import in_250ths
+from modsim3d.view.report.overview import WHOLE
+from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.report import write_report
 from tests.scenes import crossing
 from tests.view.report.browser import Browser

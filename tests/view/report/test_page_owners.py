@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.pictures.solids import Solids, open_id_renderer
-from modsim3d.view.pictures.window import Window
+from modsim3d.view.pictures.canvas import Window
+from modsim3d.view.pictures.plain import Solids, open_id_renderer
 from modsim3d.view.report.report import REPORT_FILE, write_report
 from tests.view.report.browser import Browser
 

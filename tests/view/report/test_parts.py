@@ -10,17 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.motion.poses.base import generated_timestamps
-from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
+from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.stored_run import StoredRun, open_run
-from modsim3d.view.report.player_page import parts_folder
-from modsim3d.view.report.recording import overview, parts
-from modsim3d.view.report.recording.clock import clock, said
-from modsim3d.view.report.recording.overview import Overview, ShownRows, steps_in_a_bin
-from modsim3d.view.report.recording.recorder import recording
-from modsim3d.view.report.recording.stretches import StretchesBuilder
-from modsim3d.view.report.recording.vessel_outcomes import VesselOutcome
-from modsim3d.view.report.report import write_report
+from modsim3d.view.report import overview, part_columns
+from modsim3d.view.report.overview import Overview, ShownRows, VesselOutcome, steps_in_a_bin
+from modsim3d.view.report.packing import StretchesBuilder
+from modsim3d.view.report.recorder import clock, recording, said
+from modsim3d.view.report.report import parts_folder, write_report
+from modsim3d.world.poses.base import generated_timestamps
 from tests.view.report.unpacking import Unpacked, read
 
 PART = 7
@@ -40,14 +37,14 @@ def whole(mistaken_page: Path) -> Unpacked:
 @pytest.fixture(scope="module")
 def cut_page(run: StoredRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(parts, "MOST_SHOWN", PART)
+        patch.setattr(part_columns, "MOST_SHOWN", PART)
         return write_report(run, tmp_path_factory.mktemp("cut") / "cut.html")
 
 
 @pytest.fixture(scope="module")
 def page_with_files(run: StoredRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(parts, "MOST_SHOWN", PART)
+        patch.setattr(part_columns, "MOST_SHOWN", PART)
         return write_report(run, tmp_path_factory.mktemp("in files") / "run page.html", in_files=True)
 
 

@@ -16,17 +16,17 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d import cli
-from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.outcomes import Outcome, frame_outcomes
+from modsim3d.cli import main
+from modsim3d.core.errors import RunDirectoryError
+from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.pages.run_inputs import run_inputs
-from modsim3d.view.report.recording.overview import UNKNOWN_FRACTION, WHOLE
-from modsim3d.view.report.recording.packing import NONE, in_quanta
-from modsim3d.view.report.recording.part_columns import in_250ths
-from modsim3d.view.report.recording.recorder import quantum_px
+from modsim3d.view.pages.provenance import run_inputs
+from modsim3d.view.report.overview import UNKNOWN_FRACTION, WHOLE
+from modsim3d.view.report.packing import NONE, in_quanta
+from modsim3d.view.report.part_columns import in_250ths
+from modsim3d.view.report.recorder import quantum_px
 from modsim3d.view.report.report import write_report
 from tests.scenes import mistaken_strait, write_scene
 from tests.view.report.conftest import STEPS
@@ -290,7 +290,7 @@ def test_run_without_a_finished_step_is_refused(run_folder):
 def call(monkeypatch, *arguments) -> int:
     monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     return int(stopped.value.code)
 
 

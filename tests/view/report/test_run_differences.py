@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from modsim3d.errors import RunDirectoryError
+from modsim3d.core.errors import RunDirectoryError
+from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.frames import Frame
-from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.report.recording.recorder import recording
-from modsim3d.view.report.recording.vessel_outcomes import VesselOutcome
-from modsim3d.view.report.run_differences import check_same_truth, differences
+from modsim3d.view.report.overview import VesselOutcome
+from modsim3d.view.report.recorder import recording
+from modsim3d.view.report.side_by_side import check_same_truth, differences
 from tests.scenes import write_scene
 
 

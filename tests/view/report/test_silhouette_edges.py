@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.geometry.lens import Distortion
+from modsim3d.geometry.camera import Distortion
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.silhouettes import in_image, silhouette_polygons
-from modsim3d.vessels.vessel import Solid
-from modsim3d.view.report.recording.part_motion import PartMotion
-from modsim3d.view.report.recording.silhouettes.contours import tidy_at_border
-from modsim3d.view.report.recording.silhouettes.silhouette_edges import silhouette_edges
+from modsim3d.view.report.overview import PartMotion
+from modsim3d.view.report.silhouette_edges import silhouette_edges, tidy_at_border
+from modsim3d.world.vessels import Solid
 
 STEPS = np.array([0, 190])
 POINTS, CLEAR_PX = 300, 0.3

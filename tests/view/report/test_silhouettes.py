@@ -7,15 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.geometry.camera_poses import Mount, poses_ashore
-from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
 from modsim3d.truth.outlines import outline
-from modsim3d.vessels.bodies import vessel_bodies
-from modsim3d.view.report.recording.silhouettes import painting_order as painting
-from modsim3d.view.report.recording.silhouettes.contours import contours
-from modsim3d.view.report.recording.silhouettes.painting_order import in_front, painting_order
-from modsim3d.view.report.recording.silhouettes.shapes import Shapes
-from modsim3d.view.report.recording.silhouettes.silhouettes import OutlineStore, outline_numbers, shapes
+from modsim3d.view.report import silhouettes as painting
+from modsim3d.view.report.silhouette_edges import contours
+from modsim3d.view.report.silhouettes import OutlineStore, Shapes, in_front, outline_numbers, painting_order, shapes
+from modsim3d.world.bodies import vessel_bodies
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 
 NONE = np.empty(0, dtype=np.int64)

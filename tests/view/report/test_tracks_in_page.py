@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from modsim3d import cli
+from modsim3d.cli import main
 from modsim3d.runs.stored_run import open_run
 from modsim3d.view import palette
 from modsim3d.view.report.report import write_report
@@ -111,7 +111,7 @@ def test_a_page_without_tracks_says_nothing_of_lanes(page, tracks_page):
 def call(monkeypatch, *arguments) -> int:
     monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        main.main()
     return int(stopped.value.code)
 
 

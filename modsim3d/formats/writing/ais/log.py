@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
+from operator import xor
 from pathlib import Path
+from typing import Any
 
-from modsim3d.errors import ModsimError
+from pyais.encode import ais_to_nmea_0183, data_to_payload
+
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.random_streams import Purpose, Streams
 from modsim3d.formats.writing.ais.reporting import (
     AGE_S,
     STATIC_B_AFTER_S,
@@ -19,14 +26,111 @@ from modsim3d.formats.writing.ais.reporting import (
     rate,
     static_schedule,
 )
-from modsim3d.formats.writing.ais.sensors import Measured, Noise, measured
-from modsim3d.formats.writing.ais.sentences import lines, payload, position_fields, static_fields
-from modsim3d.formats.writing.ais.stations import NO_CLASS, Station, stations
-from modsim3d.formats.writing.ais.stays import Stay, stays
-from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.outputs.placing import write_files
-from modsim3d.random_streams import Purpose, Streams
+from modsim3d.formats.writing.ais.sensors import (
+    NO_CLASS,
+    Noise,
+    SensorReadings,
+    Station,
+    Stay,
+    measured,
+    stations,
+    stays,
+)
+from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.io.atomic_write import write_files
 from modsim3d.scene.scene import Scene
+
+# ---- AIS reports as NMEA sentences, through pyais ----
+
+EPOCH_S = 1_577_836_800
+"""Unix time of a scene's first step: 2020-01-01T00:00:00Z, the beginning of a minute."""
+NO_SPEED, NO_COURSE, NO_HEADING, NO_TURN = 102.3, 360.0, 511, -128.0
+FASTEST_KN = 102.2
+TURN_STEP, MOST_TURN = 4.733, 126
+"""The rate of turn in degrees a minute is sent as its root times this, and from 708° a minute on as 126."""
+HEADING_FROM_M = 45.0
+"""From about 500 gross tonnage ships carry a gyrocompass, which measures the rate of turn."""
+AT_ANCHOR, UNDER_WAY = 1, 0
+BY_GPS = 1
+NO_HOUR, NO_MINUTE = 24, 60
+CARRIER_SENSE_STATE = 0b1_1100000000000000110
+"""What class B "CS" sends where others tell about their slots (ITU-R M.1371-5, annex 8, table 70)."""
+
+Fields = dict[str, Any]
+
+
+def position_fields(station: Station, seen: SensorReadings, row: int, at_rest: bool, between: bool) -> Fields:
+    """Message 1 or 3 of class A, or 18 of class B, with what was measured at a second.
+
+    Class B has no compass.
+    """
+    speed, course = float(seen.speed_kn[row]), float(seen.course_deg[row])
+    fields: Fields = {
+        "msg_type": 18 if station.ais_class == "B" else 3 if between else 1,
+        "mmsi": station.mmsi,
+        "lat": float(seen.latitude_deg[row]),
+        "lon": float(seen.longitude_deg[row]),
+        "speed": NO_SPEED if math.isnan(speed) else min(round(10 * speed) / 10, FASTEST_KN),
+        "course": NO_COURSE if math.isnan(course) else round(10 * course) % 3600 / 10,
+        "second": (EPOCH_S + int(seen.times_s[row])) % 60,
+    }
+    if station.ais_class == "B":
+        flags = {"cs": True, "dsc": True, "band": True, "msg22": True}
+        return fields | flags | {"heading": NO_HEADING, "radio": CARRIER_SENSE_STATE}
+    turn = turn_field(float(seen.turn_deg_min[row])) if station.length_m >= HEADING_FROM_M else NO_TURN
+    status = AT_ANCHOR if at_rest else UNDER_WAY
+    return fields | {
+        "heading": round(float(seen.heading_deg[row])) % 360,
+        "turn": turn,
+        "status": status,
+        "maneuver": 0,
+    }
+
+
+def turn_field(turn_deg_min: float) -> float:
+    """The rate of turn that is sent for one, in degrees a minute.
+
+    It is rounded to what the field can hold, since pyais takes 127 and 128 for codes with another meaning.
+    """
+    coded = min(round(TURN_STEP * math.sqrt(abs(turn_deg_min))), MOST_TURN)
+    return math.copysign((coded / TURN_STEP) ** 2, turn_deg_min)
+
+
+def static_fields(station: Station, part: int) -> Fields:
+    """Message 5 of class A, which has no parts, or part 0 or 1 of message 24 of class B."""
+    sides = dict(zip(("to_bow", "to_stern", "to_port", "to_starboard"), station.sides_m, strict=True))
+    name, call_sign = {"shipname": station.ship_name}, {"callsign": station.call_sign}
+    fields: Fields = {"mmsi": station.mmsi, "ship_type": station.ship_type, **sides, **call_sign}
+    if station.ais_class == "A":
+        return fields | name | {"msg_type": 5, "epfd": BY_GPS, "hour": NO_HOUR, "minute": NO_MINUTE}
+    # The number of the mother ship is for the tenders of ships, whose MMSI begins with 98.
+    return fields | name | {"msg_type": 24, "partno": part, "mothership_mmsi": 0}
+
+
+def payload(fields: Fields) -> tuple[str, int]:
+    """The encoded message, and how many bits fill up its last character."""
+    encoded: tuple[str, int] = data_to_payload(fields["msg_type"], fields).encode()
+    return encoded
+
+
+def lines(message: tuple[str, int], own: bool, channel: str, sequence: int, time_s: float) -> str:
+    """The lines of a message in the log: a tag block with the Unix time, and the sentence.
+
+    Args:
+        message: The encoded message and its fill bits.
+        own: Whether own ship sent it.
+        channel: `A` or `B`.
+        sequence: Number from 0 to 9, which the parts of a long message share.
+        time_s: When it was sent, in seconds since the first step.
+    """
+    text, fill_bits = message
+    block = f"c:{EPOCH_S + math.floor(time_s)}"
+    tag = f"\\{block}*{reduce(xor, block.encode('ascii'), 0):02X}\\"
+    sentences = ais_to_nmea_0183(text, "AI", "VDO" if own else "VDM", channel, fill_bits, sequence)
+    return "".join(f"{tag}{sentence}\r\n" for sentence in sentences)
+
+
+# ---- Writes what an AIS receiver would log, and beside it which vessel is behind each number ----
 
 LOG, TRUTH = "ais.nmea", "ais_truth.csv"
 NOWHERE = (0.0, 0.0)
@@ -34,7 +138,7 @@ NOWHERE = (0.0, 0.0)
 
 
 @dataclass(frozen=True, order=True)
-class Report:
+class ReceivedReport:
     """A report that is received; the order is that of the log."""
 
     time_s: float
@@ -106,7 +210,7 @@ def truth_table(scene: Scene, carried: tuple[Station, ...]) -> str:
     return table.getvalue()
 
 
-def reports(scene: Scene, steps: int, carried: tuple[Station, ...]) -> Iterator[Report]:
+def reports(scene: Scene, steps: int, carried: tuple[Station, ...]) -> Iterator[ReceivedReport]:
     """All reports that are received in the first steps of a scene, those of one station after another."""
     streams = Streams(scene.seed)
     for station, found in zip(carried, stays(scene, steps, carried), strict=True):
@@ -123,7 +227,7 @@ class _Sender:
         self._scene, self._station, self._streams, self._noise = scene, station, streams, noise
         self._sent = [0, 0, 0]
 
-    def reports(self, stay: Stay, number: int) -> Iterator[Report]:
+    def reports(self, stay: Stay, number: int) -> Iterator[ReceivedReport]:
         """What is received during a stay; `number` is its own, from 0."""
         station, scene = self._station, self._scene
         seen = measured(stay, self._noise, scene.origin or NOWHERE, scene.ais.position_noise_m)
@@ -138,21 +242,21 @@ class _Sender:
                 schedule = own_static_schedule(stay.times_s, stay.end_s)
             message = payload(static_fields(station, part))
             for time_s, _, ordinal in self._received(schedule, stay, part + 1):
-                yield Report(time_s, station.mmsi, part + 1, ordinal, message, station.own)
+                yield ReceivedReport(time_s, station.mmsi, part + 1, ordinal, message, station.own)
 
-    def _own_positions(self, seen: Measured, stay: Stay) -> Iterator[Report]:
+    def _own_positions(self, seen: SensorReadings, stay: Stay) -> Iterator[ReceivedReport]:
         """Own ship's position, which its own station gives once a second."""
         for row in range(len(seen.times_s)):
             time_s = float(seen.times_s[row]) + AGE_S
             message = payload(position_fields(self._station, seen, row, stay.at_rest, False))
-            yield Report(time_s, self._station.mmsi, 0, 0, message, True)
+            yield ReceivedReport(time_s, self._station.mmsi, 0, 0, message, True)
 
-    def _positions(self, seen: Measured, stay: Stay, phase: float) -> Iterator[Report]:
+    def _positions(self, seen: SensorReadings, stay: Stay, phase: float) -> Iterator[ReceivedReport]:
         often = rate(seen, self._station.ais_class, stay.at_rest)
         schedule = position_schedule(stay.times_s, stay.end_s, often, self._station.ais_class, phase)
         for time_s, row, ordinal in self._received(schedule, stay, 0):
             fields = position_fields(self._station, seen, row, stay.at_rest, bool(often.between[row]))
-            yield Report(time_s, self._station.mmsi, 0, ordinal, payload(fields), False)
+            yield ReceivedReport(time_s, self._station.mmsi, 0, ordinal, payload(fields), False)
 
     def _received(self, schedule: Schedule, stay: Stay, kind: int) -> Iterator[tuple[float, int, int]]:
         """Time, row of the measurements and number of each report; own ship's are never lost."""

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.formats.writing.ais.sensors import Measured
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.formats.writing.ais.sensors import SensorReadings
 
 STATIC_S = 360.0
 STATIC_B_AFTER_S = 30.0
@@ -38,7 +38,7 @@ AGE_S = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Rate:
+class ReportingRate:
     """How often a station sends its position, at n seconds.
 
     Attributes:
@@ -65,7 +65,7 @@ class Heard:
 
     Attributes:
         times_s: When they are sent, in seconds since the first step.
-        rows: Row of `Measured` that each has.
+        rows: Row of `SensorReadings` that each has.
         numbers: Which of the schedule's reports each is.
     """
 
@@ -74,7 +74,7 @@ class Heard:
     numbers: Indices
 
 
-def changes_course(seen: Measured) -> Mask:
+def changes_course(seen: SensorReadings) -> Mask:
     """Whether a ship changes course, at each second, shape (n,)."""
     n = len(seen.heading_deg)
     sums = np.concatenate([[0.0], np.cumsum(seen.heading_deg - seen.heading_deg[0])])
@@ -85,16 +85,16 @@ def changes_course(seen: Measured) -> Mask:
     return np.asarray(np.arange(n) - last <= TURN_HOLD_S)
 
 
-def rate(seen: Measured, ais_class: str, at_rest: bool) -> Rate:
+def rate(seen: SensorReadings, ais_class: str, at_rest: bool) -> ReportingRate:
     """How often a station of a class sends its position, at anchor or under way."""
     speed = np.nan_to_num(seen.speed_kn)
     if ais_class == "B":
-        return Rate(np.where(speed > CLASS_B_KN, CLASS_B_S, REST_S), np.zeros(len(speed), dtype=bool))
+        return ReportingRate(np.where(speed > CLASS_B_KN, CLASS_B_S, REST_S), np.zeros(len(speed), dtype=bool))
     if at_rest:
-        return Rate(np.where(speed > ANCHOR_KN, CLASS_A_S[0][1], REST_S), speed <= ANCHOR_KN)
+        return ReportingRate(np.where(speed > ANCHOR_KN, CLASS_A_S[0][1], REST_S), speed <= ANCHOR_KN)
     bounds, straight, turning = (np.array(column) for column in zip(*CLASS_A_S, strict=True))
     row, changing = np.searchsorted(bounds, _highest_of_late(speed)), changes_course(seen)
-    return Rate(np.where(changing, turning[row], straight[row]), changing & (turning[row] < straight[row]))
+    return ReportingRate(np.where(changing, turning[row], straight[row]), changing & (turning[row] < straight[row]))
 
 
 def _highest_of_late(speed: Array) -> Array:
@@ -127,7 +127,7 @@ def due_times(times_s: Indices, intervals: Array, end_s: float, phase: float) ->
             last = due
 
 
-def position_schedule(times_s: Indices, end_s: float, rate: Rate, ais_class: str, phase: float) -> Schedule:
+def position_schedule(times_s: Indices, end_s: float, rate: ReportingRate, ais_class: str, phase: float) -> Schedule:
     """When a station is to send its position; for the arguments see `due_times`."""
     due = due_times(times_s, rate.intervals_s, end_s, phase)
     running = rate.intervals_s[np.clip(np.floor(due).astype(np.int64) - times_s[0], 0, len(times_s) - 1)]

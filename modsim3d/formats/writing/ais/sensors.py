@@ -2,15 +2,239 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import signal
 
-from modsim3d.ais.geography import places, wrapped_deg
-from modsim3d.arrays import Array, Indices
-from modsim3d.formats.writing.ais.stays import Stay
-from modsim3d.random_streams import Purpose, Streams, grid_normals
+from modsim3d.core.random_streams import Purpose, Streams, grid_normals
+from modsim3d.core.types import Array, Indices
+from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.scene.ais.messages import places, wrapped_deg
+from modsim3d.scene.scene import Scene
+from modsim3d.world.vessels import Vessel
+
+# ---- Which vessels carry AIS, of which class, and under which number and name ----
+
+TABLE = Path(__file__).with_name("carriage.yaml")
+LEAST_LENGTH_M = 5.0
+"""Shorter craft carry no AIS unless the scene says so."""
+MADE_UP_MMSI = 799_000_000
+"""The country codes of ships go from 201 to 775 (ITU, table of maritime identification digits), so 799 is nobody's."""
+MADE_UP_NUMBERS = 1_000_000
+_MMSI = re.compile(r"[2-7]\d{8}|98\d{7}", re.ASCII)
+MOST_ENDS_M, MOST_SIDES_M = 511, 63
+"""The largest distances from the antenna to an end and to a side that fit a message; they mean this or more."""
+NO_CLASS = "none"
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """The AIS equipment of a vessel.
+
+    Attributes:
+        vessel: Index of the vessel in the scene; `name` is its ID, which is truth and is never sent.
+        ais_class: `A` or `B`.
+        own: Whether it is own ship's, whose receiver gives its reports as `VDO`.
+        sides_m: Whole metres from the antenna to bow, stern, port and starboard: A, B, C and D of the standard.
+    """
+
+    vessel: int
+    name: str
+    mmsi: int
+    ais_class: str
+    ship_type: int
+    own: bool
+    length_m: float
+    sides_m: tuple[int, int, int, int]
+    height_m: float
+
+    @property
+    def antenna_m(self) -> Array:
+        """Place of the antenna in VCF, shape (3,): such that the reported sides give the centre of the hull."""
+        bow, stern, port, starboard = self.sides_m
+        return np.array([(stern - bow) / 2, (starboard - port) / 2, self.height_m])
+
+    @property
+    def ship_name(self) -> str:
+        """A made-up name."""
+        return f"SIM {self.mmsi:09d}"
+
+    @property
+    def call_sign(self) -> str:
+        """A made-up call sign, of seven letters and digits at most."""
+        return f"S{np.base_repr(self.mmsi, 36)}"
+
+
+def stations(scene: Scene, own: Collection[int]) -> tuple[Station, ...]:
+    """The stations of a scene's vessels, in the order of the vessels; `own` are the indices of own ships."""
+    found = []
+    numbers = mmsi_of([vessel.name for vessel in scene.vessels])
+    for index, (vessel, mmsi) in enumerate(zip(scene.vessels, numbers, strict=True)):
+        chosen, ship_type = usual(vessel, index in own)
+        chosen = scene.ais.vessels.get(vessel.name, chosen)
+        if chosen != NO_CLASS:
+            sides = antenna_sides(vessel, chosen)
+            height_m = vessel.air_draft_m / 2
+            found.append(
+                Station(index, vessel.name, mmsi, chosen, ship_type, index in own, vessel.length_m, sides, height_m)
+            )
+    return tuple(found)
+
+
+def usual(vessel: Vessel, own: bool) -> tuple[str, int]:
+    """Class and ship type that fit a vessel's label and size. Own ships carry class A: they are craft at work."""
+    label = vessel.label.lower()
+    fitting = (kind for kind in _table()["kinds"] if any(word in label for word in kind["words"]))
+    kind = next(fitting, _table()["others"])
+    if own:
+        return "A", kind.get("ship_type", 0)
+    if kind.get("none") or vessel.length_m < LEAST_LENGTH_M:
+        return NO_CLASS, kind.get("ship_type", 0)
+    return ("A" if vessel.length_m >= kind["class_a_from_m"] else "B"), kind["ship_type"]
+
+
+@cache
+def _table() -> dict[str, Any]:
+    table: dict[str, Any] = load_yaml(TABLE, "table of AIS carriage")
+    return table
+
+
+def mmsi_of(names: list[str]) -> list[int]:
+    """The number of each vessel: its ID if that is a ship's MMSI, else a made-up one that depends on the ID.
+
+    If two IDs lead to the same number, the later one gets the next that is free.
+    """
+    taken: set[int] = set()
+    for name in names:
+        if _MMSI.fullmatch(name):
+            taken.add(int(name))
+    numbers = []
+    for name in names:
+        if _MMSI.fullmatch(name):
+            numbers.append(int(name))
+            continue
+        digest = hashlib.blake2b(name.encode("utf-8"), digest_size=8).digest()
+        offset = int.from_bytes(digest, "little") % MADE_UP_NUMBERS
+        while MADE_UP_MMSI + offset in taken:
+            offset = (offset + 1) % MADE_UP_NUMBERS
+        taken.add(MADE_UP_MMSI + offset)
+        numbers.append(MADE_UP_MMSI + offset)
+    return numbers
+
+
+def antenna_sides(vessel: Vessel, ais_class: str) -> tuple[int, int, int, int]:
+    """Metres from the antenna to bow, stern, port and starboard.
+
+    The antenna is on the centre line: a quarter of the length from the stern on class A ships, whose bridge is mostly
+    aft, else amidships. Length and beam are rounded to whole metres.
+    """
+    length, beam = max(round(vessel.length_m), 1), max(round(vessel.beam_m), 1)
+    stern = round(length / 4) if ais_class == "A" else length // 2
+    ends = min(length - stern, MOST_ENDS_M), min(stern, MOST_ENDS_M)
+    return *ends, min(beam - beam // 2, MOST_SIDES_M), min(beam // 2, MOST_SIDES_M)
+
+
+# ---- The tracks of vessels' antennas at whole seconds, from the poses at the steps of a run ----
+
+BLOCK_STEPS = 1000
+"""Steps whose poses are in memory together."""
+NEAR_S = 1e-6
+SPEED_WINDOW_S, TURN_WINDOW_S, REST_WINDOW_S = 5.0, 10.0, 30.0
+"""Speed and course are means over the first, so that the roll of a mast does not look like speed; rate of turn over the
+second; over the third it shows whether a vessel lies still."""
+REST_M_S = 0.25
+"""Half a knot: a slower vessel lies still."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stay:
+    """A vessel from when it comes into the scene until it leaves, at n whole seconds.
+
+    Attributes:
+        times_s: Seconds since the first step, whole numbers, shape (n,).
+        end_s: Time of the last step at which it is there.
+        antenna_m: w1 and w2 of its antenna, waves included, shape (n, 2).
+        velocity_m_s: Of the antenna over ground, shape (n, 2); NaN if the vessel is there at one step only.
+        heading_rad: Of the bow, waves included, counter-clockwise from w1 and not wrapped, shape (n,).
+        turn_rad_s: Rate of turn, counter-clockwise, shape (n,).
+        at_rest: Whether the vessel lies still all the time.
+    """
+
+    times_s: Indices
+    end_s: float
+    antenna_m: Array
+    velocity_m_s: Array
+    heading_rad: Array
+    turn_rad_s: Array
+    at_rest: bool
+
+
+def stays(scene: Scene, steps: int, carried: Sequence[Station]) -> list[list[Stay]]:
+    """The stays of each station's vessel in the first steps of a scene, in order of time.
+
+    A stay without a whole second is left out.
+    """
+    times_s = scene.times_s(0, steps)
+    return [_stays_of(times_s, *rows) for rows in _antennas(scene, steps, carried)]
+
+
+def _antennas(scene: Scene, steps: int, carried: Sequence[Station]) -> list[tuple[Indices, Array]]:
+    """For each station the steps at which its vessel is there, shape (m,), and w1, w2 and heading, shape (m, 3)."""
+    found: list[list[tuple[Indices, Array]]] = [[] for _ in carried]
+    for first in range(0, steps, BLOCK_STEPS) if carried else ():
+        block = np.arange(first, min(first + BLOCK_STEPS, steps))
+        moved = scene.motion.at(block)
+        for parts, station in zip(found, carried, strict=True):
+            rows = np.flatnonzero(moved.poses.present[:, station.vessel])
+            rotation = moved.world_R_vessel[rows, station.vessel]
+            place = moved.poses.positions_m[rows, station.vessel] + rotation @ station.antenna_m
+            heading = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+            parts.append((block[rows], np.column_stack([place[:, :2], heading])))
+    return [(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])) for parts in found]
+
+
+def _stays_of(times_s: Array, present: Indices, track: Array) -> list[Stay]:
+    breaks = np.flatnonzero(np.diff(present) > 1) + 1
+    parts = zip(np.split(times_s[present], breaks), np.split(track, breaks), strict=True)
+    found = (_stay(times, rows) for times, rows in parts if len(times))
+    return [stay for stay in found if len(stay.times_s)]
+
+
+def _stay(times_s: Array, track: Array) -> Stay:
+    """One stay, from its times, shape (m,), and w1, w2 and heading at these, shape (m, 3)."""
+    begin, end = float(times_s[0]), float(times_s[-1])
+    whole = np.arange(int(np.ceil(begin - NEAR_S)), int(np.floor(end + NEAR_S)) + 1)
+    rows = np.column_stack([track[:, :2], np.unwrap(track[:, 2])])
+
+    def at(seconds: Array) -> Array:
+        return np.stack([np.interp(seconds, times_s, column) for column in rows.T], axis=-1)
+
+    def change(window_s: float) -> Array:
+        """Change per second over a window around each whole second, cut at the ends of the stay, shape (n, 3)."""
+        before, after = np.maximum(whole - window_s / 2, begin), np.minimum(whole + window_s / 2, end)
+        span = np.where(after > before, after - before, np.nan)
+        return np.asarray((at(after) - at(before)) / span[:, None])
+
+    values, slow = at(whole.astype(np.float64)), change(REST_WINDOW_S)[:, :2]
+    return Stay(
+        times_s=whole,
+        end_s=end,
+        antenna_m=values[:, :2],
+        velocity_m_s=change(SPEED_WINDOW_S)[:, :2],
+        heading_rad=values[:, 2],
+        turn_rad_s=np.nan_to_num(change(TURN_WINDOW_S)[:, 2]),
+        at_rest=bool((np.linalg.norm(slow, axis=1) < REST_M_S).all()),  # false where it is not known
+    )
+
+
+# ---- What a vessel's satellite receiver and compass measure, once a second ----
 
 KNOT_M_S = 1852 / 3600
 POSITION_KEPT = 0.99
@@ -23,7 +247,7 @@ COMPASS_OFFSET_DEG, COMPASS_NOISE_DEG = 0.5, 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class SensorReadings:
     """Measurements at n whole seconds, shape (n,) each.
 
     Attributes:
@@ -68,7 +292,7 @@ class Noise:
         return cls(_lasting(drawn[:, :2]), drawn[:, 2:4], drawn[:, 4], float(offset[0, 0]))
 
 
-def measured(stay: Stay, noise: Noise, origin: tuple[float, float], position_noise_m: float) -> Measured:
+def measured(stay: Stay, noise: Noise, origin: tuple[float, float], position_noise_m: float) -> SensorReadings:
     """What the sensors of a vessel measure during a stay.
 
     Args:
@@ -83,7 +307,7 @@ def measured(stay: Stay, noise: Noise, origin: tuple[float, float], position_noi
     # True north differs from w2 by the convergence of the meridians.
     north = wrapped_deg(longitude - origin[1]) * np.sin(np.deg2rad(latitude))
     heading = 90 - np.rad2deg(stay.heading_rad) + north
-    return Measured(
+    return SensorReadings(
         times_s=now,
         latitude_deg=latitude,
         longitude_deg=longitude,

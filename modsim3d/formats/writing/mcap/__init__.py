@@ -5,19 +5,387 @@ The bag that a tracker plays names no vessel but own ship. docs/ros.md has topic
 
 from __future__ import annotations
 
+import heapq
+import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from modsim3d.formats.writing.mcap.bag import open_bag
-from modsim3d.formats.writing.mcap.definitions import message_types
-from modsim3d.formats.writing.mcap.messages import Messages
-from modsim3d.formats.writing.mcap.names import bag_names
-from modsim3d.formats.writing.mcap.recording import Recording
-from modsim3d.formats.writing.mcap.stamps import stamps_ns
-from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.outputs.placing import make_folder, put_in_place
+import numpy as np
+
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.formats.writing.mcap_messages import (
+    CAMERA_INFO,
+    DETECTIONS,
+    IMU,
+    ODOMETRY,
+    TRANSFORMS,
+    FrameBoxes,
+    FramePlace,
+    MeasuredMotion,
+    Messages,
+    Variances,
+    detected_boxes,
+    message_types,
+    quaternions,
+    stamps_ns,
+    true_boxes,
+)
+from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.geometry.camera_poses import camera_R_parent, vehicle_R_nominal, world_R_vehicle
+from modsim3d.geometry.kinematics import first_derivative, slopes
+from modsim3d.io.atomic_write import make_folder, put_in_place
+from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.scene.cameras import OwnShips, own_ships_at
+from modsim3d.scene.scene import Scene
+from modsim3d.world.vessel_motion import Imu
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection, Qos
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys.store import Typestore
+
+# ---- A ROS 2 bag in MCAP ----
+
+VERSION: Final = 8
+"""Of `metadata.yaml`: ROS 2 Humble cannot read the profiles of version 9, and every newer ROS reads 8."""
+
+
+class Bag:
+    """A bag that is being written."""
+
+    def __init__(self, writer: Writer, store: Typestore) -> None:
+        """An open writer, and the types of the messages."""
+        self._writer, self._store = writer, store
+        self._topics: dict[str, Connection] = {}
+
+    def add_topic(self, topic: str, kind: str, *, latched: bool = False) -> None:
+        """Add a topic of a type of messages; late readers get the last message of a latched one."""
+        profiles = [_latched()] if latched else []
+        self._topics[topic] = self._writer.add_connection(
+            topic, kind, typestore=self._store, offered_qos_profiles=profiles
+        )
+
+    def write(self, topic: str, stamp_ns: int, message: Any) -> None:
+        """Add a message, with its stamp as the time at which it was recorded."""
+        connection = self._topics[topic]
+        self._writer.write(connection, stamp_ns, self._store.serialize_cdr(message, connection.msgtype))
+
+
+@contextmanager
+def open_bag(folder: Path, store: Typestore) -> Iterator[Bag]:
+    """A bag in a folder that is not there yet: `metadata.yaml`, and a file with the folder's name and `.mcap`.
+
+    It is not compressed: the bytes of zstd depend on which copy of its library the process has loaded.
+    """
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    with Writer(folder, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+        yield Bag(writer, store)
+
+
+def _latched() -> Qos:
+    """The profile with which ROS publishes `/tf_static`."""
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    endless = QosTime(9223372036, 854775807)  # rmw's infinite duration
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=1,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL,
+        deadline=endless,
+        lifespan=endless,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=endless,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+# ---- Names of topics and frames in a bag, after REP 103 and REP 105 ----
+
+MAP = "map"
+"""The world's frame: x = w1, y = w2, z = w3."""
+
+
+@dataclass(frozen=True)
+class BagNames:
+    """Names in the bags of an export.
+
+    Attributes:
+        cameras: For each camera, by its index, its name in topics and frames.
+        vessels: For each vessel that carries one of these, by its index, the prefix of its topics and frames: its name
+            and a slash, or nothing if it is the only vessel of the scene that carries cameras.
+    """
+
+    cameras: Mapping[int, str]
+    vessels: Mapping[int, str]
+
+    def base(self, vessel: int) -> str:
+        """The frame of a vessel that carries a camera: x forward, y to port, z up."""
+        return f"{self.vessels[vessel]}base_link"
+
+    def imu(self, vessel: int) -> str:
+        """The frame of its inertial unit, with the same axes."""
+        return f"{self.vessels[vessel]}imu_link"
+
+    def optical(self, camera: int) -> str:
+        """The frame of a camera: z forward, x right, y down."""
+        return f"{self.cameras[camera]}_optical_frame"
+
+
+def bag_names(request: ExportRequest) -> BagNames:
+    """The names for an export.
+
+    Raises:
+        InputError: Two cameras or two vessels have names that are the same in ROS.
+    """
+    scene = request.run.scene
+    carriers = {scene.cameras[index].mount.vessel for index in request.cameras}
+    own = [index for index in scene.own_ships if scene.vessel_names[index] in carriers]
+    cameras = _tokens("camera", {index: scene.cameras[index].name for index in request.cameras}, scene.title)
+    vessels = _tokens("vessel", {index: scene.vessel_names[index] for index in own}, scene.title)
+    alone = len(scene.own_ships) == 1
+    return BagNames(cameras, {index: "" if alone else f"{token}/" for index, token in vessels.items()})
+
+
+def _tokens(kind: str, names: Mapping[int, str], source: str) -> dict[int, str]:
+    tokens: dict[int, str] = {}
+    for index, name in names.items():
+        token = _token(kind, name)
+        same = [names[other] for other, known in tokens.items() if known == token]
+        if same:
+            problem = f"{kind}s '{same[0]}' and '{name}' are both called '{token}' in ROS"
+            raise InputError(source, [f"{problem}: rename one, or export one at a time with --camera"])
+        tokens[index] = token
+    return tokens
+
+
+def _token(kind: str, name: str) -> str:
+    """A name of the letters, digits and underscores that ROS takes, beginning with a letter."""
+    token = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    return token if token[:1].isalpha() else f"{kind}_{token}".rstrip("_")
+
+
+# ---- Where the frames of a bag are ----
+
+
+@dataclass(frozen=True, eq=False)
+class OwnMotion:
+    """A vessel that carries a camera, at S steps.
+
+    Attributes:
+        vessel: Index into the scene's vessels.
+        place: Its frame in the map.
+        velocities_m_s: Of its origin, along its own axes, shape (S, 3).
+        rates_rad_s: Angular velocity along its own axes, shape (S, 3).
+        measured: What its inertial unit measures.
+    """
+
+    vessel: int
+    place: FramePlace
+    velocities_m_s: Array
+    rates_rad_s: Array
+    measured: MeasuredMotion
+
+
+def static_places(scene: Scene, names: BagNames) -> list[FramePlace]:
+    """The frames that never move in their parents: cameras ashore, mounts on board, and inertial units."""
+    places = [
+        _fixed(names.base(vessel), names.imu(vessel), scene.imu.position_m, np.eye(3)) for vessel in names.vessels
+    ]
+    for index in names.cameras:
+        if index in _cameras_that_add_angles(scene, names):
+            continue
+        mount = scene.cameras[index].mount
+        parent = MAP if mount.vessel is None else names.base(scene.vessel_names.index(mount.vessel))
+        turn = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
+        places.append(_fixed(parent, names.optical(index), mount.position_m, turn.T))
+    return places
+
+
+def moving_cameras(scene: Scene, names: BagNames, first: int, stop: int) -> list[FramePlace]:
+    """The cameras at steps first to stop − 1 that `composition: additive` moves on board, in the map."""
+    places = []
+    for index in _cameras_that_add_angles(scene, names):
+        poses = scene.sight(scene.cameras[index], np.arange(first, stop)).camera_poses
+        turns = quaternions(np.swapaxes(poses.camera_R_world, -1, -2))
+        places.append(FramePlace(MAP, names.optical(index), poses.positions_m, turns))
+    return places
+
+
+def own_motions(scene: Scene, names: BagNames, first: int, stop: int) -> list[OwnMotion]:
+    """The vessels that carry cameras at steps first to stop − 1; the numbers are those of `ownship.parquet`."""
+    if not names.vessels:
+        return []
+    begin, end = scene.motion.with_neighbours(np.arange(first, stop))
+    own, wanted = own_ships_at(scene, begin, end), slice(first - begin, stop - begin)
+    turns = world_R_vehicle(own.headings_rad) @ np.swapaxes(vehicle_R_nominal(own.angles_rad), -1, -2)
+    times_s = scene.times_s(begin, end)
+    in_map = first_derivative(times_s, slopes(times_s, own.positions_m))
+    velocities = (np.swapaxes(turns, -1, -2) @ in_map[..., None])[..., 0]
+    return [
+        _own_motion(own, column, names, turns[wanted, column], velocities[wanted, column], wanted)
+        for column, vessel in enumerate(own.vessels.tolist())
+        if vessel in names.vessels
+    ]
+
+
+def _own_motion(
+    own: OwnShips, column: int, names: BagNames, turns: Array, velocities_m_s: Array, wanted: slice
+) -> OwnMotion:
+    vessel = int(own.vessels[column])
+    return OwnMotion(
+        vessel,
+        FramePlace(MAP, names.base(vessel), own.positions_m[wanted, column], quaternions(turns)),
+        velocities_m_s,
+        own.rates_rad_s[wanted, column],
+        MeasuredMotion(
+            quaternions(_world_R_vessel(own.measured_attitudes_rad[wanted, column])),
+            own.measured_rates_rad_s[wanted, column],
+            own.measured_forces_m_s2[wanted, column],
+        ),
+    )
+
+
+def _world_R_vessel(attitudes_rad: Array) -> Array:
+    """Rotations to the world from roll, pitch and heading, shape (..., 3) to (..., 3, 3).
+
+    The yaw in waves is about the world's axis, so it is part of the heading.
+    """
+    tilts = attitudes_rad * np.array([1.0, 1.0, 0.0])
+    turns: Array = world_R_vehicle(attitudes_rad[..., 2]) @ np.swapaxes(vehicle_R_nominal(tilts), -1, -2)
+    return turns
+
+
+def vessels_in_map(scene: Scene, first: int, stop: int) -> list[tuple[FramePlace, Mask]]:
+    """All vessels at steps first to stop − 1, and whether each is present, shape (stop − first,): the truth."""
+    motion = scene.motion.at(np.arange(first, stop))
+    found = []
+    for column, name in enumerate(scene.vessel_names):
+        present = motion.poses.present[:, column]
+        turns = np.where(present[:, None, None], motion.world_R_vessel[:, column], np.eye(3))
+        place = FramePlace(MAP, f"truth/{name}", motion.poses.positions_m[:, column], quaternions(turns))
+        found.append((place, present))
+    return found
+
+
+def _fixed(parent: str, child: str, position_m: tuple[float, float, float], parent_R_child: Array) -> FramePlace:
+    return FramePlace(parent, child, np.array([position_m], dtype=np.float64), quaternions(parent_R_child[None]))
+
+
+def _cameras_that_add_angles(scene: Scene, names: BagNames) -> list[int]:
+    """Cameras on board whose angles and place are not rigid in their vessel's frame."""
+    if scene.waves is None or scene.waves.composition != "additive":
+        return []
+    return [index for index in names.cameras if scene.cameras[index].mount.vessel is not None]
+
+
+# ---- What is in the two bags of a run ----
+
+
+class Stamped(NamedTuple):
+    """A message, its topic, and its time."""
+
+    stamp_ns: int
+    topic: str
+    message: Any
+
+
+class BagRecording:
+    """The bag for a tracker and the bag of the truth."""
+
+    def __init__(self, scene: Scene, names: BagNames, stamps_ns: Indices, messages: Messages) -> None:
+        """`stamps_ns` has the time of each step of the scene."""
+        self._scene, self._names, self._make = scene, names, messages
+        self._stamps_ns: list[int] = stamps_ns.tolist()
+
+    def begin(self, tracker: Bag, truth: Bag) -> None:
+        """Add the topics, and the frames that never move."""
+        names, static = self._names, static_places(self._scene, self._names)
+        for name in names.cameras.values():
+            tracker.add_topic(f"/{name}/camera_info", CAMERA_INFO)
+            tracker.add_topic(f"/{name}/detections", DETECTIONS)
+            truth.add_topic(f"/truth/{name}/boxes", DETECTIONS)
+        for prefix in names.vessels.values():
+            tracker.add_topic(f"/{prefix}odom", ODOMETRY)
+            tracker.add_topic(f"/{prefix}imu", IMU)
+        if names.vessels:
+            tracker.add_topic("/tf", TRANSFORMS)
+        truth.add_topic("/tf", TRANSFORMS)
+        if static:
+            tracker.add_topic("/tf_static", TRANSFORMS, latched=True)
+            first = self._stamps_ns[0]
+            tracker.write("/tf_static", first, self._make.transforms(first, [(place, 0) for place in static]))
+
+    def write(self, block: Block, tracker: Bag, truth: Bag) -> None:
+        """Add the messages of a block."""
+        parts = [part for part in block.cameras if part.camera in self._names.cameras]
+        motions = own_motions(self._scene, self._names, block.first, block.stop)
+        moving = [motion.place for motion in motions]
+        moving += moving_cameras(self._scene, self._names, block.first, block.stop)
+        _write(
+            tracker,
+            [
+                *([self._moving(block, moving)] if moving else []),
+                *(self._own_ship(block, motion) for motion in motions),
+                *(self._camera(part) for part in parts),
+            ],
+        )
+        _write(truth, [self._vessels(block), *(self._truth(part) for part in parts)])
+
+    def _moving(self, block: Block, places: list[FramePlace]) -> Iterator[Stamped]:
+        for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
+            yield Stamped(stamp, "/tf", self._make.transforms(stamp, [(place, row) for place in places]))
+
+    def _own_ship(self, block: Block, motion: OwnMotion) -> Iterator[Stamped]:
+        prefix, unit = self._names.vessels[motion.vessel], self._names.imu(motion.vessel)
+        variances = _variances(self._scene.imu)
+        for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
+            speeds = motion.velocities_m_s[row], motion.rates_rad_s[row]
+            yield Stamped(stamp, f"/{prefix}odom", self._make.odometry(stamp, motion.place, row, *speeds))
+            yield Stamped(stamp, f"/{prefix}imu", self._make.imu(stamp, unit, motion.measured, row, variances))
+
+    def _camera(self, part: CameraBlock) -> Iterator[Stamped]:
+        name, frame = self._names.cameras[part.camera], self._names.optical(part.camera)
+        intrinsics = self._scene.cameras[part.camera].intrinsics
+        for stamp, boxes in self._stamped(part, detected_boxes(part, self._scene)):
+            yield Stamped(stamp, f"/{name}/camera_info", self._make.camera_info(stamp, frame, intrinsics))
+            yield Stamped(stamp, f"/{name}/detections", self._make.detections(stamp, frame, boxes))
+
+    def _truth(self, part: CameraBlock) -> Iterator[Stamped]:
+        topic, frame = f"/truth/{self._names.cameras[part.camera]}/boxes", self._names.optical(part.camera)
+        for stamp, boxes in self._stamped(part, true_boxes(part, self._scene)):
+            yield Stamped(stamp, topic, self._make.detections(stamp, frame, boxes))
+
+    def _vessels(self, block: Block) -> Iterator[Stamped]:
+        vessels = vessels_in_map(self._scene, block.first, block.stop)
+        for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
+            present = [(place, row) for place, there in vessels if there[row]]
+            yield Stamped(stamp, "/tf", self._make.transforms(stamp, present))
+
+    def _stamped(self, part: CameraBlock, frames: Iterable[FrameBoxes]) -> Iterator[tuple[int, FrameBoxes]]:
+        return zip((self._stamps_ns[step] for step in part.steps.tolist()), frames, strict=True)
+
+
+def _write(bag: Bag, sources: Iterable[Iterator[Stamped]]) -> None:
+    """Write the messages of sources in order of time, and at one time in the order of the sources."""
+    for stamp_ns, topic, message in heapq.merge(*sources, key=lambda stamped: stamped.stamp_ns):
+        bag.write(topic, stamp_ns, message)
+
+
+def _variances(imu: Imu) -> Variances:
+    """Variances of all errors: noise and offset. Those of roll, pitch and heading are ROS's, about x, y and z."""
+    rate = imu.rate_noise_rad_s**2 + imu.rate_bias_rad_s**2
+    force = imu.acceleration_noise_m_s2**2 + imu.acceleration_bias_m_s2**2
+    return Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))
+
+
+# ---- A ROS 2 bag in MCAP of what a tracker may read, and beside it one of the truth ----
 
 BAGS = ("detections", "truth")
 """Folders of the bags; the first is a tracker's."""
@@ -47,11 +415,11 @@ def write(request: ExportRequest, folder: Path) -> None:
             recording.write(block, tracker, truth)
 
 
-def _recording(request: ExportRequest) -> Recording:
+def _recording(request: ExportRequest) -> BagRecording:
     run = request.run
     run.check_has_steps()
     messages, scene = Messages(message_types()), run.scene
-    return Recording(scene, bag_names(request), stamps_ns(scene.timestamps(0, run.steps), scene.title), messages)
+    return BagRecording(scene, bag_names(request), stamps_ns(scene.timestamps(0, run.steps), scene.title), messages)
 
 
 @contextmanager

@@ -1,0 +1,428 @@
+"""The rows that are done so far, from the files of tasks."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import uuid
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from modsim3d.campaign.folder import FILE, FORMAT, RESULTS, VERDICTS, CampaignFolder, write_list
+from modsim3d.campaign.keys import MOST_SEEDS, Requirement, Seeds
+from modsim3d.campaign.plan import SCENE, Case, Plan, cases_of, value_of
+from modsim3d.campaign.verdicts.bounds import (
+    clean_seeds_needed,
+    clean_seeds_needed_sequential,
+    corrected_bounds,
+    least_whole,
+    log_capital,
+)
+from modsim3d.campaign.verdicts.seed_values import SeedRows
+from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.verdicts.wording import (
+    at_step,
+    cases_of_all,
+    counted,
+    never_met,
+    offered_from,
+    requirement_text,
+    rounded,
+)
+from modsim3d.campaign.work.row import DONE, FACTS, SCORES, limits_of, table_of
+from modsim3d.campaign.work.task import PLAN, ROWS_PATTERN, name_of_rows, read_rows
+from modsim3d.core.errors import ModsimError, OutputError
+from modsim3d.core.types import Indices
+from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder, write_files
+from modsim3d.io.validation import nearest
+
+# ---- The rows that are done so far, from the files of tasks ----
+
+_OF_ALL_PLANS = ("scene", "condition", "traffic_seed", "detector_seed", "tracker")
+_TOGETHER = 200
+"""Small tables that are kept before they become one; each costs some 50 kB beside its rows."""
+
+
+class DoneRows:
+    """The rows of a campaign that is not finished, each file of a task read once."""
+
+    def __init__(self, folder: CampaignFolder) -> None:
+        """Take the folder, and read nothing yet."""
+        self._folder = folder
+        self._parts: list[pa.Table] = []
+        self._small: list[pa.Table] = []
+        self._read: set[str] = set()
+
+    def read(self, first_runs: Container[int] | None = None) -> DoneRows:
+        """Read all files that were not read yet; those that are damaged are left out.
+
+        Args:
+            first_runs: Only files that begin with one of these runs; None: all.
+        """
+        for path in sorted(self._folder.done.glob(ROWS_PATTERN)):
+            if first_runs is None or int(path.name.partition("_")[0]) in first_runs:
+                self.add(path)
+        return self
+
+    def add(self, path: Path) -> bool:
+        """Read the file of a task; whether it is there, not damaged, and of this plan."""
+        if path.name in self._read:
+            return True
+        rows = read_rows(path)
+        if rows is None or path.name != name_of_rows(self._folder.facts["sha256"], rows["run"].to_pylist()):
+            return False
+        self._read.add(path.name)
+        self._small.append(rows.replace_schema_metadata(None))
+        if len(self._small) >= _TOGETHER:
+            self._join()
+        return True
+
+    def numbers(self) -> Indices:
+        """The runs whose rows are there, ascending, shape (n,)."""
+        self._join()
+        found = [part["run"].to_numpy() for part in self._parts]
+        return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *found]))
+
+    def crashed(self) -> int:
+        """Number of rows of runs that crashed."""
+        self._join()
+        return sum(pc.sum(pc.not_equal(part["status"], DONE)).as_py() for part in self._parts)
+
+    def table(self) -> pa.Table:
+        """The rows, one for each run in the order of the plan, with the columns of the plan.
+
+        Of a run that is there twice, a row that did not crash counts.
+        """
+        self._join()
+        table = pa.concat_tables(self._parts or [with_plan(table_of([]), self._folder.plan)], promote_options="default")
+        ahead = list(dict.fromkeys(["run", *plan_columns(self._folder.plan), *FACTS, *SCORES]))
+        table = table.select([*ahead, *sorted(set(table.column_names) - set(ahead))])
+        crashed = pc.not_equal(table["status"], DONE)
+        keys_of_order = [("run", "ascending"), ("crashed", "ascending")]
+        order = pc.sort_indices(pa.table({"run": table["run"], "crashed": crashed}), keys_of_order)
+        table = table.take(order)
+        return table.filter(np.diff(table["run"].to_numpy(), prepend=-1) > 0)
+
+    def _join(self) -> None:
+        if self._small:
+            joined = pa.concat_tables(self._small, promote_options="default").combine_chunks()
+            self._parts.append(with_plan(joined, self._folder.plan))
+            self._small = []
+
+
+def plan_columns(plan: Plan) -> list[str]:
+    """The columns that the plan gives to a row."""
+    return [*_OF_ALL_PLANS, *(name for name in plan.parameters if name != "scene")]
+
+
+def with_plan(table: pa.Table, plan: Plan) -> pa.Table:
+    """The table with what the plan says of each run after its number."""
+    runs = plan.runs(table["run"].to_pylist())
+    columns = {
+        "scene": pa.array([Path(run.condition.scene).stem for run in runs], pa.string()),
+        "condition": pa.array([run.condition_index for run in runs], pa.int64()),
+        "traffic_seed": pa.array([run.traffic_seed for run in runs], pa.int64()),
+        "detector_seed": pa.array([run.detector_seed for run in runs], pa.int64()),
+        "tracker": pa.array([run.tracker.label for run in runs], pa.string()),
+        **{
+            name: _values([run.condition.values.get(name) for run in runs], plan, name)
+            for name in plan.parameters
+            if name != "scene"
+        },
+    }
+    return pa.table(
+        {"run": table["run"], **columns, **{name: table[name] for name in table.column_names if name != "run"}}
+    )
+
+
+def _values(values: Sequence[Any], plan: Plan, name: str) -> pa.Array:
+    """A column of values of a key: numbers if all that the plan may have are numbers, else text."""
+    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in _possible(plan, name)):
+        return pa.array([None if value is None else float(value) for value in values], pa.float64())
+    return pa.array([None if value is None else text_of(value) for value in values], pa.string())
+
+
+def _possible(plan: Plan, name: str) -> Iterator[Any]:
+    """The values that a key may have; one for a range of numbers."""
+    for condition in plan.conditions:
+        if condition.values.get(name) is not None:
+            yield condition.values[name]
+    for factor in plan.keys.vary:
+        if name in factor.ranges:
+            choices = factor.ranges[name].choices
+            yield from [0.0] if choices is None else [value for value in choices if value is not None]
+
+
+def text_of(value: Any) -> str:
+    """A value of a key as a table shows it."""
+    return value if isinstance(value, str) else orjson.dumps(value).decode()
+
+
+# ---- The rows that are done, and the data set that is made of them at the end ----
+
+PART_ROWS = 50_000
+"""Rows of a file of the data set: they follow the plan, whoever made them."""
+
+
+def done_rows(folder: CampaignFolder) -> pa.Table:
+    """The rows that are done, one for each run in the order of the plan, with the columns of the plan."""
+    return DoneRows(folder).read().table()
+
+
+def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> None:
+    """Write the data set, `results/scene=NAME/part-N.parquet`; it gets its name when it is whole.
+
+    With it comes the list of all files of the campaign, see `check_ended`.
+
+    On a file system without locks another process may do the same; whoever comes second leaves the first one's.
+
+    Args:
+        folder: The campaign.
+        table: The rows that count, in the order of the plan.
+        verdicts: The verdicts on them, which are written afterwards.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    partial = folder.path / f".{folder.results.name}.{uuid.uuid4().hex}"
+    try:
+        make_folder(partial)
+        for name in dict.fromkeys(table["scene"].to_pylist()):
+            rows = table.filter(pc.equal(table["scene"], name)).drop_columns(["scene"])
+            _write_scene(partial / f"scene={name}", rows)
+        write_list(folder.path, partial, RESULTS, (FILE, PLAN), {VERDICTS: _content_of(folder, verdicts)})
+        sync_folder(partial)
+        partial.rename(folder.results)
+        sync_folder(folder.path)
+    except OSError as error:
+        if not folder.finished:
+            raise OutputError(f"{folder.results} cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _write_scene(folder: Path, rows: pa.Table) -> None:
+    make_folder(folder)
+    for number, first in enumerate(range(0, len(rows), PART_ROWS)):
+        path, part = folder / f"part-{number:05d}.parquet", rows.slice(first, PART_ROWS)
+        pq.write_table(part, path, compression="zstd", row_group_size=PART_ROWS, write_page_checksum=True)
+        sync_file(path)
+    sync_folder(folder)
+
+
+def remove_done(folder: CampaignFolder) -> None:
+    """Remove the files of tasks of a campaign whose results are there, and results that were half written.
+
+    The folder of tasks gets another name first: a worker that still writes a row cannot bring it back.
+    """
+    for partial in folder.path.glob(f".{folder.results.name}.*"):
+        shutil.rmtree(partial, ignore_errors=True)
+    leaving = folder.path / f".{folder.done.name}.removed"
+    shutil.rmtree(leaving, ignore_errors=True)
+    with suppress(OSError):  # it is not there
+        folder.done.rename(leaving)
+    shutil.rmtree(leaving, ignore_errors=True)
+
+
+def write_verdicts(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> None:
+    """Write `verdicts.json`.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    write_files({folder.path / VERDICTS: _content_of(folder, verdicts)})
+
+
+def _content_of(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> bytes:
+    fixed = [not each["traffic_has_seed"] for each in folder.facts["conditions"]]
+    content = {
+        "format": FORMAT,
+        "sha256": folder.facts["sha256"],
+        "verdicts": [{**asdict(each), "this_traffic_only": fixed[each.condition]} for each in verdicts],
+    }
+    return orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+
+
+def results_table(folder: CampaignFolder) -> pa.Table:
+    """The rows of a campaign in the order of its plan: its results, or what is done so far."""
+    if not folder.finished:
+        return done_rows(folder)
+    parts = []
+    for path in sorted(folder.results.glob("scene=*/part-*.parquet")):
+        part = pq.read_table(path, partitioning=None)
+        scene = pa.array([path.parent.name.partition("=")[2]] * len(part), pa.string())
+        parts.append(part.add_column(1, "scene", scene))
+    return pa.concat_tables(parts, promote_options="default").sort_by("run")
+
+
+# ---- How many traffic seeds each requirement of a plan needs, said before it runs ----
+
+POWER = 0.8
+"""How often a mean as expected is to be met."""
+_DRAWN, _DRAWN_SEQUENTIAL, _LONGEST = 20_000, 100, 5_000
+_NUMBER = r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Expected mean and standard deviation of a score over traffic seeds, and the lost runs that are left out."""
+
+    mean: float
+    spread: float
+    lost: int = 0
+
+
+@dataclass(frozen=True)
+class NeededSeeds:
+    """Number of traffic seeds that a requirement needs.
+
+    Attributes:
+        requirement: Its place in the file, from 0.
+        text: It in words.
+        tracker: Name of the tracker in tables, or of two; None: of all.
+        condition: Number of the condition; None: of all.
+        seeds: Seeds that it needs; None if none are enough, or if that is unknown.
+        why: What that rests on.
+        expected: What is expected of its mean; None if unknown, or if it is on a share.
+    """
+
+    requirement: int
+    text: str
+    tracker: str | None
+    condition: int | None
+    seeds: int | None = None
+    why: str = ""
+    expected: Expected | None = None
+
+
+def parsed_expectation(text: str, plan: Plan) -> tuple[str, Expected]:
+    """Name and expectation of `SCORE=MEAN:SPREAD` for a required mean; of a difference `SCORE of NEW minus OLD`.
+
+    Raises:
+        ModsimError: It says nothing of that kind.
+    """
+    if not (match := re.fullmatch(rf"(.+)={_NUMBER}:{_NUMBER}", text)):
+        raise ModsimError(f"--expect: needs SCORE=MEAN:SPREAD, as in hota=0.7:0.05 (got '{text[:60]}')")
+    name, found = match[1], Expected(float(match[2]), float(match[3]))
+    if not found.spread > 0:
+        raise ModsimError(f"--expect {name}: needs a spread above 0 (got {found.spread:g})")
+    known = list(dict.fromkeys(each.what for each in plan.keys.require if each.share is None))
+    if name not in known:
+        raise ModsimError(f"--expect: no requirement is on the mean of '{name}' ({nearest(name, known)})")
+    return name, found
+
+
+def needed_seeds(plan: Plan, expected: Mapping[str, Expected], like: CampaignFolder | None) -> list[NeededSeeds]:
+    """How many seeds each requirement needs, by tracker and condition where these differ.
+
+    Args:
+        plan: The plan.
+        expected: Name of a score, or of a difference of it → what is expected of it.
+        like: An earlier campaign, whose scores are expected where nothing is given.
+    """
+    rows = None if like is None else SeedRows(like.plan, results_table(like))
+    found = []
+    verdicts = len(cases_of_all(plan))
+    for place in range(len(plan.keys.require)):
+        requirement, each = at_step(plan, place, verdicts, 0), []
+        for case in cases_of(plan, requirement):
+            known = expected.get(requirement.what)
+            if known is None and like is not None and rows is not None:
+                known = _seen(plan, case, requirement, like.plan, rows)
+            label = " − ".join(_labels(plan, case))
+            empty = NeededSeeds(place, requirement_text(requirement, case.within), label, case.condition)
+            each.append(_with_seeds(empty, plan, requirement, case, known if requirement.share is None else None))
+        if len(each) > 1 and len({(one.seeds, one.why) for one in each}) == 1:
+            each = [replace(each[0], tracker=None, condition=None)]
+        found += each
+    return found
+
+
+def _labels(plan: Plan, case: Case) -> list[str]:
+    return [plan.keys.trackers[each].label for each in (case.tracker, case.minus) if each is not None]
+
+
+def _with_seeds(
+    empty: NeededSeeds, plan: Plan, requirement: Requirement, case: Case, expected: Expected | None
+) -> NeededSeeds:
+    share, sure, once = requirement.share, requirement.confidence, plan.keys.stop == "once"
+    endless = plan.keys.model_copy(update={"seeds": Seeds(traffic=MOST_SEEDS)})
+    if reason := never_met(endless, requirement, case.group):
+        return replace(empty, why=f"never: {reason}")
+    if share is not None and not once:
+        return replace(empty, seeds=clean_seeds_needed_sequential(share, sure), why="if all are right")
+    if share is not None:
+        clean, more = (clean_seeds_needed(share, sure, wrong) for wrong in (0, 1))
+        return replace(empty, seeds=clean, why=f"if all are right; {more:,} if one is not")
+    least = int(offered_from(requirement, case.group)) if once else 1
+    if expected is None:
+        why = f"unknown, {least} or more: it needs --expect '{requirement.what}=MEAN:SPREAD', or --like DIR that has it"
+        return replace(empty, why=why)
+    found = replace(empty, expected=expected)
+    if not requirement.holds(expected.mean) or expected.mean == requirement.threshold:
+        side = "above" if requirement.at_least is not None else "below"
+        said = f"the expected mean, {rounded(expected.mean)}, is not {side} {requirement.threshold:g}"
+        return replace(found, why=f"never: {said}")
+    if not expected.spread > 0:
+        return replace(found, why="never: equal values show nothing of a mean: ask for a share of seeds with `in`")
+    seeds = (_once if once else _sequential)(expected, requirement, limits_of(requirement, plan.keys.score), least)
+    why = f"for a mean of {rounded(expected.mean)} and a spread of {rounded(expected.spread)}"
+    why += f", {counted(expected.lost, 'lost run')} of it left out" * (expected.lost > 0)
+    return replace(found, seeds=seeds, why=why if seeds else f"more than {_LONGEST:,} {why}")
+
+
+def _seen(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: SeedRows) -> Expected | None:
+    """Mean and spread of an earlier campaign, of the same trackers and values; None with fewer than two seeds."""
+    labels, condition = [each.label for each in like.keys.trackers], plan.conditions[case.condition]
+    same = [
+        place
+        for place, each in enumerate(like.conditions)
+        if each.values == condition.values and value_of(each, SCENE) == value_of(condition, SCENE)
+    ]
+    if not same or not set(_labels(plan, case)) <= set(labels):
+        return None
+    tracker, *minus = (labels.index(each) for each in _labels(plan, case))
+    there = Case(tracker, same[0], case.part, *minus)
+    runs = rows.runs_of(there, requirement.score, requirement.resting_on)
+    means = runs.means(math.nan)
+    means = means[np.isfinite(means)]
+    return Expected(float(means.mean()), float(means.std(ddof=1)), int(runs.lost.sum())) if len(means) > 1 else None
+
+
+def _once(expected: Expected, requirement: Requirement, limits: tuple[float, float], least: int) -> int:
+    """The least number of normal values with which the bound of a verdict is beyond the threshold with `POWER`."""
+    sign = 1 if requirement.at_least is not None else -1
+    greatest = limits[1] if sign > 0 else -limits[0]
+
+    def enough(seeds: int) -> bool:
+        rng = np.random.default_rng(1)
+        mean = sign * expected.mean + expected.spread / math.sqrt(seeds) * rng.standard_normal(_DRAWN)
+        skewness = math.sqrt(6 * (seeds - 2) / ((seeds + 1) * (seeds + 3))) * rng.standard_normal(_DRAWN)
+        deviation = expected.spread * np.sqrt(rng.chisquare(seeds - 1, _DRAWN) / (seeds - 1))
+        mean = np.minimum(mean, np.nextafter(greatest, -math.inf))
+        low = corrected_bounds(mean, deviation, skewness, seeds, 1 - requirement.confidence, greatest)
+        return float(np.mean(low >= sign * requirement.threshold)) >= POWER
+
+    return least_whole(enough, max(least, 3))
+
+
+def _sequential(expected: Expected, requirement: Requirement, limits: tuple[float, float], least: int) -> int | None:
+    """After how many normal values, cut to what the score can be, `POWER` of the sequences are met."""
+    start, end = limits if requirement.at_least is not None else reversed(limits)
+    rng, wealth, first = np.random.default_rng(1), -math.log1p(-requirement.confidence), []
+    for _ in range(_DRAWN_SEQUENTIAL):
+        values = np.clip((rng.normal(expected.mean, expected.spread, _LONGEST) - start) / (end - start), 0, 1)
+        met = np.flatnonzero(log_capital(values, (requirement.threshold - start) / (end - start)) >= wealth)
+        first.append(max(met[0] + 1, least) if len(met) else math.inf)
+    seeds = float(np.quantile(first, POWER, method="inverted_cdf"))
+    return int(seeds) if math.isfinite(seeds) else None

@@ -1,0 +1,279 @@
+"""Draws the numbers of a detector from what its labelled set leaves open.
+
+The numbers of a state are drawn together, with the correlations of their bootstrap replicates: normal numbers become
+shares by Beta and rates by Gamma distributions (Jeffreys's prior), the others go back from the scale on which they are
+nearly normal. All spreads of a state are multiplied by one factor that makes normal numbers Student's t ones, with a
+degree of freedom less than it had images. Means and spreads are so those of the intervals that `modsim3d learn`
+reports. What sums to one over labels, cells or states is drawn from a Dirichlet distribution with one observation
+added to a column (Perks's prior; one of each kind for the transition matrix, as it was learned).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+from scipy import special
+
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.types import Array
+from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, LEAST_DEGREES, MOST_DEGREES
+from modsim3d.io.strict_json import load_json
+from modsim3d.io.validation import Strict, describe
+from modsim3d.learn.bootstrap import Kind, columns_of_one, from_scale, nested, to_scale
+from modsim3d.learn.box_errors.laws import covariance
+from modsim3d.learn.uncertainty import correlated, uncertainty_file
+
+# ---- Reads what `modsim3d learn` wrote beside a detector file ----
+
+LEAST_UNITS = 5
+"""Images or runs of frames of a state, below which their spread says too little of how well its numbers are known."""
+
+
+class LearnedNumber(Strict):
+    """A number, vector or matrix of a detector file.
+
+    Attributes:
+        key: Its keys in the detector file, within the section of the state if there is one.
+        kind: Its kind, which decides the scale on which it is nearly normal.
+        estimate: What the detector file has.
+        observations: Of a share or a rate, the independent observations that it is worth, in the same shape.
+        spread: Of other kinds, the standard deviation on the scale.
+    """
+
+    key: Annotated[list[str], Field(min_length=1)]
+    kind: Kind
+    estimate: Any
+    observations: Any = None
+    spread: Any = None
+
+    @property
+    def name(self) -> str:
+        """The last of its keys."""
+        return self.key[-1]
+
+    @property
+    def values(self) -> Array:
+        """The estimate as an array."""
+        return np.array(self.estimate, dtype=np.float64)
+
+
+class LearnedGroup(Strict):
+    """The numbers of one state, or those that all states share.
+
+    Attributes:
+        state: Name of the state; None: all states.
+        units: Images or runs of frames that the numbers rest on.
+        numbers: The numbers.
+        correlations: Between them, see `modsim3d.learn.uncertainty.correlated`: rows of the lower triangle.
+    """
+
+    state: str | None
+    units: Annotated[int, Field(strict=True, ge=0)]
+    numbers: list[LearnedNumber]
+    correlations: list[list[float]]
+
+
+class LearnedUncertainty(Strict):
+    """How well the numbers of a detector file are known.
+
+    Attributes:
+        format: Version of the file.
+        detector_sha256: Checksum of the detector file.
+        confidence_threshold: That of the detector.
+        transitions: Number of transitions to each state (row) from each; None if none were seen.
+        groups: The numbers by state.
+    """
+
+    format: Literal[1]
+    detector_sha256: str
+    confidence_threshold: float
+    transitions: list[list[int]] | None
+    groups: list[LearnedGroup]
+
+
+def read_uncertainty(detector: Path) -> LearnedUncertainty:
+    """What is known of a detector file.
+
+    Raises:
+        InputError: There is nothing beside it, it belongs to another detector file, or it rests on too little.
+    """
+    path, source = uncertainty_file(detector), f"detector {detector}"
+    if not path.is_file():
+        needed = f"needs {path.name} beside it, which modsim3d learn writes with the detector file: learn it again"
+        raise InputError(source, [f"uncertainty: learned {needed}"])
+    try:
+        found = LearnedUncertainty.model_validate(load_json(path, "uncertainty"))
+    except ValidationError as error:
+        raise InputError(f"uncertainty {path}", describe(error, LearnedUncertainty)) from None
+    if found.detector_sha256 != hashlib.sha256(detector.read_bytes()).hexdigest():
+        problem = f"{path.name} belongs to another detector file, or the file was changed since it was learned"
+        raise InputError(source, [f"{problem}: learn it again (set keys with vary in the campaign, not in the file)"])
+    few = [
+        f"state {group.state}: learned from {group.units} {'image' if group.units == 1 else 'images or runs'}, too few "
+        f"to say how well its numbers are known: at least {LEAST_UNITS} are needed"
+        for group in found.groups
+        if group.state is not None and group.units < LEAST_UNITS
+    ]
+    if few:
+        raise InputError(source, few)
+    return found
+
+
+# ---- Draws the numbers of a detector from what its labelled set leaves open ----
+
+_STREAM = 3
+"""Keeps these random numbers apart from those of the drawn keys, see `plan.drawn`."""
+_INDEPENDENT = 0.01
+"""Share of the identity in the matrix of correlations, whose entries are rounded."""
+_ROUNDING = 1e-5
+"""Least eigenvalue of a covariance over its greatest."""
+NOT_NEGATIVE = ("visibility_slope", "size_slope")
+_DIGITS = 1e-5
+"""What the digits of the settings may change in proportion."""
+_MOST_FACTOR = 10.0
+"""A positive number is drawn within this factor of its estimate; of a few things `learn` knows no bound at all."""
+
+
+def drawn_detector(known: LearnedUncertainty, seed: int) -> dict[str, Any]:
+    """Settings of a detector that was drawn, from keys such as `detector.states.good.confusion` to values.
+
+    Args:
+        known: How well its numbers are known.
+        seed: The traffic seed.
+
+    Raises:
+        ModsimError: The correlations are none.
+    """
+    rng = np.random.default_rng([_STREAM, seed])
+    settings: dict[str, Any] = {}
+    for group in known.groups:
+        section = "detector" if group.state is None else f"detector.states.{group.state}"
+        values = _drawn_group(group, rng)
+        settings |= {f"{section}.{key}": value for key, value in _written(values, known.confidence_threshold).items()}
+    if known.transitions is not None:
+        columns = [rng.dirichlet(column + 1) for column in np.array(known.transitions, dtype=np.float64).T]
+        settings["detector.transition_matrix"] = columns_of_one(np.stack(columns, axis=1))
+    return settings | _second_boxes_with_room(settings)
+
+
+def _second_boxes_with_room(settings: dict[str, Any]) -> dict[str, Any]:
+    """Probabilities of second boxes and parts of vessels that all drawn false discovery rates leave room for.
+
+    They are lowered together where they are larger. With a rate for each image they only must not exceed one together.
+    """
+    keys = [key for name in ("duplicates", "splits") if (key := f"detector.false_positives.{name}") in settings]
+    rates = [rate for key, rate in settings.items() if key.endswith(".false_discovery_rate")]
+    counted = not any(key.endswith(".false_positives_per_image") for key in settings)
+    room = min((rate / (1 - rate) for rate in rates if counted), default=1.0)
+    lower = min((1 - _DIGITS) * room / max(sum(settings[key] for key in keys), _DIGITS), 1.0)
+    return {key: nested(np.array(lower * settings[key])) for key in keys}
+
+
+def _drawn_group(group: LearnedGroup, rng: np.random.Generator) -> dict[str, Array]:
+    """The numbers of a state, by their keys with dots between."""
+    freedom = max(group.units - 1, 1)
+    normal, widen = _correlated_normal(group, rng), freedom / rng.chisquare(freedom)
+    values, place = {}, 0
+    for number in group.numbers:
+        estimate = number.values
+        places = correlated(number.key, estimate.shape)
+        z = np.zeros(estimate.shape)
+        z[places] = normal[place : (place := place + int(places.sum()))]
+        values[".".join(number.key)] = _drawn(number, z, widen, rng)
+    return values
+
+
+def _correlated_normal(group: LearnedGroup, rng: np.random.Generator) -> Array:
+    """A standard normal number for each one with correlations, shape (n,)."""
+    size = len(group.correlations)
+    matrix = np.eye(size)
+    for i, row in enumerate(group.correlations):
+        matrix[i, :i] = matrix[:i, i] = (1 - _INDEPENDENT) * np.array(row)
+    try:
+        root = np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        raise ModsimError("the correlations in the file of the detector's uncertainty are none") from None
+    normal: Array = root @ rng.standard_normal(size)
+    return normal
+
+
+def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generator) -> Array:
+    """A number from standard normal ones of its shape, with a variance that is widened by a factor."""
+    estimate = number.values
+    if number.kind not in ("share", "rate"):
+        spread = np.array(number.spread, dtype=np.float64)
+        drawn: Array = from_scale(to_scale(estimate, number.kind) + np.sqrt(widen) * spread * z, number.kind)
+        drawn = np.maximum(drawn, 0) if number.name in NOT_NEGATIVE else drawn
+        if number.kind == "capped":
+            return np.clip(drawn, 0, 1)
+        return np.clip(drawn, estimate / _MOST_FACTOR, estimate * _MOST_FACTOR) if number.kind == "positive" else drawn
+    trials = np.array(number.observations, dtype=np.float64) / widen
+    if number.kind == "rate":
+        rate: Array = special.gammaincinv(estimate * trials + 0.5, special.ndtr(z)) / trials
+        return rate
+    if number.name == "confusion":
+        missed = _share(estimate[-1], trials[-1], z[-1])
+        columns = zip(estimate[:-1].T, trials[-1] * (1 - estimate[-1]), strict=True)
+        labels = np.stack([_distribution(found, count, rng) for found, count in columns], axis=1)
+        return np.vstack([labels * (1 - missed), missed])
+    if number.name in ("false_positive_labels", "density"):
+        return _distribution(estimate.ravel(), float(trials.max()), rng).reshape(estimate.shape)
+    return _share(estimate, trials, z)
+
+
+def _share(estimate: Array, trials: Array, z: Array) -> Array:
+    """Shares of a number of trials, of any shape."""
+    hits = estimate * trials
+    drawn: Array = special.betaincinv(hits + 0.5, trials - hits + 0.5, special.ndtr(z))
+    return drawn
+
+
+def _distribution(estimate: Array, trials: float, rng: np.random.Generator) -> Array:
+    """Probabilities in proportion to an estimate, shape (n,), seen in a number of trials."""
+    whole = max(float(estimate.sum()), 1e-300)
+    return rng.dirichlet(estimate / whole * trials + 1 / len(estimate))
+
+
+def _covariance(std: Array, correlation: Array) -> Array:
+    """A covariance, shape (4, 4), that is still one when its entries are rounded."""
+    matrix = covariance(std, correlation)
+    least, greatest = np.linalg.eigvalsh(matrix)[[0, -1]]
+    result: Array = matrix + max(_ROUNDING * greatest - least, 0.0) * np.eye(len(matrix))
+    return result
+
+
+def _written(values: dict[str, Array], threshold: float) -> dict[str, Any]:
+    """The numbers of a state as the detector file writes them, by their keys in it."""
+    written: dict[str, Any] = {}
+    for key, value in values.items():
+        name = key.rpartition(".")[2]
+        if name == "box_error_std":
+            value = _covariance(value, values["box_error_correlation"])
+        elif name == "quantiles":
+            value = np.clip(value, threshold, 1)
+        if name != "box_error_correlation":
+            written[_BOX_ERROR_KEYS.get(name, key)] = _WRITERS.get(name, nested)(value)
+    return written
+
+
+_BOX_ERROR_KEYS = {
+    "box_error_mean": "box_error.mean",
+    "box_error_std": "box_error.covariance",
+    "box_error_growth": "box_error.growth",
+    "box_error_degrees_of_freedom": "box_error.degrees_of_freedom",
+}
+_WRITERS: dict[str, Callable[[Array], Any]] = {
+    "confusion": columns_of_one,
+    "false_positive_labels": columns_of_one,
+    "box_error_growth": lambda value: nested(np.maximum(value, 0.0)),
+    "box_error_degrees_of_freedom": lambda value: nested(np.clip(value, LEAST_DEGREES, MOST_DEGREES)),
+    "density": lambda value: nested(np.round(value / value.max(), 6)),
+    "quantiles": lambda value: nested(np.maximum.accumulate(value)),
+    "false_discovery_rate": lambda value: nested(np.minimum(value, GREATEST_FALSE_DISCOVERY_RATE)),
+}
+"""How numbers are written that a draw may have moved beyond what a file may have."""

@@ -1,1 +1,0 @@
-"""Where tasks are worked on: this process, processes on this machine, or a Dask cluster."""

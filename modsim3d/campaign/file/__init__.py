@@ -1,1 +1,0 @@
-"""The campaign file: its keys, and reading it."""

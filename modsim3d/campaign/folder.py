@@ -1,0 +1,338 @@
+"""The folder of a campaign: its file, its plan, the rows that are done, and the results."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import re
+import time
+import uuid
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from modsim3d.campaign.keys import CampaignKeys
+from modsim3d.campaign.plan import Plan
+from modsim3d.campaign.work.checking import CheckedCampaign
+from modsim3d.campaign.work.scenes import differing_files, plan_digest
+from modsim3d.campaign.work.task import DONE_FOLDER, PLAN, ROWS_PATTERN, Work
+from modsim3d.campaign.workers import Death
+from modsim3d.core.errors import ModsimError, OutputError
+from modsim3d.core.text import counted, listed
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder
+from modsim3d.io.locks import locked_folder
+from modsim3d.io.plugins import differing
+from modsim3d.io.validation import join_path, shown
+from modsim3d.runs.files.overwrite import FileList, ListedFile, file_list, listed_file
+
+# ---- The list of the files of a campaign that has ended, with their sizes and checksums, as `run.json` ----
+
+RESULTS, SEARCH = "results", "search"
+"""In the folder of a campaign that has ended: its rows, and the trials of a search."""
+LIST = "_files.json"
+"""In one of these; readers of data sets pass over names that begin so."""
+_ROWS = "**/*.parquet"
+
+
+def write_list(folder: Path, rows: Path, final: str, names: tuple[str, ...], later: Mapping[str, bytes]) -> None:
+    """Write the list among the rows before their folder gets its final name, so that no rows are ever without it.
+
+    `names` are other files of the campaign's folder; of those that are written later the content is given.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    files = file_list(folder, names)
+    files |= {f"{final}/{path.relative_to(rows).as_posix()}": listed_file(path) for path in rows.glob(_ROWS)}
+    for name, content in later.items():
+        files[name] = {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    (rows / LIST).write_bytes(orjson.dumps({"files": dict(sorted(files.items()))}, option=orjson.OPT_INDENT_2))
+    sync_file(rows / LIST)
+
+
+def check_ended(folder: Path, later: tuple[str, ...] = ()) -> None:
+    """Check that the files of a campaign that has ended are those that it has written; those of `later` may be missing.
+
+    Raises:
+        ModsimError: One was changed, is missing or was added, or there is no list.
+    """
+    for rows in filter(Path.is_dir, (folder / RESULTS, folder / SEARCH)):
+        path = rows / LIST
+        try:
+            read = orjson.loads(path.read_bytes())["files"].items()
+            files: FileList = {name: {"bytes": each["bytes"], "sha256": each["sha256"]} for name, each in read}
+            names = sorted({*files, *(each.relative_to(folder).as_posix() for each in rows.glob(_ROWS))})
+            there = file_list(folder, (name for name in names if (folder / name).is_file()))
+        except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+            raise ModsimError(
+                f"{path} cannot be read, or a file that it lists: {error}; remove {rows}, and the same command makes "
+                "it again"
+            ) from None
+        for name in names:
+            if there.get(name) != files.get(name) and (name in there or name not in later):
+                said = f"it {_said(there.get(name))}, and in {path} it {_said(files.get(name))}"
+                raise ModsimError(f"{folder / name} was changed after the campaign ended: {said}")
+
+
+def _said(file: ListedFile | None) -> str:
+    return "is missing" if file is None else f"has {file['bytes']} bytes and the checksum {file['sha256']}"
+
+
+# ---- What differs between two plans, in words ----
+
+MOST = 5
+PARTS = ("campaign", "versions")
+"""Of a plan, what its user knows: the keys of the file, and the versions of packages."""
+
+
+def differences(there: Any, now: Mapping[str, Any]) -> list[str]:
+    """The first few keys whose values differ, each with both.
+
+    Args:
+        there: The content of a plan that is stored.
+        now: That of another.
+    """
+    there = there if isinstance(there, dict) else {}
+    found = [line for part in PARTS for line in _between(there.get(part), now.get(part), (part,))]
+    lines = [line.removeprefix("campaign.") for line in found[:MOST]]
+    if len(found) > MOST:
+        lines.append(f"{len(found) - MOST} more keys")
+    return lines or ["a scene, a detector or a tracker that it names was changed"]
+
+
+def _between(there: Any, now: Any, path: tuple[int | str, ...]) -> Iterator[str]:
+    if isinstance(there, dict) and isinstance(now, dict):
+        for key in dict.fromkeys([*there, *now]):
+            yield from _between(there.get(key), now.get(key), (*path, key))
+    elif isinstance(there, list) and isinstance(now, list) and len(there) == len(now):
+        for place, (one, other) in enumerate(zip(there, now, strict=True)):
+            yield from _between(one, other, (*path, place))
+    elif there != now:
+        yield f"{join_path(*path)} is {shown(there)} there and {shown(now)} now"
+
+
+# ---- The folder of a campaign ----
+
+FORMAT = 1
+FILE, LOG, VERDICTS = "campaign.yaml", "campaign.log", "verdicts.json"
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignFolder:
+    """The folder of a campaign whose plan is written.
+
+    Attributes:
+        path: The folder.
+        facts: The content of `plan.json`.
+        plan: The plan.
+    """
+
+    path: Path
+    facts: dict[str, Any]
+    plan: Plan
+
+    @property
+    def keys(self) -> CampaignKeys:
+        """The campaign file."""
+        return self.plan.keys
+
+    @property
+    def work(self) -> Work:
+        """What all its tasks have in common."""
+        facts = self.facts
+        made_of = {"files": facts["files"], "plugins": facts.get("plugins", {})}
+        return Work(self.keys, facts["base"], str(self.path.resolve()), facts["sha256"], **made_of)
+
+    @property
+    def done(self) -> Path:
+        """Where the rows are that are done, until the results are written."""
+        return self.path / DONE_FOLDER
+
+    @property
+    def results(self) -> Path:
+        """The data set."""
+        return self.path / RESULTS
+
+    @property
+    def finished(self) -> bool:
+        """Whether the results are there."""
+        return self.results.is_dir()
+
+
+def opened_campaign(folder: StrPath) -> CampaignFolder:
+    """Open the folder of a campaign.
+
+    Raises:
+        ModsimError: It is none, its plan is damaged, or a file has changed since the campaign ended.
+        TypeError: It is neither text nor a path.
+    """
+    path = as_path(folder, "campaign", "the folder of a campaign")
+    facts, keys = _read_plan(path / PLAN)
+    check_ended(path)
+    return CampaignFolder(path, facts, Plan.of(keys))
+
+
+def _read_plan(path: Path) -> tuple[dict[str, Any], CampaignKeys]:
+    """The content of `plan.json`, and the campaign file in it.
+
+    Raises:
+        ModsimError: It is not there, is damaged, or was changed after it was written.
+    """
+    try:
+        facts: dict[str, Any] = orjson.loads(path.read_bytes())
+        stated, found, keys = facts["sha256"], plan_digest(facts), CampaignKeys.model_validate(facts["campaign"])
+    except OSError as error:
+        raise ModsimError(f"{path.parent} is no folder of a campaign: {PLAN}: {error.strerror or error}") from None
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise ModsimError(f"{path} is damaged: {type(error).__name__}: {error}") from None
+    if found != stated:
+        raise ModsimError(
+            f"{path} was changed after it was written: what decides the results has the checksum {found}, and its "
+            f"sha256 is {stated}"
+        )
+    return facts, keys
+
+
+def planned(campaign: CheckedCampaign, folder: Path) -> CampaignFolder:
+    """Write the plan of a campaign into a folder, or find it there; several processes may do so at once.
+
+    Raises:
+        OutputError: The folder holds another plan or other files, or cannot be written.
+    """
+    facts = _facts(campaign)
+    content = orjson.dumps(facts, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+    try:
+        _place_plan(folder, content)
+        _check_same(folder / PLAN, facts)
+        if not (folder / FILE).exists():  # after the plan, so that a folder with a file and no plan is not one of ours
+            _place(folder / FILE, campaign.file.path.read_bytes())
+        here = CampaignFolder(folder, orjson.loads(content), campaign.plan)
+        if not here.finished:
+            make_folder(here.done)
+    except OSError as error:
+        raise OutputError(f"{folder} cannot be written to: {error.strerror or error}") from error
+    return here
+
+
+def _place_plan(folder: Path, content: bytes) -> None:
+    """Write the plan if there is none.
+
+    Raises:
+        OutputError: The folder holds other files.
+        OSError: It cannot be written.
+    """
+    make_folder(folder)
+    names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+    if PLAN in names or (folder / PLAN).exists():
+        return
+    if names:
+        raise OutputError(f"{folder} holds other files ({names[0]}): choose a new folder for the campaign")
+    _place(folder / PLAN, content)
+
+
+def _place(path: Path, content: bytes) -> None:
+    """Write a file whole unless another process has done so before; whoever comes second leaves the first one's."""
+    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    try:
+        partial.write_bytes(content)
+        sync_file(partial)
+        try:
+            path.hardlink_to(partial)
+        except FileExistsError:
+            return
+        except OSError:  # a file system without links: equal plans have equal bytes
+            partial.replace(path)
+        sync_folder(path.parent)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked_campaign(folder: Path) -> Iterator[None]:
+    """Hold the lock of the folder, which is made if it is not there.
+
+    On a file system without locks it is not held: two writers then write the same bytes.
+
+    Raises:
+        OutputError: Another process works on it, or it cannot be written.
+    """
+    with ExitStack() as lock:
+        try:
+            lock.enter_context(locked_folder(folder))
+        except OSError as error:
+            if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
+                raise OutputError(f"{folder} cannot be written to: {error.strerror or error}") from error
+        yield
+
+
+def _facts(campaign: CheckedCampaign) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "sha256": campaign.sha256,
+        "base": str(campaign.file.base),
+        "runs": len(campaign.plan),
+        **campaign.content,
+    }
+
+
+def _check_same(plan: Path, facts: dict[str, Any]) -> None:
+    """Refuse a folder with another plan, and say what differs.
+
+    Raises:
+        OutputError: It has.
+        ModsimError: The plan is damaged.
+    """
+    found, _ = _read_plan(plan)
+    if found["sha256"] == facts["sha256"]:
+        return
+    files = differing_files(found["files"], facts["files"])
+    before, now = found.get("plugins", {}), facts.get("plugins", {})
+    files += [f"{file} of the plug-in {key}" for key in now for file in differing(before.get(key, now[key]), now[key])]
+    changed = f"{', '.join(files)} changed" if files else "; ".join(differences(found, facts))
+    raise OutputError(f"{plan.parent} holds a campaign with another plan: {changed}. Choose another folder")
+
+
+# ---- Workers that were killed from outside ----
+
+_LINE = re.compile(r"killed \S+ how=(.*) host=.* runs=([0-9,]+)")
+_MOST = 8
+"""Numbers of runs in a sentence."""
+
+
+def note_kill(folder: CampaignFolder, death: Death, runs: Sequence[int]) -> None:
+    """Write into the log that the worker of a task was killed; at once, since the campaign may be interrupted."""
+    under_way = ",".join(map(str, runs if death.run is None else [death.run]))
+    line = f"killed {time.strftime('%Y-%m-%dT%H:%M:%S%z')} how={death.how} host={death.host} runs={under_way}\n"
+    with (folder.path / LOG).open("a", encoding="utf-8") as log:
+        log.write(line)
+
+
+def killed_sentence(folder: CampaignFolder) -> str | None:
+    """A sentence on the workers killed so far: number, signals and runs; None if there were none."""
+    path = folder.path / LOG
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
+    found = [match.groups() for line in lines if (match := _LINE.fullmatch(line))]
+    if not found:
+        return None
+    hows = listed([f"{how} {count}×" for how, count in Counter(how for how, _ in found).items()])
+    runs = listed(sorted({run for _, runs in found for run in runs.split(",")}, key=int), _MOST)
+    return (
+        f"Killed from outside, and their work tried again: {counted(len(found), 'worker')} ({hows}); runs under way: "
+        f"{runs} ({LOG})."
+    )
+
+
+# ---- The files of a campaign, which commands read and never write over ----
+
+
+def files_of_campaign(folder: CampaignFolder) -> list[Path]:
+    """Its file, its plan, its verdicts, its rows or trials, and the list of all these."""
+    patterns = ("*.json", f"{RESULTS}/scene=*/part-*.parquet", f"{SEARCH}/*.parquet", f"*/{LIST}")
+    found = [path for pattern in patterns for path in sorted(folder.path.glob(pattern))]
+    return [folder.path / FILE, *found, *sorted(folder.done.glob(ROWS_PATTERN))]

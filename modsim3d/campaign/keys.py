@@ -1,0 +1,374 @@
+"""The keys of a campaign file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, Field, ValidationError, model_validator
+
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import StrPath, as_path
+from modsim3d.io.input_files import data_folder
+from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.validation import Number, Positive, Strict, describe, kind_of, nearest
+from modsim3d.tracks.tracks import SimilarityName
+from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
+
+# ---- The keys of a campaign file ----
+
+MOST_SEEDS = 1_000_000
+MOST_DETECTOR_SEEDS = 1_000
+MOST_BASE = 9_000
+Scalar = str | int | float | bool | None
+
+
+def _checked_share(value: float) -> float:
+    if value == 1:
+        raise ValueError("no number of runs shows that every seed is right: ask for a share below 1, as in 0.99")
+    if not 0 < value < 1:
+        raise ValueError(f"needs a share between 0 and 1, as in 0.99 (got {value:g})")
+    return value
+
+
+def _checked_confidence(value: float) -> float:
+    if not 0.5 <= value < 1:
+        raise ValueError(f"needs a probability of 0.5 or more and below 1, as in 0.95 (got {value:g})")
+    return value
+
+
+Share = Annotated[float, Field(strict=True), AfterValidator(_checked_share)]
+Confidence = Annotated[float, Field(strict=True), AfterValidator(_checked_confidence)]
+Text = Annotated[str, Field(min_length=1)]
+Layer = Literal["truth", "detections", "tracks"]
+
+
+class Seeds(Strict):
+    """How many repetitions.
+
+    Attributes:
+        traffic: Seeds of the scene: the unit of every interval.
+        detector: Seeds of the detector for each of them.
+    """
+
+    traffic: Annotated[int, Field(strict=True, ge=1, le=MOST_SEEDS)] = 1
+    detector: Annotated[int, Field(strict=True, ge=1, le=MOST_DETECTOR_SEEDS)] = 1
+
+
+class Range(Strict):
+    """The values that a drawn key may have: all between two numbers, or one of some.
+
+    Attributes:
+        low: The least number.
+        high: The greatest.
+        scale: `log`: equally often in each decade.
+        whole: Whether only whole numbers are drawn.
+        choices: Values of any kind, in place of the numbers.
+    """
+
+    low: Number | None = None
+    high: Number | None = None
+    scale: Literal["linear", "log"] = "linear"
+    whole: bool = False
+    choices: Annotated[list[Any], Field(min_length=1)] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, value: Any) -> Any:
+        """`[0.5, 3]` stands for `{low: 0.5, high: 3}`."""
+        if isinstance(value, list):
+            if len(value) != 2:
+                raise ValueError(f"a range is two numbers, as in [0.5, 3] (got {len(value)} values)")
+            return {"low": value[0], "high": value[1]}
+        return value
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.choices is not None:
+            if self.low is not None or self.high is not None:
+                raise ValueError("give either choices, or low and high")
+            return self
+        if self.low is None or self.high is None:
+            raise ValueError("low and high are needed, or choices")
+        if not self.low < self.high:
+            raise ValueError(f"low must be below high (got {self.low:g} and {self.high:g})")
+        if self.scale == "log" and self.low <= 0:
+            raise ValueError(f"with scale log, low must be above 0 (got {self.low:g})")
+        if self.whole and not (self.low.is_integer() and self.high.is_integer()):
+            raise ValueError(f"with whole, low and high must be whole numbers (got {self.low:g} and {self.high:g})")
+        return self
+
+
+Ranges = Annotated[dict[Text, Range], Field(min_length=1)]
+
+
+class Factor(Strict):
+    """One thing that is varied; the conditions of a campaign are all combinations of its factors.
+
+    Attributes:
+        grid: Values of keys; every combination is taken.
+        pairs: Values of keys that change together: all first values, all second ones, …
+        conditions: `list` in the file: conditions written out, each a mapping of keys to values.
+        latin_hypercube: Ranges of keys; each traffic seed gets a point of one Latin hypercube.
+        uniform: Ranges of keys; each traffic seed gets a point drawn by itself.
+    """
+
+    grid: Annotated[dict[Text, Annotated[list[Any], Field(min_length=1)]], Field(min_length=1)] | None = None
+    pairs: Annotated[dict[Text, Annotated[list[Any], Field(min_length=1)]], Field(min_length=1)] | None = None
+    conditions: Annotated[list[Annotated[dict[Text, Any], Field(min_length=1)]], Field(min_length=1)] | None = Field(
+        default=None, alias="list"
+    )
+    latin_hypercube: Ranges | None = None
+    uniform: Ranges | None = None
+
+    @property
+    def ranges(self) -> dict[str, Range]:
+        """The ranges of the keys that are drawn; none if the factor has values."""
+        return self.latin_hypercube or self.uniform or {}
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        names = [field.alias or name for name, field in type(self).model_fields.items()]
+        given = sum(getattr(self, name) is not None for name in type(self).model_fields)
+        if given != 1:
+            raise ValueError(f"give exactly one of {', '.join(names)} (got {given})")
+        if self.pairs is not None and len({len(values) for values in self.pairs.values()}) > 1:
+            lengths = ", ".join(f"{key} {len(values)}" for key, values in self.pairs.items())
+            raise ValueError(f"pairs: every key needs as many values as the others (got {lengths})")
+        return self
+
+
+class TrackerKeys(Strict):
+    """A tracker of the campaign.
+
+    Attributes:
+        tracker: Name of a tracker or a plug-in.
+        name: What tables call it; the tracker's name if there is none.
+        settings: In place of those chosen for the scene.
+    """
+
+    tracker: Text
+    name: Text | None = None
+    settings: dict[Text, Any] = Field(default_factory=dict, alias="set")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, value: Any) -> Any:
+        return {"tracker": value} if isinstance(value, str) else value
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return self.name or self.tracker
+
+
+class ScoreKeys(Strict):
+    """The rules of the scores, as the options of `modsim3d score`."""
+
+    truth: TruthName = "annotated"
+    similarity: SimilarityName = "iou"
+    scale_px: Positive | None = None
+    threshold: Annotated[float, Field(strict=True, gt=0, le=1)] = 0.5
+    gap_s: Annotated[float, Field(strict=True, ge=0, le=1e9)] = DEFAULT_GAP_S
+    gospa_c: Annotated[float, Field(strict=True, gt=0, le=1e6)] = 100.0
+    gospa_p: Annotated[float, Field(strict=True, ge=1, le=10)] = 1.0
+
+
+class Requirement(Strict):
+    """What a score must be: its mean over traffic seeds, or with `in` its value in a share of them.
+
+    Attributes:
+        score: A key of the scores.
+        where: Keys of the campaign → the value, or several, of the runs that it is about. `tracker` too. A `state`, a
+            `camera` and the groups of the breakdown that are no keys of the campaign are parts of the runs.
+        of: Label of a tracker: it is about the score of that one less that of `minus`, with the same seeds; None: about
+            the score of each tracker.
+        minus: Label of the other.
+        at_least: The least value that is right.
+        at_most: The greatest.
+        share: The least share of traffic seeds all of whose runs must have such a value; None: the mean must.
+        resting_on: The least share of what is to be followed that the score of each run must rest on.
+        confidence: The least probability that a verdict is right when the truth is at the threshold; of a mean that is
+            looked at once it is measured and not proved.
+    """
+
+    score: Text
+    where: dict[Text, Scalar | list[Scalar]] = Field(default_factory=dict)
+    of: Text | None = None
+    minus: Text | None = None
+    at_least: Number | None = None
+    at_most: Number | None = None
+    share: Share | None = Field(default=None, alias="in")
+    resting_on: Annotated[float, Field(strict=True, gt=0, le=1)] | None = None
+    confidence: Confidence = 0.95
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.at_least is None) == (self.at_most is None):
+            raise ValueError("give either at_least or at_most")
+        if (self.of is None) != (self.minus is None):
+            raise ValueError("a difference needs both of and minus, the names of two trackers")
+        if self.of is not None and self.of == self.minus:
+            raise ValueError(f"of and minus are both '{self.of}': a difference needs two trackers")
+        if self.of is not None and "tracker" in self.where:
+            raise ValueError("a difference names its trackers with of and minus: leave tracker out of where")
+        return self
+
+    @property
+    def what(self) -> str:
+        """The score, or of which trackers the difference of it is."""
+        return self.score if self.of is None else f"{self.score} of {self.of} minus {self.minus}"
+
+    @property
+    def threshold(self) -> float:
+        """The value that is just right."""
+        threshold = self.at_least if self.at_least is not None else self.at_most
+        assert threshold is not None
+        return threshold
+
+    def holds(self, value: float) -> bool:
+        """Whether a value is right."""
+        return value >= self.threshold if self.at_least is not None else value <= self.threshold
+
+
+class SearchKeys(Strict):
+    """A search for scenes and seeds in which a tracker fails.
+
+    Attributes:
+        minimise: The score to make as small as possible.
+        maximise: The score to make as great as possible.
+        over: The keys that may change, within their ranges.
+        budget: Number of scenes that are tried.
+        batch: Number of scenes that are proposed at once; what is found depends on it, and not on the workers.
+        seeds: Number of traffic seeds that may be chosen from.
+    """
+
+    minimise: Text | None = None
+    maximise: Text | None = None
+    over: Ranges
+    budget: Annotated[int, Field(strict=True, ge=1, le=100_000)]
+    batch: Annotated[int, Field(strict=True, ge=1, le=1_000)] = 10
+    seeds: Annotated[int, Field(strict=True, ge=1, le=MOST_SEEDS)] = 1
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.minimise is None) == (self.maximise is None):
+            raise ValueError("give either minimise or maximise")
+        return self
+
+
+class CampaignKeys(Strict):
+    """The keys of a campaign file.
+
+    Attributes:
+        scenes: Scene files or names of shipped scenes.
+        steps: Number of time steps, in place of those of the scenes.
+        seed: From which the seeds of all runs are derived.
+        seeds: How many there are.
+        settings: `set` in the file: keys that are the same in all runs, as the option `--set`.
+        vary: What is varied.
+        trackers: The trackers, all over the same detections.
+        score: How tracks are scored.
+        require: What must hold.
+        level: `each`: a confidence is that of each verdict; `family`: of all verdicts together, by Holm's step-down.
+        stop: `once`: judged when all runs are done; `sequential`: judged after each batch, and ended when decided.
+        batch: Traffic seeds between two looks of `sequential`.
+        uncertainty: `learned`: draw the detector's parameters from the intervals that `learn` wrote.
+        search: A search in place of the plan.
+        keep: Layers that are kept on the disk.
+    """
+
+    scenes: Annotated[list[Text], Field(min_length=1)]
+    steps: Annotated[int, Field(strict=True, ge=1)] | None = None
+    seed: Annotated[int, Field(strict=True, ge=1, le=MOST_BASE)] = 1
+    seeds: Seeds = Field(default_factory=Seeds)
+    settings: dict[Text, Any] = Field(default_factory=dict, alias="set")
+    vary: list[Factor] = Field(default_factory=list)
+    trackers: Annotated[list[TrackerKeys], Field(min_length=1)]
+    score: ScoreKeys = Field(default_factory=ScoreKeys)
+    require: list[Requirement] = Field(default_factory=list)
+    level: Literal["each", "family"] = "each"
+    stop: Literal["once", "sequential"] = "once"
+    batch: Annotated[int, Field(strict=True, ge=1)] = 20
+    uncertainty: Literal["learned"] | None = None
+    search: SearchKeys | None = None
+    keep: list[Layer] = Field(default_factory=list)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_scene(cls, value: Any) -> Any:
+        """`scene: fairway` stands for `scenes: [fairway]`."""
+        if isinstance(value, dict) and "scene" in value and "scenes" in value:
+            raise ValueError("give either scene or scenes")
+        if isinstance(value, dict) and "scene" in value:
+            return {
+                ("scenes" if key == "scene" else key): [each] if key == "scene" else each for key, each in value.items()
+            }
+        return value
+
+
+# ---- Reads a campaign file, and checks all that can be checked before the first run ----
+
+
+@dataclass(frozen=True)
+class CampaignFile:
+    """A campaign file that was read.
+
+    Attributes:
+        path: The file.
+        keys: What is in it.
+    """
+
+    path: Path
+    keys: CampaignKeys
+
+    @property
+    def base(self) -> Path:
+        """The folder that its paths are relative to."""
+        return self.path.resolve().parent
+
+
+def shipped_campaigns() -> dict[str, Path]:
+    """Campaigns that come with the package, by name."""
+    return {path.stem: path for path in sorted((data_folder("scenes") / "campaigns").glob("*.yaml"))}
+
+
+def find_campaign(campaign: StrPath) -> Path:
+    """The file that a path or the name of a shipped campaign stands for.
+
+    Raises:
+        InputError: There is no such file and no such name.
+        TypeError: It is neither text nor a path.
+    """
+    path, shipped = as_path(campaign, "campaign", "a path or the name of a shipped campaign"), shipped_campaigns()
+    if path.is_file() or str(campaign) not in shipped:
+        if not path.is_file():
+            hint = nearest(str(campaign), shipped)
+            raise InputError(f"campaign {path}", [f"no such file, and no shipped campaign has this name ({hint})"])
+        return path
+    return shipped[str(campaign)]
+
+
+def read_campaign(campaign: StrPath) -> CampaignFile:
+    """Read a campaign file.
+
+    Raises:
+        InputError: With every problem of its keys.
+        TypeError: It is neither text nor a path.
+    """
+    path = find_campaign(campaign)
+    data = load_yaml(path, "campaign")
+    if not isinstance(data, dict):
+        needed = f"a mapping of keys is needed (got {kind_of(data)})"
+        raise InputError(f"campaign {path}", ["the file is empty" if data is None else needed])
+    try:
+        keys = CampaignKeys.model_validate(data)
+    except ValidationError as error:
+        raise InputError(f"campaign {path}", _in_words(error)) from None
+    return CampaignFile(path, keys)
+
+
+def _in_words(error: ValidationError) -> list[str]:
+    """The problems, without the colon that stands before one of the whole file."""
+    return [problem.removeprefix(": ") for problem in describe(error, CampaignKeys)]

@@ -1,0 +1,172 @@
+"""Mean scores over traffic seeds with their intervals, by tracker and condition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isnan, nan
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from modsim3d.campaign.plan import Condition, Plan
+from modsim3d.campaign.verdicts.bounds import half_widths
+from modsim3d.campaign.verdicts.seed_values import columns_of
+from modsim3d.campaign.work.row import CRASHED
+from modsim3d.campaign.work.scenes import digest
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.text import listed
+from modsim3d.io.validation import nearest, shown
+
+# ---- Mean scores over traffic seeds with their intervals, by tracker and condition ----
+
+LEVEL = 0.95
+USUAL = ("hota", "deta", "assa", "idf1", "id_switches")
+"""Scores of a table unless others are asked for."""
+TRACKER, SEED = "tracker", "traffic_seed"
+
+
+@dataclass(frozen=True)
+class Mean:
+    """The mean of a score over traffic seeds.
+
+    Attributes:
+        value: The mean; None if no seed has a value.
+        low: Lower end of the 95 % interval (Student's t over traffic seeds); None with fewer than two seeds, or where
+            all have one value, of which nothing follows for others.
+        high: Its upper end.
+        seeds: Number of traffic seeds with a value.
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+    seeds: int
+
+
+@dataclass(frozen=True)
+class MeanRow:
+    """The mean scores of a tracker with some values of the varied keys.
+
+    Attributes:
+        values: `tracker`, and the values of the keys that the means are taken by.
+        runs: Number of runs.
+        crashed: Number of those that crashed, which are in no mean.
+        means: Score → its mean.
+    """
+
+    values: dict[str, Any]
+    runs: int
+    crashed: int
+    means: dict[str, Mean]
+
+
+def usual_keys(plan: Plan) -> tuple[str, ...]:
+    """The varied keys that tell conditions from each other: all but those that are drawn."""
+    return tuple(key for key in plan.parameters if key not in plan.drawn)
+
+
+def usual_scores(plan: Plan, table: pa.Table) -> tuple[str, ...]:
+    """The columns that requirements are about, as far as there are rows with them, and those of some other scores."""
+    required = [column for each in plan.keys.require for column in columns_of(plan, each)]
+    return tuple(dict.fromkeys(each for each in (*required, *USUAL) if each in table.column_names))
+
+
+def mean_rows(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> list[MeanRow]:
+    """Means by tracker and keys, in the order of the plan: first of all runs of a traffic seed, then of the seeds.
+
+    Args:
+        table: The rows of a campaign.
+        by: Keys that are varied, such as `state`; runs that differ in others are taken together.
+        scores: Names of columns.
+
+    Raises:
+        ModsimError: There is no such key or score.
+    """
+    _check(table, by, scores)
+    keys = [*dict.fromkeys([*by, TRACKER])]
+    crashed = pc.equal(table["status"], CRASHED).cast(pa.int64())
+    table = table.select([*dict.fromkeys([*keys, SEED, "run", *scores])]).append_column("crashed runs", crashed)
+    by_seed = table.group_by([*keys, SEED], use_threads=False).aggregate(
+        [("run", "min"), ("run", "count"), ("crashed runs", "sum"), *((score, "mean") for score in scores)]
+    )
+    spread = pc.VarianceOptions(ddof=1)
+    found = by_seed.group_by(keys, use_threads=False).aggregate(
+        [
+            *(("run_min", "min"), ("run_count", "sum"), ("crashed runs_sum", "sum")),
+            *((f"{score}_mean", "mean") for score in scores),
+            *((f"{score}_mean", "stddev", spread) for score in scores),
+            *((f"{score}_mean", "count") for score in scores),
+        ]
+    )
+    return [_mean_row(row, keys, scores) for row in found.sort_by("run_min_min").to_pylist()]
+
+
+def _mean_row(row: dict[str, Any], keys: Sequence[str], scores: Sequence[str]) -> MeanRow:
+    means = {
+        score: _mean(row[f"{score}_mean_mean"], row[f"{score}_mean_stddev"], row[f"{score}_mean_count"])
+        for score in scores
+    }
+    return MeanRow({key: row[key] for key in keys}, row["run_count_sum"], row["crashed runs_sum_sum"], means)
+
+
+def _mean(value: float | None, deviation: float | None, seeds: int) -> Mean:
+    half = nan if value is None or deviation is None else float(half_widths(value, deviation, seeds, (1 - LEVEL) / 2))
+    if value is None or isnan(half):
+        return Mean(value, None, None, seeds)
+    return Mean(value, value - half, value + half, seeds)
+
+
+def _check(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> None:
+    """Refuse keys and scores that the rows do not have.
+
+    Raises:
+        ModsimError: There is one.
+    """
+    names = table.column_names
+    first = names.index(SEED)
+    known = ["scene", TRACKER, *names[names.index("tracker") + 1 : names.index("status")]]
+    for key in by:
+        if key not in known:
+            raise ModsimError(f"--by {key}: is not varied in this campaign ({nearest(key, known)})")
+    numbers = [
+        name for name in names[first:] if pa.types.is_floating(kind := table[name].type) or pa.types.is_integer(kind)
+    ]
+    others = {*known, SEED, "detector_seed"}
+    numbers = [name for name in numbers if name not in others]
+    for score in scores:
+        if score not in numbers:
+            raise ModsimError(f"--score {score}: there is no such score in this campaign ({nearest(score, numbers)})")
+
+
+# ---- Conditions of a campaign that gave the same detections in all runs ----
+
+
+def same_detections(plan: Plan, table: pa.Table) -> list[str]:
+    """A sentence for each group of conditions whose scenes or detectors differ and whose detections do not."""
+    names, seen = ("condition", "traffic_seed", "detector_seed", "detections_sha256"), dict[int, set[tuple[str, ...]]]()
+    if not {*names} <= {*table.column_names}:  # it was made by an older version, or has no rows
+        return []
+    for place, *found in zip(*(table[name].to_pylist() for name in names), strict=True):
+        if None not in found:
+            seen.setdefault(place, set()).add(tuple(map(str, found)))
+    groups: dict[str, dict[str, Condition]] = {}
+    for place in sorted(seen):
+        condition = plan.conditions[place]
+        asked = digest(condition.scene, condition.of_truth(), condition.of_detector())
+        groups.setdefault(digest(sorted(seen[place])), {}).setdefault(asked, condition)
+    return [
+        f"the detections are the same in all runs with {_in_words([*each.values()])}: what differs there changes "
+        "nothing that a tracker sees, and a verdict on one condition says nothing of the other"
+        for each in groups.values()
+        if len(each) > 1
+    ]
+
+
+def _in_words(conditions: list[Condition]) -> str:
+    """The values of each condition that are not those of all of them."""
+    values = [{"scene": each.scene, **each.of_truth(), **each.of_detector()} for each in conditions]
+    keys = dict.fromkeys(key for each in values for key in each)
+    differing = [key for key in keys if len({shown(each.get(key)) for each in values}) > 1]
+    return listed([" and ".join(f"{key} {shown(each.get(key))}" for key in differing) for each in values])

@@ -1,1 +1,0 @@
-"""From a campaign file to numbered runs: conditions, drawn parameters and seeds."""

@@ -1,0 +1,167 @@
+"""Which runs of a campaign went worst, and how each is looked at."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyarrow as pa
+
+from modsim3d.campaign.folder import CampaignFolder
+from modsim3d.campaign.plan import Plan
+from modsim3d.campaign.verdicts.seed_values import columns_of
+from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.work.row import CRASHED
+from modsim3d.core.types import Array, Indices, Mask
+
+RUNS_FOLDER = "runs"
+"""Where the commands put runs that are made again, in the folder of the campaign."""
+USUAL_SCORE = "hota"
+_OUTCOMES = ("failed", "undecided", "met")
+
+
+@dataclass(frozen=True)
+class WorstRun:
+    """A run that went wrong.
+
+    Attributes:
+        number: Its number in the plan.
+        tracker: Name of the tracker in tables.
+        condition: Number of the condition.
+        traffic_seed: Seed of the scene.
+        detector_seed: Seed of the detector.
+        score: The column by which it is one of the worst; of a run that crashed, `status`.
+        value: What is in that column; None of a run that crashed.
+        moment_s: The moment at which it went wrong, as its timestamps have it; None if nothing did, or it crashed.
+        again: The command that makes the run again.
+        film: The command that films the moment; empty if there is none.
+        error: Why it crashed; None if it did not.
+        requirement: Index of the requirement that names it; None if it crashed, and without requirements.
+    """
+
+    number: int
+    tracker: str
+    condition: int
+    traffic_seed: int
+    detector_seed: int
+    score: str
+    value: float | None
+    moment_s: float | None
+    again: str
+    film: str
+    error: str | None = None
+    requirement: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Ranking:
+    """Runs in the order of a score: the rows of the table, the worst first, the score's column, and for what."""
+
+    rows: Indices
+    score: str
+    requirement: int | None = None
+
+
+def worst_runs(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict], count: int = 5) -> list[WorstRun]:
+    """The runs that went worst, each once.
+
+    First come runs that crashed. Then each requirement that failed names its worst run, and its second worst, and so
+    on; then each that is undecided; then each that is met. Without requirements it is the lowest HOTA that counts.
+
+    Args:
+        folder: The campaign.
+        table: Its rows, see `results_table`.
+        verdicts: The verdicts on its requirements.
+        count: Most runs.
+    """
+    crashed = np.flatnonzero(np.asarray(table["status"].to_numpy(zero_copy_only=False)) == CRASHED)
+    rankings = [_Ranking(crashed, "status")], *_rankings(folder.plan, table, verdicts)
+    found: dict[int, _Ranking] = {}
+    for together in rankings:
+        for row, ranking in _by_turns(together):
+            if len(found) >= count:
+                break
+            found.setdefault(row, ranking)
+    return [_worst_run(folder, table.slice(row, 1).to_pylist()[0], ranking) for row, ranking in found.items()]
+
+
+def _rankings(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[list[_Ranking]]:
+    """The rankings that take turns: those of requirements that failed, are undecided, are met; or the usual one."""
+    if not verdicts:
+        yield [_ranking(table, [USUAL_SCORE], np.ones(len(table), dtype=bool), lowest=True)]
+    for outcome in _OUTCOMES:
+        by_requirement: dict[int, list[Verdict]] = {}
+        for verdict in verdicts:
+            if verdict.outcome == outcome:
+                by_requirement.setdefault(verdict.requirement, []).append(verdict)
+        yield [_of_requirement(plan, table, each) for each in by_requirement.values()]
+
+
+def _of_requirement(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> _Ranking:
+    """The runs that some verdicts on one requirement are about."""
+    requirement, labels = plan.keys.require[verdicts[0].requirement], [each.label for each in plan.keys.trackers]
+    trackers = np.asarray(table["tracker"].to_pylist(), dtype=object)
+    conditions = table["condition"].to_numpy()
+    chosen = np.zeros(len(table), dtype=bool)
+    for verdict in verdicts:
+        chosen |= (trackers == (requirement.of or verdict.tracker)) & (conditions == verdict.condition)
+    off = 0
+    if requirement.of is not None and requirement.minus is not None:
+        off = labels.index(requirement.minus) - labels.index(requirement.of)
+    ranking = _ranking(table, columns_of(plan, requirement), chosen, lowest=requirement.at_least is not None, off=off)
+    return replace(ranking, requirement=verdicts[0].requirement)
+
+
+def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: bool, off: int = 0) -> _Ranking:
+    """Chosen rows, the worst first, by the worst of some columns; those without a value are left out.
+
+    With `off`, the values are differences to those of the run whose number is so much greater.
+    """
+    there = [name for name in columns if name in table.column_names]
+    if not there:
+        return _Ranking(np.empty(0, dtype=np.int64), USUAL_SCORE)
+    values = np.column_stack([_numbers(table, name) for name in there])
+    if off:
+        others = table["run"].to_numpy() + off
+        places = np.minimum(np.searchsorted(table["run"].to_numpy(), others), len(table) - 1)
+        there_too = table["run"].to_numpy()[places] == others
+        values = np.where(there_too[:, None], values - values[places], np.nan)
+    badness = np.where(np.isnan(values), -np.inf, -values if lowest else values).max(axis=1)
+    rows = np.flatnonzero(chosen & (badness > -np.inf))
+    return _Ranking(rows[np.argsort(-badness[rows], kind="stable")], there[0])
+
+
+def _numbers(table: pa.Table, name: str) -> Array:
+    return np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def _by_turns(rankings: Sequence[_Ranking]) -> Iterator[tuple[int, _Ranking]]:
+    """Rows of rankings with their ranking: the first of each, the second of each, …"""
+    for place in range(max((len(each.rows) for each in rankings), default=0)):
+        for each in rankings:
+            if place < len(each.rows):
+                yield int(each.rows[place]), each
+
+
+def _worst_run(folder: CampaignFolder, row: dict[str, object], ranking: _Ranking) -> WorstRun:
+    number, moment_s, crashed = row["run"], row["worst_s"], row["status"] == CRASHED
+    value = None if crashed else row[ranking.score]
+    assert isinstance(number, int)
+    out = folder.path / RUNS_FOLDER / str(number)
+    again = f"modsim3d campaign-run {shlex.quote(str(folder.path))} {number} --out {shlex.quote(str(out))}"
+    return WorstRun(
+        number=number,
+        tracker=str(row["tracker"]),
+        condition=int(str(row["condition"])),
+        traffic_seed=int(str(row["traffic_seed"])),
+        detector_seed=int(str(row["detector_seed"])),
+        score=ranking.score,
+        value=float(value) if isinstance(value, int | float) else None,
+        moment_s=moment_s if isinstance(moment_s, float) else None,
+        again=again,
+        film="" if moment_s is None else f"{again} --film",
+        error=str(row["error"]) if crashed else None,
+        requirement=ranking.requirement,
+    )

@@ -1,0 +1,241 @@
+"""A run of a campaign made again as a run directory, and compared with its row."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import orjson
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from modsim3d.campaign.campaign import check_files
+from modsim3d.campaign.folder import CampaignFolder
+from modsim3d.campaign.plan import PlannedRun
+from modsim3d.campaign.search_folder import trial_run
+from modsim3d.campaign.status import rows_of
+from modsim3d.campaign.work.layers import Made, RunLayers
+from modsim3d.campaign.work.row import DONE, row_of, rules_of, search_versions
+from modsim3d.campaign.work.scenes import Scenes, versions
+from modsim3d.core.errors import ModsimError, OutputError, RunDirectoryError
+from modsim3d.io.overwrite_guard import check_free
+from modsim3d.runs.run import run_scene, settings_of
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.scene.scene import Scene
+from modsim3d.tracking.track_run import track_run
+from modsim3d.tracking.trackers.registry import named_tracker
+from modsim3d.tracks.reading import read_stored_tracks, track_paths
+from modsim3d.tracks.tracks import Tracks
+
+# ---- Whether a run of a campaign that is to be made again is there already, with its tracks ----
+
+
+def run_there(folder: Path, scene: Scene) -> StoredRun | None:
+    """The run of a scene in a folder; None if there is none, or another one, or a damaged one.
+
+    Args:
+        folder: The run directory.
+        scene: The scene with the seeds of the run.
+    """
+    try:
+        found = open_run(folder)
+        found.finished_tables.check_checksums()
+    except ModsimError:
+        return None
+    wanted = orjson.loads(orjson.dumps(settings_of(scene, found.settings["backend"])))
+    return found if all(found.settings.get(key) == value for key, value in wanted.items()) else None
+
+
+def tracks_there(folder: Path, run: StoredRun, tracker: str, settings: Mapping[str, Any]) -> Tracks | None:
+    """The tracks of a tracker in a run; None if there are none, or those of another tracker, or damaged ones.
+
+    Args:
+        folder: The folder of the tracks.
+        run: The run.
+        tracker: Name of the tracker.
+        settings: Its settings, in place of those chosen for the scene.
+    """
+    try:
+        found = read_stored_tracks(folder, run, RunRows.of(run))
+    except ModsimError:
+        return None
+    return found.tracks if found.origin == named_tracker(tracker, settings, run.scene.name).origin else None
+
+
+# ---- A run of a campaign, made again from the campaign's folder ----
+
+
+def planned_run(folder: CampaignFolder, number: int) -> PlannedRun:
+    """What the plan says of a run, or the search of a trial.
+
+    Raises:
+        InputError: A file that the run is made of is not as it was.
+        ModsimError: The campaign has no such run.
+    """
+    check_files(folder)
+    if folder.keys.search is not None:
+        return trial_run(folder.path, number)
+    if not 0 <= number < len(folder.plan):
+        raise ModsimError(f"{folder.path} has runs 0 to {len(folder.plan) - 1} (got {number})")
+    return folder.plan.run(number)
+
+
+def row_of_run(folder: CampaignFolder, number: int) -> dict[str, Any] | None:
+    """The row of a run; None if it is not done.
+
+    Raises:
+        ModsimError: The results are damaged.
+    """
+    if not folder.finished:  # or a search
+        table = rows_of(folder)
+        found = table.filter(pc.equal(table["run"], number)).to_pylist()
+        return found[0] if found else None
+    for path in sorted(folder.results.glob("scene=*/part-*.parquet")):
+        if rows := pq.read_table(path, partitioning=None, filters=[("run", "==", number)]).to_pylist():
+            return {"scene": path.parent.name.partition("=")[2], **rows[0]}
+    return None
+
+
+def remade(folder: CampaignFolder, number: int) -> Made:
+    """All layers of a run, made again or read where they are kept.
+
+    Raises:
+        ModsimError: There is no such run, or it fails.
+    """
+    run, work = planned_run(folder, number), folder.work
+    with closing(RunLayers(work.keys.model_copy(update={"keep": []}), Path(work.base), work.layers)) as layers:
+        return layers.made(run)
+
+
+# ---- A run of a campaign made again as a run directory, and compared with its row ----
+
+_NOT_COMPARED = ("run", "status", "error", "truth_key", "detections_key", "tracks_key")
+
+
+@dataclass(frozen=True, eq=False)
+class RunAgain:
+    """A run of a campaign that was made again.
+
+    Attributes:
+        run: What the plan says of it.
+        folder: Its run directory.
+        tracks: The folder with its tracks.
+        before: Its row in the campaign; None if it was not done there.
+        row: Its row now; None if it failed.
+        error: Why it failed; None if it did not.
+        raised_at: File, line and function in which the error was raised; empty without one.
+        differing: The columns that are not as in the campaign, if both rows have scores.
+        reused: Which of these two folders were there already; they are left as they were.
+        versions: The packages whose versions are not those of the campaign: then and now, by name.
+    """
+
+    run: PlannedRun
+    folder: Path
+    tracks: Path
+    before: dict[str, Any] | None
+    row: dict[str, Any] | None
+    error: str | None
+    raised_at: str
+    differing: tuple[str, ...]
+    reused: tuple[Path, ...]
+    versions: dict[str, tuple[str | None, str | None]]
+
+    @property
+    def same(self) -> bool:
+        """Whether it came out as in the campaign: with the same row, or with an error; True if there is no row."""
+        if self.before is None:
+            return True
+        return (self.before["status"] == DONE) == (self.error is None) and not self.differing
+
+
+def tracks_beside(folder: Path) -> Path:
+    """The folder for the tracks of a run directory: nothing but the run is written into that itself."""
+    return folder.with_name(f"{folder.name}_tracks")
+
+
+def make_again(
+    folder: CampaignFolder,
+    number: int,
+    out: Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> RunAgain:
+    """Make a run of a campaign again: write its run directory and its tracks, and compare the scores.
+
+    A run and tracks that are there already, and are those of this run, are left as they are.
+
+    Args:
+        folder: The campaign.
+        number: The run's number in the plan.
+        out: The run directory; the tracks lie beside it.
+        overwrite: Make all anew, in place of a run and tracks that are there.
+        progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: There is no such run, or it cannot be written. What the run itself raises is in the result.
+    """
+    run, before, tracks = planned_run(folder, number), row_of_run(folder, number), tracks_beside(out)
+    then, now = folder.facts["versions"], {**versions(), **search_versions(folder.keys)}
+    row, error, raised_at, reused = None, None, "", list[Path]()
+    try:
+        row = _row(folder, run, out, tracks, overwrite, progress, reused)
+    except (OutputError, RunDirectoryError):
+        raise
+    except Exception as failure:
+        error, raised_at = f"{type(failure).__name__}: {failure}", _place(failure)
+    changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
+    return RunAgain(run, out, tracks, before, row, error, raised_at, _differing(before, row), tuple(reused), changed)
+
+
+def _row(
+    folder: CampaignFolder,
+    run: PlannedRun,
+    out: Path,
+    tracks: Path,
+    overwrite: bool,
+    progress: Callable[[int], None],
+    reused: list[Path],
+) -> dict[str, Any]:
+    """Write a run and its tracks; its row. What is there already is added to `reused`."""
+    work = folder.work
+    scene = Scenes(work.keys.steps, Path(work.base), learned=work.keys.uncertainty == "learned").alone(
+        run.condition, run.traffic_seed, run.detector_seed
+    )
+    tracker, settings = run.tracker.tracker, {**run.tracker.settings, **run.condition.of_tracker()}
+    stored = None if overwrite else run_there(out, scene)
+    found = None if stored is None else tracks_there(tracks, stored, tracker, settings)
+    if found is None:
+        for path in track_paths(tracks):
+            check_free(path, overwrite)
+    if stored is None:
+        run_scene(scene, out, overwrite=overwrite, resume=not overwrite, progress=progress)
+        stored = open_run(out)
+    else:
+        reused.append(out)
+        progress(stored.steps)
+    if found is None:
+        found = track_run(stored, tracks, tracker=tracker, settings=settings, overwrite=overwrite).tracks
+    else:
+        reused.append(tracks)
+    return row_of(run.number, Made(RunRows.of(stored), found, "", "", ""), rules_of(work.keys.score))
+
+
+def _place(failure: Exception) -> str:
+    """Where an error was raised."""
+    where = traceback.extract_tb(failure.__traceback__)[-1]
+    return f"{where.filename}, line {where.lineno}, in {where.name}"
+
+
+def _differing(before: Mapping[str, Any] | None, row: Mapping[str, Any] | None) -> tuple[str, ...]:
+    """The columns of a row that are not those of the same run's row in a campaign."""
+    if before is None or row is None or before["status"] != DONE:
+        return ()
+    return tuple(
+        name for name, value in row.items() if name not in _NOT_COMPARED and name in before and before[name] != value
+    )

@@ -1,1 +1,0 @@
-"""The folder of a campaign: its plan, rows that are done, and the data set at the end."""

@@ -1,0 +1,416 @@
+"""The folder of a search: the points of each batch while it is under way, and all trials at the end.
+
+The trials lie in `search/` and never in `results/`: they are chosen to be bad, so no rate may be made of them.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import orjson
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from modsim3d.campaign.done_rows import text_of
+from modsim3d.campaign.folder import FILE, SEARCH, CampaignFolder, opened_campaign, write_list
+from modsim3d.campaign.keys import Range, SearchKeys
+from modsim3d.campaign.plan import Plan, PlannedRun, detector_seed, traffic_seed
+from modsim3d.campaign.running import DIED
+from modsim3d.campaign.work.row import CRASHED, DONE, table_of
+from modsim3d.campaign.work.scenes import Scenes, digest
+from modsim3d.campaign.work.task import PLAN, Task, read_rows
+from modsim3d.core.errors import ModsimError, OutputError
+from modsim3d.core.types import StrPath
+from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder, write_files
+from modsim3d.tracking.trackers.registry import named_tracker
+
+if TYPE_CHECKING:
+    from optuna.distributions import BaseDistribution
+    from optuna.trial import FrozenTrial
+
+# ---- The space that is searched ----
+
+SEED = "traffic seed"
+"""Name of the dimension of the traffic seed; no key of a scene has a space in it."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of the space that is searched.
+
+    Attributes:
+        seed_index: Number of the traffic seed, from 0.
+        places: For each key its number, or the index of its choice.
+    """
+
+    seed_index: int
+    places: Mapping[str, float | int]
+
+    def values(self, ranges: Mapping[str, Range]) -> dict[str, Any]:
+        """The values of the keys."""
+        return {key: _value(each, self.places[key]) for key, each in ranges.items()}
+
+
+def distributions(search: SearchKeys) -> dict[str, BaseDistribution]:
+    """The dimensions as Optuna knows them.
+
+    Traffic seeds are categories: two seeds with neighbouring numbers have no more in common than any others.
+    """
+    from optuna.distributions import CategoricalDistribution
+
+    found = {key: _distribution(each) for key, each in search.over.items()}
+    return {**found, SEED: CategoricalDistribution(range(search.seeds))} if search.seeds > 1 else found
+
+
+def point_of(parameters: Mapping[str, Any], search: SearchKeys) -> Point:
+    """The point that Optuna proposes, without the last digits, which depend on the processor.
+
+    Args:
+        parameters: Its values of the dimensions.
+        search: The search.
+    """
+    places = {key: _rounded(each, parameters[key]) for key, each in search.over.items()}
+    return Point(int(parameters.get(SEED, 0)), places)
+
+
+def parameters_of(point: Point, search: SearchKeys) -> dict[str, Any]:
+    """The point as Optuna knows it."""
+    return {**point.places, SEED: point.seed_index} if search.seeds > 1 else dict(point.places)
+
+
+def _distribution(values: Range) -> BaseDistribution:
+    from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+
+    if values.choices is not None:
+        return CategoricalDistribution(range(len(values.choices)))
+    assert values.low is not None and values.high is not None
+    log = values.scale == "log"
+    if values.whole:
+        return IntDistribution(int(values.low), int(values.high), log=log)
+    return FloatDistribution(values.low, values.high, log=log)
+
+
+def _rounded(values: Range, place: float | int) -> float | int:
+    if values.choices is not None or values.whole:
+        return int(place)
+    assert values.low is not None and values.high is not None
+    return min(max(float(f"{place:.12g}"), float(values.low)), float(values.high))
+
+
+def _value(values: Range, place: float | int) -> Any:
+    return place if values.choices is None else values.choices[int(place)]
+
+
+# ---- Proposes the next batch of points, by the tree-structured Parzen estimator of Optuna ----
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A point and what came of it.
+
+    Attributes:
+        point: The point.
+        value: The score; None if the scene refuses the point, or there is nothing to be scored.
+        crashed: Whether the run crashed.
+    """
+
+    point: Point
+    value: float | None
+    crashed: bool = False
+
+
+def proposed(search: SearchKeys, seed: int, batch: int, tried: Sequence[Tried]) -> list[Point]:
+    """The points of a batch.
+
+    The points of one batch keep away from each other: each counts as bad until its score is known (`constant_liar`).
+    The estimator avoids points without a score. Crashed runs do not steer it, or the rest of the budget would be spent
+    on one crash.
+
+    Args:
+        search: The search.
+        seed: Seed of the campaign.
+        batch: Number of the batch, from 0.
+        tried: All points of the batches before it.
+    """
+    import optuna
+
+    space = distributions(search)
+    own_seed = int(digest("search", seed, batch)[:8], 16)
+    with _quiet():
+        study = optuna.create_study(
+            direction="minimize" if search.minimise is not None else "maximize",
+            sampler=optuna.samplers.TPESampler(seed=own_seed, multivariate=True, constant_liar=True),
+        )
+    study.add_trials([_trial(each, search) for each in tried])
+    count = min(search.batch, search.budget - batch * search.batch)
+    return [point_of(study.ask(space).params, search) for _ in range(count)]
+
+
+def _trial(tried: Tried, search: SearchKeys) -> FrozenTrial:
+    from optuna.trial import TrialState, create_trial
+
+    scored = TrialState.PRUNED if tried.value is None else TrialState.COMPLETE
+    state = TrialState.FAIL if tried.crashed else scored
+    return create_trial(
+        state=state,
+        value=tried.value if state is TrialState.COMPLETE else None,
+        params=parameters_of(tried.point, search),
+        distributions=distributions(search),
+    )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without Optuna's line about a new study."""
+    from optuna import logging
+
+    before = logging.get_verbosity()
+    logging.set_verbosity(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.set_verbosity(before)
+
+
+# ---- A trial of a search as a planned run, and what its row says ----
+
+REFUSED = "refused"
+"""Status of a trial whose values the scene, the detector or the tracker does not take: no failure of the tracker."""
+
+
+def score_of(search: SearchKeys) -> str:
+    """The score that is searched by."""
+    score = search.minimise or search.maximise
+    assert score is not None
+    return score
+
+
+def planned_trial(plan: Plan, number: int, seed_index: int, values: Mapping[str, Any]) -> PlannedRun:
+    """The run of a trial.
+
+    Args:
+        plan: The plan of the campaign: one condition and one tracker.
+        number: Number of the trial, from 0.
+        seed_index: Number of the traffic seed, from 0.
+        values: The values of the keys that are searched.
+    """
+    traffic = traffic_seed(plan.keys.seed, seed_index)
+    condition = plan.conditions[0].with_values(values)
+    return PlannedRun(number, seed_index, 0, condition, traffic, detector_seed(traffic, 0), plan.keys.trackers[0])
+
+
+def refusal(run: PlannedRun, scenes: Scenes) -> str | None:
+    """Why a run cannot even begin; None if it can."""
+    try:
+        scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
+        named_tracker(run.tracker.tracker, {**run.tracker.settings, **run.condition.of_tracker()}, scene.name)
+    except ModsimError as error:
+        return str(error)
+    except Exception:  # of a plug-in: a crash
+        return None
+    return None
+
+
+def told_apart(row: Mapping[str, Any], run: PlannedRun, scenes: Scenes) -> dict[str, Any]:
+    """The row of a trial, in which a refused one is told apart from a crash."""
+    alive = row["error"] != DIED  # what ended a worker is not tried in this process
+    if row["status"] == CRASHED and alive and (said := refusal(run, scenes)) is not None:
+        return {**row, "status": REFUSED, "error": said}
+    return dict(row)
+
+
+def tried(point: Point, row: Mapping[str, Any], search: SearchKeys) -> Tried:
+    """What came of a point."""
+    value = row.get(score_of(search)) if row["status"] == DONE else None
+    known = value is not None and math.isfinite(value)
+    return Tried(point, value if known else None, row["status"] == CRASHED)
+
+
+# ---- The folder of a search ----
+
+_PART = "part-00000.parquet"
+VALUES = "values"
+"""Column with the values of the keys that were searched, as JSON."""
+
+
+def search_ended(folder: CampaignFolder) -> bool:
+    """Whether all trials are written."""
+    return (folder.path / SEARCH).is_dir()
+
+
+def stored_batch(folder: CampaignFolder, batch: int) -> list[Point] | None:
+    """The points of a batch that was proposed before; None if it was not."""
+    path = _batch_file(folder, batch)
+    if not path.is_file():
+        return None
+    try:
+        return [Point(each["seed"], each["places"]) for each in orjson.loads(path.read_bytes())]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None  # damaged: it is proposed again
+
+
+def store_batch(folder: CampaignFolder, batch: int, points: Sequence[Point]) -> None:
+    """Write the points of a batch.
+
+    Raises:
+        OutputError: They cannot be written.
+    """
+    content = [{"seed": point.seed_index, "places": dict(point.places)} for point in points]
+    write_files({_batch_file(folder, batch): orjson.dumps(content)})
+
+
+def done_row(task: Task) -> dict[str, Any] | None:
+    """The row of a task of one run; None if it is not done, or its file is damaged."""
+    table = read_rows(task.path)
+    if table is None:
+        return None
+    row: dict[str, Any] = table.to_pylist()[0]
+    return row
+
+
+def trials_table(runs: Sequence[PlannedRun], rows: Sequence[Mapping[str, Any]], search: SearchKeys) -> pa.Table:
+    """The table of trials: `status` is `done`, `crashed` or `refused`; `values` holds the keys that were searched.
+
+    Args:
+        runs: The trials in their order.
+        rows: What came of each.
+        search: The search.
+    """
+    table = table_of(rows)
+    columns: dict[str, Any] = {
+        "scene": pa.array([Path(run.condition.scene).stem for run in runs], pa.string()),
+        "condition": pa.array([run.condition_index for run in runs], pa.int64()),
+        "traffic_seed": pa.array([run.traffic_seed for run in runs], pa.int64()),
+        "detector_seed": pa.array([run.detector_seed for run in runs], pa.int64()),
+        "tracker": pa.array([run.tracker.label for run in runs], pa.string()),
+        **{key: _column([run.condition.values[key] for run in runs], each) for key, each in search.over.items()},
+        VALUES: pa.array(
+            [orjson.dumps({key: run.condition.values[key] for key in search.over}).decode() for run in runs]
+        ),
+    }
+    return pa.table({"run": table["run"], **columns, **{each: table[each] for each in table.column_names[1:]}})
+
+
+def write_trials(folder: CampaignFolder, table: pa.Table) -> None:
+    """Write the trials of a search that ended.
+
+    Raises:
+        OutputError: They cannot be written.
+    """
+    final = folder.path / SEARCH
+    partial = folder.path / f".{SEARCH}.partial"
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        make_folder(partial)
+        pq.write_table(table, partial / _PART, compression="zstd", write_page_checksum=True)
+        sync_file(partial / _PART)
+        write_list(folder.path, partial, SEARCH, (FILE, PLAN), {})
+        sync_folder(partial)
+        partial.rename(final)
+        sync_folder(folder.path)
+    except OSError as error:
+        raise OutputError(f"{final} cannot be written: {error.strerror or error}") from error
+
+
+def search_table(folder: CampaignFolder) -> pa.Table:
+    """The trials of a search in their order: all, or those that are done so far.
+
+    Raises:
+        ModsimError: It is no search, or its trials are damaged.
+    """
+    search = searched(folder)
+    if search_ended(folder):
+        return pq.read_table(folder.path / SEARCH / _PART, partitioning=None)
+    scenes = Scenes(folder.keys.steps, Path(folder.facts["base"]))
+    runs, rows = [], []
+    for run in stored_trials(folder):
+        if (row := done_row(Task(folder.work, (run,)))) is not None:
+            runs.append(run)
+            rows.append(told_apart(row, run, scenes))
+    return trials_table(runs, rows, search)
+
+
+def stored_trials(folder: CampaignFolder) -> list[PlannedRun]:
+    """The trials that were proposed so far, of a search that is under way."""
+    search, runs = searched(folder), list[PlannedRun]()
+    for batch in range(batches(search)):
+        if (points := stored_batch(folder, batch)) is None:
+            break
+        runs += planned_batch(folder, batch, points)
+    return runs
+
+
+def planned_batch(folder: CampaignFolder, batch: int, points: Sequence[Point]) -> list[PlannedRun]:
+    """The trials of a batch."""
+    search = searched(folder)
+    return [
+        planned_trial(folder.plan, batch * search.batch + place, point.seed_index, point.values(search.over))
+        for place, point in enumerate(points)
+    ]
+
+
+def trial_run(folder: StrPath, number: int) -> PlannedRun:
+    """The run of a trial, for making it again.
+
+    Args:
+        folder: The folder of a search.
+        number: Number of the trial, from 0.
+
+    Raises:
+        ModsimError: It is no folder of a search, it is damaged, or it has no such trial.
+        TypeError: The folder is neither text nor a path.
+    """
+    found = opened_campaign(folder)
+    searched(found)
+    if not search_ended(found):
+        runs = stored_trials(found)
+        if 0 <= number < len(runs):
+            return runs[number]
+        raise ModsimError(_no_trial(found, number, len(runs)))
+    table = search_table(found)
+    row = table.filter(pc.equal(table["run"], number)).select(["traffic_seed", VALUES]).to_pylist()
+    if not row:
+        raise ModsimError(_no_trial(found, number, len(table)))
+    seed_index = row[0]["traffic_seed"] - traffic_seed(found.keys.seed, 0)
+    return planned_trial(found.plan, number, seed_index, orjson.loads(row[0][VALUES]))
+
+
+def searched(folder: CampaignFolder) -> SearchKeys:
+    """The search of a campaign.
+
+    Raises:
+        ModsimError: It has none.
+    """
+    if folder.keys.search is None:
+        raise ModsimError(f"{folder.path} holds a campaign without a search")
+    return folder.keys.search
+
+
+def batches(search: SearchKeys) -> int:
+    """Number of batches."""
+    return -(-search.budget // search.batch)
+
+
+def _batch_file(folder: CampaignFolder, batch: int) -> Path:
+    return folder.done / f"batch-{batch:06d}.json"
+
+
+def _no_trial(folder: CampaignFolder, number: int, count: int) -> str:
+    there = f"0 to {count - 1}" if count else "none yet"
+    return f"{folder.path} has no trial {number} (there: {there})"
+
+
+def _column(values: Sequence[Any], each: Range) -> pa.Array:
+    """Numbers as numbers, and choices of another kind as text."""
+    if each.choices is None:
+        return pa.array(values, pa.int64() if each.whole else pa.float64())
+    if all(isinstance(choice, int | float) and not isinstance(choice, bool) for choice in each.choices):
+        return pa.array([float(value) for value in values], pa.float64())
+    return pa.array([None if value is None else text_of(value) for value in values], pa.string())

@@ -1,0 +1,118 @@
+"""The process of a worker: does the tasks that come through a pipe, until the pipe ends.
+
+Started as `python -m modsim3d.campaign.serving PIPE PARENT`.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import signal
+import sys
+import traceback
+from contextlib import closing
+from importlib.metadata import PackageNotFoundError, version
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from modsim3d.campaign.work.scenes import versions
+from modsim3d.campaign.work.task import PLAN, Task, TaskReport, Work, Worker
+from modsim3d.campaign.workers import READY
+from modsim3d.core.errors import ModsimError
+from modsim3d.io.plugins import changed_plugins
+from modsim3d.io.processes import end_with_parent
+
+# ---- Whether a worker may work on a campaign ----
+
+
+def check_worker(work: Work) -> None:
+    """Check that this process may work on a campaign.
+
+    Raises:
+        ModsimError: The folder of the campaign is not here or is that of another, or packages have other versions.
+    """
+    host, plan = platform.node(), Path(work.folder) / PLAN
+    try:
+        facts = orjson.loads(plan.read_bytes())
+        sha256, wanted = facts["sha256"], {**facts["versions"], **_of_trackers(facts)}
+    except OSError as error:
+        raise ModsimError(
+            f"the worker on {host} cannot read {plan} ({error.strerror or error}): every worker needs the folder of "
+            "the campaign under the same path"
+        ) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise ModsimError(f"{plan} is damaged: {error}") from None
+    if sha256 != work.plan_sha256:
+        raise ModsimError(
+            f"the worker on {host} finds another campaign at {plan}: every worker needs the folder of the campaign "
+            "under the same path"
+        )
+    if changed := changed_plugins(work.plugins, "the campaign was planned"):
+        raise ModsimError(f"the worker on {host} has other plug-ins than the plan: {'; '.join(changed)}")
+    found = versions() | {name: _version(name) for name in wanted if name not in versions()}
+    if differing := [f"{name} {found[name]} instead of {each}" for name, each in wanted.items() if found[name] != each]:
+        raise ModsimError(
+            f"the worker on {host} has {', '.join(differing)}: a campaign needs the same versions everywhere"
+        )
+
+
+def _of_trackers(facts: dict[str, Any]) -> dict[str, str]:
+    """The versions of the packages of all trackers, and of what they use."""
+    found: dict[str, str] = {}
+    for condition in facts["conditions"]:
+        for tracker in condition["trackers"].values():
+            package, _, number = tracker["package"].rpartition(" ")
+            found |= tracker["versions"]
+            if number[:1].isdigit():  # else a plug-in of no package
+                found[package] = number
+    return found
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "missing"
+
+
+# ---- The process of a worker ----
+
+
+def serve(pipe: Connection) -> None:
+    """Do what comes through a pipe; each task is answered with its report, or with an error.
+
+    Before a run begins, its number is sent: should it end this process, the other side knows which one did.
+    """
+    admitted: Work | None = None
+    with closing(Worker()) as worker:
+        pipe.send(READY)
+        while True:
+            try:
+                task: Task = pipe.recv()
+            except EOFError:
+                return
+            answer: tuple[TaskReport | None, ModsimError | None]
+            try:
+                if task.work != admitted:
+                    check_worker(task.work)
+                    admitted = task.work
+                answer = worker.do(task, begin=pipe.send), None
+            except ModsimError as error:
+                answer = None, error
+            except Exception as error:  # a defect: what it says must reach the user
+                answer = None, ModsimError(f"a task failed: {''.join(traceback.format_exception(error))}")
+            pipe.send(answer)
+
+
+if __name__ == "__main__":
+    end_with_parent(int(sys.argv[2]))
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback
+    try:
+        serve(Connection(int(sys.argv[1])))
+    except KeyboardInterrupt:  # no signal raises it: the run did
+        os._exit(128 + signal.SIGINT)
+    except OSError:  # the parent has gone
+        os._exit(1)

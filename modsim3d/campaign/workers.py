@@ -1,0 +1,296 @@
+"""A worker in a process of its own, so that a run that ends its process ends nothing else.
+
+It is a new interpreter and no fork: a fork is not safe where threads run, and `multiprocessing` would import the
+user's script again. This module imports little, because a Dask worker imports it only to hand tasks on.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import platform
+import subprocess
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from signal import SIGHUP, SIGINT, SIGKILL, SIGTERM, Signals
+from typing import Protocol
+
+from modsim3d.campaign.work.task import Task, TaskReport, Worker
+from modsim3d.core.errors import ModsimError
+from modsim3d.io.processes import WorkerCount, new_interpreter, worker_count
+
+# ---- How the process of a worker ended in the middle of a task ----
+
+STOPPING = (SIGTERM, SIGINT, SIGHUP)
+"""Signals that a batch system or a user sends to all processes of a campaign, to stop it."""
+
+
+@dataclass(frozen=True)
+class Death:
+    """The end of a worker in the middle of a task.
+
+    Attributes:
+        run: Number of the run that it had begun; None if that is unknown.
+        how: Exit status or signal.
+        outside: Whether something else than the run may have ended it, as the system does for want of memory.
+        host: Name of its machine; empty if that is unknown.
+    """
+
+    run: int | None
+    how: str
+    outside: bool
+    host: str = ""
+
+    @classmethod
+    def of(cls, run: int | None, code: int) -> Death:
+        """From an exit status on this machine, or minus the number of a signal."""
+        named = Signals(-code).name if -code in set(Signals) else f"signal {-code}"
+        return cls(run, f"exit status {code}" if code >= 0 else named, -code == SIGKILL, platform.node())
+
+    @property
+    def error(self) -> str | None:
+        """The error of the run; None if it is not known to have ended the process itself."""
+        return None if self.outside or self.run is None else f"the run ended its worker process ({self.how})"
+
+
+LOST = Death(None, "its Dask worker was lost", True)
+"""A worker that was lost with all that is known of it."""
+
+
+# ---- A worker in a process of its own, so that a run that ends its process ends nothing else ----
+
+READY = "ready"
+"""What a process says when it can take tasks."""
+_END_S = 10.0
+"""How long an idle process may take to close its OpenGL context."""
+_STOP_S = 2.0
+"""A signal that goes to all processes reaches the main one, or the Dask worker, within this time."""
+
+
+class ProcessDiedError(Exception):
+    """The process of a worker ended while it did a task."""
+
+    def __init__(self, death: Death) -> None:
+        """Take how it ended, `death`."""
+        super().__init__(death)
+        self.death = death
+
+
+class CampaignWorker:
+    """A process that does tasks one after the other, in one thread, with one OpenGL context.
+
+    Nobody else holds the other end of its pipe, so that the pipe ends when the process does, whatever it was doing.
+    """
+
+    def __init__(self) -> None:
+        """Start the process; tasks may be handed to it at once."""
+        self.pipe, other_end = multiprocessing.Pipe()
+        self._busy = self._ready = False
+        self._run: int | None = None
+        with other_end:
+            serving = "modsim3d.campaign.serving", str(other_end.fileno()), str(os.getpid())
+            self._process = new_interpreter(other_end, "-m", *serving)
+
+    @property
+    def id(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    def hand(self, task: Task) -> None:
+        """Hand it a task.
+
+        Raises:
+            ProcessDiedError: The process has ended.
+        """
+        self._busy, self._run = True, None
+        try:
+            self.pipe.send(task)
+        except OSError:
+            raise self._died() from None
+
+    def answer(self) -> TaskReport | None:
+        """Read one message from the pipe: the report on the task, or None if it is not done yet.
+
+        The process also says that it is ready, and which run it begins.
+
+        Raises:
+            ProcessDiedError: The process ended while it did the task.
+            ModsimError: It could not start, or the task cannot be done.
+        """
+        try:
+            message = self.pipe.recv()
+        except (EOFError, OSError):
+            raise self._died() from None
+        if message == READY:
+            self._ready = True
+            return None
+        if isinstance(message, int):
+            self._run = message
+            return None
+        self._busy = False
+        report: TaskReport | None
+        report, error = message
+        if error is not None:
+            raise error
+        return report
+
+    def do(self, task: Task) -> TaskReport:
+        """Do a task, and wait for it.
+
+        Raises:
+            ProcessDiedError: The process ended while it did the task.
+            ModsimError: It could not start, or the task cannot be done.
+        """
+        self.hand(task)
+        while (report := self.answer()) is None:
+            pass
+        return report
+
+    def kill(self) -> None:
+        """End the process, whatever it is doing."""
+        self._process.kill()
+
+    def close(self) -> None:
+        """End the process: an idle one closes its OpenGL context first, if it has ever done a task."""
+        self.pipe.close()
+        if self._busy or not self._ready:
+            self.kill()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_S)
+        self.kill()
+        self._process.wait()
+
+    def _died(self) -> ProcessDiedError | ModsimError:
+        """What a broken pipe means."""
+        try:
+            code = self._process.wait(_END_S)
+            if -code in STOPPING:  # if all are to stop, this process ends here, before the run counts as crashed
+                time.sleep(_STOP_S)
+            death = Death.of(self._run, code)
+        except subprocess.TimeoutExpired:  # it lives, and something in it closed the pipe
+            self.kill()
+            code = self._process.wait()
+            death = Death(self._run, "it closed the pipe", outside=False)
+        if self._ready:
+            return ProcessDiedError(death)
+        return ModsimError(f"a worker process could not start: {_said(code)}, see above")
+
+
+def _said(code: int) -> str:
+    return f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
+
+
+# ---- Worker processes on this machine ----
+
+
+class ProcessPool:
+    """Does tasks in processes of their own, also if there is one only; one that dies is replaced."""
+
+    def __init__(self, workers: WorkerCount) -> None:
+        """Start the processes.
+
+        Args:
+            workers: Number of processes, or `auto`.
+
+        Raises:
+            ModsimError: This is no number of workers.
+        """
+        self.width = worker_count(workers)
+        self._waiting: deque[Task] = deque()
+        self._busy: dict[Connection, tuple[CampaignWorker, Task]] = {}
+        self._idle = [CampaignWorker() for _ in range(self.width)]
+
+    def submit(self, task: Task) -> None:
+        """Hand in a task."""
+        self._waiting.append(task)
+        self._hand_out()
+
+    def next(self) -> tuple[Task, TaskReport | Death]:
+        """Wait for a task that was handed in, with its report, or how its process died.
+
+        Raises:
+            ModsimError: A process could not start, or a file cannot be written.
+        """
+        while True:
+            for pipe in wait(list(self._busy)):
+                assert isinstance(pipe, Connection)
+                process, task = self._busy[pipe]
+                try:
+                    report: TaskReport | Death | None = process.answer()
+                    if report is None:
+                        continue
+                    self._idle.append(process)
+                except ProcessDiedError as error:
+                    report = error.death
+                    process.close()
+                    self._idle.append(CampaignWorker())
+                del self._busy[pipe]
+                self._hand_out()
+                return task, report
+
+    def close(self) -> None:
+        """End the processes, in the middle of a task too."""
+        for process in (*self._idle, *(process for process, _ in self._busy.values())):
+            process.close()
+
+    def _hand_out(self) -> None:
+        """Hand waiting tasks to idle processes."""
+        while self._waiting and self._idle:
+            process = self._idle.pop()
+            try:
+                process.hand(self._waiting[0])
+            except ProcessDiedError:  # somebody ended it while it was idle
+                process.close()
+                self._idle.append(CampaignWorker())
+                continue
+            self._busy[process.pipe] = process, self._waiting.popleft()
+
+
+# ---- What an engine is ----
+
+
+class Engine(Protocol):
+    """Does tasks."""
+
+    @property
+    def width(self) -> int:
+        """How many tasks can be done at once now, at least 1; it may change."""
+
+    def submit(self, task: Task) -> None:
+        """Hand in a task."""
+
+    def next(self) -> tuple[Task, TaskReport | Death]:
+        """Wait for a task that was handed in, with its report, or how its worker died.
+
+        Raises:
+            ModsimError: The work cannot go on: a file cannot be written, or the cluster is gone.
+        """
+
+    def close(self) -> None:
+        """End the workers."""
+
+
+class ThisProcess:
+    """Does tasks one after the other, in this process."""
+
+    width = 1
+
+    def __init__(self) -> None:
+        """Start with nothing to do."""
+        self._worker, self._waiting = Worker(), list[Task]()
+
+    def submit(self, task: Task) -> None:
+        """Put a task at the end of the queue."""
+        self._waiting.append(task)
+
+    def next(self) -> tuple[Task, TaskReport | Death]:
+        """Do the first task of the queue."""
+        task = self._waiting.pop(0)
+        return task, self._worker.do(task)
+
+    def close(self) -> None:
+        """Close the OpenGL context."""
+        self._worker.close()

@@ -1,0 +1,131 @@
+"""The command `modsim3d ais`: a scene from real traffic."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modsim3d.cli.shared import (
+    OverwriteOption,
+    QuietOption,
+    VerboseOption,
+    print_line,
+    print_path,
+    print_rows,
+    typed_command,
+)
+from modsim3d.cli.terminal import open_console, tell_files, timed, warn
+
+if TYPE_CHECKING:
+    from modsim3d.scene.ais.traffic import AisTraffic
+
+
+class Labels(str, Enum):  # noqa: UP042 (typer shows the plain values)
+    """What the labels of vessels from AIS say."""
+
+    vessel = "vessel"
+    type = "type"
+
+
+# More than fifty lines, because each option stands in the signature, where the command line finds it.
+def ais_command(
+    context: typer.Context,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="AIS logs, CSV or NMEA, gzipped or not.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Scene folder to write.")],
+    origin: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LAT,LON", help="Origin of the scene's coordinates, in degrees.", show_default="median position"
+        ),
+    ] = None,
+    region: Annotated[
+        str | None, typer.Option(metavar="LAT1,LON1,LAT2,LON2", help="Keep only positions between these two corners.")
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Time of the first step, in UTC.", show_default="first report")
+    ] = None,
+    end: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Time of the last step, in UTC.", show_default="last report")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Time from the first step to the last, in place of --end.")
+    ] = None,
+    time_step: Annotated[float, typer.Option(metavar="SECONDS", help="Time between steps.")] = 1.0,
+    max_gap: Annotated[
+        float, typer.Option(metavar="SECONDS", help="A vessel is absent between reports that are further apart.")
+    ] = 400.0,
+    max_speed: Annotated[
+        float, typer.Option(metavar="KNOTS", help="Drop a position that a vessel can reach only at a higher speed.")
+    ] = 60.0,
+    swap_coordinates: Annotated[
+        bool,
+        typer.Option(
+            "--swap-coordinates", help="Exchange latitude and longitude, for CSV files that have them swapped."
+        ),
+    ] = False,
+    labels: Annotated[
+        Labels,
+        typer.Option(metavar="BY", help="Labels: vessel, the same for all, or type, one for each group of ship types."),
+    ] = Labels.vessel,
+    label: Annotated[
+        list[str] | None, typer.Option(metavar="GROUP=LABEL", help="Label of one group of ship types; repeatable.")
+    ] = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Make a scene folder from real traffic: AIS of Denmark, MarineCadastre or a receiver.
+
+    Example: modsim3d ais aisdk-2024-01-04.csv --region 55.6,12.6,55.8,12.9 --duration 600 --out scenes/sound
+    """
+    from modsim3d.io import overwrite_guard
+    from modsim3d.io.input_files import data_folder
+    from modsim3d.io.locks import locked_folder
+    from modsim3d.scene.ais import options as given
+    from modsim3d.scene.ais.scene_folder import FILES, check_free, write_scene
+    from modsim3d.scene.ais.traffic import read_traffic
+    from modsim3d.view.pages.ais_page import ais_page
+
+    options = given.Options(
+        origin=given.parse_origin(origin) if origin else None,
+        region=given.parse_region(region) if region else None,
+        start_s=given.parse_time(start, "--start") if start else None,
+        end_s=given.parse_time(end, "--end") if end else None,
+        duration_s=duration,
+        time_step_s=time_step,
+        max_gap_s=max_gap,
+        max_speed_kn=max_speed,
+        swap_coordinates=swap_coordinates,
+        labels_by_type=labels is Labels.type,
+        labels=given.parse_labels(label or ()),
+    )
+    check_free(out, overwrite)
+    with locked_folder(out):
+        read = [file for file in files if not file.is_dir()]  # folders are refused when they are read
+        for name in FILES:
+            overwrite_guard.check_free(out / name, overwrite, read)
+        with timed("reading"):
+            traffic = read_traffic(files, options)
+        tell_files(read)
+        detector = data_folder("scenes") / "detectors" / "thesis.yaml"
+        with timed("writing"):
+            write_scene(traffic, out, detector, overwrite, ais_page(traffic, typed_command(context)))
+    _print_summary(traffic, out)
+
+
+def _print_summary(traffic: AisTraffic, folder: Path) -> None:
+    from modsim3d.scene.ais.report import summary_rows, warning
+    from modsim3d.scene.ais.scene_folder import PAGE
+
+    console = open_console()
+    if text := warning(traffic):
+        warn(text)
+    for title, rows in summary_rows(traffic):
+        print_rows(console, title, rows)
+    print_line(console, "")
+    print_path(console, "scene folder", folder)
+    print_path(console, "page", folder / PAGE)
+    print_line(console, f"run it with   modsim3d run {folder}")

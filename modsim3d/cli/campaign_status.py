@@ -1,0 +1,252 @@
+"""The command `modsim3d campaign-status`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modsim3d.cli.shared import (
+    CampaignArgument,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    VerboseOption,
+    out_file,
+    print_line,
+    print_written,
+    progress,
+    typed_command,
+)
+from modsim3d.cli.tables import print_prose
+from modsim3d.cli.terminal import open_console, say, say_json, tell_files, timed
+from modsim3d.core.errors import ModsimError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from modsim3d.campaign.folder import CampaignFolder
+    from modsim3d.campaign.means import MeanRow
+    from modsim3d.campaign.status import Present
+
+# ---- The command `modsim3d campaign-status` ----
+
+
+def campaign_status_command(
+    campaign: CampaignArgument,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Say how far a campaign is and what is known of its requirements, while it is worked on or afterwards.
+
+    Example: modsim3d campaign-status runs/example
+    """
+    from modsim3d.campaign.folder import opened_campaign
+    from modsim3d.campaign.status import present_state
+
+    with timed("reading the rows"):
+        opened = opened_campaign(campaign)
+        found = present_state(opened)
+    _print_state(opened, found, opened.keys.stop == "once")
+    say_json(
+        {
+            "format": 1,
+            "command": "campaign-status",
+            "folder": campaign,
+            "runs": found.total,
+            "done": found.done,
+            "crashed": found.crashed,
+            "finished": found.finished,
+            "worked_on_by": found.worked_on_by,
+            "left_s": found.left_s,
+            "last_s": found.last_s,
+            "verdicts": [asdict(verdict) for verdict in found.verdicts],
+        }
+    )
+
+
+def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
+    from modsim3d.campaign.folder import killed_sentence
+    from modsim3d.cli.campaign_progress import present_text
+    from modsim3d.cli.campaign_text import MOST_ROWS, print_crashed, print_verdicts
+
+    console = open_console()
+    print_line(console, f"{found.done:,} of {found.total:,} runs are done, {found.crashed:,} of them crashed", "bold")
+    for line in _how(found):
+        print_line(console, line)
+    if found.finished:
+        print_verdicts(console, "requirements", found.verdicts, reasons=True)
+    elif found.verdicts:
+        print_line(console, "")
+        print_line(console, "requirements so far" if once else "requirements at the last look", "bold")
+        for verdict in found.verdicts[:MOST_ROWS]:
+            print_line(console, f"  {present_text(verdict, once)}")
+    print_crashed(console, found.table, opened.path)
+    if killed := killed_sentence(opened):
+        print_prose(console, killed)
+
+
+def _how(found: Present) -> list[str]:
+    from modsim3d.cli.campaign_text import duration_text
+
+    if found.finished:
+        early = found.total - found.done
+        return ["finished" + (f": all was decided {early:,} runs before the end of the plan" if early else "")]
+    lines = []
+    if found.last_s is not None:
+        lines.append(f"last rows written {found.last_s:,.0f} s ago")
+    if found.worked_on_by is None and found.done == found.total:
+        return [*lines, "nobody holds its folder: the same command, without --shard, writes results and verdicts"]
+    if found.worked_on_by is None:
+        return [*lines, "nobody holds its folder: the same command goes on (parts of a job array are not seen here)"]
+    return [*lines, f"worked on by {found.worked_on_by}, {duration_text(found.left_s)}"]
+
+
+# ---- The command `modsim3d campaign-table` ----
+
+ENDINGS = (".csv", ".parquet")
+
+
+def campaign_table_command(
+    campaign: CampaignArgument,
+    by: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY", help="Varied key to tell apart; may be repeated.", show_default="all but those drawn"
+        ),
+    ] = None,
+    score: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Column of the rows, such as hota or state.haze.hota; may be repeated."),
+    ] = None,
+    runs: Annotated[bool, typer.Option("--runs", help="Write all columns of each run, in place of means.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Table to write, .csv or .parquet.", show_default="none")
+    ] = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Mean scores of a campaign by tracker and condition, with 95 % intervals over traffic seeds.
+
+    Example: modsim3d campaign-table runs/example --by state --score hota
+    """
+    from modsim3d.campaign.folder import files_of_campaign, opened_campaign
+    from modsim3d.campaign.means import mean_rows, usual_keys, usual_scores
+    from modsim3d.campaign.status import has_ended, rows_of
+    from modsim3d.cli.campaign_text import print_means
+    from modsim3d.io.overwrite_guard import claimed
+
+    _check(runs, bool(by or score), out)
+    opened = opened_campaign(campaign)
+    if opened.keys.search is not None and not runs:
+        raise ModsimError(
+            f"{campaign} holds a search, and no mean may be made of trials that were chosen to be bad: use --runs"
+        )
+    files = files_of_campaign(opened)
+    tell_files(files)
+    paths = [] if out is None else [out]
+    with claimed(paths, overwrite=overwrite, inputs=files):
+        with timed("reading the rows"):
+            table = rows_of(opened)
+        keys = list(by or usual_keys(opened.plan))
+        rows = [] if runs else mean_rows(table, keys, list(score or usual_scores(opened.plan, table)))
+        if out is not None:
+            _write(out, table if runs else flat_table(rows))
+    if not runs:
+        print_means(open_console(), "mean scores [95 % interval over traffic seeds]", rows, most=None)
+    print_written(open_console(), paths)
+    say_json(
+        {
+            "format": 1,
+            "command": "campaign-table",
+            "folder": campaign,
+            "finished": has_ended(opened),
+            "by": [] if runs else [*dict.fromkeys([*keys, "tracker"])],
+            "rows": [asdict(row) for row in rows],
+            "written": paths,
+        }
+    )
+
+
+def _check(runs: bool, selected: bool, out: Path | None) -> None:
+    """Refuse options that contradict each other, and a file of another kind.
+
+    Raises:
+        ModsimError: They do, or it is.
+    """
+    if runs and selected:
+        raise ModsimError("--runs writes all columns of each run: leave out --by and --score")
+    if runs and out is None:
+        raise ModsimError("--runs writes a file: name it with --out, as in --out runs.csv")
+    if out is not None and out.suffix not in ENDINGS:
+        raise ModsimError(f"--out {out}: the name must end in {' or '.join(ENDINGS)}")
+
+
+def flat_table(rows: list[MeanRow]) -> pa.Table:
+    """Means as a table: the keys, `runs`, `crashed`, and of each score NAME, NAME_low, NAME_high and NAME_seeds."""
+    import pyarrow as pa
+
+    flat: list[dict[str, Any]] = []
+    for row in rows:
+        cells = {**row.values, "runs": row.runs, "crashed": row.crashed}
+        for score, mean in row.means.items():
+            cells |= {
+                score: mean.value,
+                f"{score}_low": mean.low,
+                f"{score}_high": mean.high,
+                f"{score}_seeds": mean.seeds,
+            }
+        flat.append(cells)
+    return pa.Table.from_pylist(flat)
+
+
+def _write(out: Path, table: pa.Table) -> None:
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    from modsim3d.io.atomic_write import put_in_place
+
+    with put_in_place(out) as partial:
+        if out.suffix == ".csv":
+            pyarrow.csv.write_csv(table, partial)
+        else:
+            pyarrow.parquet.write_table(table, partial, compression="zstd")
+
+
+# ---- The command `modsim3d campaign-report` ----
+
+
+def campaign_report_command(
+    context: typer.Context,
+    campaign: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign, finished or not.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="DIR/report.html")
+    ] = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Write a page about a campaign: requirements first, then means, charts, the worst runs and what was covered.
+
+    Example: modsim3d campaign-report runs/example
+    """
+    from modsim3d.campaign.folder import files_of_campaign, opened_campaign
+    from modsim3d.campaign.report.campaign_page import REPORT_FILE
+    from modsim3d.campaign.report.search_page import write_page
+    from modsim3d.io.overwrite_guard import claimed
+
+    with timed("opening the campaign"):
+        opened = opened_campaign(campaign)
+    path, read = out_file(out, campaign / REPORT_FILE), files_of_campaign(opened)
+    tell_files(read)
+    with timed("page"), claimed([path], overwrite=overwrite, inputs=read), progress("worst runs", None) as advance:
+        lead = write_page(opened, path, advance, typed_command(context))
+    say(lead)
+    say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB)")
+    say_json({"format": 1, "command": "campaign-report", "conclusion": lead, "written": [path]})

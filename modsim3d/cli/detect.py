@@ -1,0 +1,206 @@
+"""The command `modsim3d detect`: the detector alone, over a finished run or over somebody's labelled video."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modsim3d.cli.run import print_truth_summary, run_json, truth_json
+from modsim3d.cli.run_summary import print_summary
+from modsim3d.cli.shared import (
+    FromOption,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    SetOption,
+    StateOption,
+    VerboseOption,
+    WorkersOption,
+    progress,
+)
+from modsim3d.cli.terminal import say_json, tell_files, timed
+from modsim3d.core.errors import InputError, ModsimError
+
+if TYPE_CHECKING:
+    from modsim3d.formats.reading.builder import ReadOptions
+    from modsim3d.io.processes import WorkerCount
+
+# ---- Options of the commands that read labelled sets ----
+
+ImageSizeOption = Annotated[
+    str | None,
+    typer.Option(metavar="W,H", help="Size of the images in pixels, for YOLO and for MOT without seqinfo.ini."),
+]
+FrameRateOption = Annotated[
+    float | None,
+    typer.Option(metavar="HZ", help="Frames per second, for MOT without seqinfo.ini and for COCO videos."),
+]
+ConfidenceScaleOption = Annotated[
+    str | None,
+    typer.Option(metavar="LOW,HIGH", help="Confidences in the files that stand for 0 and for 1, such as 0,100."),
+]
+HorizonOption = Annotated[
+    str | None,
+    typer.Option(metavar="ROW", help="Row of the horizon in images that do not say theirs, or X1,Y1,X2,Y2."),
+]
+SkipBadOption = Annotated[
+    bool, typer.Option("--skip-bad", help="Leave out wrong entries of the files, and say how many.")
+]
+
+
+def read_options(
+    labels: str | None,
+    image_size: str | None,
+    skip_bad: bool,
+    frame_rate: float | None,
+    category_offset: int = 0,
+    confidence_scale: str | None = None,
+    horizon: str | None = None,
+) -> ReadOptions:
+    """What options say of labelled sets.
+
+    Raises:
+        InputError: A size, a frame rate, a scale or a horizon is none.
+    """
+    from modsim3d.formats.labelled import parse_horizon
+    from modsim3d.formats.reading.builder import ReadOptions
+
+    if frame_rate is not None and not 0 < frame_rate < math.inf:
+        raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate:g})"])
+    size_px = None if image_size is None else _size_px(image_size)
+    names = tuple(part.strip() for part in labels.removesuffix(",").split(",")) if labels else ()
+    if "" in names:
+        raise InputError(
+            "--labels", [f"the name {names.index('') + 1} is empty, so others would move (got '{labels}')"]
+        )
+    scale = None if confidence_scale is None else _scale(confidence_scale)
+    line = None if horizon is None else parse_horizon(horizon)
+    return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset, scale, line)
+
+
+def _scale(text: str) -> tuple[float, float]:
+    """Both ends of a text such as `0,100`."""
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        low, high = math.nan, math.nan
+    if not -math.inf < low < high < math.inf:
+        raise InputError("--confidence-scale", [f"must be LOW,HIGH, two numbers that rise, as 0,100 (got '{text}')"])
+    return low, high
+
+
+def _size_px(text: str) -> tuple[float, float]:
+    """Width and height of a text such as `1920,1080`."""
+    try:
+        width, height = (float(part) for part in text.replace("x", ",").split(","))
+    except ValueError:
+        raise InputError("--image-size", [f"must be W,H in pixels, as 1920,1080 (got '{text}')"]) from None
+    if not (width > 0 and height > 0):
+        raise InputError("--image-size", [f"both sides must be above 0 (got '{text}')"])
+    return width, height
+
+
+# ---- The command `modsim3d detect` ----
+
+
+def detect_command(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Run directory, or folder with --truth, to write.")],
+    run: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Run directory of a finished run.")] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Labelled video, in place of RUN: MOT gt.txt, or COCO JSON with tracks."),
+    ] = None,
+    detector: Annotated[Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the run's.")] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, metavar="N", help="Seed of the detector, in place of the run's; 0 with --truth."),
+    ] = None,
+    labels: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B,...", help="Detector's label of each class of --truth, in order; - for one that is no target."
+        ),
+    ] = None,
+    image_size: ImageSizeOption = None,
+    frame_rate: FrameRateOption = None,
+    horizon: Annotated[
+        str | None,
+        typer.Option(metavar="ROW", help="Row of the horizon in the images of --truth, or X1,Y1,X2,Y2."),
+    ] = None,
+    skip_bad: SkipBadOption = False,
+    settings: SetOption = None,
+    state: StateOption = None,
+    state_from: FromOption = None,
+    overwrite: OverwriteOption = False,
+    workers: WorkersOption = 1,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Run another detector, or the same one with another seed, over a finished run's truth without rendering again.
+
+    With --truth, run a detector over the truth of a labelled video from elsewhere (docs/other_truth.md).
+
+    Example: modsim3d detect runs/first --seed 7 --out runs/second
+    """
+    from modsim3d.scene.settings import read_settings
+
+    given = {
+        "detector": detector,
+        "settings": read_settings(settings or ()),
+        "state": state,
+        "state_from": state_from,
+        "overwrite": overwrite,
+    }
+    of_truth = {
+        "--labels": labels,
+        "--image-size": image_size,
+        "--frame-rate": frame_rate,
+        "--horizon": horizon,
+        "--skip-bad": skip_bad or None,
+    }
+    if run is not None and truth is None:
+        for option, value in of_truth.items():
+            if value is not None:
+                raise ModsimError(f"{option} is for --truth: a run says it itself")
+        _detect_run(run, out, seed, workers, given)
+    elif truth is not None and run is None:
+        if workers != 1:
+            raise ModsimError("--workers is for RUN: with --truth the detector works in one process")
+        options = read_options(None, image_size, skip_bad, frame_rate)
+        read = {"image_size_px": options.image_size_px, "frame_rate_hz": frame_rate, "skip_bad": skip_bad}
+        names = None if labels is None else tuple(name.strip() for name in labels.split(","))
+        _detect_truth(truth, out, seed or 0, {**given, **read, "labels": names}, horizon)
+    else:
+        raise ModsimError("give either RUN, a finished run, or --truth FILE, a labelled video")
+
+
+def _detect_run(run: Path, out: Path, seed: int | None, workers: WorkerCount, given: Mapping[str, Any]) -> None:
+    from modsim3d.runs.files.overwrite import read_of_run
+    from modsim3d.runs.run import detect_run
+    from modsim3d.runs.stored_run import open_run
+
+    with timed("opening the run"):
+        stored = open_run(run)
+    tell_files([*read_of_run(run), *([given["detector"]] if given["detector"] else [])])
+    with timed("detections and files"), progress(stored.scene.name, stored.scene.steps) as advance:
+        result = detect_run(stored, out, seed=seed, workers=workers, progress=advance, **given)
+    print_summary(stored.scene, result, sheet=False)
+    say_json(run_json("detect", stored.scene, result, sheet=False))
+
+
+def _detect_truth(truth: Path, out: Path, seed: int, given: Mapping[str, Any], horizon: str | None) -> None:
+    from modsim3d.formats.labelled import parse_horizon
+    from modsim3d.formats.labelled_video.detect_truth import detect_truth
+    from modsim3d.io.input_files import inputs_noted
+
+    line = None if horizon is None else parse_horizon(horizon)
+    with inputs_noted() as read, timed("reading, detections and files"):
+        result = detect_truth(truth, out, seed=seed, horizon=line, **given)
+    tell_files(dict.fromkeys(read))
+    print_truth_summary(result)
+    say_json(truth_json(result))

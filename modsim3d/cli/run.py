@@ -1,0 +1,281 @@
+"""The command `modsim3d run`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modsim3d.cli.run_summary import (
+    CAMERA_HEADER,
+    Row,
+    camera_row,
+    detection_rows,
+    gate_rows,
+    iou_warnings,
+    print_summary,
+    run_warnings,
+    vessel_rows,
+)
+from modsim3d.cli.shared import (
+    INTERRUPTED,
+    DetectorOption,
+    DetectorSeedOption,
+    FromOption,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    SceneArgument,
+    SeedOption,
+    SetOption,
+    StateOption,
+    StepsOption,
+    VerboseOption,
+    WorkersOption,
+    print_line,
+    print_path,
+    progress,
+)
+from modsim3d.cli.tables import print_prose, print_table
+from modsim3d.cli.terminal import open_console, say, say_json, tell, tell_files, timed, warn
+from modsim3d.core.errors import ModsimError
+
+if TYPE_CHECKING:
+    from modsim3d.formats.labelled_video.detect_truth import TruthResult
+    from modsim3d.runs.run import RunResult
+    from modsim3d.scene.scene import Scene
+
+# ---- What `modsim3d detect --truth` prints ----
+
+MOST_SEQUENCES = 50
+"""More are in `detect.json` alone."""
+
+
+def print_truth_summary(result: TruthResult) -> None:
+    """Print what happened, what was left out, and where the files are."""
+    console = open_console()
+    print_table(console, "", _rows(result), right=(1,), styles=("bold", "", "dim"))
+    if 1 < len(result.sequence_counts) <= MOST_SEQUENCES:
+        rows = [camera_row(name, counts) for name, counts in result.sequence_counts.items()]
+        console.print()
+        print_table(console, "", rows, header=("sequence", *CAMERA_HEADER[1:]), right=range(1, len(CAMERA_HEADER)))
+    print_line(console, "")
+    for note in result.notes:
+        print_prose(console, f"Note: {note}.")
+    if result.notes:
+        print_line(console, "")
+    print_path(console, "folder", result.folder)
+    for warning in truth_warnings(result):
+        warn(warning)
+
+
+def _rows(result: TruthResult) -> list[Row]:
+    counts, sequences = result.counts, len(result.sequence_counts)
+    many = f"{sequences} sequence{'s' if sequences > 1 else ''}, from {result.kind}"
+    return [
+        ("frames", str(counts.frames), many),
+        *vessel_rows(counts),
+        *detection_rows(counts),
+        *gate_rows(counts),
+    ]
+
+
+def truth_warnings(result: TruthResult) -> list[str]:
+    """What a user should know before using the files, each a sentence."""
+    nothing = [] if result.counts.annotated else ["no box of the truth is to be detected: there are only false alarms"]
+    return nothing + iou_warnings(result.counts)
+
+
+# ---- What `modsim3d run --json` and `modsim3d detect --json` say of a finished run ----
+
+FORMAT = 1
+
+
+def run_json(command: str, scene: Scene, result: RunResult, sheet: bool) -> dict[str, Any]:
+    """The result of a run; whatever `RunResult` and `Counts` have is in it."""
+    return {
+        "format": FORMAT,
+        "command": command,
+        "scene": scene.name,
+        "cameras": [camera.name for camera in scene.cameras],
+        "mode": scene.annotation.mode,
+        "traffic_seed": scene.traffic_seed,
+        "counts": asdict(result.counts),
+        **asdict(result),
+        "contact_sheet": result.folder / "contact_sheet.png" if sheet else None,
+        "warnings": run_warnings(scene, result),
+    }
+
+
+def truth_json(result: TruthResult) -> dict[str, Any]:
+    """The result of `detect --truth`."""
+    return {
+        "format": FORMAT,
+        "command": "detect",
+        "folder": result.folder,
+        "kind": result.kind,
+        "counts": asdict(result.counts),
+        "sequence_counts": {name: asdict(counts) for name, counts in result.sequence_counts.items()},
+        "occlusion": result.occlusion,
+        "notes": result.notes,
+        "warnings": truth_warnings(result),
+        "seconds": result.seconds,
+        "written": result.files,
+    }
+
+
+def tell_backend(folder: Path) -> None:
+    """Tell which OpenGL drew the truth of a run, if that is asked for."""
+    from modsim3d.runs.files.overwrite import RUN_FILE, read_json
+
+    tell("OpenGL", str(read_json(folder / RUN_FILE)["backend"]))
+
+
+# ---- The command `modsim3d run` ----
+
+
+class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
+    """Where the truth comes from."""
+
+    rendered = "rendered"
+    analytic = "analytic"
+    rectangles = "rectangles"
+
+
+class Render(str, Enum):  # noqa: UP042
+    """How much of an image is rendered."""
+
+    regions = "regions"
+    full = "full"
+
+
+def run_command(
+    scene: SceneArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Run directory to write.", show_default="runs/SCENE")
+    ] = None,
+    overwrite: OverwriteOption = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in DIR.")] = False,
+    seed: SeedOption = None,
+    detector: DetectorOption = None,
+    detector_seed: DetectorSeedOption = None,
+    mode: Annotated[
+        int | None,
+        typer.Option(
+            "--mode",
+            min=0,
+            max=2,
+            metavar="MODE",
+            help="Annotation mode, 0 to 2, in place of the scene's (README).",
+        ),
+    ] = None,
+    source: Annotated[
+        Source | None,
+        typer.Option(
+            "--source", metavar="SOURCE", help="Where the truth comes from: rendered, analytic or rectangles."
+        ),
+    ] = None,
+    steps: StepsOption = None,
+    render: Annotated[
+        Render | None,
+        typer.Option(metavar="PART", help="What is rendered: regions where vessels overlap, or full images."),
+    ] = None,
+    settings: SetOption = None,
+    state: StateOption = None,
+    state_from: FromOption = None,
+    workers: WorkersOption = 1,
+    no_json: Annotated[bool, typer.Option("--no-json", help="Write no annotations or detections as JSON.")] = False,
+    no_sheet: Annotated[bool, typer.Option("--no-sheet", help="Draw no contact_sheet.png.")] = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Run a scene: write truth, detections and a contact sheet into a run directory.
+
+    Example: modsim3d run strait --out runs/first
+    """
+    from modsim3d.runs.run import run_scene
+    from modsim3d.scene.reading import load_scene
+    from modsim3d.scene.settings import read_settings
+
+    with timed("reading the scene"):
+        loaded = load_scene(
+            scene,
+            seed=seed,
+            detector=detector,
+            detector_seed=detector_seed,
+            steps=steps,
+            mode=mode,
+            source=source.value if source else None,
+            render=render.value if render else None,
+            settings=read_settings(settings or ()),
+            state=state,
+            state_from=state_from,
+        )
+    tell_files(loaded.copy.read)
+    folder = out if out is not None else Path("runs") / loaded.name
+    total = None if loaded.live else loaded.steps
+    kept = f"in {folder / 'unfinished'}" if loaded.live else "go on with --resume"
+    with (
+        timed("truth, detections and files"),
+        _with_picture(folder),
+        _interruptible(kept),
+        progress(loaded.name, total) as advance,
+    ):
+        result = run_scene(
+            loaded,
+            folder,
+            overwrite=overwrite,
+            resume=resume,
+            thesis_json=not no_json,
+            workers=workers,
+            progress=advance,
+        )
+    tell_backend(folder)
+    if not no_sheet:
+        with timed("contact sheet"):
+            _draw_sheet(folder, loaded)
+    print_summary(loaded, result, sheet=not no_sheet)
+    say_json(run_json("run", loaded, result, sheet=not no_sheet))
+
+
+def _draw_sheet(folder: Path, scene: Scene) -> None:
+    from modsim3d.io.overwrite_guard import claimed
+    from modsim3d.runs.stored_run import open_run
+    from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
+
+    with claimed([folder / SHEET_FILE], overwrite=True, inputs=scene.copy.read):  # it is a part of the run
+        draw_contact_sheet(open_run(folder))
+
+
+@contextmanager
+def _with_picture(folder: Path) -> Iterator[None]:
+    """Draw what differs if the cross-check stops the run, beside the blocks that are kept, and name the picture."""
+    from modsim3d.runs.files.overwrite import UNFINISHED
+    from modsim3d.runs.truth_check import TruthCheckError
+
+    try:
+        yield
+    except TruthCheckError as error:
+        from modsim3d.view.pictures.id_buffer import write_difference
+
+        path = folder / UNFINISHED / "cross_check.png"
+        if not error.masks[0].size:
+            raise
+        write_difference(error.masks, path)
+        raise ModsimError(f"{error}\n  {path} shows the truth, what was drawn, and where they differ") from None
+
+
+@contextmanager
+def _interruptible(kept: str) -> Iterator[None]:
+    """End the command after Ctrl-C, and say where the finished part is."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        say(f"\nmodsim3d: interrupted; what was finished is kept: {kept}", err=True)
+        raise typer.Exit(INTERRUPTED) from None

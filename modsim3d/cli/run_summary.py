@@ -1,0 +1,221 @@
+"""What `modsim3d run` and `modsim3d detect` print about a finished run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from modsim3d.cli.shared import print_line, print_path
+from modsim3d.cli.tables import print_table
+from modsim3d.cli.terminal import open_console, warn
+
+if TYPE_CHECKING:
+    from modsim3d.runs.counts import Counts
+    from modsim3d.runs.run import RunResult
+    from modsim3d.scene.scene import Scene
+    from modsim3d.truth.crosscheck.comparison import Checked
+
+Row = tuple[str, str, str]
+"""Name, value and meaning."""
+CAMERA_HEADER = (
+    "camera",
+    "frames",
+    "annotated",
+    "detected",
+    "false\nalarms",
+    "wrong\nclass",
+    "IoU\n< 0.5",
+    "off\nvessel",
+)
+NOTICEABLE_SHARE = 0.005
+"""The bias from resampled box errors is shown if at least this share of the detections was resampled."""
+WARNING_SHARE = 0.1
+"""A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says."""
+
+
+def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
+    """Print what happened in a run, and where its files are."""
+    console = open_console()
+    print_table(console, "", summary_rows(scene, result), right=(1,), styles=("bold", "", "dim"))
+    if len(result.camera_counts) > 1:
+        header, *rows = camera_rows(result)
+        console.print()
+        print_table(console, "", rows, header=header, right=range(1, len(header)))
+    print_line(console, "")
+    print_line(console, f"traffic  {traffic_in_words(scene)}")
+    print_path(console, "run directory", result.folder)
+    if sheet:
+        print_path(console, "contact sheet", result.folder / "contact_sheet.png")
+    for warning in run_warnings(scene, result):
+        warn(warning)
+
+
+def traffic_in_words(scene: Scene) -> str:
+    """Whether a scene's traffic is drawn, and what another seed would change."""
+    if scene.traffic_has_seed:
+        return f"{scene.traffic}; a run with another seed has another traffic"
+    return f"{scene.traffic}; another seed is another look at it"
+
+
+def scene_warnings(scene: Scene) -> list[str]:
+    """Vessels that found no room, meshes that do not fit, and lines of the detector file that change nothing."""
+    from modsim3d.detector.file.unread import dead_lines
+    from modsim3d.world.bodies import misfits
+    from modsim3d.world.traffic.generate import DrawnTraffic
+
+    left_out = scene.poses.left_out if isinstance(scene.poses, DrawnTraffic) else {}
+    others = [*misfits(scene.vessels, scene.obstacles), *dead_lines(scene.detector)]
+    if not left_out:
+        return others
+    missing = ", ".join(f"{count} of {section}" for section, count in left_out.items())
+    total = sum(left_out.values())
+    return [f"poses.traffic: {total} of the vessels that were drawn found no room and are left out: {missing}", *others]
+
+
+def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
+    """What happened in a run; each share is of a number that stands in another row."""
+    rows = _frame_rows(scene, result) + detection_rows(result.counts) + _model_rows(result)
+    return rows + _check_rows(scene, result.checked) + _time_rows(result)
+
+
+def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
+    counts, cameras = result.counts, len(scene.cameras)
+    many = f"{cameras} camera{'s' if cameras > 1 else ''}, {result.steps} steps, mode {scene.annotation.mode}"
+    return [("frames", str(counts.frames), many), *vessel_rows(counts)]
+
+
+def _check_rows(scene: Scene, checked: Checked | None) -> list[Row]:
+    """Row on what the cross-check compared: of the truth that was kept, if the detector alone has run."""
+    if checked is None:
+        return []
+    annotation = scene.annotation
+    if annotation.source != "rendered":
+        return [("cross-checked", "nothing", f"source {annotation.source}: nothing was drawn")]
+    if not checked.frames:
+        none = "annotation.check: off" if annotation.check == "off" else "no camera took a frame"
+        return [("cross-checked", "nothing", none)]
+    frames = f"{checked.frames} frame{'s' * (checked.frames > 1)}"
+    if not checked.vessels:
+        return [("cross-checked", frames, "no vessel in them" if checked.frames > 1 else "no vessel in it")]
+    ties = f" but for {checked.tie_pixels} tie{'s' * (checked.tie_pixels > 1)}" if checked.tie_pixels else ""
+    boxes = f"boxes within {checked.largest_box_px:.2f} px of corner projection"
+    tips = f", {checked.sharp_tips} sharp tip{'s' * (checked.sharp_tips > 1)}" if checked.sharp_tips else ""
+    meaning = f"{checked.vessels} vessel{'s' * (checked.vessels > 1)}: pixels equal{ties}, {boxes}{tips}"
+    return [("cross-checked", frames, meaning)]
+
+
+def vessel_rows(counts: Counts) -> list[Row]:
+    """What was in the images."""
+    return [
+        ("vessels seen", str(counts.seen), "summed over frames"),
+        ("partly hidden", str(counts.partly_hidden), share(counts.partly_hidden, counts.seen, "seen")),
+        ("fully hidden", str(counts.fully_hidden), "vessels, beside those seen"),
+        ("annotated", str(counts.annotated), "vessels given to the detector"),
+    ]
+
+
+def detection_rows(counts: Counts) -> list[Row]:
+    """What the detector put out."""
+    true = counts.true_detections
+    every = true + counts.false_positives
+    of_true = [
+        ("wrong class", counts.mislabelled),
+        ("IoU below 0.5", counts.below_half_iou),
+        ("off their vessel", counts.off_vessel),
+        ("box resampled", counts.redrawn),
+    ]
+    return [
+        ("detected", str(counts.detected), share(counts.detected, counts.annotated, "annotated")),
+        ("missed", str(counts.missed), share(counts.missed, counts.annotated, "annotated")),
+        ("detections", str(every), f"in the files: {true} true + {counts.false_positives} false"),
+        ("false alarms", str(counts.false_positives), share(counts.false_positives, every, "detections")),
+        *((name, str(count), share(count, true, "true detections")) for name, count in of_true),
+    ]
+
+
+def camera_rows(result: RunResult) -> list[tuple[str, ...]]:
+    """A header, and the counts of each camera."""
+    return [CAMERA_HEADER, *(camera_row(name, counts) for name, counts in result.camera_counts.items())]
+
+
+def camera_row(name: str, counts: Counts) -> tuple[str, ...]:
+    """The counts of a camera, under `CAMERA_HEADER`."""
+    found = counts.detected, counts.false_positives, counts.mislabelled, counts.below_half_iou, counts.off_vessel
+    return (name, *map(str, (counts.frames, counts.annotated, *found)))
+
+
+def _time_rows(result: RunResult) -> list[Row]:
+    per_frame_ms = 1e3 * result.seconds / max(result.counts.frames, 1)
+    rows = [("time per frame", f"{per_frame_ms:.2f} ms", f"{result.seconds:.1f} s in all")]
+    if result.resumed_steps:
+        rows.append(("resumed", str(result.resumed_steps), "steps taken from the interrupted run"))
+    if result.damaged_blocks:
+        rows.append(("damaged", str(result.damaged_blocks), "blocks of the interrupted run, made anew"))
+    return rows
+
+
+def _model_rows(result: RunResult) -> list[Row]:
+    """What optional parts of the detector did, if they did anything."""
+    return _bias_rows(result) + gate_rows(result.counts)
+
+
+def gate_rows(counts: Counts) -> list[Row]:
+    """What gates and merges did, if they did anything."""
+    rows: list[Row] = []
+    if counts.missed_by_gate:
+        gated = share(counts.missed_by_gate, counts.missed, "missed")
+        rows.append(("gated", str(counts.missed_by_gate), gated))
+    if counts.merged:
+        merged = share(counts.merged, counts.true_detections, "true detections")
+        rows.append(("merged", str(counts.merged), merged))
+    return rows
+
+
+def _bias_rows(result: RunResult) -> list[Row]:
+    """The mean width and height error of the state in which resampling shifts the width most."""
+    states = result.truncation
+    detections = sum(state["detections"] for state in states.values())
+    resampled = sum(state["redrawn"] * state["detections"] for state in states.values()) / max(detections, 1)
+    if resampled < NOTICEABLE_SHARE:
+        return []
+    worst = max(states, key=lambda name: abs(states[name]["mean_shift"][2]))
+    width, height = (f"{shift:+.3g}" for shift in states[worst]["mean_shift"][2:])
+    unit = "box sides" if states[worst]["unit"] == "relative" else "px"
+    meaning = f"mean width and height error in state '{worst}'; run.json has all states"
+    return [("truncation bias", f"{width}, {height} {unit}", meaning)]
+
+
+def run_warnings(scene: Scene, result: RunResult) -> list[str]:
+    """What a user should know before using a run, each a sentence."""
+    from modsim3d.runs.camera_sequences import blind_cameras
+
+    counts = result.counts
+    warnings = blind_cameras(scene, result.steps, result.camera_counts)
+    if len(warnings) == len(scene.cameras) > 1:
+        warnings.insert(0, "no camera sees a vessel in this run")
+    warnings += scene_warnings(scene)
+    warnings += [
+        f"the hulls of {' and '.join(pair)} intersect, so geometry does not tell who hides whom; only the rendered "
+        "source decides"
+        for pair in result.intersecting
+    ]
+    if counts.off_by_curvature:
+        warnings.append(
+            f"the sea is flat: {counts.off_by_curvature} of {counts.vessel_frames} vessels in images are drawn too "
+            f"high, by up to {counts.largest_curvature_px:.1f} px; set sea: curved"
+        )
+    return warnings + iou_warnings(counts)
+
+
+def iou_warnings(counts: Counts) -> list[str]:
+    """That an evaluation by IoU says something else of the detections, where it does."""
+    if counts.below_half_iou <= WARNING_SHARE * counts.true_detections:
+        return []
+    return [
+        f"{counts.below_half_iou} of {counts.true_detections} true detections have IoU below 0.5 with their vessel: an "
+        "evaluation by IoU counts each as a miss and a false alarm"
+    ]
+
+
+def share(part: int, whole: int, of: str) -> str:
+    """A share in words, such as `of 20 seen (5.0 %)`; empty of nothing."""
+    return f"of {whole} {of} ({part / whole:.1%})".replace("%", " %") if whole else ""

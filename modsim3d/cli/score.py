@@ -1,0 +1,194 @@
+"""The command `modsim3d score`: how well tracks follow the vessels of a run, and where they fail."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from modsim3d.cli.shared import (
+    FinishedRunArgument,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    VerboseOption,
+    print_line,
+    print_written,
+    typed_command,
+)
+from modsim3d.cli.tables import print_prose, print_table
+from modsim3d.cli.terminal import open_console, say_json, tell_files, timed
+
+if TYPE_CHECKING:
+    from modsim3d.tracking.score_run import RunScores
+
+
+def score_command(
+    context: typer.Context,
+    run: FinishedRunArgument,
+    tracks: Annotated[
+        list[Path],
+        typer.Argument(metavar="TRACKS", help="Folders that `modsim3d track` wrote, or files of your own tracker."),
+    ],
+    truth: Annotated[
+        Literal["annotated", "full"],
+        typer.Option(help="annotated: vessels that the detector was given; full: all in the image, whole boxes."),
+    ] = "annotated",
+    similarity: Annotated[
+        Literal["iou", "centre"], typer.Option(help="How boxes are compared; centre: by distance over --scale.")
+    ] = "iou",
+    scale: Annotated[
+        float | None, typer.Option(metavar="PX", help="Distance of centres at which --similarity centre is 0.")
+    ] = None,
+    threshold: Annotated[
+        float, typer.Option(metavar="S", help="Least similarity at which a track follows a vessel.")
+    ] = 0.5,
+    gap: Annotated[
+        float, typer.Option(metavar="SECONDS", help="After so long outside the image a vessel is a new one.")
+    ] = 2.0,
+    by_class: Annotated[bool, typer.Option("--by-class", help="Score each class by itself too.")] = False,
+    gospa_c: Annotated[
+        float | None, typer.Option(metavar="C", help="Cutoff of GOSPA.", show_default="100 px, in the world 50 m")
+    ] = None,
+    gospa_p: Annotated[float, typer.Option(metavar="P", help="Power of GOSPA.")] = 1.0,
+    gate: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Farthest that a track in the world follows a vessel.", show_default="50 m"),
+    ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Camera to score; repeatable.", show_default="all"),
+    ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Run detector, tracker and scores again with N seeds of the detector."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for score.json and score.html.", show_default="none")
+    ] = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Score tracks against what was true, and beside them the same detections with perfect association.
+
+    Example: modsim3d score runs/first runs/tracks
+    """
+    from modsim3d.cli.shared import progress
+    from modsim3d.io.overwrite_guard import claimed
+    from modsim3d.runs.files.overwrite import read_of_run
+    from modsim3d.runs.stored_run import open_run
+    from modsim3d.tracking.score_page import FILES, write_scores
+    from modsim3d.tracking.score_run import score_run
+    from modsim3d.tracking.score_tables import score_data
+
+    with timed("opening the run"):
+        opened = open_run(run)
+    paths = [] if out is None else [out / name for name in FILES]
+    read = [*read_of_run(run), *tracks]
+    tell_files(read)
+    with claimed(paths, overwrite=overwrite, inputs=read):
+        with timed("scores"), progress("seeds", seeds) if seeds else nullcontext(lambda done: None) as advance:
+            scores = score_run(
+                opened,
+                tracks,
+                truth=truth,
+                similarity=similarity,
+                scale_px=scale,
+                threshold=threshold,
+                gap_s=gap,
+                by_class=by_class,
+                gospa_c=gospa_c,
+                gospa_p=gospa_p,
+                gate_m=gate,
+                cameras=camera,
+                seeds=seeds,
+                progress=advance,
+            )
+        if out is not None:
+            with timed("files"):
+                write_scores(scores, out, typed_command(context))
+    _print_scores(scores)
+    print_written(open_console(), paths)
+    say_json({"command": "score", **score_data(scores), "written": paths})
+
+
+def _print_scores(scores: RunScores) -> None:
+    from modsim3d.tracking.score_tables import HEADER, remarks_of, score_rows
+    from modsim3d.tracking.score_text import rules_in_words
+
+    console = open_console()
+    if scores.trackers:
+        rows = score_rows(scores)
+        dim = ["" if place < len(scores.trackers) else "dim" for place in range(len(rows))]
+        print_table(console, "scores", rows, header=HEADER, right=range(1, len(HEADER)), row_styles=dim)
+        print_table(console, "rules", rules_in_words(scores.rules))
+        _print_parts(scores)
+        _print_breakdown(scores)
+        _print_seeds(scores)
+    _print_world(scores)
+    print_line(console, "")
+    print_prose(console, scores.conclusion, "bold")
+    if scores.trackers:
+        print_prose(console, remarks_of(scores), "dim")
+
+
+def _print_parts(scores: RunScores) -> None:
+    """By class, if asked for; the page has states and cameras too."""
+    from modsim3d.tracking.score_tables import part_tables
+
+    for title, header, rows in part_tables(scores):
+        if title == "By class":
+            print_table(open_console(), title, rows, header=header, right=range(2, len(header)))
+
+
+def _print_breakdown(scores: RunScores) -> None:
+    """Where the best tracker loses vessels."""
+    from modsim3d.tracking.score_tables import BIN_HEADER, bin_rows
+
+    best = scores.trackers[0]
+    print_table(
+        open_console(),
+        f"where {best.name} loses vessels",
+        bin_rows(best.scores.breakdown),
+        header=BIN_HEADER,
+        right=range(2, len(BIN_HEADER)),
+        breaks=(lambda cell: cell.replace("vessel-frames", "vessel-\nframes"),),
+    )
+
+
+def _print_seeds(scores: RunScores) -> None:
+    from modsim3d.tracking.score_tables import SEED_HEADER, seed_rows, seeds_in_words
+
+    if scores.seeds is not None:
+        console = open_console()
+        print_table(
+            console,
+            "detector seeds",
+            seed_rows(scores),
+            header=SEED_HEADER,
+            right=(2, 3, 4),
+            breaks=(
+                lambda cell: cell.replace("standard deviation", "standard\ndeviation"),
+                lambda cell: (
+                    cell.replace("standard deviation", "standard\ndeviation")
+                    .replace(" of the", "\nof the")
+                    .replace(" … ", " …\n")
+                ),
+            ),
+        )
+        print_prose(console, seeds_in_words(scores), "dim")
+
+
+def _print_world(scores: RunScores) -> None:
+    from modsim3d.tracking.score_tables import ENCOUNTER_HEADER, WORLD_HEADER, encounter_rows, world_rows, world_rules
+
+    console = open_console()
+    print_table(console, "scores in the world", world_rows(scores), header=WORLD_HEADER, right=range(1, 10))
+    for each in scores.world:
+        print_prose(console, world_rules(each), "dim")
+        rows = encounter_rows(each.scores.encounters)
+        print_table(console, f"{each.name}: encounters", rows, header=ENCOUNTER_HEADER, right=range(3, 9))

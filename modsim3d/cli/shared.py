@@ -1,0 +1,298 @@
+"""Arguments, options and output that several commands share."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from modsim3d.cli.completion import complete_scene
+from modsim3d.cli.tables import print_table
+from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from modsim3d.io.processes import WorkerCount
+    from modsim3d.runs.stored_run import StoredRun
+    from modsim3d.view.followed_tracks import FollowedTracks
+
+# ---- Arguments, options and output that several commands share ----
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C."""
+
+
+def _workers(given: str | int) -> WorkerCount:
+    from modsim3d.io.processes import parse_workers
+
+    return parse_workers(str(given))  # the default comes here too, and is a number
+
+
+SceneArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE", help="Scene file, or name of a shipped scene (modsim3d scenes).", autocompletion=complete_scene
+    ),
+]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run directory, finished or interrupted.")]
+FinishedRunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run directory of a finished run.")]
+CampaignArgument = Annotated[
+    Path, typer.Argument(metavar="DIR", help="Folder of a campaign, finished or not, also while it is worked on.")
+]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist; never what is read.")]
+WorkersOption = Annotated[
+    Any,
+    typer.Option(
+        parser=_workers,
+        metavar="N|auto",
+        help="Number of processes that share the work; auto: one for each CPU. The output is the same.",
+    ),
+]
+StepsOption = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Number of time steps, in place of the scene's.")
+]
+SeedOption = Annotated[
+    int | None, typer.Option(min=0, metavar="N", help="Seed of all random numbers, in place of the scene's.")
+]
+DetectorOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the scene's.")]
+DetectorSeedOption = Annotated[
+    int | None, typer.Option(min=0, metavar="N", help="Seed of the detector; poses and waves keep the scene's.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Set a key of the scene or, below detector., of its detector."),
+]
+StateOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Keep the detector in one of its performance states.")
+]
+FromOption = Annotated[
+    str | None,
+    typer.Option("--from", metavar="DIR", help="Take --state from the detectors of a folder; conditions: shipped."),
+]
+EveryOption = Annotated[int, typer.Option(min=1, metavar="K", help="Take every K-th time step only.")]
+QuietOption = Annotated[
+    bool, typer.Option("--quiet", "-q", callback=ask_quiet, help="Print nothing but warnings and errors.")
+]
+VerboseOption = Annotated[
+    bool,
+    typer.Option(
+        "--verbose", "-v", callback=ask_verbose, help="Also print versions, files read, the OpenGL in use and times."
+    ),
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", callback=ask_json, help="Print the result as one JSON object (docs/json.md).")
+]
+
+
+def out_file(out: Path | None, usual: Path) -> Path:
+    """The file that `--out` names: in a folder that exists under its usual name, as `cp` does it.
+
+    Args:
+        out: What was given.
+        usual: The file without `--out`.
+    """
+    if out is None:
+        return usual
+    return out / usual.name if out.is_dir() else out
+
+
+def print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -> None:
+    """Print rows as a table without a header under a title; print nothing if there are no rows."""
+    print_table(console, title, rows)
+
+
+def print_line(console: Console, text: str, style: str = "") -> None:
+    """Print text as it is: no markup, no highlighting, no wrapping of paths."""
+    console.print(text, style=style, highlight=False, markup=False, soft_wrap=True)
+
+
+def print_path(console: Console, name: str, path: Path) -> None:
+    """Print a name and a path, on a line of its own where both would not fit on one."""
+    from rich.cells import cell_len
+
+    between = "  " if cell_len(f"{name}  {path}") <= console.width else "\n"
+    print_line(console, f"{name}{between}{path}")
+
+
+def print_written(console: Console, paths: Sequence[Path]) -> None:
+    """Print which files were written, each on a line of its own; nothing if there are none."""
+    if paths:
+        print_line(console, "\nwritten")
+    for path in paths:
+        print_line(console, f"  {path}")
+
+
+# ---- The command that a user typed, in a form that a page can keep ----
+
+LEFT_OUT = frozenset({"out", "page", "overwrite", "quiet", "verbose", "json", "workers"})
+"""Parameters that decide where files go or what is printed, and not what a page says."""
+
+
+def typed_command(context: typer.Context) -> str:
+    """The command with its arguments and the options that were given, in the order of its help.
+
+    Options have their long names. Those that only say where files go or what is printed are left out.
+    """
+    words = ["modsim3d", str(context.info_name)]
+    parameters = [each for each in context.command.params if each.name not in LEFT_OUT]
+    for parameter in sorted(parameters, key=lambda each: each.param_type_name != "argument"):
+        source = context.get_parameter_source(str(parameter.name))
+        if source is not None and source.name == "COMMANDLINE":
+            words += _words(parameter, context.params[str(parameter.name)])
+    return shlex.join(words)
+
+
+def _words(parameter: Any, value: Any) -> Iterator[str]:
+    values = value if isinstance(value, list | tuple) else [value]
+    if parameter.param_type_name == "argument":
+        yield from map(_text, values)
+        return
+    name = max(parameter.opts, key=len)
+    if getattr(parameter, "is_flag", False):
+        yield name
+        return
+    for each in values:
+        yield from (name, _text(each))
+
+
+def _text(value: Any) -> str:
+    return str(getattr(value, "value", value))
+
+
+# ---- The progress bar of commands that take long ----
+
+
+def progress_bar() -> Progress:
+    """An empty bar on standard error that is redrawn when it is updated with `refresh=True`."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    class Bar(Progress):
+        """Removes itself if the work failed before its first step, so that the error stands alone."""
+
+        def __exit__(self, kind: type[BaseException] | None, *rest: Any) -> None:
+            if kind is not None and not any(task.completed for task in self.tasks):
+                self.live.transient = True
+                self.console.quiet = not self.console.is_terminal
+            super().__exit__(kind, *rest)
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    # A thread that refreshes the bar would keep workers from being copies of this process.
+    return Bar(*columns, console=open_console(stderr=True), auto_refresh=False)
+
+
+@contextmanager
+def progress(description: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    """Show a bar after a description; `total` is the number of steps in all, or None if that is not known.
+
+    Yields:
+        The function to call with the number of steps done since its last call.
+    """
+    with progress_bar() as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda steps: bar.update(task, advance=steps, refresh=True)
+
+
+# ---- Commands that clean up when the system tells them to stop ----
+
+SIGNALED = 128
+"""The exit status of a process that a signal has ended is this and the signal's number."""
+
+
+class Stopped(KeyboardInterrupt):
+    """The process was told to stop by a signal; `status` is its exit status."""
+
+    def __init__(self, number: int) -> None:
+        """Keep the signal's number as the exit status."""
+        super().__init__()
+        self.status = SIGNALED + number
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP raise `Stopped`, as Ctrl-C raises KeyboardInterrupt, where they would end the process."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    owner = os.getpid()
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if os.getpid() != owner:  # a worker, which has nothing to clean up
+            os._exit(SIGNALED + number)
+        raise Stopped(number)
+
+    ending = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    for number in ending:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number in ending:
+            signal.signal(number, signal.SIG_DFL)
+
+
+# ---- The options of the commands that show a run with tracks ----
+
+TracksOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--tracks",
+        metavar="TRACKS",
+        help="Show the tracks of a tracker: a folder of modsim3d track, a .csv file, or MOT (docs/track_files.md).",
+    ),
+]
+SimilarityOption = Annotated[
+    Literal["iou", "centre"] | None,
+    typer.Option(
+        help="How boxes of --tracks and vessels are compared; centre: by distance over --scale.", show_default="iou"
+    ),
+]
+ScaleOption = Annotated[
+    float | None, typer.Option(metavar="PX", help="Distance of centres at which --similarity centre is 0.")
+]
+ThresholdOption = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="Least similarity at which a track follows a vessel.", show_default="0.5"),
+]
+
+
+def opened_tracks(
+    path: Path | None,
+    run: StoredRun,
+    similarity: Literal["iou", "centre"] | None,
+    scale: float | None,
+    threshold: float | None,
+) -> FollowedTracks | None:
+    """The tracks that `--tracks` names, with the vessels that they follow; None without it.
+
+    Raises:
+        ModsimError: The run is not finished, the tracks are wrong, or an option is.
+    """
+    from modsim3d.cli.terminal import timed
+    from modsim3d.core.errors import ModsimError
+    from modsim3d.tracks.tracks import Similarity
+    from modsim3d.view.followed_tracks import read_followed_tracks
+
+    if path is None:
+        if (similarity, scale, threshold) != (None, None, None):
+            raise ModsimError("--similarity, --scale and --threshold are for --tracks")
+        return None
+    compared = Similarity(similarity or "iou", scale, 0.5 if threshold is None else threshold)
+    with timed("tracks"):
+        return read_followed_tracks(path, run, compared)
+
+
+def read_of_tracks(path: Path | None) -> list[Path]:
+    """Files that are read of tracks, so that none of them is written."""
+    if path is None:
+        return []
+    return sorted(inner for inner in path.rglob("*") if inner.is_file()) if path.is_dir() else [path]

@@ -1,0 +1,167 @@
+"""The command `modsim3d stream`: detections line by line, while a scene is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modsim3d.cli.shared import (
+    INTERRUPTED,
+    DetectorOption,
+    DetectorSeedOption,
+    FromOption,
+    QuietOption,
+    SceneArgument,
+    SeedOption,
+    SetOption,
+    StateOption,
+    StepsOption,
+    Stopped,
+    VerboseOption,
+    stoppable,
+)
+from modsim3d.cli.terminal import remark, say, tell, tell_files, timed, warn, write_at_once
+from modsim3d.core.errors import ModsimError
+
+if TYPE_CHECKING:
+    from modsim3d.runs.streaming.lines import Address
+    from modsim3d.runs.streaming.server import LineServer
+    from modsim3d.scene.scene import Scene
+
+WAIT_S = 60.0
+LONGEST_WAIT_S = 100_000
+
+
+def stream_command(
+    scene: SceneArgument,
+    to: Annotated[
+        str, typer.Option("--to", metavar="-|tcp://HOST:PORT", help="Where the lines go; - is standard output.")
+    ] = "-",
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Let each line leave at its time, not as soon as it is ready.")
+    ] = False,
+    wait: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Seconds to wait while no reader is connected over TCP.", show_default="60"),
+    ] = None,
+    seed: SeedOption = None,
+    detector: DetectorOption = None,
+    detector_seed: DetectorSeedOption = None,
+    steps: StepsOption = None,
+    settings: SetOption = None,
+    state: StateOption = None,
+    state_from: FromOption = None,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Simulate a scene, and give a tracker each camera's detections as one line of JSON for each step.
+
+    Example: modsim3d stream strait --to tcp://127.0.0.1:5000 --realtime
+    """
+    from modsim3d.scene.reading import load_scene
+    from modsim3d.scene.settings import read_settings
+
+    address = _address(to, wait)
+    with timed("reading the scene"):
+        loaded = load_scene(
+            scene,
+            seed=seed,
+            detector=detector,
+            detector_seed=detector_seed,
+            steps=steps,
+            settings=read_settings(settings or ()),
+            state=state,
+            state_from=state_from,
+        )
+    tell_files(loaded.copy.read)
+    with _interruptible(), timed("stream"):
+        if address is None:
+            _to_standard_output(loaded, realtime)
+        else:
+            _to_readers(loaded, realtime, address, WAIT_S if wait is None else wait)
+
+
+def _address(to: str, wait: float | None) -> Address | None:
+    """Where readers connect; None for standard output."""
+    from modsim3d.runs.streaming.lines import STANDARD_OUTPUT, Address
+
+    if wait is not None and not 0 < wait <= LONGEST_WAIT_S:
+        raise ModsimError(f"--wait {wait:g}: give a number of seconds above 0, at most {LONGEST_WAIT_S}")
+    if to != STANDARD_OUTPUT:
+        return Address.parse(to)
+    if wait is not None:
+        raise ModsimError("--wait is for readers that connect to --to tcp://ADDRESS:PORT: leave it out")
+    return None
+
+
+def _to_standard_output(scene: Scene, realtime: bool) -> None:
+    """Write the lines until there are no more, or nobody reads them."""
+    from modsim3d.runs.streaming.lines import header_line
+
+    if write_at_once(header_line(scene)):
+        _send_steps(scene, realtime, write_at_once)
+
+
+def _to_readers(scene: Scene, realtime: bool, address: Address, wait_s: float) -> None:
+    """Serve the lines to readers; the first is waited for before the first step."""
+    from modsim3d.runs.streaming.lines import header_line
+    from modsim3d.runs.streaming.server import LineServer, NobodyReads
+
+    with LineServer(address, wait_s, header_line(scene), warn=warn, tell=lambda text: tell("reader", text)) as server:
+        say(f"listening on {server.address}")
+        if not address.loopback:
+            warn(f"whoever reaches this computer at {server.address} can read this stream")
+
+        def send(lines: bytes) -> bool:
+            server.send(lines)
+            return True
+
+        server.wait_for_reader()
+        try:
+            try:
+                _send_steps(scene, realtime, send)
+            except ModsimError:
+                _finish_what_came(server)
+                raise
+            server.finish()
+        except NobodyReads:
+            warn("the stream ends: its readers went away before they had all lines, and none has come back")
+
+
+def _finish_what_came(server: LineServer) -> None:
+    """Let readers who are there have the lines from before an error."""
+    from modsim3d.runs.streaming.server import NobodyReads
+
+    with suppress(NobodyReads):
+        server.finish(come_back=False)
+
+
+def _send_steps(scene: Scene, realtime: bool, send: Callable[[bytes], bool]) -> None:
+    """Simulate a scene and send the lines of each step, until there are no more or `send` returns False."""
+    from modsim3d.runs.streaming.lines import Pace, short_collections, step_lines
+
+    pace = Pace() if realtime else None
+    with ExitStack() as started:
+        for step in step_lines(scene, one_by_one=realtime):
+            if pace is not None:
+                pace.wait(step.step, step.time_s)
+            if not send(b"".join(step.lines)):
+                break
+            if step.step == 0:  # all libraries are loaded
+                started.enter_context(short_collections())
+    if pace is not None:
+        remark(f"latest: step {pace.latest} left {pace.late_s:.3f} s after its time")
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """End the command after Ctrl-C, or when the system tells it to stop."""
+    try:
+        with stoppable():
+            yield
+    except KeyboardInterrupt as stop:
+        say("\nmodsim3d: interrupted", err=True)
+        raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None

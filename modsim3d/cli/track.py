@@ -1,0 +1,104 @@
+"""The command `modsim3d track`: a tracker over the detections of a run."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modsim3d.cli.completion import complete_tracker
+from modsim3d.cli.shared import (
+    FinishedRunArgument,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    VerboseOption,
+    print_line,
+    print_written,
+    progress,
+)
+from modsim3d.cli.tables import print_prose, print_table
+from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed
+
+if TYPE_CHECKING:
+    from modsim3d.tracking.track_run import TrackCounts, TrackResult
+
+_EXAMPLE = "lost_s=2.5"
+HEADER = ("camera", "frames", "detections", "tracks", "boxes", "median track")
+
+
+def track_command(
+    run: FinishedRunArgument,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for tracks.parquet and tracks.json.")],
+    tracker: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Tracker: reference, sort, bytetrack, ocsort, stonesoup_gnn, stonesoup_jpda, or one of a plug-in.",
+            autocompletion=complete_tracker,
+        ),
+    ] = "reference",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Set a setting of the tracker, in place of the chosen one."),
+    ] = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Run a tracker over a run's detections, each camera by itself, and write its tracks.
+
+    Example: modsim3d track runs/first --tracker reference --out tracks/reference
+    """
+    from modsim3d.runs.files.overwrite import read_of_run
+    from modsim3d.runs.stored_run import open_run
+    from modsim3d.scene.settings import read_settings
+    from modsim3d.tracking.track_run import track_run
+    from modsim3d.tracks.reading import track_paths
+
+    given = read_settings(settings or (), _EXAMPLE)
+    with timed("opening the run"):
+        stored = open_run(run)
+    tell_files(read_of_run(run))
+    frames = None if stored.stored is None else stored.settings["counts"]["frames"]
+    with timed("tracks and files"), progress(tracker, frames) as advance:
+        result = track_run(stored, out, tracker=tracker, settings=given, overwrite=overwrite, progress=advance)
+    tell("tracker", ", ".join(f"{name} {version}" for name, version in result.origin.versions.items()))
+    written = track_paths(out)
+    _print_result(result, run, written)
+    say_json(track_json(result, stored.scene.name, written))
+
+
+def track_json(result: TrackResult, scene: str, written: list[Path]) -> dict[str, Any]:
+    """The result as `--json` prints it."""
+    counts = {name: vars(each) for name, each in result.camera_counts.items()}
+    return {
+        "format": 1,
+        "command": "track",
+        "scene": scene,
+        "folder": result.folder,
+        "name": result.name,
+        **vars(result.origin),
+        "counts": vars(result.counts),
+        "camera_counts": counts,
+        "seconds": result.seconds,
+        "written": written,
+    }
+
+
+def _print_result(result: TrackResult, run: Path, written: list[Path]) -> None:
+    console = open_console()
+    print_prose(console, f"{result.name}: {result.origin.package}; settings: {result.origin.chosen}")
+    rows = [_cells(name, counts) for name, counts in result.camera_counts.items()]
+    print_table(console, "tracks", rows, header=HEADER, right=range(1, len(HEADER)))
+    print_written(console, written)
+    print_line(console, f"\nnext\n  modsim3d score {shlex.quote(str(run))} {shlex.quote(str(result.folder))}")
+
+
+def _cells(name: str, counts: TrackCounts) -> tuple[str, ...]:
+    numbers = (counts.frames, counts.detections, counts.tracks, counts.boxes)
+    median = "-" if counts.median_track_s is None else f"{counts.median_track_s:.1f} s"
+    return (name, *(f"{number:,}" for number in numbers), median)

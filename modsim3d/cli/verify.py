@@ -1,0 +1,91 @@
+"""The command `modsim3d verify`: does a run obey its detector file?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modsim3d.cli.shared import (
+    FinishedRunArgument,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    VerboseOption,
+    print_line,
+    print_written,
+    typed_command,
+)
+from modsim3d.cli.tables import print_prose, print_table
+from modsim3d.cli.terminal import open_console, say_json, tell_files, timed
+
+if TYPE_CHECKING:
+    from modsim3d.verify.parameters import Verification
+
+
+def verify_command(
+    context: typer.Context,
+    run: FinishedRunArgument,
+    detector: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Detector file to hold the run against.", show_default="the run's own"),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for verify.json and verify.html.", show_default="RUN")
+    ] = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Check that a run obeys its detector file: every parameter as given and as measured, with a verdict.
+
+    Exit status 1 if a verdict is against the run.
+
+    Example: modsim3d verify runs/first
+    """
+    from modsim3d.io.overwrite_guard import claimed
+    from modsim3d.runs.files.overwrite import read_of_run
+    from modsim3d.runs.stored_run import open_run
+    from modsim3d.verify import report as verify_report
+    from modsim3d.verify.verify_run import verify_run
+
+    with timed("opening the run"):
+        opened = open_run(run)
+    folder = run if out is None else out
+    paths = [folder / name for name in verify_report.FILES]
+    read = [*read_of_run(run), *([detector] if detector else [])]
+    tell_files(read)
+    with claimed(paths, overwrite=overwrite, inputs=read):
+        with timed("checks"):
+            verified = verify_run(opened, detector)
+        with timed("files"):
+            verify_report.write_report(verified, folder, typed_command(context))
+    verification = verified.verification
+    _print_verification(verification)
+    console = open_console()
+    print_written(console, paths)
+    said = {"conclusion": verify_report.conclusion(verification), "notes": verify_report.notes_of(verification)}
+    say_json({"command": "verify", **verify_report.report_data(verified), **said, "written": paths})
+    if not verification.obeys:
+        raise typer.Exit(1)
+
+
+def _print_verification(verification: Verification) -> None:
+    from modsim3d.verify.report import HEADER, conclusion, groups_of, notes_of, row_of
+
+    console = open_console()
+    for group, verdicts in groups_of(verification).items():
+        print_table(
+            console,
+            group,
+            [row_of(verdict) for verdict in verdicts],
+            header=HEADER,
+            row_styles=["bold red" if verdict.fails else "" for verdict in verdicts],
+            at_edge=HEADER.index("verdict"),
+        )
+    for note in notes_of(verification):
+        print_prose(console, note, "dim")
+    print_line(console, "")
+    print_prose(console, conclusion(verification), "bold" if verification.obeys else "bold red")

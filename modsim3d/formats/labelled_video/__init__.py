@@ -1,0 +1,1 @@
+"""A detector over the truth of somebody's labelled video."""

@@ -1,0 +1,308 @@
+"""Builds ROS messages from what a run has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from decimal import ROUND_HALF_EVEN, Context, Decimal, InvalidOperation
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from modsim3d.core.boxes import centre_form
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.types import Array, Indices
+from modsim3d.geometry.camera import Distortion, Intrinsics
+from modsim3d.runs.blocks import CameraBlock
+from modsim3d.runs.tracker_view import TrackerDetections
+from modsim3d.scene.scene import Scene
+from modsim3d.truth.record import annotation_boxes
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+# ---- The boxes of a camera's frames ----
+
+
+@dataclass(frozen=True, eq=False)
+class FrameBoxes:
+    """The n boxes of a frame.
+
+    Attributes:
+        boxes_px: x_min, y_min, x_max, y_max, shape (n, 4).
+        labels: Classes.
+        scores: Confidences.
+        ids: Names of the vessels; empty texts where a tracker must not know them.
+    """
+
+    boxes_px: Array
+    labels: list[str]
+    scores: list[float]
+    ids: list[str]
+
+
+def detected_boxes(part: CameraBlock, scene: Scene) -> Iterator[FrameBoxes]:
+    """The detections of each frame without their origin, as `tracker_input_CAMERA.jsonl` has them."""
+    found = TrackerDetections.of(part.detections)
+    labels = [scene.detector.labels[label] for label in found.label.tolist()]
+    scores = found.confidence.tolist()
+    for rows in _rows(np.searchsorted(found.frame, np.arange(len(part.steps) + 1))):
+        yield FrameBoxes(found.boxes_px[rows], labels[rows], scores[rows], [""] * (rows.stop - rows.start))
+
+
+def true_boxes(part: CameraBlock, scene: Scene) -> Iterator[FrameBoxes]:
+    """The annotated vessels of each frame, by name."""
+    truth = part.truth.take(part.target_rows)
+    vessels = [scene.vessels[vessel] for vessel in truth.vessel.tolist()]
+    boxes = annotation_boxes(truth, scene.annotation.mode)
+    for rows in _rows(np.searchsorted(truth.step, np.append(part.steps, np.iinfo(np.int64).max))):
+        found = vessels[rows]
+        names, labels = [vessel.name for vessel in found], [vessel.label for vessel in found]
+        yield FrameBoxes(boxes[rows], labels, [1.0] * len(found), names)
+
+
+def _rows(starts: np.ndarray) -> Iterator[slice]:
+    """The rows between each start and the next."""
+    return map(slice, starts[:-1].tolist(), starts[1:].tolist())
+
+
+# ---- The ROS 2 messages of a bag ----
+
+DETECTIONS = "vision_msgs/msg/Detection2DArray"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+ODOMETRY = "nav_msgs/msg/Odometry"
+IMU = "sensor_msgs/msg/Imu"
+
+VISION_MSGS = {
+    "vision_msgs/msg/Point2D": "float64 x\nfloat64 y\n",
+    "vision_msgs/msg/Pose2D": "vision_msgs/Point2D position\nfloat64 theta\n",
+    "vision_msgs/msg/BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y\n",
+    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
+    "vision_msgs/msg/ObjectHypothesisWithPose": (
+        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
+    ),
+    "vision_msgs/msg/Detection2D": (
+        "std_msgs/Header header\n"
+        "vision_msgs/ObjectHypothesisWithPose[] results\n"
+        "vision_msgs/BoundingBox2D bbox\n"
+        "string id\n"
+    ),
+    DETECTIONS: "std_msgs/Header header\nvision_msgs/Detection2D[] detections\n",
+}
+"""Fields of vision_msgs 4, that of Humble and newer, as far as a `Detection2DArray` needs them."""
+
+
+def message_types() -> Typestore:
+    """The types of all messages of a bag.
+
+    Raises:
+        ModsimError: rosbags is not installed.
+    """
+    try:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError:
+        raise ModsimError('--format mcap needs rosbags: pip install "modsim3d[ros]"') from None
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in VISION_MSGS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+# ---- Times of steps in ROS's nanoseconds, from their texts, so that no digit is lost on the way ----
+
+NANO = 1_000_000_000
+MOST_S = 2**31 - 1
+"""ROS keeps seconds in 32 bits with a sign, and a bag holds no negative times."""
+_UNIT, _EXACT = Decimal("1e-9"), Context(prec=40)
+
+
+def stamps_ns(timestamps: Sequence[str], source: str) -> Indices:
+    """Nanoseconds of steps with ascending times, shape (n,); digits beyond the ninth decimal are rounded.
+
+    Args:
+        timestamps: Texts of the times in seconds.
+        source: What errors call the scene.
+
+    Raises:
+        InputError: A time is before 0 or too late for ROS, or two times differ by less than ROS can tell.
+    """
+    stamps = [_nanoseconds(text) for text in timestamps]
+    for text, stamp in zip(timestamps, stamps, strict=True):
+        if stamp is None:
+            problem = f"time {text} s: ROS knows times from 0 to {MOST_S} s; count the times of the poses from 0"
+            raise InputError(source, [problem])
+    ns = np.array(stamps, dtype=np.int64)
+    same = np.flatnonzero(np.diff(ns) <= 0)
+    if len(same):
+        first, second = timestamps[int(same[0])], timestamps[int(same[0]) + 1]
+        raise InputError(
+            source, [f"times {first} s and {second} s: ROS counts in nanoseconds and cannot tell them apart"]
+        )
+    return ns
+
+
+def _nanoseconds(text: str) -> int | None:
+    """Nanoseconds of a time; None if ROS does not know it."""
+    try:
+        ns = int(Decimal(text).quantize(_UNIT, ROUND_HALF_EVEN, _EXACT).scaleb(9, _EXACT))
+    except InvalidOperation:
+        return None
+    return ns if 0 <= ns < (MOST_S + 1) * NANO else None
+
+
+# ---- Builds ROS messages from what a run has ----
+
+
+@dataclass(frozen=True, eq=False)
+class FramePlace:
+    """Where a frame is in its parent at S steps.
+
+    Attributes:
+        parent: Name of the parent.
+        child: Name of the frame.
+        positions_m: Its origin in the parent, shape (S, 3).
+        quaternions: The rotation from it to its parent as x, y, z, w, shape (S, 4).
+    """
+
+    parent: str
+    child: str
+    positions_m: Array
+    quaternions: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredMotion:
+    """What an inertial unit measures at S steps.
+
+    Attributes:
+        quaternions: The rotation from its axes to the map as x, y, z, w, shape (S, 4).
+        rates_rad_s: Angular velocity along its axes, shape (S, 3).
+        forces_m_s2: Specific force along its axes, shape (S, 3).
+    """
+
+    quaternions: Array
+    rates_rad_s: Array
+    forces_m_s2: Array
+
+
+class Variances(NamedTuple):
+    """Variances of the errors of an inertial unit about or along each axis, shape (3,) each."""
+
+    turn_rad2: Array
+    rates_rad2_s2: Array
+    forces_m2_s4: Array
+
+
+def quaternions(parent_R_child: Array) -> Array:
+    """Quaternions x, y, z, w with w ≥ 0 of rotations, shape (S, 3, 3) to (S, 4)."""
+    found: Array = Rotation.from_matrix(parent_R_child).as_quat(canonical=True)
+    return found
+
+
+class Messages:
+    """Builds messages of the types of a store."""
+
+    def __init__(self, store: Typestore) -> None:
+        """Take the types by their short names."""
+        self._types: dict[str, Any] = {name.replace("/msg/", "/"): kind for name, kind in store.types.items()}
+        self._no_pose = self._pose_with_covariance(self._pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)), np.zeros((6, 6)))
+
+    def detections(self, stamp_ns: int, frame: str, boxes: FrameBoxes) -> Any:
+        """A `Detection2DArray` of the boxes of a frame."""
+        header = self._header(stamp_ns, frame)
+        rows = zip(centre_form(boxes.boxes_px).tolist(), boxes.labels, boxes.scores, boxes.ids, strict=True)
+        return self._make(DETECTIONS, header, [self._detection(header, *row) for row in rows])
+
+    def camera_info(self, stamp_ns: int, frame: str, intrinsics: Intrinsics) -> Any:
+        """A `CameraInfo`; the image is not rectified, so R is the identity and P has K's numbers."""
+        width, height = intrinsics.image_size_px
+        lens, matrix = intrinsics.distortion or Distortion(), intrinsics.matrix
+        return self._make(
+            CAMERA_INFO,
+            self._header(stamp_ns, frame),
+            height,
+            width,
+            "plumb_bob",
+            np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]),
+            matrix.ravel(),
+            np.eye(3).ravel(),
+            np.column_stack([matrix, np.zeros(3)]).ravel(),
+            0,
+            0,
+            self._types["sensor_msgs/RegionOfInterest"](0, 0, 0, 0, False),  # zeros: the whole image
+        )
+
+    def transforms(self, stamp_ns: int, places: Iterable[tuple[FramePlace, int]]) -> Any:
+        """A `TFMessage` of frames, each with the index of the step in its `FramePlace`."""
+        kind = self._types["geometry_msgs/TransformStamped"]
+        entries = [
+            kind(
+                self._header(stamp_ns, place.parent),
+                place.child,
+                self._types["geometry_msgs/Transform"](
+                    self._vector(place.positions_m[step]), self._quaternion(place.quaternions[step])
+                ),
+            )
+            for place, step in places
+        ]
+        return self._make(TRANSFORMS, entries)
+
+    def odometry(self, stamp_ns: int, place: FramePlace, step: int, velocity_m_s: Array, rates_rad_s: Array) -> Any:
+        """An `Odometry` without error: the pose of a frame in its parent, velocity and rates along its own axes."""
+        pose = self._pose(place.positions_m[step], place.quaternions[step])
+        twist = self._types["geometry_msgs/Twist"](self._vector(velocity_m_s), self._vector(rates_rad_s))
+        exact = np.zeros(36)
+        return self._make(
+            ODOMETRY,
+            self._header(stamp_ns, place.parent),
+            place.child,
+            self._pose_with_covariance(pose, exact),
+            self._types["geometry_msgs/TwistWithCovariance"](twist, exact),
+        )
+
+    def imu(self, stamp_ns: int, frame: str, measured: MeasuredMotion, step: int, variances: Variances) -> Any:
+        """An `Imu` of an inertial unit at a step."""
+        turn, rate, force = (np.diag(each).ravel() for each in variances)
+        return self._make(
+            IMU,
+            self._header(stamp_ns, frame),
+            self._quaternion(measured.quaternions[step]),
+            turn,
+            self._vector(measured.rates_rad_s[step]),
+            rate,
+            self._vector(measured.forces_m_s2[step]),
+            force,
+        )
+
+    def _make(self, kind: str, *fields: Any) -> Any:
+        return self._types[kind.replace("/msg/", "/")](*fields)
+
+    def _header(self, stamp_ns: int, frame: str) -> Any:
+        seconds, rest = divmod(stamp_ns, NANO)
+        return self._types["std_msgs/Header"](self._types["builtin_interfaces/Time"](seconds, rest), frame)
+
+    def _detection(self, header: Any, box: list[float], label: str, score: float, identity: str) -> Any:
+        x, y, width, height = box
+        hypothesis = self._types["vision_msgs/ObjectHypothesis"](label, score)
+        centre = self._types["vision_msgs/Pose2D"](self._types["vision_msgs/Point2D"](x, y), 0.0)
+        return self._types["vision_msgs/Detection2D"](
+            header,
+            [self._types["vision_msgs/ObjectHypothesisWithPose"](hypothesis, self._no_pose)],
+            self._types["vision_msgs/BoundingBox2D"](centre, width, height),
+            identity,
+        )
+
+    def _vector(self, values: Iterable[float]) -> Any:
+        return self._types["geometry_msgs/Vector3"](*map(float, values))
+
+    def _quaternion(self, values: Iterable[float]) -> Any:
+        return self._types["geometry_msgs/Quaternion"](*map(float, values))
+
+    def _pose(self, position_m: Iterable[float], quaternion: Iterable[float]) -> Any:
+        point = self._types["geometry_msgs/Point"](*map(float, position_m))
+        return self._types["geometry_msgs/Pose"](point, self._quaternion(quaternion))
+
+    def _pose_with_covariance(self, pose: Any, covariance: Array) -> Any:
+        return self._types["geometry_msgs/PoseWithCovariance"](pose, covariance.ravel())

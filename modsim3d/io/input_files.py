@@ -1,0 +1,222 @@
+"""Opens an input file: an ordinary file only, gzipped or not, and no more of it than its budget."""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import io
+import os
+import stat
+import unicodedata
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from modsim3d.core.errors import InputError
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
+
+# ---- What an input may cost ----
+
+MAX_TEXT_BYTES = 1 << 29
+"""Of a file that is read as a whole: seven million poses. What is parsed from it takes up to ten times as much."""
+MAX_UNPACK_RATIO = 100
+"""Bytes that a gzipped file may unpack to for each of its own: tables reach 20, a file that is all one byte 1000."""
+FREE_UNPACKED_BYTES = 1 << 23
+"""Bytes that any gzipped file may unpack to."""
+PIECE_BYTES = 1 << 20
+"""Read at once. A single read would reserve memory for the whole budget."""
+MAX_YAML_BYTES = 1 << 20
+"""Of a scene or detector in YAML, which takes two seconds a megabyte. A thousand vessels with tracks need half."""
+MAX_YAML_VALUES = 200_000
+"""Once aliases and merge keys are written out, which can multiply a file of ten lines to any size."""
+YAML_CHARACTERS_PER_VALUE = 64
+"""A long text counts as a value for each so many characters, since an alias can repeat it too."""
+MAX_JSON_VALUES = 2_000_000
+"""Of a file of vessels or a scene in JSON; each takes up to 100 bytes of memory. A thousand vessels are 10,000."""
+POSE_BYTES_PER_VALUE = 8
+"""A pose file may have more values than that if they are as long as those of poses, which take 12 bytes each."""
+MAX_POSES = 200_000_000
+"""Vessels times steps, present or not: 33 bytes each in memory. Two thousand vessels for a day take 173 million."""
+COCO_BYTES_PER_VALUE = 4
+"""A COCO file may have more values than other JSON if they are as long as the numbers of its masks, 123.4 and 56."""
+MAX_PROBLEMS = 10_000
+"""Wrong entries of one file after which no more of it is read, unless they are to be left out."""
+MAX_BAD_ROWS = 50_000
+"""Without the cells of the header, in 16 MB of a table of AIS, after which no more is read: a third of its rows."""
+MAX_LINE_CHARACTERS = 10_000
+"""Of a line of numbers: MOT has ten of them, YOLO six."""
+FREE_FRAMES, FRAMES_A_ROW = 100_000, 1_000
+"""Frames that a MOT pair may span, and further ones for each of its lines, where no seqLength says how many there are:
+three hours at 10 Hz, and a vessel every minute and a half in a longer night."""
+MAX_FRAMES = 1_000_000
+"""Of a MOT sequence: nine hours at 30 Hz. Learning takes 2.4 kB for each, with 300 replicates."""
+MAX_PAIRS = 10_000_000
+"""Of detections and annotations that could match: COCO's largest sets have two million."""
+MAX_TABLE_CELLS = 15_000_000
+"""Of the confusion matrices of all states with all replicates, at 50 bytes each: 220 classes with 300 replicates."""
+MAX_IMAGE_BYTES = 1 << 29
+"""Of an image whose size is to be known: some kinds are read as a whole for it."""
+
+
+# ---- Opens an input file ----
+
+_GZIP = b"\x1f\x8b"
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+_BOMB = (
+    "unpacks to more than {ratio} times its own size, as files do that are made to fill the memory: if it is what you "
+    "want to read, unpack it first"
+)
+_FAULTS = (OSError, EOFError, zlib.error, UnicodeDecodeError)
+
+
+_noted: ContextVar[tuple[list[Path], ...]] = ContextVar("_noted", default=())
+
+
+@contextmanager
+def inputs_noted() -> Iterator[list[Path]]:
+    """The list of the input files that are opened within the block, so that none of them is written over."""
+    opened: list[Path] = []
+    token = _noted.set((*_noted.get(), opened))
+    try:
+        yield opened
+    finally:
+        _noted.reset(token)
+
+
+def note_input(path: Path) -> None:
+    """Note that a file is opened; for those who cannot use `open_input`."""
+    for opened in _noted.get():
+        opened.append(path)
+
+
+@contextmanager
+def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator[io.BufferedReader]:
+    """The bytes of an input file after its byte order mark, unpacked if it is gzipped; its name does not matter.
+
+    Args:
+        path: The file.
+        what: What it is, for errors.
+        most_bytes: Budget of what comes out; None for a reader that keeps little of it.
+
+    Raises:
+        InputError: It is no ordinary file, cannot be read or unpacked, is no UTF-8, or exceeds a budget; also later,
+            while it is read and decoded.
+    """
+    source = f"{what} {path}"
+    note_input(path)
+    try:
+        with _ordinary_file(path, source) as file:
+            content: io.BufferedReader = io.BufferedReader(_Budgeted(file, source, most_bytes), PIECE_BYTES)
+            mark = content.peek(len(codecs.BOM_UTF8))
+            if mark.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+                raise InputError(source, ["is UTF-16 text, must be UTF-8: save it as that (iconv -f UTF-16 -t UTF-8)"])
+            if mark.startswith(codecs.BOM_UTF8):
+                content.read(len(codecs.BOM_UTF8))
+            yield content
+    except _FAULTS as error:
+        raise InputError(source, [_problem(error)]) from None
+
+
+def _ordinary_file(path: Path, source: str) -> io.BufferedReader:
+    try:
+        # Without O_NONBLOCK opening a pipe waits for somebody who writes into it.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except ValueError:  # it holds a null character or half a character
+        raise InputError(source, ["is no valid file name"]) from None
+    kind = stat.S_IFMT(os.fstat(descriptor).st_mode)
+    if kind != stat.S_IFREG:
+        os.close(descriptor)
+        raise InputError(source, [f"this is {_KINDS.get(kind, 'something else')}, a file was expected"])
+    return os.fdopen(descriptor, "rb")
+
+
+def _problem(error: Exception) -> str:
+    """What to say of an error of the operating system, of unpacking or of decoding."""
+    if isinstance(error, gzip.BadGzipFile | EOFError | zlib.error):
+        return "is not a complete gzip file"
+    if isinstance(error, UnicodeDecodeError):
+        return f"is not UTF-8 text (byte {error.start})"
+    if isinstance(error, FileNotFoundError):
+        return "no such file"
+    return f"cannot be read: {getattr(error, 'strerror', None) or error}"
+
+
+class _Budgeted(io.RawIOBase):
+    """The bytes of a file, unpacked if it is gzipped; refuses to give more than the budgets allow."""
+
+    def __init__(self, file: io.BufferedReader, source: str, most_bytes: int | None) -> None:
+        """Read nothing yet."""
+        self.file, self.source, self.most_bytes = file, source, most_bytes
+        self.packed = file.peek(2).startswith(_GZIP)
+        self.stream = gzip.GzipFile(fileobj=file) if self.packed else file
+        self.count = 0
+        self.check(0 if self.packed else os.fstat(file.fileno()).st_size)
+
+    def readable(self) -> bool:
+        """It is."""
+        return True
+
+    def readinto(self, buffer: WriteableBuffer) -> int:
+        """Read the next piece into a buffer, and return its length."""
+        count = self.stream.readinto(buffer) or 0  # None where a special file has nothing to say
+        self.count += count
+        self.check(self.count)
+        return count
+
+    def check(self, count: int) -> None:
+        """Raise `InputError` if so many bytes exceed a budget."""
+        if self.most_bytes is not None and count > self.most_bytes:
+            verb = "unpacks to" if self.packed else "has"
+            raise InputError(self.source, [f"{verb} more than {self.most_bytes:,} bytes: give a part of it"])
+        if self.packed and count > FREE_UNPACKED_BYTES + MAX_UNPACK_RATIO * self.file.tell():
+            raise InputError(self.source, [_BOMB.format(ratio=MAX_UNPACK_RATIO)])
+
+
+# ---- The text of an input file, gzipped or not, within a budget ----
+
+
+def read_text(path: Path, what: str, most_bytes: int | None = None) -> str:
+    """The text of an input file, unpacked if it is gzipped; its name does not matter.
+
+    Its lines end with line feeds, it has no byte order mark, and letters with accents are one character each (NFC):
+    files of Macs have them apart, so that one name would be two.
+
+    Args:
+        path: The file.
+        what: What it is, for errors.
+        most_bytes: Budget of the text; None for that of all texts.
+
+    Raises:
+        InputError: As `open_input`.
+    """
+    with open_input(path, what, most_bytes or MAX_TEXT_BYTES) as file:
+        content = bytearray()
+        while piece := file.read(PIECE_BYTES):
+            content += piece
+        return composed(content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n"))
+
+
+def composed(text: str) -> str:
+    """A text or the name of a file with letters and their accents as one character each, as `read_text` has them."""
+    return text if text.isascii() else unicodedata.normalize("NFC", text)
+
+
+# ---- The data files that come with the package ----
+
+
+def data_folder(kind: str) -> Path:
+    """The folder of shipped `scenes` or `meshes`: in the installed package, or at the top of the repository."""
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "_data" / kind
+    return installed if installed.is_dir() else package.parent / kind

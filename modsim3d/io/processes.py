@@ -1,0 +1,421 @@
+"""Work done in this process or shared between several, with the results in the order of the pieces."""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
+from numbers import Integral
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, Generic, Literal, NoReturn, Protocol, TypeVar
+
+from modsim3d.core.errors import ModsimError
+
+# ---- A worker in a process of its own, which is handed one piece of work after another through a pipe ----
+
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+IN_HAND = 2
+"""Pieces that a worker process has at once: the one that it does, and the next."""
+_END = b""
+"""The message after the last piece."""
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""Processes share the cores; threads of each would only wait for each other."""
+
+Task = tuple[Future[Any], Callable[[Any, Any], Any], Any]
+"""Where the result goes, the work and the piece."""
+
+
+class DiedError(Exception):
+    """A worker process died."""
+
+
+class WorkerProcess:
+    """A worker in a process of its own.
+
+    Nobody else holds the other end of its pipe, so that the pipe ends when the process dies, whatever it was doing. In
+    a queue that several processes share, half a result would be waited for without end.
+    """
+
+    def __init__(self, fork: bool, set_up: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+        """Start the process, a fork of this one or a new interpreter; `set_up` of `arguments` opens its worker."""
+        # Made now: the caller may work with the same arguments as soon as it goes on, which changes what they keep.
+        self._first = None if fork else ForkingPickler.dumps((set_up, arguments))
+        self._pipe, other_end = multiprocessing.Pipe()
+        self._sending = threading.Lock()
+        with other_end:  # closed before the next process is forked, which would hold it too
+            if fork:
+                context = multiprocessing.get_context("fork")
+                process = context.Process(target=_serve, args=(other_end, set_up, arguments), daemon=True)
+                process.start()
+                self._wait: Callable[[], Any] = process.join
+            else:
+                # A script without `if __name__ == "__main__":` would start again in a process of multiprocessing.
+                code = f"from modsim3d.io.processes import serve; serve({other_end.fileno()}, {os.getpid()})"
+                self._wait = new_interpreter(other_end, "-c", code).wait
+
+    def do_all(self, tasks: SimpleQueue[Task | None], enough: int) -> None:
+        """Have tasks done until None comes, and wait for the end of the process.
+
+        Where there are `enough` tasks for all workers, the process has its next one before it has done one, so that it
+        need not wait for this process.
+        """
+        begun: deque[Future[Any]] = deque()
+        more = True
+        while True:
+            with suppress(Empty):
+                while more and (not begun or (len(begun) < IN_HAND and tasks.qsize() >= enough)):
+                    task = tasks.get(block=not begun)
+                    if task is None:
+                        more = False
+                    else:
+                        begun.append(self._hand(*task))
+            if not begun:
+                break
+            self._take_result(begun.popleft())
+        self._wait()
+        self._pipe.close()
+
+    def stop(self) -> None:
+        """Let the process end after what it does now."""
+        with suppress(OSError), self._sending:
+            self._pipe.send_bytes(_END)
+
+    def _hand(self, future: Future[Any], work: Callable[[Any, Any], Any], piece: Any) -> Future[Any]:
+        try:
+            with self._sending:
+                if self._first is not None:
+                    self._pipe.send_bytes(self._first)  # not at once: an interpreter that starts does not read yet
+                    self._first = None
+                self._pipe.send((work, piece))
+        except OSError:
+            future.set_exception(DiedError())
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def _take_result(self, future: Future[Any]) -> None:
+        """Wait for what a process has to say of a task, unless the task could not be handed to it."""
+        if future.done():
+            return
+        try:
+            result, error = self._pipe.recv()
+        except (EOFError, OSError):
+            result, error = None, DiedError()
+        except Exception as unreadable:
+            result, error = None, unreadable
+        if error is None:
+            future.set_result(result)
+        else:
+            future.set_exception(error)
+
+
+def end_with_parent(parent: int | None = None) -> None:
+    """Let the system end this process when its parent ends, however it ends: a killed one must not leave workers.
+
+    Args:
+        parent: Number of the parent; if it has ended already, this process ends now.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if parent is not None and os.getppid() != parent:
+        os._exit(1)
+
+
+def new_interpreter(pipe: Connection, *arguments: str) -> subprocess.Popen[bytes]:
+    """A new Python that finds the modules that this one finds, and holds a pipe under the same number.
+
+    It is in a group of its own, because Ctrl-C goes to all of a group, and the main process tells the user what was
+    interrupted. What it prints goes to standard error, because standard output is the command's.
+
+    Args:
+        pipe: Its end of the pipe.
+        *arguments: Options of Python that say what it does.
+    """
+    paths = [path or str(Path.cwd()) for path in sys.path]
+    environment = {**dict.fromkeys(_ONE_THREAD, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    return subprocess.Popen(
+        [sys.executable, "-P", *arguments],  # -P: the working directory may hold files that are named like modules
+        env=environment,
+        pass_fds=[pipe.fileno()],
+        stdin=subprocess.DEVNULL,
+        stdout=2,
+        process_group=0,
+    )
+
+
+def serve(pipe_number: int, parent: int) -> None:
+    """Be a worker in a new interpreter; what its worker is comes through the pipe first."""
+    end_with_parent(parent)
+    pipe: Connection = Connection(pipe_number)
+    try:
+        message = pipe.recv_bytes()
+        if message != _END:  # there may be no piece for this worker
+            _serve(pipe, *_set_up_of(message))
+    except (EOFError, OSError):  # the parent has gone
+        os._exit(1)
+
+
+def _set_up_of(message: bytes) -> tuple[Callable[..., AbstractContextManager[Any]], tuple[Any, ...]]:
+    """What sets up a worker, and its arguments.
+
+    Where a new interpreter cannot read them, as those of a class that it cannot import, setting up raises the error: so
+    it is told as any other error of setting up.
+    """
+    try:
+        set_up, arguments = ForkingPickler.loads(message)
+    except Exception as error:
+        return _raise, (error,)
+    return set_up, arguments
+
+
+def _raise(error: Exception) -> NoReturn:
+    raise error
+
+
+def _serve(pipe: Connection, set_up: Callable[..., AbstractContextManager[Any]], arguments: tuple[Any, ...]) -> None:
+    """Set up the worker of this process, and do what comes through a pipe until its end is told."""
+    end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process tells the user what was interrupted
+    messages: SimpleQueue[bytes] = SimpleQueue()
+    # A thread reads, or both sides might wait with a full pipe: one to hand a task, the other to give a result.
+    threading.Thread(target=_read, args=(pipe, messages), daemon=True).start()
+    with ExitStack() as opened:
+        worker, problem = None, None
+        try:
+            worker = opened.enter_context(set_up(*arguments))
+        except Exception as error:
+            problem = error
+        while message := messages.get():
+            _answer(pipe, problem, worker, message)
+
+
+def _read(pipe: Connection, messages: SimpleQueue[bytes]) -> None:
+    """Take messages from a pipe until its end is told or the parent has gone."""
+    message = None
+    while message != _END:
+        try:
+            message = pipe.recv_bytes()
+        except (EOFError, OSError):
+            message = _END
+        if message == _END:
+            _empty(messages)  # nobody waits for the results
+        messages.put(message)
+
+
+def _empty(messages: SimpleQueue[bytes]) -> None:
+    with suppress(Empty):
+        while True:
+            messages.get_nowait()
+
+
+def _answer(pipe: Connection, problem: Exception | None, worker: Any, message: bytes) -> None:
+    """Send a result and no error, or an error with its traceback as a note."""
+    try:
+        if problem is not None:
+            raise problem
+        work, piece = ForkingPickler.loads(message)
+        pipe.send((work(worker, piece), None))
+    except BaseException as error:
+        if not isinstance(error, ModsimError):
+            error.add_note("".join(traceback.format_exception(error)))
+        pipe.send((None, error))
+
+
+def may_fork() -> bool:
+    """Whether this process has one thread only; a fork starts at once, but is not safe otherwise.
+
+    A process of `multiprocessing` may not fork others.
+    """
+    if multiprocessing.parent_process() is not None:
+        return False
+    tasks = Path("/proc/self/task")
+    return (len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()) == 1
+
+
+# ---- Work done in this process or shared between several, with the results in the order of the pieces ----
+
+MOST_WORKERS = 1024
+AHEAD = 3
+"""Pieces that may wait for each worker; it bounds the memory."""
+
+T = TypeVar("T")
+P = TypeVar("P")
+W = TypeVar("W")
+W_co = TypeVar("W_co", covariant=True)
+
+
+WorkerCount = int | Literal["auto"]
+"""Number of worker processes; `auto`: one for each CPU that this process may use."""
+
+
+def worker_count(workers: WorkerCount, name: str = "workers") -> int:
+    """The number of workers that is asked for; `name` is what an error calls it.
+
+    Raises:
+        ModsimError: It is neither such a number nor `auto`.
+    """
+    if isinstance(workers, str) and workers == "auto":
+        return min(_usable_cpus(), MOST_WORKERS)
+    if isinstance(workers, Integral) and not isinstance(workers, bool) and 1 <= workers <= MOST_WORKERS:
+        return int(workers)
+    shown = repr(workers)[:60]
+    raise ModsimError(f"{name}: needs a number of processes from 1 to {MOST_WORKERS}, or 'auto' (got {shown})")
+
+
+def parse_workers(text: str) -> WorkerCount:
+    """The value of the option `--workers`.
+
+    Raises:
+        ModsimError: It is neither a number of workers nor `auto`.
+    """
+    value: Any = int(text) if re.fullmatch("[0-9]{1,9}", text) else text
+    worker_count(value, "--workers")
+    return value  # type: ignore[no-any-return]
+
+
+def _usable_cpus() -> int:
+    """The number of CPUs that this process may use."""
+    if hasattr(os, "process_cpu_count"):  # from Python 3.13 on
+        return os.process_cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Workers(Protocol[W_co]):
+    """One or several workers of one type, each in a process of its own or the only one in this process."""
+
+    def map(self, work: Callable[[W_co, P], T], pieces: Iterable[P]) -> Iterator[T]:
+        """Do the work on each piece, and give the results in the order of the pieces.
+
+        Args:
+            work: Called with a worker and a piece. Other processes must be able to import it.
+            pieces: A few are taken ahead of the results.
+
+        Raises:
+            ModsimError: A worker process could not be set up, or died.
+        """
+
+
+def open_workers(
+    workers: WorkerCount,
+    if_killed: str,
+    set_up: Callable[..., AbstractContextManager[W]],
+    *arguments: Any,
+    here_too: bool = False,
+) -> AbstractContextManager[Workers[W]]:
+    """One worker in this process, or several in processes of their own.
+
+    Args:
+        workers: Number of workers, or `auto`.
+        if_killed: What a user should do if a worker process dies.
+        set_up: Opens a worker. Called once in each process with `arguments`, which must be picklable.
+        *arguments: Arguments of `set_up`.
+        here_too: Of several workers, one is in this process and works while it waits for the others.
+
+    Raises:
+        ModsimError: This is no number of workers.
+    """
+    return _opened(worker_count(workers), if_killed, set_up, arguments, here_too)
+
+
+@contextmanager
+def _opened(
+    count: int,
+    if_killed: str,
+    set_up: Callable[..., AbstractContextManager[W]],
+    arguments: tuple[Any, ...],
+    here_too: bool,
+) -> Iterator[Workers[W]]:
+    if count == 1:
+        with set_up(*arguments) as worker:
+            yield _ThisProcess(worker)
+        return
+    fork = may_fork()
+    started = [WorkerProcess(fork, set_up, arguments) for _ in range(count - here_too)]  # before the first thread
+    processes: _Processes[W] = _Processes(started, count, if_killed)
+    try:
+        with ExitStack() as opened:
+            if here_too:
+                processes.work_here(opened.enter_context(set_up(*arguments)))
+            yield processes
+    finally:
+        processes.close()
+
+
+@dataclass(frozen=True)
+class _ThisProcess(Generic[W]):
+    worker: W
+
+    def map(self, work: Callable[[W, P], T], pieces: Iterable[P]) -> Iterator[T]:
+        return (work(self.worker, piece) for piece in pieces)
+
+
+class _Processes(Generic[W]):
+    """Worker processes, each with a thread here that hands it pieces and waits for the results."""
+
+    def __init__(self, processes: list[WorkerProcess], workers: int, if_killed: str) -> None:
+        self._processes = processes
+        self._if_killed = if_killed
+        self._most_waiting = workers * AHEAD
+        self._do_here: Callable[[Task | None], None] | None = None
+        self._tasks: SimpleQueue[Task | None] = SimpleQueue()
+        self._threads = [threading.Thread(target=process.do_all, args=(self._tasks, workers)) for process in processes]
+        for thread in self._threads:
+            thread.start()
+
+    def work_here(self, worker: W) -> None:
+        """Let this process do pieces too, with a worker of its own, while it waits for a result."""
+        self._do_here = partial(_do, worker)
+
+    def map(self, work: Callable[[W, P], T], pieces: Iterable[P]) -> Iterator[T]:
+        waiting: deque[Future[T]] = deque()
+        for piece in pieces:
+            waiting.append(Future())
+            self._tasks.put((waiting[-1], work, piece))
+            if len(waiting) >= self._most_waiting:
+                yield self._result(waiting.popleft())
+        while waiting:
+            yield self._result(waiting.popleft())
+
+    def close(self) -> None:
+        """Let the workers end what they do now, and end them."""
+        with suppress(Empty):
+            while True:
+                self._tasks.get_nowait()
+        for process in self._processes:
+            process.stop()
+            self._tasks.put(None)
+        for thread in self._threads:
+            thread.join()
+
+    def _result(self, future: Future[T]) -> T:
+        with suppress(Empty):
+            while self._do_here is not None and not future.done():
+                self._do_here(self._tasks.get_nowait())
+        try:
+            return future.result()
+        except DiedError:
+            raise ModsimError(f"a worker process died (killed, or out of memory); {self._if_killed}") from None
+
+
+def _do(worker: Any, task: Task | None) -> None:
+    assert task is not None  # it comes only after all tasks
+    future, work, piece = task
+    try:
+        future.set_result(work(worker, piece))
+    except Exception as error:
+        future.set_exception(error)

@@ -1,0 +1,259 @@
+"""Types and messages that input files share, so that all problems are reported at once and in the same words."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import reprlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, get_args, get_origin
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic_core import CoreSchema, core_schema
+
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array, StrPath
+from modsim3d.io.input_files import data_folder
+
+# ---- Types and messages that input files share, so that all problems are reported at once and in the ----
+
+LEAST, MOST = 1e-9, 1e9
+"""Of the size of a number that is no place and no time; with them, products and quotients do not overflow."""
+
+
+class Limits:
+    """Limits of a number in the annotation of a field; text and truth values are no numbers.
+
+    `Field` has the same limits, but a model with many numbers takes twice as long to build with it.
+    """
+
+    def __init__(self, check: Callable[[float], float] | None = None, **limits: float | bool) -> None:
+        """Take limits as `Field` has them: `ge`, `gt`, `le` and `lt`, and `allow_inf_nan` for a float.
+
+        `check` is given a number within the limits and returns it, as that of an `AfterValidator`.
+        """
+        self._check = check
+        self._limits: dict[str, Any] = limits
+
+    def __get_pydantic_core_schema__(self, source: type[float], handler: GetCoreSchemaHandler) -> CoreSchema:
+        """What pydantic asks for when it builds a model."""
+        schema_of = core_schema.int_schema if source is int else core_schema.float_schema
+        schema = schema_of(strict=True, **self._limits)
+        return core_schema.no_info_after_validator_function(self._check, schema) if self._check else schema
+
+
+def _not_tiny(value: float) -> float:
+    if 0 < value < LEAST:
+        raise ValueError(f"{value:g} is too small to calculate with: at least {LEAST:g}")
+    return value
+
+
+Number = Annotated[float, Limits(allow_inf_nan=False, ge=-MOST, le=MOST)]
+Positive = Annotated[float, Limits(_not_tiny, allow_inf_nan=False, gt=0, le=MOST)]
+NotNegative = Annotated[float, Limits(_not_tiny, allow_inf_nan=False, ge=0, le=MOST)]
+Probability = Annotated[float, Limits(ge=0, le=1)]
+Count = Annotated[int, Limits(ge=0)]
+# Far beyond any scene; squares and products do not overflow.
+MAX_COORDINATE_M = 1e9
+Metres = Annotated[float, Limits(allow_inf_nan=False, ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
+Rate = Annotated[float, Limits(allow_inf_nan=False, ge=-1e6, le=1e6)]
+
+
+class Strict(BaseModel):
+    """A section of an input file: unknown keys are errors, values cannot be changed.
+
+    Attributes:
+        alternatives: Groups of keys of which only one may be there. Setting a key removes those of the other groups.
+    """
+
+    alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
+
+    # Most models are never used in a process: each is built when it is, which takes as long as importing NumPy in all.
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+
+def join_path(*parts: object) -> str:
+    """A dotted path such as `cameras.C0.mount`; list places as `[2]`."""
+    path = ""
+    for part in parts:
+        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else str(part)
+    return path
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A hint: the known name that was probably meant, or the known names."""
+    name, names = str(name), [str(candidate) for candidate in known]
+    likely = names[:MOST_COMPARED] if len(name) <= LONGEST_COMPARED else []
+    close = difflib.get_close_matches(name, likely, n=1)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return f"known: {', '.join(names[:12])}{', …' if len(names) > 12 else ''}" if names else "none are defined"
+
+
+def model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel] | None:
+    """The model of the section at a location; None where there is none."""
+    current: Any = model
+    for part in location:
+        if get_origin(current) is dict:
+            current = get_args(current)[1]
+        elif part in getattr(current, "model_fields", {}):
+            current = current.model_fields[part].annotation
+        else:
+            return None
+        options = [option for option in get_args(current) if hasattr(option, "model_fields")]
+        if get_origin(current) is not dict and len(options) == 1:
+            (current,) = options  # `MountKeys | None`
+    return current if hasattr(current, "model_fields") else None
+
+
+_PLAIN_WORDS = {
+    "dict_type": "a mapping of keys is needed",
+    "model_type": "a mapping of keys is needed",
+    "invalid_key": "a key must be text",
+    "list_type": "a list is needed",
+    "tuple_type": "a list is needed",
+    "too_long": "a list of {max_length} is needed",
+    "finite_number": "a finite number is needed",
+    "string_type": "text is needed",
+    "string_too_short": "must not be empty",
+    "bool_type": "true or false is needed",
+}
+"""Messages for readers of YAML in place of pydantic's, which use the words of Python."""
+
+MOST_PROBLEMS = 50
+"""Most problems that are reported of one section."""
+MOST_COMPARED, LONGEST_COMPARED = 1000, 100
+"""Names that are compared with a wrong one, and their length: comparing takes time by the square of the length."""
+_KINDS = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list", dict: "a mapping"}
+
+
+class _Brief(reprlib.Repr):
+    """Short texts of values, with the words of YAML and JSON."""
+
+    def repr_NoneType(self, value: None, level: int) -> str:
+        """Nothing."""
+        return "null"
+
+    def repr_bool(self, value: bool, level: int) -> str:
+        """A truth value."""
+        return "true" if value else "false"
+
+
+_brief = _Brief()
+_brief.maxstring = _brief.maxother = _brief.maxlong = 60
+_brief.maxlevel, _brief.maxlist, _brief.maxdict = 3, 4, 4
+
+
+def shown(value: object) -> str:
+    """A short text of a value for a message; with YAML's aliases a few lines can hold an enormous value."""
+    return _brief.repr(value)
+
+
+def kind_of(value: object) -> str:
+    """What a value is, in the words of a reader of YAML or JSON; the value itself might be a secret of its file."""
+    return "nothing" if value is None else _KINDS.get(type(value), type(value).__name__)
+
+
+def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
+    """One line for each problem that pydantic found, such as `cameras.C0.skew: Input should be a number (got 'x')`.
+
+    Args:
+        error: The error of the model's validation.
+        model: The model, for the names of its keys.
+        *prefix: Keys that lead to the model in the file.
+    """
+    lines: list[str] = []
+    items = error.errors(include_url=False)
+    for item in items[:MOST_PROBLEMS]:
+        location = item["loc"]
+        path = join_path(*prefix, *location)
+        if location and location[-1] == "[key]":
+            path = join_path(*prefix, *map(str, location[:-1]))
+            lines.append(f"{path}: a name must be text: put it in quotes")
+        elif item["type"] == "extra_forbidden":
+            section = model_at(model, location[:-1])
+            hint = nearest(str(location[-1]), section.model_fields if section else ())
+            lines.append(f"{path}: unknown key" + (f" ({hint})" if hint != "none are defined" else ""))
+        elif item["type"] == "missing":
+            lines.append(f"{path}: missing")
+        elif item["type"] in ("value_error", "assertion_error"):
+            lines.append(f"{path}: {item['msg'].removeprefix('Value error, ')}")
+        else:
+            plain = _PLAIN_WORDS.get(item["type"])
+            message = plain.format(**item.get("ctx", {})) if plain else item["msg"]
+            lines.append(f"{path}: {message} (got {shown(item['input'])})")
+    if len(items) > MOST_PROBLEMS:
+        lines.append(f"… and {len(items) - MOST_PROBLEMS:,} more problems in {join_path(*prefix) or 'the file'}")
+    return lines
+
+
+# ---- Detection conditions ----
+
+CONDITIONS = "conditions"
+"""Name of the shipped folder, with the conditions that the thesis measured."""
+
+
+def conditions_in(folder: StrPath = CONDITIONS) -> dict[str, Path]:
+    """The detector files of a folder by their names, without their endings; `conditions` is the shipped folder.
+
+    Raises:
+        InputError: There is no such folder, or no detector file in it.
+    """
+    place = data_folder("scenes") / "detectors" / CONDITIONS if str(folder) == CONDITIONS else Path(folder)
+    found = {path.stem: path for path in sorted(place.glob("*.yaml"))} if place.is_dir() else {}
+    if not found:
+        wanted = f"give '{CONDITIONS}' for the shipped ones, or a folder with detector files (*.yaml)"
+        raise InputError(f"detectors in {folder}", ["there are none: " + wanted])
+    return found
+
+
+def find_condition(name: str, folder: StrPath = CONDITIONS) -> Path:
+    """The detector file of a condition; see `conditions_in`.
+
+    Raises:
+        InputError: There is none of this name.
+    """
+    files = conditions_in(folder)
+    if name not in files:
+        alike = [known for known in files if name in known]
+        hint = f"known: {', '.join(alike)}" if alike else nearest(name, files)
+        raise InputError(f"detectors in {folder}", [f"there is no '{name}' ({hint})"])
+    return files[name]
+
+
+# ---- Why a text is not what it is read as ----
+
+SCIENTIFIC = r"^\s*([0-9]+(?:[.,][0-9]*)?)[eE]\+?([0-9]+)\s*$"
+LOST = "is a number in scientific notation that has lost digits: write identities as text, or as whole numbers"
+_MOST_DIGITS = 15
+"""No identity has more; readers refuse larger numbers."""
+_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+_LEAST_COVERED, _SLACK = 0.1, 1.05
+"""Shares of the span that the last time reaches in the right unit."""
+
+
+def no_commas(first_line: str) -> str:
+    """Why the first line of a table has no commas between its cells, to be added to a message; empty if it has."""
+    if first_line.strip().lower().startswith("sep="):
+        return ": line 1 is for spreadsheets alone, leave it out"
+    marks = {";": "semicolons", "\t": "tabs", "|": "bars"}
+    found = [word for mark, word in marks.items() if first_line.count(mark) > first_line.count(",")]
+    points = ", and points in numbers" * bool(re.search("[0-9],[0-9]", first_line))
+    return f": its cells have {found[0]} between them, must have commas{points}" if found else ""
+
+
+def has_lost_digits(identity: str) -> bool:
+    """Whether an identity is a number with fewer digits than it stands for, such as 2.19E+08 of a spreadsheet."""
+    found = re.match(SCIENTIFIC, identity)
+    return found is not None and sum(map(str.isdigit, found[1])) <= float(found[2]) <= _MOST_DIGITS
+
+
+def other_unit(times_s: Array, length_s: float) -> str:
+    """What to add to a message on times, shape (n,), that leave a span from 0 to a length; empty if no unit fits."""
+    last = float(np.max(times_s, initial=0.0))
+    for name, count in _UNITS.items():
+        if last > _SLACK * length_s and _LEAST_COVERED * length_s <= last / count <= _SLACK * length_s:
+            return f": they seem to be {name}, must be seconds"
+    return ""

@@ -1,0 +1,322 @@
+"""Bootstrap over images: how well a number is known.
+
+Images are drawn with replacement (Efron (1979)). Where they are consecutive frames, noise persists from one to the
+next, so runs of frames are drawn that are long against the time that noise persists. Every estimator takes weights of
+images. Their first row, one for each image, gives the estimate, and the other rows give its replicates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, Literal, TypeVar, cast
+
+import numpy as np
+from scipy import special
+
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.formats.labelled import Images
+
+# ---- Bootstrap over images ----
+
+SIGNIFICANT = 3.3
+"""Standard errors from zero that an effect needs: one in a thousand reaches them by chance."""
+_LEAST_SPREAD = 1e-12
+
+Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "above_two", "capped"]
+"""A `share` of a number of trials, another `fraction` from 0 to 1, a `mean`, a `positive` number, a `correlation`, a
+`rate` of a Poisson number, a number `above_two`, or a part from 0 to 1 whose ends are usual, `capped` there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Resampling:
+    """How often each image was drawn, in the first row once each, shape (1 + replicates, I).
+
+    `unit` is the index of what was drawn with each image, itself or a run of frames, shape (I,).
+    """
+
+    weights: Array
+    unit: Indices
+
+    def sums(self, image: Indices, values: Array) -> Array:
+        """Weighted sums of values (n, ...), given the image of each (n,), shape (1 + replicates, ...)."""
+        cells = int(np.prod(values.shape[1:]))
+        cell = np.tile(np.arange(cells), len(image))
+        return self.counts(np.repeat(image, cells), cell, values.shape[1:], values.ravel())
+
+    def counts(self, image: Indices, cell: Indices, shape: tuple[int, ...], amount: Array | None = None) -> Array:
+        """Weighted counts in the cells of a table.
+
+        Args:
+            image: Image of each thing that is counted, shape (n,).
+            cell: Its cell in the flattened table, shape (n,).
+            shape: Of the table; that of the result is (1 + replicates, *shape).
+            amount: How much each counts, one if None, shape (n,).
+        """
+        from scipy.sparse import csr_array  # slow to import, and reading what was learned needs none
+
+        size = int(np.prod(shape))
+        amount = np.ones(len(image)) if amount is None else amount
+        used, row = np.unique(image, return_inverse=True)  # most frames of a long night are empty
+        by_image = csr_array((amount, (row, cell)), shape=(len(used), size))
+        total: Array = np.asarray((by_image.T @ self.weights[:, used].T).T)
+        return total.reshape(len(self.weights), *shape)
+
+    def units(self, chosen: Mask) -> int:
+        """How many single images or runs hold the chosen images, shape (I,)."""
+        return len(np.unique(self.unit[chosen]))
+
+
+def resample(images: Images, replicates: int, seed: int, run_s: float = 0.0) -> Resampling:
+    """Draw as many images, or runs of so many seconds where they have times, from each source as it has."""
+    timed = np.isfinite(images.time_s) if run_s > 0 else np.zeros(len(images), dtype=bool)
+    run = np.where(timed, np.floor(np.nan_to_num(images.time_s) / max(run_s, 1e-9) + 1e-9), -1).astype(np.int64)
+    single = np.where(timed, -1, np.arange(len(images)))
+    keys = np.column_stack([images.source, np.where(timed, images.sequence, -1), run, single])
+    _, first, unit = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    unit = unit.ravel()
+    source_of_unit = images.source[first]
+    generator = np.random.default_rng([seed, 5])
+    weights = np.ones((1 + replicates, len(images)))
+    for source in np.unique(source_of_unit):
+        units = np.flatnonzero(source_of_unit == source)
+        ours = np.flatnonzero(images.source == source)
+        place, chances = np.searchsorted(units, unit[ours]), np.full(len(units), 1 / len(units))
+        for row in range(1, 1 + replicates):  # all at once would take three times the memory
+            weights[row, ours] = generator.multinomial(len(units), chances)[place]
+    return Resampling(weights, unit)
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """An estimate with its replicates.
+
+    Attributes:
+        values: The estimate, then its replicates, shape (1 + replicates, ...).
+        kind: Kind of number, which decides the scale on which the estimate is nearly normal.
+        counts: Observations that the estimate rests on, of the shape of one row; of a `rate`, the number of images.
+        inflation: Factor by which noise that persists raises the variance of a share at least. Replicates cannot tell
+            it for what happened once or never.
+    """
+
+    values: Array
+    kind: Kind
+    counts: Array
+    inflation: float | Array = 1.0
+
+    @property
+    def estimate(self) -> Array:
+        """The first row of the values, shape (...)."""
+        first: Array = self.values[0]
+        return first
+
+    @property
+    def independent(self) -> Array:
+        """Of a share or a rate, as many independent observations as spread like the replicates, shape (...)."""
+        value, count = self.estimate, np.maximum(self.counts, _LEAST_SPREAD)
+        alone = value / count if self.kind == "rate" else value * (1 - value) / count
+        found = spread(self.values[1:]) ** 2
+        inflation = np.where(alone > 0, np.maximum(found / np.maximum(alone, 1e-300), 1.0), 1.0)
+        independent: Array = count / np.maximum(inflation, self.inflation)
+        return independent
+
+    def interval(self, level: float, units: int) -> tuple[Array, Array]:
+        """Both ends of confidence intervals of a level such as 0.95, each of the shape of one row.
+
+        With few units, images or runs that were drawn, the spread itself is uncertain, hence Student's distribution.
+        """
+        wide = float(special.stdtrit(max(units - 1, 1), (1 + level) / 2))
+        widen, tail = (wide / float(special.ndtri((1 + level) / 2))) ** 2, (1 - level) / 2
+        if self.kind in ("share", "rate"):
+            return self._counted(widen, tail)
+        centre = to_scale(self.estimate, self.kind)
+        # Replicates of a single unit are all equal and do not tell how well the number is known.
+        reach = wide * spread(to_scale(self.values[1:], self.kind)) if units > 1 else np.full(centre.shape, np.inf)
+        low, high = from_scale(centre - reach, self.kind), from_scale(centre + reach, self.kind)
+        if self.kind == "capped":
+            low, high = np.clip(low, 0, 1), np.clip(high, 0, 1)
+        if self.kind == "fraction":  # nor do they where everything or nothing is right
+            at_end = (self.estimate <= 0) | (self.estimate >= 1)
+            counted_low, counted_high = self._counted(widen, tail)
+            low, high = np.where(at_end, counted_low, low), np.where(at_end, counted_high, high)
+        return low, high
+
+    def _counted(self, widen: float, tail: float) -> tuple[Array, Array]:
+        """Jeffreys's intervals for as many independent observations as the spread of the replicates implies."""
+        value, trials = self.estimate, self.independent / widen
+        hits = value * trials
+        with np.errstate(all="ignore"):
+            if self.kind == "rate":
+                low, high = (special.gammaincinv(hits + 0.5, p) / trials for p in (tail, 1 - tail))
+            else:
+                low, high = (special.betaincinv(hits + 0.5, trials - hits + 0.5, p) for p in (tail, 1 - tail))
+                high = np.where(value >= 1, 1.0, high)
+        return np.where(value <= 0, 0.0, np.minimum(low, value)), np.maximum(high, value)
+
+
+def ratio(part: Array, whole: Array) -> Array:
+    """Quotients of arrays whose shapes broadcast; NaN where the whole is not positive."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(whole > 0, part / whole, np.nan)
+
+
+def spread(replicates: Array) -> Array:
+    """Standard deviation over finite replicates (replicates, ...), shape (...); infinite if there are under two."""
+    finite = np.isfinite(replicates)
+    number = finite.sum(axis=0)
+    filled = np.where(finite, replicates, 0.0)
+    mean = filled.sum(axis=0) / np.maximum(number, 1)
+    squares = np.where(finite, (replicates - mean) ** 2, 0.0).sum(axis=0)
+    result: Array = np.where(number > 1, np.sqrt(squares / np.maximum(number - 1, 1)), np.inf)
+    return result
+
+
+def widened(values: Array, least: Array) -> Array:
+    """Replicates of shape (1 + replicates, ...) that spread at least as a standard error (...) from theory does.
+
+    With few runs of frames, or few things that decide a number, replicates alone spread too little on average.
+    """
+    if len(values) == 1:
+        return values
+    found = spread(values[1:])
+    usable = np.isfinite(found) & (found > 0) & np.isfinite(least)
+    factor = np.where(usable, np.maximum(least / np.where(usable, found, 1.0), 1.0), 1.0)
+    scaled: Array = values[0] + factor * (values - values[0])
+    return scaled
+
+
+Scale = tuple[Callable[[Array], Array], Callable[[Array], Array]]
+_PLAIN: Scale = (lambda x: x, lambda x: x)
+_LOGIT: Scale = (lambda x: special.logit(np.clip(x, 1e-9, 1 - 1e-9)), special.expit)
+_LOGARITHM: Scale = (lambda x: np.log(np.maximum(x, 1e-12)), np.exp)
+_SCALES: dict[Kind, Scale] = {
+    "share": _LOGIT,
+    "fraction": _LOGIT,
+    "mean": _PLAIN,
+    "capped": _PLAIN,
+    "positive": _LOGARITHM,
+    "rate": _LOGARITHM,
+    "above_two": (lambda x: np.log(np.maximum(x - 2, 1e-12)), lambda x: 2 + np.exp(x)),
+    "correlation": (lambda x: np.arctanh(np.clip(x, -1 + 1e-9, 1 - 1e-9)), np.tanh),
+}
+"""To the scale on which an estimate of each kind is nearly normal, and back."""
+
+
+def to_scale(values: Array, kind: Kind) -> Array:
+    """Numbers of any shape on the scale of their kind."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return _SCALES[kind][0](values)
+
+
+def from_scale(values: Array, kind: Kind) -> Array:
+    """Numbers of any shape back from the scale of their kind."""
+    with np.errstate(over="ignore"):
+        return _SCALES[kind][1](values)
+
+
+# ---- Entries of a detector file with their estimates ----
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Key:
+    """Where an entry stands in a detector file.
+
+    Attributes:
+        names: Keys of the file, outermost first; within the section of the state if there is one.
+        state: Name of the performance state; None for an entry that all states share.
+        axes: Names of the places along each axis; places are numbered if empty.
+        remark: What a reader of the number must know, such as its unit.
+        own_table: Whether reports show the entry in a table of its own.
+    """
+
+    names: tuple[str, ...]
+    state: str | None = None
+    axes: tuple[tuple[str, ...], ...] = ()
+    remark: str = ""
+    own_table: bool = False
+
+    @property
+    def path(self) -> str:
+        """The keys with dots between, for reports."""
+        section = () if self.state is None else ("states", self.state)
+        return ".".join((*section, *self.names))
+
+    def at(self, place: tuple[int, ...]) -> str:
+        """The name of one number of the entry, for reports."""
+        if self.axes:
+            brackets = f"[{' from '.join(names[k] for names, k in zip(self.axes, place, strict=True))}]"
+        else:
+            brackets = "".join(f"[{k}]" for k in place)
+        return f"{self.path}{brackets}{f' ({self.remark})' if self.remark else ''}"
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One entry of a detector file: a number, vector or matrix."""
+
+    key: Key
+    column: Column
+
+    @property
+    def estimate(self) -> Array:
+        """The number, in the shape of the entry."""
+        return self.column.estimate
+
+
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """An entry with both ends of its confidence interval, arrays of one shape."""
+
+    key: Key
+    estimate: Array
+    low: Array
+    high: Array
+
+
+def entries_of(value: object) -> Iterator[Entry]:
+    """All entries in a dataclass, its fields and tuples of them, in their order."""
+    if isinstance(value, Entry):
+        yield value
+    elif isinstance(value, tuple):
+        for each in value:
+            yield from entries_of(each)
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from entries_of(getattr(value, field.name))
+
+
+def with_entries(value: T, change: Callable[[Entry], Entry]) -> T:
+    """A copy of a dataclass in which every entry is replaced by what `change` makes of it."""
+    return cast(T, _changed(value, change))
+
+
+def _changed(value: Any, change: Callable[[Entry], Entry]) -> Any:
+    if isinstance(value, Entry):
+        return change(value)
+    if isinstance(value, tuple):
+        return tuple(_changed(each, change) for each in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{field.name: _changed(getattr(value, field.name), change) for field in fields(value)})
+    return value
+
+
+def digits(value: Any) -> float:
+    """A number in the six digits that are written."""
+    return float(f"{float(value):.6g}")
+
+
+def nested(values: Array) -> Any:
+    """An array of any shape as nested lists of numbers in six digits; a number if it has no axes."""
+    return digits(values) if np.ndim(values) == 0 else [nested(each) for each in values]
+
+
+def columns_of_one(matrix: Array) -> Any:
+    """An array of shape (n, ...) as lists whose columns sum to one as written: the largest takes the rounding error."""
+    clean = np.clip(np.array(matrix, dtype=np.float64), 0, 1)
+    rounded = np.round(clean / clean.sum(axis=0), 7)
+    columns = rounded.reshape(len(rounded), -1)
+    largest = columns.argmax(axis=0), np.arange(columns.shape[1])
+    columns[largest] += 1 - columns.sum(axis=0)
+    return np.round(columns.reshape(rounded.shape), 7).tolist()

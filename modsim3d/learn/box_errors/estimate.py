@@ -1,0 +1,363 @@
+"""Box error: its unit and law in each state, and how long errors persist."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from modsim3d.core.types import Array, Indices
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.learn.bootstrap import (
+    Entry,
+    Key,
+    Resampling,
+    entries_of,
+    from_scale,
+    nested,
+    spread,
+    to_scale,
+    with_entries,
+)
+from modsim3d.learn.box_errors.fit import ErrorFit
+from modsim3d.learn.box_errors.laws import ChosenLaw, ErrorSample, LearnedErrors, choose_law, learned_errors, plain_unit
+from modsim3d.learn.box_errors.matched_edges import LEAST_DEGREES, ErrorModel, MatchedEdges, Unit
+from modsim3d.learn.box_errors.persistence import WhiteErrors, consecutive_errors, correlation_left, white_errors
+from modsim3d.learn.matches import ErrorFits, ErrorSource, Observed, Pairs, kept_share
+from modsim3d.learn.persistence import Consecutive, LagTable, vessel_noise, why_none
+
+# ---- Which matches the box error of a state was learned from ----
+
+
+@dataclass(frozen=True)
+class UsedMatches:
+    """Numbers of matches of a state.
+
+    Attributes:
+        state: Name of the state.
+        matches: All matches of the state.
+        used: Matches that count, of other states too where the state has too few.
+        cut: Of these, those with a true side that the image's edge cuts.
+        censored: Of these, those with a detected side on the image's edge and the true one inside.
+        lost: Boxes that the distribution says failed the matching, for each that matches.
+    """
+
+    state: str
+    matches: int
+    used: int
+    cut: int
+    censored: int
+    lost: float
+
+    @classmethod
+    def of(cls, state: str, pairs: Pairs, index: int, edges: MatchedEdges, fit: ErrorFit | None) -> UsedMatches:
+        """From the boxes that were learned from and the fit."""
+        lost = 0.0
+        if fit is not None and fit.gate is not None:
+            lost = float(np.expm1(-fit.gate.passing(fit.model)[0]).mean())
+        return cls(
+            state,
+            int(np.count_nonzero(pairs.state == index)),
+            len(edges),
+            int(np.count_nonzero(~edges.counted.all(axis=1))),
+            int(np.count_nonzero(edges.censored.any(axis=1))),
+            lost,
+        )
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table."""
+        share = self.lost / (1 + self.lost)
+        return (
+            self.state,
+            f"{self.matches:,}",
+            f"{self.used:,}",
+            f"{self.cut:,}",
+            f"{self.censored:,}",
+            f"{100 * share:.2g} %" if share > 5e-4 else "–",
+        )
+
+
+TITLE = "Matches behind the box errors of the detector file"
+HEADER = (
+    "state",
+    "matches",
+    "used",
+    "with a side cut by the image's edge, left out",
+    "with a side detected on the image's edge",
+    "boxes that fail the matching, by the fit",
+)
+
+
+# ---- Box errors of which each thing keeps a share for as long as it is seen ----
+
+T = TypeVar("T")
+_SHARES = np.linspace(0, 0.99, 100)
+_MEAN, _STD, _CORRELATION = "box_error_mean", "box_error_std", "box_error_correlation"
+
+
+def error_lags(labelled: LabelledSet, errors: WhiteErrors) -> LagTable:
+    """Products of whitened errors at all times between, means over the four components."""
+    white = errors.white
+    square = (white**2).mean(axis=1)
+
+    def compare(earlier: Indices, later: Indices) -> tuple[Array, Array]:
+        return (white[earlier] * white[later]).mean(axis=1), (square[earlier] + square[later]) / 2
+
+    return LagTable.of(labelled, errors.rows, errors.state, compare)
+
+
+def latent_share(errors: WhiteErrors) -> Callable[[Array], Array]:
+    """What share of the latent normal numbers things keep, from the correlation that it leaves."""
+    heavy = errors.heavy[int(np.bincount(errors.state).argmax())]
+    level = _SHARES * correlation_left(_SHARES, np.full(len(_SHARES), 4)) if heavy else _SHARES
+    return lambda found: np.interp(found, level, _SHARES)
+
+
+def with_things(learned: T, labelled: LabelledSet, errors: WhiteErrors, states: tuple[str, ...], share: float) -> T:
+    """Learned errors whose replicates spread as far as things that keep a share make the numbers stray.
+
+    Means stray by the share of a variance, and spreads and correlations, which are made of squares, by its square, each
+    over as many things as there are in the state. Runs of frames that are resampled have the same things.
+    """
+    annotations, images = labelled.annotations, labelled.images
+    thing = np.column_stack(
+        [errors.state, images.sequence[annotations.image[errors.rows]], annotations.identity[errors.rows]]
+    )
+    keys, count = np.unique(thing, axis=0, return_counts=True)
+    squares, whole = (np.bincount(keys[:, 0], count**power, minlength=len(states)) for power in (2, 1))
+    crowding = dict(zip(states, squares / np.maximum(whole, 1) ** 2, strict=True))
+    stds = {entry.key.state: entry.estimate for entry in entries_of(learned) if entry.key.names == (_STD,)}
+
+    def change(entry: Entry) -> Entry:
+        state, name = entry.key.state, entry.key.names[0]
+        if state is None or name not in (_MEAN, _STD, _CORRELATION):
+            return entry
+        each = {_MEAN: share * stds[state] ** 2, _STD: share**2 / 2, _CORRELATION: share**2}[name]
+        column = entry.column
+        scaled = to_scale(column.values, column.kind)
+        found = spread(scaled[1:]) ** 2
+        usable = np.isfinite(found) & (found > 0)
+        wider = np.where(usable, np.sqrt(1 + each * crowding[state] / np.where(usable, found, 1.0)), 1.0)
+        values = from_scale(scaled[0] + wider * (scaled - scaled[0]), column.kind)
+        return Entry(entry.key, replace(column, values=values))
+
+    return with_entries(learned, change)
+
+
+# ---- Box error ----
+
+ERRORS_NEEDED = 20
+"""Pairs with all sides in the image that the box error of a state needs."""
+
+
+@dataclass(frozen=True)
+class StateErrorForm:
+    """The unit of the box error in one state, the pairs it is learned from and the name in `LAWS` of its law."""
+
+    unit: Unit
+    source: ErrorSource = ErrorSource.OWN_STATE
+    law: str = "normal"
+
+
+@dataclass(frozen=True)
+class BoxErrorForm:
+    """The model of the box error in each state, and the rough correlation time of errors, 0 if they do not persist.
+
+    `things_keep` says whether each thing keeps a share of the errors for as long as it is seen.
+    """
+
+    states: tuple[StateErrorForm, ...]
+    box_s: float
+    notes: tuple[str, ...]
+    things_keep: bool = False
+
+    @property
+    def relative(self) -> bool:
+        """Whether errors are in sides of the box in every state."""
+        return all(form.unit == "relative" for form in self.states)
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedBoxErrors:
+        """The law of each state and the correlation time of errors."""
+        fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
+        found = [each.chosen(form.unit, form.law != "normal") for each, form in zip(fits, self.states, strict=True)]
+        persistence = self._persistence(observed, fits, resampling) if self.box_s > 0 else ErrorPersistence()
+        box_s = 0.0 if persistence.box_s is None else float(persistence.box_s.estimate)
+        kept, learned, used = kept_share(observed, box_s), [], []
+        for index, (name, form) in enumerate(zip(observed.states, self.states, strict=True)):
+            edges, fit = fits[index].edges, found[index]
+            errors = edges.errors_px / (edges.sides_px if form.unit == "relative" else 1.0)
+            learned.append(learned_errors(resampling, ErrorSample(errors, edges.image, kept, name, form.unit, fit)))
+            used.append(UsedMatches.of(name, observed.pairs, index, edges, fit))
+        states = tuple(learned)
+        if persistence.white is not None and persistence.vessel_share is not None:
+            share = float(persistence.vessel_share.estimate)
+            states = with_things(states, observed.labelled, persistence.white, observed.states, share)
+        return LearnedBoxErrors(states, persistence.box_s, persistence.vessel_share, tuple(used))
+
+    def _persistence(self, observed: Observed, fits: Sequence[ErrorFits], resampling: Resampling) -> ErrorPersistence:
+        consecutive, models = _consecutive(observed, fits, self.states)
+        time, share = Key(("persistence", "box_s")), Key(("persistence", "box_vessel_share"))
+        if not self.things_keep:
+            return ErrorPersistence(Entry(time, consecutive.column(resampling)))
+        white = white_errors(observed, models)
+        noise = vessel_noise(error_lags(observed.labelled, white), resampling, latent_share(white))
+        return ErrorPersistence(Entry(time, noise.time_s), Entry(share, noise.share), white)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorPersistence:
+    """The correlation time of errors and the share that things keep, None for none; and the errors that show both."""
+
+    box_s: Entry | None = None
+    vessel_share: Entry | None = None
+    white: WhiteErrors | None = None
+
+
+def _consecutive(
+    observed: Observed, fits: Sequence[ErrorFits], forms: Sequence[StateErrorForm]
+) -> tuple[Consecutive, list[ErrorModel | None]]:
+    """Errors in consecutive frames by the law of each state, by the plain one if its tails leave nothing to use.
+
+    And those laws.
+    """
+    heavy = [form.law != "normal" for form in forms]
+    models: list[ErrorModel | None] = []
+    for tails in (heavy, [False] * len(heavy)):
+        models = [
+            _own_model(each, form.source, form.unit, tail) for each, form, tail in zip(fits, forms, tails, strict=True)
+        ]
+        found = consecutive_errors(observed, models)
+        if len(found):
+            break
+    return found, models
+
+
+def _own_model(fits: ErrorFits, source: ErrorSource, unit: Unit, heavy: bool = False) -> ErrorModel | None:
+    """The likeliest distribution of a state's own errors; None where it has too few."""
+    fit = fits.chosen(unit, heavy) if source is ErrorSource.OWN_STATE else None
+    return None if fit is None else fit.model
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedBoxErrors:
+    """The law of the box error in each state, and how errors persist.
+
+    Attributes:
+        states: The law in each state.
+        box_s: The correlation time of errors, None if they do not persist.
+        box_vessel_share: The share that each thing keeps, None if there is none.
+        used: Which matches count.
+    """
+
+    states: tuple[LearnedErrors, ...]
+    box_s: Entry | None
+    box_vessel_share: Entry | None
+    used: tuple[UsedMatches, ...]
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """The persistence of errors."""
+        if self.box_s is None or self.box_s.estimate <= 0:
+            return {}
+        section = {"box_s": nested(self.box_s.estimate)}
+        if self.box_vessel_share is not None:
+            section["box_vessel_share"] = nested(self.box_vessel_share.estimate)
+        return {"persistence": section}
+
+    def state_section(self, state: int) -> dict[str, Any]:
+        """Unit and law of the box error."""
+        return {"box_error": self.states[state].section()}
+
+
+def choose_box_errors(observed: Observed) -> BoxErrorForm:
+    """Unit, source and law of the box error of each state, and whether errors persist."""
+    notes: list[str] = []
+    sources = [_source(observed, index, notes) for index in range(len(observed.states))]
+    fits = [observed.pairs.fits(source, index) for index, source in enumerate(sources)]
+    box_s = _persistence_s(observed, sources, fits, notes)
+    kept, forms = kept_share(observed, box_s), []
+    for name, source, each in zip(observed.states, sources, fits, strict=True):
+        law = ChosenLaw(plain_unit(each, observed.without))
+        if source is ErrorSource.OWN_STATE:
+            law = choose_law(each, kept, observed.without)
+        kind = "student_t" if law.heavy else law.unit
+        notes += [f"states.{name}.box_error: {kind}, for {' and '.join(law.reasons)}"] if law.reasons else []
+        fit = each.chosen(law.unit, law.heavy)
+        if fit is not None and not fit.settled:
+            notes.append(
+                f"states.{name}.box_error: as if matching cut off nothing; too many boxes fail the matching to tell "
+                "how far errors spread beyond it"
+            )
+        if law.heavy and fit is not None and fit.model.freedom <= LEAST_DEGREES * (1 + 1e-3):
+            notes.append(
+                f"states.{name}.box_error: degrees_of_freedom at the least that is fitted, {LEAST_DEGREES:g}; tails so "
+                "heavy leave the spread of the errors uncertain"
+            )
+        forms.append(StateErrorForm(law.unit, source, "student_t" if law.heavy else "normal"))
+    things_keep = box_s > 0 and _things_keep(observed, fits, forms, notes)
+    return BoxErrorForm(tuple(forms), box_s, tuple(notes), things_keep)
+
+
+def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:
+    """The first source with enough pairs that have all sides in the image."""
+    pairs = observed.pairs
+    whole = pairs.edges.whole
+    own, every = int(np.count_nonzero(whole & (pairs.state == state))), int(np.count_nonzero(whole))
+    name = observed.states[state]
+    if own >= ERRORS_NEEDED:
+        ours = pairs.state == state
+        unused = ours & ~pairs.edges.usable
+        hidden = 0 if pairs.unsure is None else int(np.count_nonzero(unused & pairs.unsure))
+        if count := int(np.count_nonzero(unused)):
+            matches = int(np.count_nonzero(ours))
+            why = [f"{count - hidden:,} with all sides cut by the image's edge"] if count > hidden else []
+            why += [f"{hidden:,} partly hidden, where positions are not surely known"] if hidden else []
+            notes.append(
+                f"states.{name}.box_error: from {matches - count:,} of {matches:,} matches; {' and '.join(why)}"
+            )
+        return ErrorSource.OWN_STATE
+    source = ErrorSource.ALL_STATES if every >= ERRORS_NEEDED else ErrorSource.ALL_PAIRS
+    cut = ", with sides that the image's edge cuts" if source is ErrorSource.ALL_PAIRS else ""
+    surely = "" if pairs.unsure is None or not pairs.unsure.any() else " and surely not hidden"
+    notes.append(
+        f"states.{name}.box_error: that of all states{cut}; had {own} matches with all sides inside the image{surely}, "
+        f"needs {ERRORS_NEEDED}"
+    )
+    return source
+
+
+def _persistence_s(observed: Observed, sources: list[ErrorSource], fits: list[ErrorFits], notes: list[str]) -> float:
+    """Rough correlation time of errors; 0 with a note if they do not persist, or that is not sure."""
+    if not len(observed.steps) or "persistence" in observed.without:
+        return 0.0  # which the note on misses says
+    models = [
+        _own_model(each, source, plain_unit(each, observed.without)) for source, each in zip(sources, fits, strict=True)
+    ]
+    consecutive = consecutive_errors(observed, models)
+    found = consecutive.correlation()
+    if found.persists:
+        return consecutive.rough_time_s()
+    notes.append(f"persistence.box_s: 0; {found.doubt if len(consecutive) else _why_none(sources)}")
+    return 0.0
+
+
+def _things_keep(
+    observed: Observed, fits: Sequence[ErrorFits], forms: Sequence[StateErrorForm], notes: list[str]
+) -> bool:
+    """Whether each thing surely keeps a share of its errors; a note if not."""
+    if "vessels" in observed.without:
+        return False
+    white = white_errors(observed, _consecutive(observed, fits, forms)[1])
+    why = why_none(error_lags(observed.labelled, white))
+    if why:
+        notes.append(f"persistence.box_vessel_share: 0; {why}")
+    return not why
+
+
+def _why_none(sources: list[ErrorSource]) -> str:
+    """Why no two errors can be compared."""
+    if ErrorSource.OWN_STATE not in sources:
+        return f"no state has {ERRORS_NEEDED} matches with all sides inside the image"
+    return "nothing has two matches with the same side far inside the image"

@@ -1,0 +1,401 @@
+"""The likeliest distribution of box errors, given what the edges of matched boxes say and what matching cut off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+
+import numpy as np
+from scipy import special
+
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.learn.box_errors.matched_edges import ERRORS, OUTWARD, ErrorModel, MatchedEdges
+
+# ---- What the matching rule cuts off ----
+
+_BOXES, _POINTS = 512, 64
+_POINTS_FOR_EACH = 8
+_SCREENED_AT_ONCE, _STRETCH = 4096, 1.5
+_NEAR_SHARE = 0.25
+_LEAST_PASSING = 1e-3
+_LEVELS = np.linspace(-7, 7, 1025)
+
+
+@dataclass(frozen=True, eq=False)
+class Gate:
+    """The matching rule over those of n boxes that may fail it.
+
+    Attributes:
+        sample: The boxes over which is integrated.
+        normal: Standard normal numbers of their points, shape (b, p, 5).
+        stands: Which of the sample stands for each of n boxes, −1 for those that hardly ever fail, shape (n,).
+    """
+
+    sample: MatchedEdges
+    normal: Array
+    stands: Indices
+
+    @classmethod
+    def of(cls, edges: MatchedEdges, model: ErrorModel) -> Gate | None:
+        """The rule over boxes with errors that are about like those of a distribution; None if they hardly ever fail.
+
+        At most a few hundred are sampled, evenly over boxes in the order of shape, size and distance to the border.
+        """
+        stretched = replace(model, std=_STRETCH * model.std, growth=_STRETCH * model.growth)
+        risky = np.zeros(len(edges), dtype=bool)
+        for first in range(0, len(edges), _SCREENED_AT_ONCE):
+            screened = np.arange(first, min(first + _SCREENED_AT_ONCE, len(edges)))
+            risky[screened] = _may_fail(stretched, edges[screened])
+        rows = np.flatnonzero(risky)
+        if not len(rows):
+            return None
+        ours = edges[rows]
+        near = (ours.inward_px < _NEAR_SHARE * ours.sides_px) @ 2 ** np.arange(4)
+        width, height = ours.sides_px[:, 0], ours.sides_px[:, 1]
+        order = rows[np.lexsort((width / height, np.round(2 * np.log2(width * height)), near))]
+        number = min(len(order), _BOXES)
+        chosen = order[((np.arange(number) + 0.5) * len(order) / number).astype(np.int64)]
+        stands = np.full(len(edges), -1)
+        stands[order] = np.arange(len(order)) * number // len(order)
+        wanted = max(_BOXES * _POINTS, _POINTS_FOR_EACH * len(order)) / number
+        return cls(
+            edges[chosen], normal_points(number, 1 << int(np.log2(np.clip(wanted, _POINTS, 16 * _POINTS)))), stands
+        )
+
+    @property
+    def boxes(self) -> int:
+        """How many boxes may fail."""
+        return int(np.count_nonzero(self.stands >= 0))
+
+    def passing(self, model: ErrorModel) -> tuple[Array, Array]:
+        """Log-probability to pass of each box, shape (n,), and mean statistics of what fails over it, (n, s)."""
+        standard = drawn(model, self.normal)
+        fails = _fails(model, self.sample, standard)
+        chance = np.maximum(1 - fails.mean(axis=1), _LEAST_PASSING)
+        box, point = np.nonzero(fails)
+        found = model.statistics(standard[box, point])
+        sums = np.stack([np.bincount(box, each, minlength=len(chance)) for each in found.T], axis=1)
+        lost = sums / fails.shape[1] / chance[:, None]
+        return np.append(np.log(chance), 0.0)[self.stands], np.vstack([lost, np.zeros(lost.shape[1])])[self.stands]
+
+
+@cache
+def sobol(number: int, width: int) -> Array:
+    """Scrambled points of Sobol's sequence, a power of two of them, shape (number, width)."""
+    from scipy.stats import qmc  # slow to import
+
+    points: Array = qmc.Sobol(width, rng=np.random.default_rng(0)).random(number)
+    return points
+
+
+def normal_points(boxes: int, number: int) -> Array:
+    """Normal numbers from Sobol's sequence, shifted for each box by an amount of its own, (boxes, number, 5)."""
+    return _points_of(1 << (boxes - 1).bit_length(), number)[:boxes]
+
+
+@lru_cache(maxsize=8)
+def _points_of(boxes: int, number: int) -> Array:
+    shifted = (sobol(number, 5) + np.random.default_rng(3).random((boxes, 1, 5))) % 1
+    points: Array = special.ndtri(np.clip(shifted, 1e-12, 1 - 1e-12))
+    points.flags.writeable = False
+    return points
+
+
+def drawn(model: ErrorModel, normal: Array) -> Array:
+    """Standardised errors (..., 4) from normal numbers (..., 5), the last of which gives the scale of heavy tails."""
+    values, vectors = np.linalg.eigh(model.correlation)
+    standard: Array = normal[..., :4] @ ((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T)
+    if model.heavy:
+        chi_square = 2 * special.gammaincinv(model.freedom / 2, special.ndtr(_LEVELS))
+        scales = np.interp(normal[..., 4], _LEVELS, np.sqrt((model.freedom - 2) / chi_square))
+        standard = standard * scales[..., None]
+    return standard
+
+
+def _may_fail(model: ErrorModel, edges: MatchedEdges) -> Mask:
+    """Whether some point of each box fails, shape (n,)."""
+    standard = drawn(model, normal_points(len(edges), _POINTS))
+    mean, std = model.at(edges.sides_px)
+    largest = np.abs(mean) + std * np.maximum(standard.max(axis=1), -standard.min(axis=1))
+    rows = np.flatnonzero(~edges.surely_passes(largest @ np.abs(OUTWARD).T))
+    risky = np.zeros(len(edges), dtype=bool)
+    risky[rows] = _fails(model, edges[rows], standard[rows]).any(axis=1)
+    return risky
+
+
+def _fails(model: ErrorModel, edges: MatchedEdges, standard: Array) -> Mask:
+    """Whether boxes with standardised errors (n, p, 4) fail, shape (n, p)."""
+    mean, std = model.at(edges.sides_px)
+    return ~edges.passes((mean[:, None] + std[:, None] * standard) @ OUTWARD.T)
+
+
+# ---- What the edges of a box leave open ----
+
+_COMPLETION_POINTS = 64
+_POINTS_IN_ALL = 1 << 18
+
+
+@dataclass(frozen=True, eq=False)
+class Completed:
+    """Edges of some boxes, with points in place of what is open.
+
+    Attributes:
+        rows: The boxes, shape (m,).
+        outward_px: How far each edge lies outside the true one, shape (m, p, 4).
+        weights: Of each point, sum to one, shape (m, p).
+        log_likelihood: Of the known and censored edges, shape (m,).
+    """
+
+    rows: Indices
+    outward_px: Array
+    weights: Array
+    log_likelihood: Array
+
+
+def standard_errors(model: ErrorModel, sides_px: Array, outward_px: Array) -> Array:
+    """Standardised errors from edges (m, p, 4) of boxes of width, height, width, height (m, 4)."""
+    mean, std = model.at(sides_px)
+    result: Array = (outward_px @ ERRORS.T - mean[:, None]) / std[:, None]
+    return result
+
+
+def completed(model: ErrorModel, edges: MatchedEdges) -> Iterator[Completed]:
+    """All boxes, those with the same edges known together."""
+    for rows, ours in edges.alike:
+        yield _of_pattern(model, ours, rows)
+
+
+def _of_pattern(model: ErrorModel, edges: MatchedEdges, rows: Indices) -> Completed:
+    """Boxes of which the same edges are known and censored, and their rows."""
+    known, censored = edges.known[0], edges.censored[0]
+    order = np.argsort(np.where(known, 0, np.where(censored, 1, 2)), kind="stable")
+    count, ends = int(known.sum()), int(known.sum() + censored.sum())
+    mean, std = model.at(edges.sides_px)
+    turn = OUTWARD[order]
+    scaled = turn * std[:, None]
+    root = np.linalg.cholesky(scaled @ model.correlation @ np.swapaxes(scaled, 1, 2))
+    moved = edges.outward_px[:, order] - mean @ turn.T
+    zeta = np.zeros((len(rows), 4))
+    for j in range(count):
+        zeta[:, j] = (moved[:, j] - (root[:, j, :j] * zeta[:, :j]).sum(axis=1)) / root[:, j, j]
+    value = _log_density(model, zeta[:, :count]) - np.log(np.diagonal(root[:, :count, :count], axis1=1, axis2=2)).sum(1)
+    if count == 4:
+        return Completed(rows, edges.outward_px[:, None], np.ones((len(rows), 1)), value)
+    uniforms = _uniforms(len(rows), 4 - count + model.heavy)
+    points, scale = np.zeros((*uniforms.shape[:2], 4)), np.ones(uniforms.shape[:2])
+    points[..., :count] = zeta[:, None, :count]
+    if model.heavy:
+        nu, q = model.freedom, (zeta[:, :count] ** 2).sum(axis=1)[:, None]
+        chi_square = 2 * special.gammaincinv((nu + count) / 2, uniforms[..., -1]) / (1 + q / (nu - 2))
+        scale = np.sqrt((nu - 2) / chi_square)
+    weights = np.ones(uniforms.shape[:2])
+    for j in range(count, 4):
+        least = -np.inf
+        if j < ends:
+            given = np.einsum("mk,mpk->mp", root[:, j, :j], points[..., :j])
+            least = (moved[:, j, None] - given) / (root[:, j, j, None] * scale)
+        beyond = special.ndtr(-least)  # the probability
+        points[..., j] = -scale * special.ndtri(np.maximum(uniforms[..., j - count] * beyond, 1e-300))
+        weights *= beyond
+    total = weights.mean(axis=1)
+    outward = np.empty_like(points)
+    outward[..., order] = np.einsum("mjk,mpk->mpj", root, points) + (mean @ turn.T)[:, None]
+    if ends < 4:
+        passes = edges.passes(outward)
+        weights = np.where(passes.any(axis=1, keepdims=True), weights * passes, weights)
+        total = np.maximum(weights.mean(axis=1), 1e-300)
+    weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
+    return Completed(rows, outward, weights, value + np.log(np.maximum(total, 1e-300)))
+
+
+@lru_cache(maxsize=128)
+def _uniforms(count: int, width: int) -> Array:
+    """Points of Sobol's sequence for each of so many boxes, shifted by an amount of its own, (count, p, width)."""
+    points = max(8, min(_COMPLETION_POINTS, 1 << int(np.log2(max(_POINTS_IN_ALL / count, 8)))))
+    shifted: Array = (sobol(points, width) + np.random.default_rng(1).random((count, 1, width))) % 1
+    uniforms: Array = np.clip(shifted, 1e-12, 1 - 1e-12)
+    uniforms.flags.writeable = False
+    return uniforms
+
+
+def _log_density(model: ErrorModel, zeta: Array) -> Array:
+    """Log-density of standardised independent numbers (m, k), shape (m,)."""
+    k, q = zeta.shape[1], (zeta**2).sum(axis=1)
+    if not model.heavy:
+        return np.asarray(-q / 2 - k / 2 * np.log(2 * np.pi))
+    nu = model.freedom
+    constant = special.gammaln((nu + k) / 2) - special.gammaln(nu / 2) - k / 2 * np.log(np.pi * (nu - 2))
+    return np.asarray(constant - (nu + k) / 2 * np.log1p(q / (nu - 2)))
+
+
+# ---- The likeliest distribution of box errors, given what the edges of matched boxes say and what ----
+
+_STEPS, _ENOUGH = 30, 0.01
+_LONGEST_STEP, _MOST_TIMES, _WORSE = 0.5, 4.0, 1.5
+_DIFFERENCE = 0.25
+_HOPE, _MARGIN = 4.0, 10.0
+_MANY_MORE = 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Log-likelihood of a distribution with its slopes, box by box.
+
+    Attributes:
+        value: Log-likelihood of all boxes.
+        scores: Slopes by the numbers of the distribution, shape (n, p).
+    """
+
+    value: float
+    scores: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorFit:
+    """A distribution that was fitted.
+
+    Attributes:
+        gate: What matching cuts off; None where it cuts off nothing.
+        value: Its log-likelihood.
+        settled: Whether the likelihood has a maximum that was found.
+    """
+
+    model: ErrorModel
+    edges: MatchedEdges
+    gate: Gate | None
+    value: float
+    settled: bool
+
+    @property
+    def plain(self) -> bool:
+        """Whether every edge is known and matching cuts off nothing."""
+        return self.gate is None and bool(self.edges.known.all())
+
+    def slopes(self) -> Slopes:
+        """Slopes at the fitted numbers."""
+        return slopes(self.model, self.edges, self.gate)
+
+    def information(self) -> Array:
+        """Minus the second derivatives of the log-likelihood, shape (p, p), by differences of its slopes."""
+        start, score = self.model.numbers(), self.slopes().scores.sum(axis=0)
+        usual = _expected_information(self.model, self.edges)
+        step = _DIFFERENCE / np.sqrt(np.diag(usual))
+        found = np.empty_like(usual)
+        for place, width in enumerate(step):
+            moved = start.copy()
+            moved[place] += width
+            found[place] = (
+                score - slopes(self.model.with_numbers(moved), self.edges, self.gate).scores.sum(axis=0)
+            ) / width
+        found = (found + found.T) / 2
+        scale = np.sqrt(np.diag(usual))
+        if not np.isfinite(found).all() or np.linalg.eigvalsh(found / np.outer(scale, scale))[0] < 1e-3:
+            return usual
+        return found
+
+
+def slopes(model: ErrorModel, edges: MatchedEdges, gate: Gate | None) -> Slopes:
+    """Log-likelihood and slopes of a distribution, given boxes and what matching cuts off."""
+    statistics, value = np.empty((len(edges), 14 + model.heavy)), 0.0
+    for part in completed(model, edges):
+        standard = standard_errors(model, edges.sides_px[part.rows], part.outward_px)
+        statistics[part.rows] = model.mean_statistics(standard, part.weights)
+        value += float(part.log_likelihood.sum())
+    if gate is not None:
+        passing, lost = gate.passing(model)
+        statistics += lost
+        value -= float(passing.sum())
+    return Slopes(value, statistics[:, model.places] * model.gains(edges.sides_px))
+
+
+def fit_errors(start: ErrorModel, edges: MatchedEdges, least: float = -np.inf) -> ErrorFit:
+    """Newton's steps from a distribution to the likeliest of its kind (Broyden's method for the derivatives).
+
+    A fit that will surely not reach the least log-likelihood that is asked of it is given up; it is not settled.
+    """
+    gate = Gate.of(edges, start)
+    fit = _fit(start, edges, gate, least)
+    if not fit.settled and fit.value < least:
+        return fit
+    again = None if gate is None else Gate.of(edges, fit.model)
+    if again is not None and gate is not None and again.boxes > _MANY_MORE * gate.boxes:
+        fit = _fit(fit.model, edges, again, least)  # more boxes may fail than it seemed
+    return fit
+
+
+def fit_without_gate(start: ErrorModel, edges: MatchedEdges) -> ErrorFit:
+    """The same as if matching cut off nothing; it does not count as settled."""
+    return replace(_fit(start, edges, None), settled=False)
+
+
+def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None, least: float = -np.inf) -> ErrorFit:
+    model, settled = start, False
+    information = _expected_information(start, edges)
+    unit: Array = 1 / np.sqrt(np.diag(information))  # all numbers in standard errors, so that they are alike
+    usual = np.asarray(np.linalg.inv(information * np.outer(unit, unit)), dtype=np.float64)
+    inverse, longest = usual, _LONGEST_STEP
+    found = slopes(start, edges, gate)
+    numbers, score = start.numbers(), found.scores.sum(axis=0)
+    for _ in range(_STEPS):
+        step = _step(inverse, score * unit, model.held(score)) * unit
+        if found.value + _HOPE * abs(score @ step) + _MARGIN < least:
+            break
+        if np.all(np.abs(step) <= _ENOUGH * unit):
+            settled = True
+            break
+        size = _size(step, model)
+        if size > longest:
+            step *= longest / size
+        last, model = model, model.with_numbers(numbers + step)
+        if np.any(model.std > _MOST_TIMES * start.std) or not np.isfinite(model.numbers()).all():
+            model = last
+            break
+        found = slopes(model, edges, gate)
+        moved, after = model.numbers() - numbers, found.scores.sum(axis=0)
+        if np.linalg.norm(after * unit) > _WORSE * np.linalg.norm(score * unit):
+            inverse, longest = usual, longest / 2
+        else:
+            inverse = _broyden(inverse, moved / unit, (score - after) * unit)
+        numbers, score = numbers + moved, after
+    return ErrorFit(model, edges, gate, found.value, settled)
+
+
+def _step(inverse: Array, score: Array, held: Mask) -> Array:
+    """Newton's step of the numbers that are not held, shape (p,), given the inverse of the derivatives (p, p)."""
+    if not held.any():
+        step: Array = inverse @ score
+        return step
+    step, free = np.zeros(len(score)), np.flatnonzero(~held)
+    step[free] = np.linalg.solve(np.linalg.inv(inverse)[np.ix_(free, free)], score[free])
+    return step
+
+
+def _size(step: Array, model: ErrorModel) -> float:
+    """The longest step of any number, of means in standard deviations."""
+    scaled = step.copy()
+    scaled[:4] /= model.std
+    if model.unit == "mixed":
+        scaled[14:18] = 0
+    return float(np.abs(scaled).max())
+
+
+def _broyden(inverse: Array, moved: Array, change: Array) -> Array:
+    """Broyden's rank-one change of an inverse derivative (p, p), given a step and what it changed, shapes (p,)."""
+    predicted = inverse @ change
+    whole = float(moved @ predicted)
+    if abs(whole) < 1e-3 * float(moved @ moved):
+        return inverse
+    result: Array = inverse + np.outer(moved - predicted, moved @ inverse) / whole
+    return result
+
+
+def _expected_information(model: ErrorModel, edges: MatchedEdges) -> Array:
+    """Information that boxes would carry if all edges were known and matching cut off nothing, shape (p, p)."""
+    statistics = model.statistics(drawn(model, normal_points(1, 1024)[0]))
+    covariance = statistics.T @ statistics / len(statistics)
+    gains, places = model.gains(edges.sides_px), model.places
+    information = covariance[np.ix_(places, places)] * (gains.T @ gains)
+    scale = np.sqrt(np.diag(information))
+    result: Array = information + 1e-6 * np.diag(scale**2)
+    return result

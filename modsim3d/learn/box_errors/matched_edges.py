@@ -1,0 +1,416 @@
+"""The edges of matched boxes, and what each says about the error of the box.
+
+An edge that the detector put on the image's border, where the true edge lies inside the image, is censored: without the
+border it would lie at the border or beyond it. An edge of which the truth is cut by the border is left out, because
+many detectors put such an edge exactly on the border. All other edges are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy import optimize, special
+
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.detector.model import ERROR_PAIRS
+from modsim3d.formats.matching import Rule
+
+# ---- The edges of matched boxes, and what each says about the error of the box ----
+
+CUT_PX = 2.0
+"""A true edge so close to the border counts as cut by it."""
+_ON_BORDER_PX = 0.5
+OUTWARD = np.array([[-1, 0, 0.5, 0], [0, -1, 0, 0.5], [1, 0, 0.5, 0], [0, 1, 0, 0.5]])
+"""How far each edge lies outside the true one, from e_x, e_y, e_w, e_h."""
+ERRORS = np.linalg.inv(OUTWARD)
+"""e_x, e_y, e_w, e_h from how far each edge lies outside the true one."""
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedEdges:
+    """Edges of n matched boxes in the order x_min, y_min, x_max, y_max.
+
+    Attributes:
+        truth_px: The true box, shape (n, 4).
+        outward_px: How far each detected edge lies outside the true one, of a censored edge at least, shape (n, 4).
+        known: Which edges are known, shape (n, 4).
+        censored: Which edges are censored; those that are neither are left out, shape (n, 4).
+        least_px: Least x and y of each image, −∞ where boxes are not clipped, shape (n, 2).
+        most_px: Greatest x and y, shape (n, 2).
+        rule: The rule by which the boxes match.
+        image: Image of each, shape (n,).
+    """
+
+    truth_px: Array
+    outward_px: Array
+    known: Mask
+    censored: Mask
+    least_px: Array
+    most_px: Array
+    rule: Rule
+    image: Indices
+
+    @classmethod
+    def of(cls, truth_px: Array, found_px: Array, image_px: Array, image: Indices, rule: Rule) -> MatchedEdges:
+        """Edges of detected boxes (n, 4) and their true ones, in images of a size (n, 2), NaN where unknown."""
+        size = np.where(np.isnan(image_px), np.inf, image_px)
+        inward = np.concatenate([truth_px[:, :2], size - truth_px[:, 2:]], axis=1)
+        inward[np.isnan(image_px[:, 0])] = np.inf
+        outward = np.concatenate([truth_px[:, :2] - found_px[:, :2], found_px[:, 2:] - truth_px[:, 2:]], axis=1)
+        clips = not np.any(outward - inward > _ON_BORDER_PX)  # some detectors put boxes partly outside the image
+        cut = inward <= CUT_PX
+        censored = ~cut & (outward >= inward - _ON_BORDER_PX) & clips
+        limited = np.isfinite(image_px) & clips
+        return cls(
+            truth_px,
+            np.where(censored, inward - _ON_BORDER_PX, outward),
+            ~cut & ~censored,
+            censored,
+            np.where(limited, 0.0, -np.inf),
+            np.where(limited, size, np.inf),
+            rule,
+            image,
+        )
+
+    def __len__(self) -> int:
+        """Number of boxes."""
+        return len(self.truth_px)
+
+    def __getitem__(self, rows: Indices | Mask) -> MatchedEdges:
+        """Some of the boxes."""
+        return MatchedEdges(
+            self.truth_px[rows],
+            self.outward_px[rows],
+            self.known[rows],
+            self.censored[rows],
+            self.least_px[rows],
+            self.most_px[rows],
+            self.rule,
+            self.image[rows],
+        )
+
+    def without(self, boxes: Mask) -> MatchedEdges:
+        """The same, with all edges of some boxes (n,) left out."""
+        kept = ~boxes[:, None]
+        return replace(self, known=self.known & kept, censored=self.censored & kept)
+
+    def as_measured(self) -> MatchedEdges:
+        """All boxes with every edge known as it was measured, and nothing cut off by the rule."""
+        every, none = np.ones_like(self.known), np.full_like(self.least_px, np.inf)
+        return replace(self, known=every, censored=~every, least_px=-none, most_px=none, rule=Rule("provenance"))
+
+    @cached_property
+    def sides_px(self) -> Array:
+        """Width, height, width, height of the true box, at least a pixel, shape (n, 4)."""
+        return np.tile(np.maximum(self.truth_px[:, 2:] - self.truth_px[:, :2], 1.0), 2)
+
+    @cached_property
+    def usable(self) -> Mask:
+        """Which boxes say anything: at least a pixel wide and high, with an edge inside the image, shape (n,)."""
+        large = np.all(self.truth_px[:, 2:] - self.truth_px[:, :2] >= 1, axis=1)
+        usable: Mask = large & self.counted.any(axis=1)
+        return usable
+
+    @cached_property
+    def counted(self) -> Mask:
+        """Which edges are not left out, shape (n, 4)."""
+        return self.known | self.censored
+
+    @cached_property
+    def whole(self) -> Mask:
+        """Which boxes have no edge that is left out, shape (n,)."""
+        result: Mask = self.usable & self.counted.all(axis=1)
+        return result
+
+    @cached_property
+    def alike(self) -> tuple[tuple[Indices, MatchedEdges], ...]:
+        """Boxes with the same edges known and censored together, with their rows."""
+        pattern = (self.known + 2 * self.censored) @ 3 ** np.arange(4)
+        groups = [np.flatnonzero(pattern == each) for each in np.unique(pattern)]
+        return tuple((rows, self[rows]) for rows in groups)
+
+    @cached_property
+    def errors_px(self) -> Array:
+        """e_x, e_y, e_w, e_h as measured, shape (n, 4)."""
+        errors: Array = self.outward_px @ ERRORS.T
+        return errors
+
+    @cached_property
+    def inward_px(self) -> Array:
+        """How far the border lies outside each true edge, infinite where nothing is clipped, shape (n, 4)."""
+        return np.concatenate([self.truth_px[:, :2] - self.least_px, self.most_px - self.truth_px[:, 2:]], axis=1)
+
+    def passes(self, outward_px: Array) -> Mask:
+        """Whether boxes with edges so far outside the true ones, shape (n, p, 4), would match, shape (n, p).
+
+        Boxes are clipped to the image. Those that keep less than a pixel of width or height do not count.
+        """
+        # Seen from the true box's corner, so that numbers stay small: 0 to side is the true box.
+        inward, sides = self.inward_px[..., None], self.sides_px[..., None]
+        shifts: list[Array] = []
+        common = found = own = np.ones((len(self), 1))
+        passes: Mask = np.ones(outward_px.shape[:2], dtype=bool)
+        for k in range(2):  # axis by axis, which is faster than sums and products over an axis of length 2
+            side = sides[:, k]
+            low = -np.minimum(outward_px[..., k], inward[:, k])
+            high = side + np.minimum(outward_px[..., k + 2], inward[:, k + 2])
+            # What lies beyond the opposite border is clipped away as well.
+            low = np.minimum(low, side + inward[:, k + 2])
+            high = np.maximum(high, -inward[:, k])
+            passes &= high - low >= 1 - 1e-9
+            if self.rule.method == "centre":
+                shifts.append((low + high - side) / 2)
+            elif self.rule.method != "provenance":
+                common = common * np.maximum(np.minimum(high, side) - np.maximum(low, 0), 0)
+                found, own = found * np.maximum(high - low, 0), own * side
+        if self.rule.method == "provenance":
+            return passes
+        if self.rule.method == "centre":
+            passes &= np.hypot(*shifts) <= self.rule.most_distance_px
+            return passes
+        passes &= common >= min(self.rule.least_iou, 1 - 1e-10) * (found + own - common)
+        return passes
+
+    def surely_passes(self, most_px: Array) -> Mask:
+        """Whether boxes match however their edges lie, if each is at most so far off, (n, 4), either way; shape (n,).
+
+        Clipping to the image only brings edges nearer to the true ones.
+        """
+        inside = (self.inward_px >= 0).all(axis=1)
+        side, off = self.sides_px[:, :2], most_px[:, :2] + most_px[:, 2:]
+        sure: Mask = inside & np.all(side - off >= 1, axis=1)
+        if self.rule.method == "centre":
+            sure &= np.hypot(*(off.T / 2)) <= self.rule.most_distance_px
+        elif self.rule.method != "provenance":
+            least = min(self.rule.least_iou, 1 - 1e-10)
+            sure &= np.prod(side - off, axis=1) >= least * np.prod(side + off, axis=1)
+        return sure
+
+
+# ---- Numbers of a distribution of box errors, and the slopes of its log-density, in a form that a fit ----
+
+Unit = Literal["px", "relative", "mixed"]
+LEAST_DEGREES, MOST_DEGREES = 2.1, 200.0
+"""Bounds of ν: with 2 there is no covariance; with more than 200 the distribution is as good as normal."""
+_FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
+_MOST_ARTANH = 4.0
+_MEANS, _STDS, _PAIRS, _FREEDOM = slice(0, 4), slice(4, 8), slice(8, 14), 14
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorModel:
+    """Normal errors, or Student's t ones where ν is finite; see `BoxErrorLaw`.
+
+    Attributes:
+        mean: In pixels, or in sides of the box if relative, shape (4,).
+        std: In the same unit, shape (4,).
+        correlation: Shape (4, 4).
+        unit: What standard deviations follow.
+        growth: By how much mixed standard deviations grow with the side, shape (4,).
+        freedom: Degrees of freedom ν; infinite for normal errors.
+        floor: Least standard deviation that a fit goes to, shape (4,).
+    """
+
+    mean: Array
+    std: Array
+    correlation: Array
+    unit: Unit = "px"
+    growth: Array = field(default_factory=lambda: np.zeros(4))
+    freedom: float = np.inf
+    floor: Array = field(default_factory=lambda: np.zeros(4))
+
+    @classmethod
+    def of_moments(cls, mean: Array, covariance: Array, unit: Unit, freedom: float = np.inf) -> ErrorModel:
+        """From a mean (4,) and a covariance (4, 4) with positive variances."""
+        std = np.sqrt(np.diag(covariance))
+        return cls(mean, std, covariance / np.outer(std, std), unit, freedom=freedom)
+
+    @property
+    def heavy(self) -> bool:
+        """Whether it is Student's t."""
+        return bool(np.isfinite(self.freedom))
+
+    @property
+    def covariance(self) -> Array:
+        """Of the file: without the growth of mixed errors, shape (4, 4)."""
+        return self.correlation * np.outer(self.std, self.std)
+
+    def at(self, sides_px: Array) -> tuple[Array, Array]:
+        """Means and standard deviations in pixels for boxes of width, height, width, height (n, 4), shapes (n, 4)."""
+        if self.unit == "relative":
+            return self.mean * sides_px, self.std * sides_px
+        return np.broadcast_to(self.mean, sides_px.shape), self.std + self.growth * sides_px
+
+    def statistics(self, standard: Array) -> Array:
+        """What the slopes are sums of, given standardised errors (..., 4), shape (..., 14 or 15), with mean zero.
+
+        Values and products, with the weights of the distribution, and the slope by ln(ν − 2).
+        """
+        solved = standard @ np.linalg.inv(self.correlation)
+        q = (solved * standard).sum(axis=-1)
+        weight = np.ones_like(q)
+        if self.heavy:
+            nu = self.freedom
+            weight = (nu + 4) / (nu - 2 + q)
+        weighted = weight[..., None] * solved
+        found = [
+            weighted,
+            weighted * standard - 1,
+            weighted[..., _FIRST] * solved[..., _SECOND] - np.linalg.inv(self.correlation)[_FIRST, _SECOND],
+        ]
+        if self.heavy:
+            constant = (special.digamma(nu / 2 + 2) - special.digamma(nu / 2)) / 2 - 2 / (nu - 2)
+            slope = constant - np.log1p(q / (nu - 2)) / 2 + weight * q / (nu - 2) / 2
+            found.append((slope * (nu - 2))[..., None])
+        return np.concatenate(found, axis=-1)
+
+    def mean_statistics(self, standard: Array, weights: Array) -> Array:
+        """Means of `statistics` of points (m, p, 4) with weights (m, p) that sum to one, shape (m, 14 or 15)."""
+        precision = np.linalg.inv(self.correlation)
+        weighted = weights
+        if self.heavy:
+            nu = self.freedom
+            solved = (standard.reshape(-1, 4) @ precision).reshape(standard.shape)
+            q = np.einsum("mpi,mpi->mp", solved, standard)
+            weight = (nu + 4) / (nu - 2 + q)
+            weighted = weights * weight
+        first = np.einsum("mp,mpi->mi", weighted, standard) @ precision
+        second = precision @ (np.swapaxes(standard * weighted[..., None], 1, 2) @ standard)
+        found = [
+            first,
+            np.diagonal(second, axis1=1, axis2=2) - 1,
+            (second @ precision)[:, _FIRST, _SECOND] - precision[_FIRST, _SECOND],
+        ]
+        if self.heavy:
+            constant = (special.digamma(nu / 2 + 2) - special.digamma(nu / 2)) / 2 - 2 / (nu - 2)
+            each = (weight * q / (nu - 2) - np.log1p(q / (nu - 2))) / 2
+            found.append((constant + (weights * each).sum(axis=1))[:, None] * (nu - 2))
+        return np.concatenate(found, axis=-1)
+
+    @property
+    def places(self) -> Indices:
+        """Which statistic each number's slope is made from, shape (p,): means, ln σ, artanh ρ, growth, ln(ν − 2)."""
+        growth = range(4, 8) if self.unit == "mixed" else ()
+        return np.array([*range(14), *growth, *([_FREEDOM] if self.heavy else [])])
+
+    def gains(self, sides_px: Array) -> Array:
+        """Factors that turn the statistics of each box into slopes, given width, height, width, height, (n, p)."""
+        _, std_px = self.at(sides_px)
+        gains = np.ones((len(sides_px), len(self.places)))
+        gains[:, _MEANS] = (sides_px if self.unit == "relative" else 1.0) / std_px
+        gains[:, _PAIRS] = 1 - self.correlation[_FIRST, _SECOND] ** 2
+        if self.unit == "mixed":
+            gains[:, _STDS] = self.std / std_px
+            gains[:, 14:18] = sides_px / std_px
+        return gains
+
+    def numbers(self) -> Array:
+        """Means, ln σ, artanh ρ, growth if mixed, ln(ν − 2) if finite, shape (p,)."""
+        growth: Array = self.growth if self.unit == "mixed" else np.empty(0)
+        freedom = [np.log(self.freedom - 2)] if self.heavy else []
+        correlations = np.arctanh(np.clip(self.correlation[_FIRST, _SECOND], -0.9999, 0.9999))
+        return np.concatenate([self.mean, np.log(self.std), correlations, growth, freedom])
+
+    def held(self, score: Array) -> Mask:
+        """Which numbers are at a bound that the likelihood's slopes, shape (p,), push them against, shape (p,)."""
+        held = np.zeros(len(score), dtype=bool)
+        if self.unit == "mixed":
+            held[_STDS] = (self.std <= self.floor) & (score[_STDS] <= 0)
+            held[14:18] = (self.growth <= 0) & (score[14:18] <= 0)
+        if self.heavy:
+            low, high = self.freedom <= LEAST_DEGREES * (1 + 1e-9), self.freedom >= MOST_DEGREES * (1 - 1e-9)
+            held[-1] = (low and score[-1] < 0) or (high and score[-1] > 0)
+        return held
+
+    def with_numbers(self, numbers: Array) -> ErrorModel:
+        """The same distribution with other numbers, shape (p,), held where a distribution has them."""
+        correlation = np.eye(4)
+        values = np.tanh(np.clip(numbers[_PAIRS], -_MOST_ARTANH, _MOST_ARTANH))
+        correlation[_FIRST, _SECOND] = correlation[_SECOND, _FIRST] = values
+        return replace(
+            self,
+            mean=numbers[_MEANS],
+            std=np.maximum(np.exp(numbers[_STDS]), self.floor),
+            correlation=_definite(correlation),
+            growth=np.maximum(numbers[14:18], 0.0) if self.unit == "mixed" else self.growth,
+            freedom=float(np.clip(2 + np.exp(numbers[-1]), LEAST_DEGREES, MOST_DEGREES)) if self.heavy else np.inf,
+        )
+
+
+def _definite(correlation: Array) -> Array:
+    """A correlation matrix, or one near it where a step has left what correlations can be."""
+    values, vectors = np.linalg.eigh(correlation)
+    if values[0] >= 1e-6:
+        return correlation
+    nearest = (vectors * np.maximum(values, 1e-6)) @ vectors.T
+    scale = np.sqrt(np.diag(nearest))
+    result: Array = nearest / np.outer(scale, scale)
+    return result
+
+
+# ---- Student's t distribution of four components by maximum likelihood (Lange et al ----
+
+_STEPS, _ENOUGH = 500, 1e-6
+_LEAST_SHARE = 1e-6
+
+
+class StudentTFit(NamedTuple):
+    """A t distribution: mean (4,), covariance (4, 4) of the distribution itself, and degrees of freedom."""
+
+    mean: Array
+    covariance: Array
+    degrees_of_freedom: float
+
+
+def fit_student_t(errors: Array) -> StudentTFit | None:
+    """The likeliest t distribution of errors, shape (n, 4), with ν between the bounds; None where they determine none.
+
+    Each step weighs errors by (ν + 4) / (ν + q), with q by the scatter matrix, for mean and scatter, and then
+    maximises the likelihood over ν.
+    """
+    mean, scatter, nu, last = errors.mean(axis=0), np.cov(errors.T, bias=True), 10.0, -np.inf
+    least = _LEAST_SHARE * np.linalg.eigvalsh(scatter)
+    for _ in range(_STEPS):
+        values = np.linalg.eigvalsh(scatter)
+        if values[0] <= max(least[0], 1e-12 * values[-1]):
+            return None  # so many errors are equal that the likelihood has no maximum
+        weight = (nu + 4) / (nu + _squared_lengths(errors - mean, scatter))
+        mean = weight @ errors / weight.sum()
+        moved = errors - mean
+        scatter = (weight[:, None] * moved).T @ moved / len(errors)
+        nu, value = _likeliest_degrees(_squared_lengths(moved, scatter))
+        value -= len(errors) * float(np.linalg.slogdet(scatter)[1]) / 2
+        if value - last < _ENOUGH:
+            break
+        last = value
+    return StudentTFit(mean, scatter * nu / (nu - 2), nu)
+
+
+def may_be_heavy(errors: Array) -> bool:
+    """Whether the likelihood of errors, shape (n, 4), rises as ν falls from infinity, as Mardia's kurtosis says."""
+    covariance = np.cov(errors.T, bias=True)
+    if np.linalg.cond(covariance) > 1e12:
+        return False
+    return bool(np.mean(_squared_lengths(errors - errors.mean(axis=0), covariance) ** 2) > 4 * 6)
+
+
+def _squared_lengths(moved: Array, matrix: Array) -> Array:
+    """xᵀ M⁻¹ x of vectors (n, 4), shape (n,)."""
+    lengths: Array = np.einsum("ni,ni->n", moved, np.linalg.solve(matrix, moved.T).T)
+    return lengths
+
+
+def _likeliest_degrees(q: Array) -> tuple[float, float]:
+    """ν and its log-likelihood but for the scatter's share, given q by the scatter matrix, shape (n,)."""
+
+    def loss(logarithm: float) -> float:
+        nu = np.exp(logarithm)
+        each = special.gammaln(nu / 2 + 2) - special.gammaln(nu / 2) - 2 * np.log(np.pi * nu)
+        return float((nu / 2 + 2) * np.log1p(q / nu).sum() - len(q) * each)
+
+    bounds = np.log(LEAST_DEGREES), np.log(MOST_DEGREES)
+    found = optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 1e-6})
+    return float(np.exp(found.x)), -float(found.fun)

@@ -1,0 +1,205 @@
+"""How box errors persist: errors of the same thing in consecutive frames, over edges that nothing has cut.
+
+Which edges count is decided by the true box alone, since leaving errors out by their size would itself cut them: an
+edge counts if it lies so far inside the image that hardly any error reaches the border.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.learn.box_errors.matched_edges import OUTWARD, ErrorModel
+from modsim3d.learn.matches import Observed, Pairs
+from modsim3d.learn.persistence import Consecutive, steps_between, stretches_of
+
+_ROUNDS = 4
+"""Rounds in which a correlation time and what follows from it settle."""
+_STEPS_NEEDED = 20
+"""Steps within a state that its errors are whitened from, instead of from the distribution."""
+_LEAST_CHANGE = 1e-6
+_REACH = 3.0
+"""An edge counts if it is so many standard deviations inside the border; sides shrink by fewer to a pixel."""
+_EDGES = 2 ** np.arange(4)
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """Rows of the same thing in consecutive frames, which edges count in both, time between, shapes (m,).
+
+    `edges` is the sum of powers of two of the edges.
+    """
+
+    earlier: Indices
+    later: Indices
+    edges: Indices
+    apart_s: Array
+
+
+@dataclass(frozen=True, eq=False)
+class WhiteErrors:
+    """Errors of boxes of which every edge counts, as uncorrelated numbers of variance one.
+
+    Attributes:
+        rows: Their annotations, shape (n,).
+        white: The errors, shape (n, 4).
+        state: State of each, shape (n,).
+        heavy: Whether a state's errors have heavy tails, so that `white` has directions alone, shape (states,).
+    """
+
+    rows: Indices
+    white: Array
+    state: Indices
+    heavy: Mask
+
+
+def consecutive_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> Consecutive:
+    """Whitened box errors in consecutive frames, given the distribution in each state, None where there is none.
+
+    Products are means over as many components as edges count in both frames.
+    """
+    return _settled(observed, tuple(models))[0]
+
+
+def white_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> WhiteErrors:
+    """Errors of boxes of which every edge counts, whitened as in `consecutive_errors`."""
+    pairs, (_, shapes) = observed.pairs, _settled(observed, tuple(models))
+    kept = np.flatnonzero(_clear_edges(pairs, models).all(axis=1))
+    white = _whitened(pairs, models, shapes, kept, np.arange(4))
+    return WhiteErrors(pairs.rows[kept], white, pairs.state[kept], _heavy(models))
+
+
+def _heavy(models: Sequence[ErrorModel | None]) -> Mask:
+    return np.array([model is not None and model.heavy for model in models], dtype=bool)
+
+
+@functools.lru_cache(1)
+def _settled(observed: Observed, models: tuple[ErrorModel | None, ...]) -> tuple[Consecutive, Sequence[Array | None]]:
+    """Errors in consecutive frames, and the correlation of each state's standardised errors by which they are whitened.
+
+    The last are kept: what is learned of one set asks for the same several times over.
+
+    Few errors that persist do not tell their correlation well, and whitened by it they look less alike from frame to
+    frame than they are. Changes from frame to frame are independent of each other. So errors are whitened by the
+    correlation of changes, which depends on the correlation time: both are found in a few rounds.
+    """
+    pairs = observed.pairs
+    patterns = _clear_edges(pairs, models) @ _EDGES
+    kept = np.flatnonzero(patterns)
+    found = steps_between(observed.labelled, pairs.rows[kept])
+    a, b = kept[found.earlier], kept[found.later]
+    common = patterns[a] & patterns[b]
+    both = common > 0
+    steps = _Steps(a[both], b[both], common[both], found.apart_s[both])
+    shapes = [None if model is None else model.correlation for model in models]
+    stretches = stretches_of(observed.labelled, pairs.rows[kept], pairs.state[kept])
+    result, counts = _products(pairs, models, shapes, steps)
+    heavy = _heavy(models)[pairs.state[steps.later]]
+    result = replace(result, stretches=stretches)
+    for _ in range(_ROUNDS if len(result) else 0):
+        correlation = np.exp(-steps.apart_s / max(result.rough_time_s(), 1e-9))
+        left = np.where(heavy, correlation_left(correlation, counts), 1.0)
+        shapes = _shapes_of_changes(pairs, models, steps, correlation * left)
+        result, _ = _products(pairs, models, shapes, steps)
+        result = replace(result, expected=result.expected * left, stretches=stretches)
+    return result, shapes
+
+
+def _products(
+    pairs: Pairs, models: Sequence[ErrorModel | None], shapes: Sequence[Array | None], steps: _Steps
+) -> tuple[Consecutive, Indices]:
+    """Products of errors whitened by the given correlation of each state, and how many edges count, shape (m,)."""
+    products, expected = np.zeros(len(steps.later)), np.zeros(len(steps.later))
+    counts = np.zeros(len(steps.later), dtype=np.int64)
+    for pattern in np.unique(steps.edges):
+        rows, edges = np.flatnonzero(steps.edges == pattern), np.flatnonzero(pattern & _EDGES)
+        first, second = (_whitened(pairs, models, shapes, each[rows], edges) for each in (steps.earlier, steps.later))
+        products[rows], expected[rows] = (first * second).mean(axis=1), (first**2).mean(axis=1)
+        counts[rows] = len(edges)
+    return Consecutive(products, expected, steps.apart_s, pairs.image[steps.later]), counts
+
+
+def _shapes_of_changes(
+    pairs: Pairs, models: Sequence[ErrorModel | None], steps: _Steps, correlation: Array
+) -> list[Array | None]:
+    """Covariance of standardised errors in each state, from changes of those with all edges; of the model if few."""
+    shapes: list[Array | None] = []
+    whole = steps.edges == _EDGES.sum()
+    for state, model in enumerate(models):
+        ours = whole & (pairs.state[steps.earlier] == state) & (pairs.state[steps.later] == state)
+        if model is None or ours.sum() < _STEPS_NEEDED:
+            shapes.append(None if model is None else model.correlation)
+            continue
+        before, after = (_standard(pairs, model, each[ours]) for each in (steps.earlier, steps.later))
+        change = after - correlation[ours, None] * before
+        change /= np.sqrt(np.maximum(1 - correlation[ours] ** 2, _LEAST_CHANGE))[:, None]
+        shapes.append(change.T @ change / len(change))
+    return shapes
+
+
+def _standard(pairs: Pairs, model: ErrorModel, rows: Indices) -> Array:
+    """Errors of some boxes with mean zero and variance one, shape (m, 4)."""
+    mean, std = model.at(pairs.edges.sides_px[rows])
+    standard: Array = (pairs.edges.errors_px[rows] - mean) / std
+    return standard
+
+
+def correlation_left(correlation: Array, numbers: Indices) -> Array:
+    """Mean cosine between two normal vectors of so many numbers, over their correlation, shape (n,)."""
+    d = np.asarray(numbers, dtype=np.float64)
+    scale = np.exp(2 * (special.gammaln((d + 1) / 2) - special.gammaln(d / 2))) * 2 / d
+    left: Array = scale * special.hyp2f1(0.5, 0.5, d / 2 + 1, correlation**2)
+    return left
+
+
+def _clear_edges(pairs: Pairs, models: Sequence[ErrorModel | None]) -> Mask:
+    """Which edges count, shape (m, 4)."""
+    edges = pairs.edges
+    clear = np.zeros((len(pairs), 4), dtype=bool)
+    for state, model in enumerate(models):
+        rows = np.flatnonzero((pairs.state == state) & edges.usable)
+        if model is None or not len(rows):
+            continue
+        mean, std = model.at(edges.sides_px[rows])
+        if model.heavy:
+            std = std * np.sqrt((model.freedom - 2) / model.freedom)  # but for the tails
+        scaled = OUTWARD * std[:, None]
+        spread = np.sqrt(np.einsum("mij,jk,mik->mi", scaled, model.correlation, scaled))
+        inside = mean @ OUTWARD.T + _REACH * spread <= edges.inward_px[rows]
+        large = edges.sides_px[rows, 2:] + mean[:, 2:] - _REACH * std[:, 2:] >= 1
+        clear[rows] = inside & edges.counted[rows] & np.all(large, axis=1, keepdims=True)
+    return clear
+
+
+def _whitened(
+    pairs: Pairs,
+    models: Sequence[ErrorModel | None],
+    shapes: Sequence[Array | None],
+    rows: Indices,
+    chosen: Indices,
+) -> Array:
+    """Some edges of some boxes as uncorrelated numbers of variance one, shape (m, k).
+
+    `shapes` are the correlations of each state's errors. Of heavy tails only the direction: lengths would hide how the
+    normal numbers behind them persist.
+    """
+    edges, white = pairs.edges, np.zeros((len(rows), len(chosen)))
+    for state, (model, shape) in enumerate(zip(models, shapes, strict=True)):
+        ours = np.flatnonzero(pairs.state[rows] == state)
+        if model is None or shape is None or not len(ours):
+            continue
+        mean, std = model.at(edges.sides_px[rows[ours]])
+        scaled = OUTWARD[chosen] * std[:, None]
+        values, vectors = np.linalg.eigh(scaled @ shape @ np.swapaxes(scaled, 1, 2))
+        moved = edges.outward_px[rows[ours]][:, chosen] - mean @ OUTWARD[chosen].T
+        turned = np.einsum("mji,mj->mi", vectors, moved) / np.sqrt(np.maximum(values, 1e-300))
+        found = np.einsum("mij,mj->mi", vectors, turned)
+        if model.heavy:
+            found *= np.sqrt(len(chosen)) / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
+        white[ours] = found
+    return white

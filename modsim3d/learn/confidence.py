@@ -1,0 +1,325 @@
+"""Confidence: its distribution in each state, for true and false detections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy import special
+
+from modsim3d.core.types import Array
+from modsim3d.detector.confidence import clipped_sums, fit_clipped
+from modsim3d.learn.bootstrap import SIGNIFICANT, Entry, Key, Resampling, resample, spread
+from modsim3d.learn.confidence_fit import (
+    KINDS,
+    Kind,
+    ObservedConfidences,
+    SlopeFit,
+    SlopeForm,
+    fit_slopes,
+    likeliest_reference,
+)
+from modsim3d.learn.confidence_laws import (
+    ConfidenceKeys,
+    ConsecutiveScores,
+    Inflation,
+    LatentScores,
+    LearnedConfidence,
+    LearnedConfidenceOfAll,
+    LearnedScores,
+    LearnedSlopes,
+    Sloped,
+    SureOfEverything,
+    normal_scores,
+    quantile_scores,
+)
+from modsim3d.learn.matches import Observed, usual_run_s
+from modsim3d.learn.model_selection import LearnedPart
+from modsim3d.learn.persistence import inflation, steps_between
+
+# ---- Whether confidence falls with what is hidden of a vessel and with the size of its box ----
+
+SCORES_NEEDED = 20
+"""Detections that a distribution of a state's own needs, and so many partly hidden ones a slope on visibility."""
+SLOPE_NEEDS = 50
+"""Detections that a slope needs."""
+_TRIALS = 200
+_HIDDEN = 0.05
+_EQUAL = 1e-3
+
+
+def with_enough(samples: Mapping[Kind, ObservedConfidences]) -> dict[Kind, ObservedConfidences]:
+    """The kinds whose confidences are enough, and differ enough, to tell a slope."""
+    return {
+        kind: scores
+        for kind, scores in samples.items()
+        if len(scores) >= SCORES_NEEDED and float(scores.values.std()) > _EQUAL
+    }
+
+
+def choose_slopes(
+    observed: Observed, state: str, samples: Mapping[Kind, ObservedConfidences], notes: list[str]
+) -> SlopeForm | None:
+    """The slopes of a state that are surely above 0; None if there are none.
+
+    Whether confidence follows size is tested with the median size as the reference: of a slope that is none, every
+    reference is as good as any other, and the best of many would look significant too often. Where there is a slope,
+    the likeliest reference is taken.
+    """
+    if "slopes" in observed.without:
+        return None
+    path = f"states.{state}.confidence"
+    if "true" not in samples or len(samples["true"]) < SLOPE_NEEDS:
+        count = len(samples["true"]) if "true" in samples else 0
+        notes.append(f"{path}: no slopes; had {count} true detections of different confidence, needs {SLOPE_NEEDS}")
+        return None
+    visibility = _why_not_visibility(samples["true"])
+    size = "all boxes have one size" if np.ptp(samples["true"].log_size) < _EQUAL else ""
+    for key, reason in (("visibility_slope", visibility), ("size_slope", size)):
+        if reason:
+            notes.append(f"{path}.{key}: 0; {reason}")
+    median = float(f"{2 ** float(np.median(samples['true'].log_size)):.2g}")
+    form = _significant(observed, path, samples, SlopeForm(not visibility, not size, float(np.log2(median))), notes)
+    if not form.names:
+        return None
+    return likeliest_reference(list(samples.values()), form, observed.threshold, SCORES_NEEDED) if form.size else form
+
+
+def _why_not_visibility(scores: ObservedConfidences) -> str:
+    """Why there is no slope on visibility; empty if there may be one."""
+    known = np.isfinite(scores.visible_fraction)
+    if not known.all():
+        return "visibility is not given everywhere" if known.any() else "visibility is not given"
+    hidden = int((scores.hidden > _HIDDEN).sum())
+    return "" if hidden >= SCORES_NEEDED else f"had {hidden} partly hidden true detections, needs {SCORES_NEEDED}"
+
+
+def _significant(
+    observed: Observed, path: str, samples: Mapping[Kind, ObservedConfidences], form: SlopeForm, notes: list[str]
+) -> SlopeForm:
+    """The form without the slopes that are not surely above 0; the least certain one is left out first."""
+    runs = resample(observed.labelled.images, _TRIALS, 0, usual_run_s(observed))
+    scores = list(samples.values())
+    while form.names:
+        fit = fit_slopes(scores, [False] * len(scores), form, observed.threshold, runs)
+        if fit is None:
+            notes.append(f"{path}: no slopes; {sum(map(len, scores))} detections do not determine them")
+            return SlopeForm(False, False)
+        strength = fit.slopes[0] / np.maximum(fit.errors[-len(form.names) :], spread(fit.slopes[1:]))
+        weakest = int(strength.argmin())
+        if strength[weakest] >= SIGNIFICANT:
+            break
+        key = form.names[weakest]
+        below = ", and only slopes above 0 are simulated" if strength[weakest] <= -SIGNIFICANT else ""
+        notes.append(
+            f"{path}.{key}: 0; {strength[weakest]:.1f} standard errors above 0 in {len(samples['true'])} true "
+            f"detections, needs {SIGNIFICANT}{below}"
+        )
+        form = replace(form, **{"visibility" if key == "visibility_slope" else "size": False})
+    return form
+
+
+# ---- Confidence ----
+
+QUANTILES_NEEDED = 200
+"""Detections that quantiles need."""
+_NORMAL_ENOUGH = 0.06
+"""Largest difference of distribution functions at which confidence still counts as clipped normal."""
+_LEVELS = 500
+
+ScoreForm = Literal["normal", "quantiles", "shared"]
+"""A normal distribution clipped to [threshold, 1], evenly spaced quantiles, or the normal one that all states share."""
+
+
+@dataclass(frozen=True)
+class ConfidenceForm:
+    """The distributions of confidence of true and of false detections in each state, and its slopes, None without."""
+
+    true: tuple[ScoreForm, ...]
+    false: tuple[ScoreForm, ...]
+    slopes: tuple[SlopeForm | None, ...]
+    notes: tuple[str, ...]
+    confidence_s: float = 0.0
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
+        """The distributions of each state, the slopes, and the correlation time."""
+        learned = self.laws(observed, resampling)
+        if self.confidence_s <= 0:
+            return learned
+        column = consecutive_scores(observed, learned).column(resampling)
+        return replace(learned, confidence_s=Entry(Key(("persistence", "confidence_s")), column))
+
+    def laws(self, observed: Observed, resampling: Resampling) -> LearnedConfidence:
+        """All but the correlation time."""
+        persistent = self._inflation(observed)
+        every = {kind: ObservedConfidences.of(observed, kind) for kind in KINDS}
+        learned: dict[Kind, list[LearnedScores]] = {"true": [], "false": []}
+        slopes: list[LearnedSlopes | None] = []
+        for index, (state, form) in enumerate(zip(observed.states, self.slopes, strict=True)):
+            forms: dict[Kind, ScoreForm] = {"true": self.true[index], "false": self.false[index]}
+            chosen = {kind: every[kind] if forms[kind] == "shared" else every[kind].of_state(index) for kind in KINDS}
+            sloped: dict[Kind, Sloped] = {}
+            fit = None
+            if form is not None:
+                samples = with_enough(chosen)
+                quantiles = [forms[kind] == "quantiles" for kind in samples]
+                fit = fit_slopes(list(samples.values()), quantiles, form, observed.threshold, resampling)
+                if fit is not None:
+                    sloped = {kind: (fit, place) for place, kind in enumerate(samples)}
+            slopes.append(LearnedSlopes.of(fit, state, chosen["true"], persistent) if fit is not None else None)
+            for kind in KINDS:
+                keys = ConfidenceKeys(
+                    ("confidence", kind), state, observed.threshold, persistent if kind == "true" else Inflation()
+                )
+                estimate = quantile_scores if forms[kind] == "quantiles" else normal_scores
+                learned[kind].append(estimate(chosen[kind], keys, sloped.get(kind), resampling))
+        return LearnedConfidence(tuple(learned["true"]), tuple(learned["false"]), tuple(slopes))
+
+    def _inflation(self, observed: Observed) -> Inflation:
+        """Of means by confidence that persists; deviations from a standard deviation persist half as long."""
+        if self.confidence_s <= 0:
+            return Inflation()
+        steps, count = steps_between(observed.labelled, observed.rows[observed.found]), len(observed.found)
+        return Inflation(*(inflation(steps, count, self.confidence_s / part) for part in (1, 2)))
+
+
+@dataclass(frozen=True)
+class OneConfidenceForm:
+    """One normal distribution of the confidence of true and false detections together in each state."""
+
+    notes: tuple[str, ...] = ()
+    confidence_s: float = 0.0
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
+        """The distribution of each state; that of all states where one has too few detections."""
+        every = ObservedConfidences.of(observed, "true") + ObservedConfidences.of(observed, "false")
+        learned = []
+        for index, state in enumerate(observed.states):
+            ours = every.of_state(index)
+            ours = ours if len(ours) >= SCORES_NEEDED else every
+            learned.append(
+                normal_scores(ours, ConfidenceKeys(("confidence",), state, observed.threshold), None, resampling)
+            )
+        return LearnedConfidenceOfAll(tuple(learned))
+
+
+@dataclass(frozen=True)
+class NoConfidenceForm:
+    """Detections without confidences."""
+
+    notes: tuple[str, ...] = ("confidence: 1 for every detection; the detections have none (-1)",)
+    confidence_s: float = 0.0
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
+        """Nothing to estimate."""
+        return SureOfEverything()
+
+
+def choose_confidence(observed: Observed) -> ConfidenceForm | OneConfidenceForm | NoConfidenceForm:
+    """Which distribution the confidences of each state and kind follow, and which slopes they have."""
+    if not observed.labelled.scored:
+        return NoConfidenceForm()
+    if "confidence" in observed.without:
+        return OneConfidenceForm()
+    notes: list[str] = []
+    scores = {kind: ObservedConfidences.of(observed, kind) for kind in KINDS}
+    chosen: dict[Kind, list[ScoreForm]] = {"true": [], "false": []}
+    slopes: list[SlopeForm | None] = []
+    for index, state in enumerate(observed.states):
+        ours = {kind: scores[kind].of_state(index) for kind in KINDS}
+        samples = {kind: ours[kind] if len(ours[kind]) >= SCORES_NEEDED else scores[kind] for kind in KINDS}
+        slopes.append(choose_slopes(observed, state, with_enough(samples), notes))
+        fit = _normal_fit(samples, slopes[-1], observed)
+        for place, kind in enumerate(KINDS):
+            if len(ours[kind]) < SCORES_NEEDED:
+                chosen[kind].append("shared")
+                notes.append(
+                    f"states.{state}.confidence.{kind}: that of all states; had {len(ours[kind])} detections, "
+                    f"needs {SCORES_NEEDED}"
+                )
+            elif len(ours[kind]) < QUANTILES_NEEDED:
+                chosen[kind].append("normal")
+            else:
+                far = (
+                    _distance(ours[kind].values, observed.threshold)
+                    if fit is None
+                    else _sloped_distance(ours[kind], fit, place, observed.threshold)
+                )
+                chosen[kind].append("normal" if far < _NORMAL_ENOUGH else "quantiles")
+    form = ConfidenceForm(tuple(chosen["true"]), tuple(chosen["false"]), tuple(slopes), ())
+    confidence_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, form, notes)
+    return replace(form, notes=tuple(notes), confidence_s=confidence_s)
+
+
+def consecutive_scores(observed: Observed, learned: LearnedConfidence) -> ConsecutiveScores:
+    """The numbers behind the confidences of true detections, under what was learned."""
+    scores = ObservedConfidences.of(observed, "true")
+    low, high = np.full(len(scores), np.nan), np.full(len(scores), np.nan)
+    for index, (law, slopes) in enumerate(zip(learned.true, learned.slopes, strict=True)):
+        rows = np.flatnonzero(scores.state == index)
+        ours = scores.chosen(rows)
+        if with_enough({"true": ours}):
+            shift = np.zeros(len(rows)) if slopes is None else -slopes.shift(ours)
+            latent = LatentScores.of(ours, law.law, shift, observed.threshold)
+            low[rows], high[rows] = latent.low, latent.high
+    return ConsecutiveScores.of(observed, scores, LatentScores(low, high))
+
+
+def _persistence_s(observed: Observed, form: ConfidenceForm, notes: list[str]) -> float:
+    """Rough correlation time of confidence; 0 with a note if it does not persist, or that is not sure."""
+    if not len(observed.steps):
+        return 0.0  # which the note on misses says
+    given = tuple(slopes and replace(slopes, reference_fitted=False) for slopes in form.slopes)
+    form = replace(form, slopes=given)  # the likeliest reference changes little here, and takes a while to find
+    consecutive = consecutive_scores(observed, form.laws(observed, resample(observed.labelled.images, 0, 0)))
+    products = consecutive.products()
+    found = products.correlation()
+    if found.persists:
+        return consecutive.time_s()
+    why = found.doubt if len(products) else "nothing has two true detections whose confidences vary"
+    notes.append(f"persistence.confidence_s: 0; {why}")
+    return 0.0
+
+
+def _normal_fit(
+    samples: Mapping[Kind, ObservedConfidences], form: SlopeForm | None, observed: Observed
+) -> SlopeFit | None:
+    """The slopes with normal distributions and a given reference, without replicates; None without slopes."""
+    if form is None:
+        return None
+    form = replace(form, reference_fitted=False)
+    sloped, once = list(with_enough(samples).values()), resample(observed.labelled.images, 0, 0)
+    return fit_slopes(sloped, [False] * len(sloped), form, observed.threshold, once)
+
+
+def _sloped_distance(scores: ObservedConfidences, fit: SlopeFit, kind: int, threshold: float) -> float:
+    """Largest difference between the distribution function of the levels of confidences (n,) and that of uniform ones.
+
+    A level is the probability of a smaller confidence in the fit. That of a clipped one is anywhere below or above that
+    of its bound.
+    """
+    means, std = fit.means[0, kind] - fit.shift(scores), fit.stds[0, kind]
+    level = special.ndtr((scores.values - means) / std)
+    low = np.where(scores.values <= threshold, 0.0, level)
+    high = np.where(scores.values >= 1, 1.0, level)
+    grid = np.linspace(0, 1, _LEVELS + 1)
+    known = np.searchsorted(np.sort(level[low == high]), grid, side="right")
+    wide = np.flatnonzero(low < high)
+    part = np.zeros(len(grid))
+    for k, at in enumerate(grid.tolist()):
+        part[k] = np.clip((at - low[wide]) / (high[wide] - low[wide]), 0, 1).sum()
+    return float(np.abs((known + part) / len(level) - grid).max())
+
+
+def _distance(values: Array, threshold: float) -> float:
+    """Largest difference between the distribution function of values (n,) and that of their clipped normal fit."""
+    mean, std = fit_clipped(clipped_sums(values, threshold, 1.0).sum(axis=0)[None], threshold, 1.0)
+    ordered = np.sort(values)
+    fitted = np.where(ordered >= 1, 1.0, special.ndtr((ordered - mean[0]) / max(std[0], 1e-9)))
+    after = np.searchsorted(ordered, ordered, side="right") / len(values)
+    before = np.searchsorted(ordered, ordered, side="left") / len(values)
+    below = np.where(ordered <= threshold, 0.0, np.abs(fitted - before))
+    above = np.abs(fitted - after)
+    return float(max(below[ordered < 1].max(initial=0.0), above.max(initial=0.0)))

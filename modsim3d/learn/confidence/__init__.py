@@ -1,1 +1,0 @@
-"""Confidence: its distributions, slopes and persistence."""

@@ -1,0 +1,249 @@
+"""How misses depend on what a thing looks like: logistic regression, an intercept for each state and label."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.learn.bootstrap import Resampling
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.persistence import THINGS_NEEDED
+
+MISSES_FOR_EACH = 20
+"""Misses, and detections, that a regression needs for each effect (Peduzzi et al. (1996) ask for 10)."""
+_STEPS = 60
+
+
+@dataclass(frozen=True)
+class EffectTerm:
+    """An attribute that changes the odds of a miss, by its key in the file; at its reference they are the state's.
+
+    Sizes and distances change them by doublings, or by units where that fits better. An effect of a single state, by
+    its index, replaces the shared one of its attribute there.
+    """
+
+    attribute: str
+    reference: float
+    by_units: bool = False
+    state: int | None = None
+
+    @property
+    def doublings(self) -> bool:
+        """Whether the odds change by doublings of the attribute, or by units."""
+        return self.attribute != "visible_fraction" and not self.by_units
+
+    @property
+    def slope_key(self) -> str:
+        """Key of the slope in the detector file."""
+        return "per_doubling" if self.doublings else "per_unit"
+
+    def of(self, values: Array) -> Array:
+        """Units or doublings beyond the reference, 0 where the value is unknown, shape (n,)."""
+        known = np.where(np.isfinite(values), values, self.reference)
+        changed: Array = known - self.reference
+        return np.log2(np.maximum(known, 1.0) / self.reference) if self.doublings else changed
+
+    def holds_in(self, states: int, effects: tuple[EffectTerm, ...]) -> Mask:
+        """In which of some states it holds beside other effects, shape (states,)."""
+        others = [each.state for each in effects if each.attribute == self.attribute and each.state is not None]
+        numbers = np.arange(states)
+        held: Mask = ~np.isin(numbers, others) if self.state is None else numbers == self.state
+        return held
+
+
+def attribute_values(observed: Observed) -> dict[str, Array]:
+    """Values of each attribute for the annotations that count, NaN where unknown, shapes (n,), by key in the file."""
+    annotations = observed.labelled.annotations
+    return {
+        "visible_fraction": annotations.visible_fraction[observed.rows],
+        "size_px": annotations.size_px[observed.rows],
+        "distance_m": annotations.depth_m[observed.rows],
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class MissFit:
+    """A regression of misses.
+
+    Attributes:
+        slopes: Log-odds for each unit or doubling, the estimate first, shape (1 + replicates, effects).
+        errors: Standard errors of the estimate, shape (effects,).
+        errors_of_things: Those of things that are missed or seen together, shape (effects,); 0 with few things.
+        rates: Miss rate of each state and label, shape (1 + replicates, states, k), NaN where there was nothing. A mean
+            over all annotations of the label, whatever their state: the rate that `anchor: state_rate` keeps.
+        chance: Probability of a miss of each annotation in its own state, shape (n,).
+    """
+
+    slopes: Array
+    errors: Array
+    errors_of_things: Array
+    rates: Array
+    chance: Array
+
+    def log_likelihood(self, missed: Mask) -> float:
+        """That of the misses, shape (n,)."""
+        likely = np.where(missed, self.chance, 1 - self.chance)
+        return float(np.log(np.maximum(likely, 1e-300)).sum())
+
+
+def fit_misses(observed: Observed, effects: tuple[EffectTerm, ...], resampling: Resampling) -> MissFit | None:
+    """Fit intercepts and slopes by maximum likelihood, replicates by one Newton step from the estimate.
+
+    Gives None where the misses do not determine the parameters. There may be no effects.
+    """
+    states, k = len(observed.states), len(observed.labelled.labels)
+    values = attribute_values(observed)
+    amounts, holds = np.empty((len(observed.rows), len(effects))), np.empty((states, len(effects)), dtype=bool)
+    scale = np.array([effect.reference if effect.by_units else 1.0 for effect in effects])
+    for column, effect in enumerate(effects):
+        amounts[:, column] = effect.of(values[effect.attribute]) / scale[column]  # numbers near 1, as doublings are
+        holds[:, column] = effect.holds_in(states, effects)
+    x = amounts * holds[observed.state]
+    group, missed = observed.state * k + observed.label, observed.missed.astype(np.float64)
+    unambiguous = observed.unambiguous
+    number = np.bincount(group[unambiguous], minlength=states * k)
+    hits = np.bincount(group[unambiguous], weights=missed[unambiguous], minlength=states * k)
+    usable = (hits > 0) & (hits < number)  # the others have a rate of 0 or 1 whatever the attributes are
+    fitted, count = usable[group] & unambiguous, int(usable.sum())
+    if count == 0:
+        return None
+    group_fitted = (np.cumsum(usable) - 1)[group[fitted]]
+    maximum = _maximum(missed[fitted], group_fitted, x[fitted], special.logit(hits[usable] / number[usable]))
+    if maximum is None:
+        return None
+    theta, chance, information = maximum
+    inverse: Array = np.linalg.inv(information).astype(np.float64)
+    image, residual = observed.image[fitted], missed[fitted] - chance
+    scores = np.zeros((len(chance), len(theta)))
+    scores[np.arange(len(chance)), group_fitted] = residual
+    scores[:, count:] = residual[:, None] * x[fitted]
+    curvature = _weighted_information(chance * (1 - chance), group_fitted, x[fitted], count, image, resampling)
+    thetas = theta + _steps(curvature, resampling.sums(image, scores), inverse)
+    every = np.where(number > 0, hits / np.maximum(number, 1), np.nan)
+    full = np.where(fitted, 0.0, every[group])
+    full[fitted] = chance
+    rates = _anchored(observed, amounts, holds, thetas, usable, every, resampling)
+    errors = np.sqrt(np.diag(inverse))[count:] / scale
+    errors_of_things = _errors_of_things(observed, fitted, scores @ inverse)[count:] / scale
+    return MissFit(thetas[:, count:] / scale, errors, errors_of_things, rates, full)
+
+
+def _errors_of_things(observed: Observed, fitted: Mask, influence: Array) -> Array:
+    """Standard errors (p,) where what befalls a thing in one frame may befall it in all, 0 with too few things.
+
+    The sandwich estimate over clusters (Liang and Zeger (1986), "Longitudinal data analysis using generalized linear
+    models"), with things as clusters.
+
+    Args:
+        observed: What was seen.
+        fitted: Which annotations count, shape (n,), m of them.
+        influence: By how much each moves the parameters, shape (m, p).
+    """
+    thing = observed.thing[fitted]
+    if len(np.unique(thing[thing >= 0])) < THINGS_NEEDED:
+        return np.zeros(influence.shape[1])
+    _, cluster = np.unique(np.where(thing >= 0, thing, -1 - np.arange(len(thing))), return_inverse=True)
+    sums = np.stack([np.bincount(cluster, column) for column in influence.T])
+    clusters = sums.shape[1]
+    errors: Array = np.sqrt((sums**2).sum(axis=1) * clusters / (clusters - 1))
+    return errors
+
+
+def _maximum(missed: Array, group: Indices, x: Array, intercepts: Array) -> tuple[Array, Array, Array] | None:
+    """Likeliest parameters (p,), chances of a miss (n,) and information (p, p), by Newton's method; None without one.
+
+    Args:
+        missed: One for a miss, else 0, shape (n,).
+        group: Index of the intercept of each, shape (n,).
+        x: Values of the effects, shape (n, effects).
+        intercepts: Those to begin with; slopes begin at 0.
+    """
+    count = len(intercepts)
+    theta = np.concatenate([intercepts, np.zeros(x.shape[1])])
+    for _ in range(_STEPS):
+        chance = special.expit(theta[group] + x @ theta[count:])
+        information = _information(chance * (1 - chance), group, x, count)
+        if not np.all(np.isfinite(information)) or np.linalg.cond(information) > 1e12:
+            return None
+        residual = missed - chance
+        score = np.concatenate([np.bincount(group, weights=residual, minlength=count), x.T @ residual])
+        step = np.linalg.solve(information, score)
+        theta = theta + step * min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
+        if np.abs(step).max() < 1e-9:
+            break
+    return theta, chance, information
+
+
+def _information(weight: Array, group: Indices, x: Array, count: int) -> Array:
+    size = count + x.shape[1]
+    matrix = np.zeros((size, size))
+    matrix[:count, :count] = np.diag(np.bincount(group, weights=weight, minlength=count))
+    for j in range(x.shape[1]):
+        matrix[:count, count + j] = np.bincount(group, weights=weight * x[:, j], minlength=count)
+        matrix[count + j, :count] = matrix[:count, count + j]
+    matrix[count:, count:] = (x * weight[:, None]).T @ x
+    return matrix
+
+
+def _weighted_information(
+    weight: Array, group: Indices, x: Array, count: int, image: Indices, resampling: Resampling
+) -> Array:
+    """`_information` under each row of weights, shape (rows, p, p)."""
+    size = count + x.shape[1]
+    columns = [(group, np.ones(len(group)))]
+    columns += [(np.full(len(group), count + j), x[:, j]) for j in range(x.shape[1])]
+    cells = [(a * size + b, weight * u * v) for a, u in columns for b, v in columns]
+    return resampling.counts(
+        np.tile(image, len(cells)),
+        np.concatenate([cell for cell, _ in cells]),
+        (size, size),
+        np.concatenate([amount for _, amount in cells]),
+    )
+
+
+def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
+    """One Newton step (rows, p) under each row of weights, from information (rows, p, p) and gradients (rows, p).
+
+    Each row has its own curvature: with that of the estimate, effects that few images decide would look better known
+    than they are. Where that of a row is singular, because it has no misses of some kind, the inverse information of
+    the estimate (p, p) is used. The first row is at the maximum already, so its step is zero.
+    """
+    ridge = 1e-6 * np.eye(len(inverse)) * np.trace(curvature[0]) / len(inverse)
+    steps = np.linalg.solve(curvature + ridge, scores[..., None])[..., 0]
+    sound = np.linalg.cond(curvature + ridge) < 1e6
+    bounded = np.clip(steps, -5, 5)
+    return np.where(sound[:, None], bounded, scores @ inverse)
+
+
+def _anchored(
+    observed: Observed,
+    amounts: Array,
+    holds: Mask,
+    thetas: Array,
+    usable: Mask,
+    every: Array,
+    resampling: Resampling,
+) -> Array:
+    """Mean probability of a miss in each state over all annotations of a label; replicates to first order.
+
+    Amounts of the effects have shape (n, effects); in which states each holds, (states, effects).
+    """
+    states, k = len(observed.states), len(observed.labelled.labels)
+    rates = np.full((len(thetas), states, k), np.nan)
+    count = int(usable.sum())
+    for place, cell in enumerate(np.flatnonzero(usable)):
+        ours = observed.label == cell % k
+        x = amounts[ours] * holds[cell // k]
+        chance = special.expit(thetas[0, place] + x @ thetas[0, count:])
+        change = chance * (1 - chance)
+        sums = resampling.sums(observed.image[ours], np.column_stack([np.ones(len(chance)), chance]))
+        moved = thetas - thetas[0]
+        slope = moved[:, place] * change.mean() + moved[:, count:] @ (change[:, None] * x).mean(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rates[:, cell // k, cell % k] = np.clip(sums[:, 1] / sums[:, 0] + slope, 1e-9, 1 - 1e-9)
+    flat = rates.reshape(len(thetas), -1)
+    flat[:, ~usable] = every[~usable]
+    return rates

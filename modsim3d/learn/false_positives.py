@@ -1,0 +1,336 @@
+"""False positives: how many, with which labels, how large and where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modsim3d.core.boxes import centres, sizes
+from modsim3d.core.types import Array
+from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, columns_of_one, digits, nested, ratio, widened
+from modsim3d.learn.matches import FalseSightings, Observed
+from modsim3d.learn.persistent_false_positives import Lasting, NotLasting, find_lasting
+from modsim3d.learn.persistent_pairs import FALSE_FOR_EACH_CELL, GRID, PlaceFit, Placing, cells_of
+
+FALSE_NEEDED = 30
+"""False detections that a distribution of sizes needs."""
+NOT_WRITTEN = "not written"
+"""Remark on a number that is reported and does not stand in the detector file."""
+_ASTRAY = 0.02
+_ALMOST_ANY = 0.99
+
+
+@dataclass(frozen=True)
+class FalsePositiveForm:
+    """The model of false positives.
+
+    Attributes:
+        sizes: Whether they have sizes of their own; those of vessels if not.
+        placing: Where they are.
+        lifetime_s: Mean lifetime of those that stay; 0 where none do.
+        drifts: Whether those drift.
+    """
+
+    model: str
+    sizes: bool
+    placing: Placing
+    notes: tuple[str, ...]
+    lifetime_s: float = 0.0
+    drifts: bool = False
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedFalsePositives:
+        """Rates and labels of each state, and the sizes, places and persistence that all states share."""
+        sightings = observed.false_sightings
+        lasting = None
+        if self.lifetime_s:
+            found = find_lasting(observed, sightings, _expected(observed, self.model), known=True)
+            lasting = found if isinstance(found, Lasting) else None
+        return LearnedFalsePositives(
+            self,
+            _of_states(observed, self.model, resampling, lasting.inflation if lasting else 1.0),
+            _size(sightings, resampling, lasting.inflation if lasting else 1.0) if self.sizes else None,
+            _place(sightings, self.placing, resampling, lasting),
+            self._persistence(lasting, resampling) if self.lifetime_s else None,
+        )
+
+    def _persistence(self, lasting: Lasting | None, resampling: Resampling) -> LearnedPersistence:
+        """Lifetime, speed and share; of data without two frames, in which nothing can stay, a share of 0."""
+        rows = len(resampling.weights)
+        lifetime, share = (
+            Column(np.full(rows, self.lifetime_s), "positive", np.array(0.0)),
+            Column(np.zeros(rows), "capped", np.array(0.0)),
+        )
+        drift = Column(np.zeros(rows), "positive", np.array(0.0))
+        if lasting is not None:
+            (lifetime, share), drift = lasting.columns(resampling), lasting.drift.column(resampling)
+        section = ("false_positives", "persistence")
+        return LearnedPersistence(
+            Entry(Key((*section, "lifetime_s")), lifetime),
+            Entry(Key((*section, "drift_px_s")), drift) if self.drifts else None,
+            Entry(Key((*section, "share")), share),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedSize:
+    """Width and height (2,) of false positives, scaled by a number whose logarithm is normal."""
+
+    px: Entry
+    log_std: Entry
+
+
+@dataclass(frozen=True, eq=False)
+class StateFalsePositives:
+    """Shares of the labels (k,), false detections over all detections, and those in an image, in one state."""
+
+    labels: Entry
+    discovery_rate: Entry
+    per_image: Entry
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedPersistence:
+    """Lifetime, speed (None where they do not drift) and share of those that stay."""
+
+    lifetime_s: Entry
+    drift_px_s: Entry | None
+    share: Entry
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedFalsePositives:
+    """Numbers of false positives.
+
+    Attributes:
+        states: Rates and labels of each state.
+        size: None for the sizes of vessels.
+        place: Parameter of the placement; of a map the share of each cell, in the grid's shape; None without any.
+        persistence: None where none stay.
+    """
+
+    form: FalsePositiveForm
+    states: tuple[StateFalsePositives, ...]
+    size: LearnedSize | None
+    place: Entry | None
+    persistence: LearnedPersistence | None
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """Model, map and sizes."""
+        section: dict[str, Any] = {"model": self.form.model}
+        if self.place is not None:
+            value = self.place.estimate
+            if self.form.placing == "density":
+                section |= {"placement": "density", "density": nested(value / value.max())}
+            elif self.form.placing == "horizon_band":
+                section |= {"placement": "horizon_band", "band_px": digits(value)}
+            else:
+                section["far_half_px"] = digits(value)
+        if self.size is not None:
+            px, log_std = nested(self.size.px.estimate), digits(self.size.log_std.estimate)
+            section["size"] = {"model": "lognormal", "px": px, "log_std": log_std}
+        if self.persistence is not None:
+            stays = self.persistence
+            drift = {} if stays.drift_px_s is None else {"drift_px_s": digits(stays.drift_px_s.estimate)}
+            share = digits(np.clip(stays.share.estimate, 0, 1))  # a corrected one may be above 1
+            section["persistence"] = {"lifetime_s": digits(stays.lifetime_s.estimate), **drift, "share": share}
+        return {"false_positives": section}
+
+    def state_section(self, state: int) -> dict[str, Any]:
+        """Labels and rates."""
+        learned = self.states[state]
+        section: dict[str, Any] = {"false_positive_labels": columns_of_one(learned.labels.estimate)}
+        if self.form.model == "per_image":
+            return section | {"false_positives_per_image": digits(learned.per_image.estimate)}
+        return section | {"false_discovery_rate": digits(min(float(learned.discovery_rate.estimate), 0.99))}
+
+
+def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePositiveForm:
+    """The model of false positives that the data can carry; `auto` leaves the model of their number to them."""
+    notes: list[str] = []
+    sightings = observed.false_sightings
+    false = len(sightings)
+    sized = false >= FALSE_NEEDED and "sizes" not in observed.without
+    if false < FALSE_NEEDED:
+        notes.append(f"false_positives.size: that of vessels; had {false} false detections, needs {FALSE_NEEDED}")
+    chosen = _likelier(observed, notes) if model == "auto" else model
+    lasting: Lasting | NotLasting = NotLasting("left out")
+    if "lasting" not in observed.without:
+        lasting = find_lasting(observed, sightings, _expected(observed, chosen))
+        if isinstance(lasting, NotLasting):
+            notes.append(f"false_positives.persistence: none; {lasting.why}")
+    if isinstance(lasting, NotLasting):
+        placing = _placing(observed, sightings, (1.0, 1.0), notes)
+        return FalsePositiveForm(chosen, sized, placing, tuple(notes))
+    placing = _placing(observed, sightings, lasting.worth, notes)
+    if lasting.lifetime_s > lasting.frame_s * lasting.frames:
+        notes.append("false_positives.persistence.lifetime_s: longer than any sequence lasts, so it is hardly known")
+    if not lasting.drifts:
+        notes.append("false_positives.persistence.drift_px_s: 0; no speed along the horizon can be told from 0")
+    return FalsePositiveForm(chosen, sized, placing, tuple(notes), lasting.lifetime_s, lasting.drifts)
+
+
+def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, float], notes: list[str]) -> Placing:
+    """Where false positives are, as far as the data carry it; see `Lasting.worth`."""
+    if "places" in observed.without:
+        return "uniform"
+    false, needed = len(sightings), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
+    where = "false_positives.placement:"
+    if not np.isfinite(observed.labelled.images.sizes_px).all():
+        notes.append(f"{where} uniform below the horizon; the size of some images is not known")
+        return "uniform"
+    if false < FALSE_NEEDED:
+        notes.append(f"{where} uniform below the horizon; had {false} false detections, needs {FALSE_NEEDED}")
+        return "uniform"
+    if not sightings.known.all():
+        said = "the horizon of some images is not known (--horizon)"
+        if false < needed:
+            notes.append(
+                f"{where} uniform below the horizon; {said}, and a map needs {needed} false detections, had {false}"
+            )
+            return "uniform"
+        notes.append(f"{where} a map; {said}")
+        return "density"
+    placing, gain = PlaceFit(sightings, *worth).choose()
+    deep = np.quantile(sightings.depth_px, 0.9)
+    above = float((sightings.depth_px < 0).mean())
+    lie = f"{above:.1%} of {false:,} false detections lie above the horizon, and 90 % less than {deep:.3g} px below it"
+    if placing == "uniform":
+        notes.append(f"{where} uniform below the horizon; no other is clearly likelier; {lie}")
+    else:
+        notes.append(f"{where} {placing}, for it is likelier than uniform (log-likelihood {gain:.1f} higher); {lie}")
+    return placing
+
+
+def _expected(observed: Observed, model: str) -> Array:
+    """Mean number of false positives in each image under a model of their number, shape (I,)."""
+    images = len(observed.labelled.images)
+    rows = observed.labelled.results.image[observed.false_positives]
+    false = np.bincount(rows, minlength=images).astype(np.float64)
+    follows = np.ones(images)
+    if model != "per_image":
+        follows = np.bincount(observed.labelled.results.image[observed.true], minlength=images).astype(np.float64)
+    expected = np.zeros(images)
+    for state in range(len(observed.states)):
+        ours = observed.image_state == state
+        expected[ours] = follows[ours] * false[ours].sum() / max(follows[ours].sum(), 1.0)
+    return expected
+
+
+def _likelier(observed: Observed, notes: list[str]) -> str:
+    """Whether the number of false detections follows that of the true ones, or is the same in every image."""
+    images = len(observed.labelled.images)
+    false = np.bincount(observed.labelled.results.image[observed.false], minlength=images).astype(np.float64)
+    true = np.bincount(observed.labelled.results.image[observed.true], minlength=images).astype(np.float64)
+    with_true, even = 0.0, 0.0
+    for state in range(len(observed.states)):
+        ours = observed.image_state == state
+        total, n_true, n_images = false[ours].sum(), true[ours].sum(), ours.sum()
+        if total == 0:
+            continue
+        # Matching may leave a few false detections where nothing else is: they do not decide it alone.
+        shares = true[ours] / max(n_true, 1.0)
+        expected = total * ((1 - _ASTRAY) * shares + _ASTRAY / n_images)
+        with_true += float((false[ours] * np.log(expected)).sum())
+        even += float(total * np.log(total / n_images))
+    if even <= with_true:
+        return "calibrated"
+    notes.append(
+        "false_positives: per_image, for their number does not follow that of the true detections "
+        f"(log-likelihood {even:.1f} against {with_true:.1f})"
+    )
+    return "per_image"
+
+
+def _of_states(
+    observed: Observed, model: str, resampling: Resampling, inflation: float
+) -> tuple[StateFalsePositives, ...]:
+    results, names = observed.labelled.results, observed.labelled.labels
+    states, k = len(observed.states), len(names)
+    image, label = results.image[observed.false_positives], results.label[observed.false_positives]
+    labels = resampling.counts(image, observed.image_state[image] * k + label, (states, k))
+    alone = labels.sum(axis=2)
+    false, true = (
+        resampling.counts(seen, observed.image_state[seen], (states,))
+        for seen in (results.image[observed.false], results.image[observed.true])
+    )
+    chosen = np.flatnonzero(observed.image_state >= 0)
+    images = resampling.counts(chosen, observed.image_state[chosen], (states,))
+    overall = ratio(labels.sum(axis=1), alone.sum(axis=1, keepdims=True))
+    overall = np.where(np.isfinite(overall), overall, 1 / k)
+    learned = []
+    for index, name in enumerate(observed.states):
+        number, lonely = false[:, index], alone[:, index]
+        table = ratio(labels[:, index], lonely[:, None])
+        table = np.where(np.isfinite(table), table, overall)
+        share = np.nan_to_num(ratio(number, number + true[:, index]))
+        rate = np.nan_to_num(ratio(lonely, images[:, index]))
+        share_remark, rate_remark = (NOT_WRITTEN, "") if model == "per_image" else ("", NOT_WRITTEN)
+        learned.append(
+            StateFalsePositives(
+                Entry(
+                    Key(("false_positive_labels",), name, (names,), own_table=True),
+                    Column(table, "share", np.full(k, lonely[0]), inflation),
+                ),
+                Entry(
+                    Key(("false_discovery_rate",), name, remark=share_remark),
+                    Column(share, "share", number[0] + true[0, index], inflation),
+                ),
+                Entry(
+                    Key(("false_positives_per_image",), name, remark=rate_remark),
+                    Column(rate, "rate", images[0, index], inflation),
+                ),
+            )
+        )
+    return tuple(learned)
+
+
+def _place(
+    sightings: FalseSightings, placing: Placing, resampling: Resampling, lasting: Lasting | None
+) -> Entry | None:
+    """The parameter of the placement; of a map the share of the false positives whose centres are in each cell."""
+    worth = lasting.worth if lasting else (1.0, 1.0)
+    if placing == "horizon_band":
+        return Entry(Key(("false_positives", "band_px")), PlaceFit(sightings, *worth).band_px(resampling))
+    if placing == "far_half_px":
+        return Entry(Key(("false_positives", "far_half_px")), PlaceFit(sightings, *worth).far_half_px(resampling))
+    if placing == "uniform":
+        return None
+    column, row = cells_of(sightings.centres_px, sightings.image_px)
+    counts = resampling.counts(sightings.image, row * GRID[1] + column, GRID)
+    total = counts.sum(axis=(1, 2), keepdims=True)
+    shares = Column(ratio(counts, total), "share", np.full(GRID, total[0, 0, 0]), worth[0])
+    return Entry(Key(("false_positives", "density")), shares)
+
+
+def _size(sightings: FalseSightings, resampling: Resampling, inflation: float) -> LearnedSize:
+    """One shape, scaled by a number whose logarithm is normal.
+
+    The image's edge cuts boxes, so only those count whose centres are farther from it than half of almost any box.
+    """
+    image, boxes_px, sizes_px = sightings.image, sightings.boxes_px, sightings.image_px
+    half = np.quantile(sizes(boxes_px), _ALMOST_ANY, axis=0) / 2 if len(boxes_px) else np.zeros(2)
+    centre = centres(boxes_px)
+    inner = np.all((centre > half) & ((centre < sizes_px - half) | np.isnan(sizes_px)), axis=1)
+    if inner.sum() >= FALSE_NEEDED:
+        image, boxes_px = image[inner], boxes_px[inner]
+    sides = np.log(np.maximum(sizes(boxes_px), 1e-6))
+    scale = sides.mean(axis=1)
+    sums = resampling.sums(image, np.column_stack([np.ones(len(sides)), sides, scale, scale**2]))
+    number = sums[:, 0]
+    px = np.exp(ratio(sums[:, 1:3], number[:, None]))
+    variance = (sums[:, 4] - ratio(sums[:, 3] ** 2, number)) / np.maximum(number - 1, 1)
+    std = np.sqrt(np.maximum(variance, 0))
+    count = max(float(len(sides)) / inflation, 1.0)
+    root = np.sqrt(count)
+    return LearnedSize(
+        Entry(
+            Key(("false_positives", "size", "px"), axes=(("width", "height"),)),
+            Column(widened(px, px[0] * std[0] / root), "positive", np.full(2, count)),
+        ),
+        Entry(
+            Key(("false_positives", "size", "log_std")),
+            Column(widened(std, std[0] / root / np.sqrt(2)), "positive", np.array(count)),
+        ),
+    )

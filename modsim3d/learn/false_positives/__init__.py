@@ -1,1 +1,0 @@
-"""False positives: how many, how large, where, and how long they last."""

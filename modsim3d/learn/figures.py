@@ -1,0 +1,315 @@
+"""The figures that a paper would print, for a group of images (Jessen & Mohr (2023), chapters 5 and 8)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from modsim3d.core.boxes import errors_between
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Matched
+from modsim3d.learn.bootstrap import Column, Resampling, ratio
+from modsim3d.learn.box_errors.laws import ErrorMoments
+
+# ---- Precision against recall, and the area under it (Jessen & Mohr (2023), section 5.7) ----
+
+COCO_POINTS, FEW_POINTS = 101, 11
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Recall, which does not fall, precision and the least confidence that gives both, shapes (m,)."""
+
+    recall: Array
+    precision: Array
+    confidence: Array
+
+    @property
+    def interpolated(self) -> Array:
+        """Largest precision at this recall or a larger one (eq. 5.45), shape (m,)."""
+        highest: Array = np.maximum.accumulate(self.precision[::-1])[::-1]
+        return highest
+
+    def at_points(self, points: int) -> float:
+        """Mean interpolated precision at evenly spaced levels of recall (eq. 5.43 with 11 points)."""
+        place = np.searchsorted(self.recall, np.linspace(0, 1, points), side="left")
+        return float(np.append(self.interpolated, 0.0)[place].mean())
+
+    def all_points(self) -> float:
+        """Area under the interpolated curve (eq. 5.44)."""
+        return float(np.sum(np.diff(self.recall, prepend=0.0) * self.interpolated))
+
+    def area(self) -> float:
+        """Area under the curve itself, by trapezia from the first point on; level before it."""
+        if not len(self.recall):
+            return 0.0
+        recall, precision = np.append(0.0, self.recall), np.append(self.precision[0], self.precision)
+        return float(np.trapezoid(precision, recall))
+
+    def summaries(self) -> tuple[float, float, float, float]:
+        """Average precision by all points, by 11 and by COCO's 101, and the area under the curve itself."""
+        return self.all_points(), self.at_points(FEW_POINTS), self.at_points(COCO_POINTS), self.area()
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Detections of one label, the most confident first.
+
+    Attributes:
+        image: Image of each detection, shape (m,).
+        right: Whether each matches an annotation, shape (m,).
+        confidence: Non-increasing, shape (m,).
+        annotation_image: Image of each annotation that is to be detected, shape (T,).
+    """
+
+    image: Indices
+    right: Mask
+    confidence: Array
+    annotation_image: Indices
+
+    @classmethod
+    def of(cls, labelled: LabelledSet, matched: Matched, label: int, images: Mask) -> Ranking:
+        """Detections of a label in some images, shape (I,), matched label by label at any confidence."""
+        results, annotations = labelled.results, labelled.annotations
+        rows = np.flatnonzero(matched.counts & (results.label == label) & images[results.image])
+        rows = rows[np.argsort(-results.confidence[rows], kind="stable")]
+        sought = matched.sought & (annotations.label == label) & images[annotations.image]
+        return cls(
+            results.image[rows], matched.annotation[rows] >= 0, results.confidence[rows], annotations.image[sought]
+        )
+
+    def curve(self, weights: Array | None = None) -> Curve | None:
+        """The curve under weights of images, shape (I,), all one if None; None if there is nothing to detect."""
+        each = np.ones(len(self.image)) if weights is None else weights[self.image]
+        total = len(self.annotation_image) if weights is None else float(weights[self.annotation_image].sum())
+        if total <= 0:
+            return None
+        right = np.cumsum(np.where(self.right, each, 0.0))
+        every = np.cumsum(each)
+        some = every > 0
+        return Curve(right[some] / total, right[some] / every[some], self.confidence[some])
+
+
+def average_precisions(ranking: Ranking, weights: Array) -> Array:
+    """The summaries of the curve under each row of weights (rows, I), shape (rows, 4); NaN without annotations."""
+    result = np.full((len(weights), 4), np.nan)
+    for row, weight in enumerate(weights):
+        curve = ranking.curve(None if row == 0 and np.all(weight == 1) else weight)
+        if curve is not None:
+            result[row] = curve.summaries()
+    return result
+
+
+# ---- The figures that a paper would print, for a group of images (Jessen & Mohr (2023), chapters 5 and 8) ----
+
+CURVE_REPLICATES = 200
+"""Average precision is computed again for each of at most so many replicates."""
+_LEAST_PROBABILITY = 1e-12
+
+
+class Rates(NamedTuple):
+    """Rates of one kind of detection, each of the same shape (eq. 5.1 to 5.20)."""
+
+    precision: Column
+    recall: Column
+    f1: Column
+    f_beta: Column
+    false_negative_rate: Column
+    false_discovery_rate: Column
+
+    @classmethod
+    def of(cls, right: Array, detected: Array, true: Array, beta: float) -> Rates:
+        """Rates from numbers of right detections, of detections and of annotations, shapes (rows, ...)."""
+        precision, recall = ratio(right, detected), ratio(right, true)
+        f1, f_beta = (ratio((1 + w**2) * right, detected + w**2 * true) for w in (1, beta))  # eq. 5.9, 5.11 in counts
+        number, whole = detected[0], true[0]
+        return cls(
+            Column(precision, "share", number),
+            Column(recall, "share", whole),
+            Column(f1, "fraction", whole),
+            Column(f_beta, "fraction", whole),
+            Column(1 - recall, "share", whole),
+            Column(1 - precision, "share", number),
+        )
+
+    def averaged(self, weights: Array, count: float) -> Rates:
+        """Means over labels that are there, weights of shape (rows, k), from so many annotations (eq. 5.22, 5.23)."""
+        return Rates(*(_average(column, weights, count) for column in self))
+
+
+class AveragePrecisions(NamedTuple):
+    """Average precision in four forms; see `Curve.summaries`."""
+
+    all_points: Column
+    eleven_points: Column
+    coco_points: Column
+    area: Column
+
+
+@dataclass(frozen=True, eq=False)
+class Figures:
+    """The figures of one condition or state, in so many images, which so many resampled runs or images hold.
+
+    Attributes:
+        counts: Confusion matrix, rows what was detected, columns what was there, both labels then background; its last
+            entry is undefined and 0; shape (k + 1, k + 1) (section 5.6.2).
+        of_labels: Rates of each label, shape (k,); their means, also weighted by annotations, are beside them.
+        confusion: Probabilities, shape (k + 1, k) (eq. 5.25).
+        false_labels: Share of each label among false detections, shape (k,) (eq. 5.26).
+        errors: Moments of the box errors in pixels (eq. 5.36 to 5.41), also of each label.
+        error_covariance: Of the `CELLS`, in px², shape (10,).
+        average_precision: Of each label, shape (k,); None without confidences, as are the next two.
+        mean_average_precision: Over labels that are there (eq. 5.46).
+        confidence_entropy: Cross-entropy of confidence, as the probability of being right.
+        label_entropy: Cross-entropy of labels; None if no probabilities are given.
+    """
+
+    name: str
+    images: int
+    units: int
+    counts: Array
+    any_label: Rates
+    of_labels: Rates
+    mean: Rates
+    weighted: Rates
+    confusion: Column
+    false_labels: Column
+    errors: ErrorMoments
+    error_covariance: Column
+    errors_of_labels: tuple[ErrorMoments, ...]
+    average_precision: AveragePrecisions | None
+    mean_average_precision: AveragePrecisions | None
+    confidence_entropy: Column | None
+    label_entropy: Column | None
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """A labelled set with its matches, and how its images are resampled.
+
+    Attributes:
+        matched: Matches with labels left aside, above the confidence threshold.
+        by_label: Matches label by label, at any confidence: for average precision. None without confidences.
+        beta: How many times more recall weighs than precision in F-beta.
+        inflation: Factor by which persistent misses raise variances at least. Replicates cannot tell it for what
+            happened once.
+    """
+
+    labelled: LabelledSet
+    matched: Matched
+    by_label: Matched | None
+    resampling: Resampling
+    beta: float = 2.0
+    inflation: float = 1.0
+
+    def figures(self, name: str, images: Mask) -> Figures:
+        """The figures of some images, shape (I,), called by a name."""
+        counts = confusion_counts(self.labelled, self.matched, self.resampling, images)
+        k = len(self.labelled.labels)
+        right = np.einsum("bii->bi", counts)[:, :k]
+        detected, true = counts[:, :k].sum(axis=2), counts[:, :, :k].sum(axis=1)
+        of_labels = Rates.of(right, detected, true, self.beta)
+        any_right = counts[:, :k, :k].sum(axis=(1, 2))
+        clutter = counts[:, :k, k]
+        total = clutter.sum(axis=1, keepdims=True)
+        average_precision = self._average_precision(images)
+        found_in, label, errors = self._errors(images)
+        moments = ErrorMoments.of(self.resampling, found_in, errors)
+        return Figures(
+            name=name,
+            images=int(images.sum()),
+            units=self.resampling.units(images),
+            counts=counts[0],
+            any_label=Rates.of(any_right, detected.sum(axis=1), true.sum(axis=1), self.beta),
+            of_labels=of_labels,
+            mean=of_labels.averaged(np.ones_like(true), true[0].sum()),
+            weighted=of_labels.averaged(true, true[0].sum()),
+            confusion=Column(
+                ratio(counts[:, :, :k], true[:, None]), "share", np.tile(true[0], (k + 1, 1)), self.inflation
+            ),
+            false_labels=Column(ratio(clutter, total), "share", np.full(k, total[0, 0])),
+            errors=moments,
+            error_covariance=moments.covariance(),
+            errors_of_labels=tuple(
+                ErrorMoments.of(self.resampling, found_in[label == each], errors[label == each]) for each in range(k)
+            ),
+            average_precision=average_precision,
+            mean_average_precision=average_precision and _mean_average_precision(average_precision),
+            confidence_entropy=self._confidence_entropy(images),
+            label_entropy=self._label_entropy(images),
+        )
+
+    def _errors(self, images: Mask) -> tuple[Indices, Indices, Array]:
+        """Image (m,), true label (m,) and box error (m, 4) of each match."""
+        results, annotations = self.labelled.results, self.labelled.annotations
+        found, annotation = self.matched.pairs
+        ours = images[results.image[found]]
+        found, annotation = found[ours], annotation[ours]
+        errors = errors_between(results.boxes_px[found], annotations.boxes_px[annotation])
+        return results.image[found], annotations.label[annotation], errors
+
+    def _average_precision(self, images: Mask) -> AveragePrecisions | None:
+        if self.by_label is None:
+            return None
+        weights = self.resampling.weights[: 1 + CURVE_REPLICATES]
+        labels = range(len(self.labelled.labels))
+        rankings = [Ranking.of(self.labelled, self.by_label, label, images) for label in labels]
+        values = np.stack([average_precisions(ranking, weights) for ranking in rankings], axis=1)  # (rows, k, 4)
+        number = np.array([float(len(ranking.annotation_image)) for ranking in rankings])
+        return AveragePrecisions(*(Column(values[:, :, form], "fraction", number) for form in range(4)))
+
+    def _confidence_entropy(self, images: Mask) -> Column | None:
+        if not self.labelled.scored:
+            return None
+        results = self.labelled.results
+        rows = np.flatnonzero(self.matched.counts & images[results.image])
+        right = self.matched.annotation[rows] >= 0
+        chance = np.where(right, results.confidence[rows], 1 - results.confidence[rows])
+        return self._entropy(results.image[rows], chance)
+
+    def _label_entropy(self, images: Mask) -> Column | None:
+        results = self.labelled.results
+        if results.probabilities is None:
+            return None
+        rows, annotation = self.matched.pairs
+        given = images[results.image[rows]] & np.isfinite(results.probabilities[rows, 0])
+        rows, annotation = rows[given], annotation[given]
+        return self._entropy(
+            results.image[rows], results.probabilities[rows, self.labelled.annotations.label[annotation]]
+        )
+
+    def _entropy(self, image: Indices, chance: Array) -> Column:
+        """Mean of −log p, given images (n,) and probabilities p (n,)."""
+        loss = -np.log(np.clip(chance, _LEAST_PROBABILITY, 1))
+        sums = self.resampling.sums(image, np.column_stack([np.ones(len(loss)), loss]))
+        return Column(ratio(sums[:, 1], sums[:, 0]), "positive", np.array(float(len(loss))))
+
+
+def confusion_counts(labelled: LabelledSet, matched: Matched, resampling: Resampling, images: Mask) -> Array:
+    """Confusion matrices of some images (I,), shape (rows, k + 1, k + 1)."""
+    results, annotations, size = labelled.results, labelled.annotations, len(labelled.labels) + 1
+    sought = np.flatnonzero(matched.sought & images[annotations.image])
+    detection = matched.detection[sought]
+    seen_as = np.where(detection >= 0, results.label[detection] if len(results) else 0, size - 1)
+    false = matched.false[images[results.image[matched.false]]]
+    image = np.concatenate([annotations.image[sought], results.image[false]])
+    cell = np.concatenate([seen_as * size + annotations.label[sought], results.label[false] * size + size - 1])
+    return resampling.counts(image, cell, (size, size))
+
+
+def _average(column: Column, weights: Array, count: float) -> Column:
+    """Mean over labels that are there, under weights (rows, k), that rests on so many annotations."""
+    there = np.isfinite(column.values)
+    weights = np.where(there, weights, 0.0)
+    filled = np.where(there, column.values, 0.0)
+    values = ratio((filled * weights).sum(axis=1), weights.sum(axis=1))
+    return Column(values, "fraction", np.array(count))
+
+
+def _mean_average_precision(of_labels: AveragePrecisions) -> AveragePrecisions:
+    return AveragePrecisions(
+        *(_average(column, np.ones_like(column.values), column.counts.sum()) for column in of_labels)
+    )

@@ -1,1 +1,0 @@
-"""Figures that a paper would print: rates, average precision, and what it is lost to."""

@@ -1,1 +1,0 @@
-"""What the matching rule does to what is learned."""

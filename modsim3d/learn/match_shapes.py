@@ -1,0 +1,362 @@
+"""Which boxes look like a second box of a vessel, one of its two parts, or one box around two vessels.
+
+Files do not say what a detection is. These rules read it from the boxes, in this order:
+
+- Two parts: two boxes side by side on an annotation, of which one may be its match, that together fit it better than
+  either does, with an IoU of at least `LEAST_FIT`. The larger part detects it.
+- One box around two: a box fits the box around two annotations that overlap better than either of the two, with at
+  least that IoU, and no other detection matches either of them.
+- A second box: a false detection that the matching rule would let match an annotation which has a match already.
+
+A false positive that lies on a vessel by chance looks like one of these as well: `detection_kinds` counts how many do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modsim3d.core.boxes import areas, centres, intersections, iou, sizes, unions
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.formats.labelled import NOBODY
+from modsim3d.formats.matching import Rule, image_pairs
+
+# ---- Which boxes look like a second box of a vessel, one of its two parts, or one box around two vessels ----
+
+LEAST_FIT = 0.5
+"""Least IoU of two parts together with the vessel, and of a box around two vessels with the one around their truth."""
+LEAST_ASPECT = 1.5
+"""Least width over height of a vessel that may come out in two parts."""
+LEAST_WIDTH_PX = 4.0
+"""Narrower ones never do: each part is at least a pixel wide."""
+_LEAST_INSIDE = 0.5
+_SAME_HEIGHT = 0.6
+_MOST_COMMON = 0.25
+_MOST_OF_WIDTH = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class SoughtBoxes:
+    """Annotations that are to be detected, ordered by image: image (n,), box (n, 4) and matched detection.
+
+    Attributes:
+        row: Row of the match in the results, −1 without one, shape (n,).
+        match_px: Its box, NaN without one, shape (n, 4).
+    """
+
+    image: Indices
+    boxes_px: Array
+    row: Indices
+    match_px: Array
+
+    def __len__(self) -> int:
+        """Number of annotations."""
+        return len(self.image)
+
+    @property
+    def found(self) -> Mask:
+        """Which have a match, shape (n,)."""
+        found: Mask = self.row >= 0
+        return found
+
+    @property
+    def aspect(self) -> Array:
+        """Width over height, shape (n,)."""
+        width, height = sizes(self.boxes_px).T
+        aspect: Array = width / np.maximum(height, 1e-9)
+        return aspect
+
+
+@dataclass(frozen=True, eq=False)
+class Loose:
+    """False detections, ordered by image: row in the results (f,), image (f,) and box (f, 4)."""
+
+    row: Indices
+    image: Indices
+    boxes_px: Array
+
+    def at(self, chosen: Mask | Indices) -> Loose:
+        """Some of them, by a mask or their places."""
+        return Loose(self.row[chosen], self.image[chosen], self.boxes_px[chosen])
+
+    def without(self, rows: Indices) -> Loose:
+        """All but those with some rows in the results."""
+        return self.at(~np.isin(self.row, rows))
+
+    def pairs(self, sought: SoughtBoxes) -> tuple[Indices, Indices]:
+        """Places of these and of annotations in the same image that overlap, shapes (m,)."""
+        found = list(self._pairs(sought))
+        first, second = (np.concatenate(each).astype(np.int64) for each in zip(*found, strict=True))
+        return first, second
+
+    def _pairs(self, sought: SoughtBoxes) -> Iterator[tuple[Indices, Indices]]:
+        yield np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        images = int(max(self.image.max(initial=-1), sought.image.max(initial=-1))) + 1
+        for first, second in image_pairs(self.image, sought.image, images):
+            near = intersections(self.boxes_px[first], sought.boxes_px[second]) > 0
+            yield first[near], second[near]
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Annotations in two parts: places of the annotations, rows of the larger and of the smaller part, shapes (k,)."""
+
+    place: Indices
+    larger: Indices
+    smaller: Indices
+
+
+def two_parts(sought: SoughtBoxes, loose: Loose) -> Parts:
+    """Annotations that two boxes side by side fit together."""
+    first, place = loose.pairs(sought)
+    part = _looks_part(loose.boxes_px[first], sought.boxes_px[place])
+    part &= (sought.aspect[place] >= LEAST_ASPECT) & (sizes(sought.boxes_px[place])[:, 0] >= LEAST_WIDTH_PX)
+    first, place = first[part], place[part]
+    own = sought.found[place] & _looks_part(sought.match_px[place], sought.boxes_px[place])
+    a, b = _twos(np.where(sought.found[place], NOBODY, place))
+    where = np.concatenate([place[own], place[a]])
+    rows = np.stack(
+        [
+            np.concatenate([sought.row[place[own]], loose.row[first[a]]]),
+            np.concatenate([loose.row[first[own]], loose.row[first[b]]]),
+        ]
+    )
+    boxes = np.stack(
+        [
+            np.concatenate([sought.match_px[place[own]], loose.boxes_px[first[a]]]),
+            np.concatenate([loose.boxes_px[first[own]], loose.boxes_px[first[b]]]),
+        ]
+    )
+    true_px, together = sought.boxes_px[where], iou(unions(*boxes), sought.boxes_px[where])
+    apart = intersections(*boxes) <= _MOST_COMMON * np.minimum(*areas(boxes))
+    level = _common_height(*boxes) >= _SAME_HEIGHT
+    better = together > np.maximum(*iou(boxes, true_px))
+    good = np.flatnonzero(apart & level & better & (together >= LEAST_FIT))
+    kept = good[best_of(together[good], ~where[good], rows[0, good], rows[1, good])]
+    larger = areas(boxes)[:, kept].argmax(axis=0)
+    return Parts(where[kept], rows[larger, kept], rows[1 - larger, kept])
+
+
+def _looks_part(boxes_px: Array, true_px: Array) -> Mask:
+    """Which boxes (m, 4) lie on part of the width of annotations (m, 4)."""
+    inside = intersections(boxes_px, true_px) >= _LEAST_INSIDE * np.maximum(areas(boxes_px), 1e-9)
+    narrow = sizes(boxes_px)[:, 0] <= _MOST_OF_WIDTH * sizes(true_px)[:, 0]
+    part: Mask = inside & narrow & (_common_height(boxes_px, true_px) >= _LEAST_INSIDE)
+    return part
+
+
+def _common_height(a_px: Array, b_px: Array) -> Array:
+    """Common height of boxes (m, 4) over the height of both together, shape (m,)."""
+    common = np.minimum(a_px[:, 3], b_px[:, 3]) - np.maximum(a_px[:, 1], b_px[:, 1])
+    whole = np.maximum(a_px[:, 3], b_px[:, 3]) - np.minimum(a_px[:, 1], b_px[:, 1])
+    share: Array = common / np.maximum(whole, 1e-9)
+    return share
+
+
+def _twos(group: Indices) -> tuple[Indices, Indices]:
+    """All pairs of places with the same group (n,) of at least 0."""
+    order = np.argsort(group, kind="stable")
+    order = order[group[order] >= 0]
+    ordered, found = group[order], [np.empty((2, 0), dtype=np.int64)]
+    for apart in range(1, int(np.bincount(ordered, minlength=1).max())):
+        first = np.flatnonzero(ordered[apart:] == ordered[:-apart])
+        found.append(np.stack([order[first], order[first + apart]]))
+    a, b = np.concatenate(found, axis=1)
+    return a, b
+
+
+def second_boxes(sought: SoughtBoxes, loose: Loose, single: Mask, rule: Rule) -> tuple[Indices, Indices]:
+    """Places of annotations (n,) with one vessel's match that have a second box, and rows of these boxes, (k,) each."""
+    first, place = loose.pairs(sought)
+    box_px, true_px = loose.boxes_px[first], sought.boxes_px[place]
+    if rule.method == "centre":
+        quality = -np.hypot(*(centres(box_px) - centres(true_px)).T)
+        fits = quality >= -rule.most_distance_px
+    else:
+        quality = iou(box_px, true_px)
+        fits = quality >= min(rule.least_iou, 1 - 1e-10)
+    good = np.flatnonzero(fits & sought.found[place] & single[place])
+    good = good[best_of(quality[good], ~place[good], loose.row[first[good]])]
+    return place[good], loose.row[first[good]]
+
+
+def best_of(quality: Array, *taken: Indices) -> Indices:
+    """Places of the best candidates (m,), in order of quality, none of which takes what a better one took, shape (k,).
+
+    Each takes a number of each column (m,), and a number means the same in all columns.
+    """
+    gone, chosen = set[int](), []
+    for place in np.argsort(-quality, kind="stable").tolist():
+        wanted = {int(column[place]) for column in taken}
+        if gone.isdisjoint(wanted):
+            gone |= wanted
+            chosen.append(place)
+    return np.array(sorted(chosen), dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Overlapping:
+    """Pairs of annotations that overlap: places of the larger and the smaller, share of the smaller, shapes (p,).
+
+    Attributes:
+        union_px: The box around both, shape (p, 4).
+    """
+
+    larger: Indices
+    smaller: Indices
+    share: Array
+    union_px: Array
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.larger)
+
+    @classmethod
+    def of(cls, sought: SoughtBoxes, least_share: float) -> Overlapping:
+        """All pairs of which so much of the smaller lies in the larger."""
+        found = [np.empty((2, 0), dtype=np.int64)]
+        for first, second in image_pairs(sought.image, sought.image, int(sought.image.max(initial=-1)) + 1):
+            near = (first < second) & (intersections(sought.boxes_px[first], sought.boxes_px[second]) > 0)
+            found.append(np.stack([first[near], second[near]]))
+        pairs = np.concatenate(found, axis=1)
+        area = areas(sought.boxes_px)[pairs]
+        larger, smaller = np.where(area[1] > area[0], pairs[::-1], pairs)
+        a_px, b_px = sought.boxes_px[larger], sought.boxes_px[smaller]
+        share = intersections(a_px, b_px) / np.maximum(area.min(axis=0), 1e-9)
+        near = share >= least_share
+        return cls(larger[near], smaller[near], share[near], unions(a_px, b_px)[near])
+
+    def fits(self, sought: SoughtBoxes, pair: Indices, boxes_px: Array) -> tuple[Mask, Array]:
+        """Whether boxes (..., 4) fit the box around pairs (...) and better than either; and their IoU with it."""
+        together = iou(boxes_px, self.union_px[pair])
+        alone = (iou(boxes_px, sought.boxes_px[each[pair]]) for each in (self.larger, self.smaller))
+        fits: Mask = (together >= LEAST_FIT) & (together > np.maximum(*alone))
+        return fits, together
+
+
+@dataclass(frozen=True, eq=False)
+class CommonBoxes:
+    """One box for two vessels: index of the pair, row of the box; and pairs of which one vessel alone has a match.
+
+    Attributes:
+        pair: Index of the pair, shape (k,).
+        row: Row of its box in the results, shape (k,).
+        one_box: Which pairs have one box, be it around both or around one, shape (p,).
+    """
+
+    pair: Indices
+    row: Indices
+    one_box: Mask
+
+
+def common_boxes(sought: SoughtBoxes, loose: Loose, pairs: Overlapping, free: Mask) -> CommonBoxes:
+    """Boxes around two annotations, of which at most one has a match, and which are both free (n,)."""
+    found = np.stack([sought.found[pairs.larger], sought.found[pairs.smaller]])
+    both_free = free[pairs.larger] & free[pairs.smaller]
+    one_box = (found[0] != found[1]) & both_free
+    alone = np.flatnonzero(one_box)
+    owner = np.where(found[0], pairs.larger, pairs.smaller)[alone]
+    fits, quality = pairs.fits(sought, alone, sought.match_px[owner])
+    neither = np.flatnonzero(~found.any(axis=0) & both_free)
+    around = SoughtBoxes(
+        sought.image[pairs.larger[neither]],
+        pairs.union_px[neither],
+        np.full(len(neither), NOBODY),
+        pairs.union_px[neither],
+    )
+    order = np.argsort(around.image, kind="stable")
+    around = replace(around, image=around.image[order], boxes_px=around.boxes_px[order])
+    first, place = loose.pairs(around)
+    empty = neither[order][place]
+    free_fits, free_quality = pairs.fits(sought, empty, loose.boxes_px[first])
+    pair = np.concatenate([alone[fits], empty[free_fits]])
+    row = np.concatenate([sought.row[owner[fits]], loose.row[first[free_fits]]])
+    quality = np.concatenate([quality[fits], free_quality[free_fits]])
+    vessels = pairs.larger[pair], pairs.smaller[pair]
+    kept = best_of(quality, row, *(~each for each in vessels))
+    return CommonBoxes(pair[kept], row[kept], one_box)
+
+
+# ---- Vessels and pairs of vessels that could have come out as two boxes or as one, and whether they did ----
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Vessels, or pairs of vessels, that could have come out as too many boxes or too few; shapes (n,).
+
+    Attributes:
+        image: Image of each.
+        value: What it depends on: width over height, or the share of the smaller vessel in the larger.
+        hits: Whether it did; what chance does is taken off, so it may be below 0 or above 1.
+        weight: How much it counts as a trial.
+        chance: How many look so by chance.
+        vessels: The two annotations of a pair, `NOBODY` for a vessel, shape (n, 2).
+    """
+
+    image: Indices
+    value: Array
+    hits: Array
+    weight: Array
+    chance: Array
+    vessels: Indices
+
+    def where(self, chosen: Mask) -> Trials:
+        """Some of them, shape (n,)."""
+        return Trials(**{name: column[chosen] for name, column in vars(self).items()})
+
+
+def vessel_trials(
+    sought: SoughtBoxes, tried: Mask, hit: Indices, chance: Array, extra_image: Indices | None = None
+) -> Trials:
+    """Trials of the vessels that are tried (n,), of which some were hit; hits of unknown vessels by their images."""
+    hits = np.zeros(len(sought))
+    hits[hit] = 1
+    extra = np.empty(0, dtype=np.int64) if extra_image is None else extra_image
+    none = np.zeros(len(extra))
+    count = int(tried.sum()) + len(extra)
+    return Trials(
+        image=np.concatenate([sought.image[tried], extra]),
+        value=np.concatenate([sought.aspect[tried], none]),
+        hits=np.concatenate([(hits - chance)[tried], none + 1]),
+        weight=np.concatenate([np.ones(int(tried.sum())), none]),
+        chance=np.concatenate([chance[tried], none]),
+        vessels=np.full((count, 2), NOBODY),
+    )
+
+
+def pair_trials(
+    sought: SoughtBoxes,
+    rows: Indices,
+    pairs: Overlapping,
+    is_merged: Mask,
+    hits: Array,
+    chance: Array,
+    unambiguous: Mask,
+    one_box: Mask,
+) -> Trials:
+    """Pairs of detected vessels, and pairs with one box that may be around both.
+
+    Of pairs with a vessel in common the one that overlaps most comes first, so another that came out as one box says
+    that it did not, and after it the others had no chance. After one that perhaps did, the others tell nothing.
+    """
+    free = pairs.share > _most(sought, pairs, is_merged)
+    detected = sought.found.copy()
+    detected[pairs.larger[is_merged]] = detected[pairs.smaller[is_merged]] = True
+    told = pairs.share > _most(sought, pairs, ~unambiguous & (detected[pairs.larger] != detected[pairs.smaller]))
+    both = detected[pairs.larger] & detected[pairs.smaller] & free & ~is_merged
+    single = one_box & free & ~both & ~is_merged
+    chosen = unambiguous & told & (is_merged | both | single)
+    hits = np.where(both, 0.0, hits)
+    weight = np.where(both, 1.0, hits)
+    chance, vessels = np.where(both, 0.0, chance), np.column_stack([rows[pairs.larger], rows[pairs.smaller]])
+    return Trials(sought.image[pairs.larger], pairs.share, hits, weight, chance, vessels).where(chosen)
+
+
+def _most(sought: SoughtBoxes, pairs: Overlapping, chosen: Mask) -> Array:
+    """The largest overlap of either vessel of each pair in chosen pairs, 0 without one, shape (p,)."""
+    most = np.zeros(len(sought))
+    for each in (pairs.larger, pairs.smaller):
+        np.maximum.at(most, each[chosen], pairs.share[chosen])
+    return np.maximum(most[pairs.larger], most[pairs.smaller])

@@ -1,0 +1,355 @@
+"""What each detection is, and how often vessels could have come out as two boxes or two vessels as one.
+
+A run says it. In files the boxes say it (`detection_shapes`), and what chance does is taken off:
+
+- False positives lie on vessels by chance. Those that are left as such are put into other frames of their state, half
+  of them at another place across the image too, and what looks like a second box or a part there is counted.
+- Where one of two overlapping vessels was missed, the box of the other may look like one around both. The errors of
+  boxes of vessels that overlap none, about as large, say how often. Pairs whose boxes do not tell are no trials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modsim3d.core.boxes import errors_between, move, sizes
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.detector.records import DUPLICATE, FRAGMENT, MERGED, SPLIT
+from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
+from modsim3d.formats.matching import Matched, Rule
+from modsim3d.learn.match_shapes import (
+    LEAST_ASPECT,
+    LEAST_WIDTH_PX,
+    CommonBoxes,
+    Loose,
+    Overlapping,
+    SoughtBoxes,
+    Trials,
+    common_boxes,
+    pair_trials,
+    second_boxes,
+    two_parts,
+    vessel_trials,
+)
+
+# ---- How surely a box says whether it is around one of two overlapping vessels or around both ----
+
+_NEIGHBOURS = 60
+_LONELY_NEEDED = 20
+MOST_MISTAKEN = 0.04
+"""Share of the boxes of one vessel alone that may look like one around both before they tell nothing."""
+_LEAST_RECOGNIZED = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Recognition:
+    """How often boxes of p pairs look like one around both vessels.
+
+    Attributes:
+        mistaken: Of boxes of the larger and of the smaller vessel alone, shape (2, p).
+        recognized: Of boxes around both, shape (p,).
+    """
+
+    mistaken: Array
+    recognized: Array
+
+    @property
+    def unambiguous(self) -> Mask:
+        """Pairs whose boxes tell whether they are around both, shape (p,)."""
+        sure: Mask = (self.mistaken.max(axis=0) <= MOST_MISTAKEN) & (self.recognized >= _LEAST_RECOGNIZED)
+        return sure
+
+    @classmethod
+    def of(cls, sought: SoughtBoxes, pairs: Overlapping, whole: Mask) -> Recognition:
+        """Find it from the errors of vessels that overlap none, are about as large and are not in two parts (n,).
+
+        Where too few of those are known, all boxes of one vessel alone are mistaken and none around both is recognized.
+        """
+        lonely = sought.found & whole
+        touching = Overlapping.of(sought, 1e-9)
+        lonely[touching.larger] = lonely[touching.smaller] = False
+        known = np.flatnonzero(lonely)
+        count = min(_NEIGHBOURS, len(known))
+        if len(known) < _LONELY_NEEDED or not len(pairs):
+            return cls(np.ones((2, len(pairs))), np.zeros(len(pairs)))
+        sides = np.tile(np.maximum(sizes(sought.boxes_px[known]), 1.0), 2)
+        errors = errors_between(sought.match_px[known], sought.boxes_px[known]) / sides
+        order = np.argsort(sides[:, :2].prod(axis=1), kind="stable")
+        errors, area = errors[order], sides[order, :2].prod(axis=1)
+
+        def share_that_fits(boxes_px: Array) -> Array:
+            """Of boxes (p, 4) with such errors, the share that fits the box around the pair, shape (p,)."""
+            ours = np.tile(np.maximum(sizes(boxes_px), 1.0), 2)
+            middle = np.searchsorted(area, ours[:, :2].prod(axis=1))
+            start = np.clip(middle - count // 2, 0, len(area) - count)
+            near = errors[start[:, None] + np.arange(count)]
+            drawn = move(boxes_px[:, None], near * ours[:, None])
+            pair = np.broadcast_to(np.arange(len(pairs))[:, None], drawn.shape[:2])
+            share: Array = pairs.fits(sought, pair, drawn)[0].mean(axis=1)
+            return share
+
+        mistaken = np.stack([share_that_fits(sought.boxes_px[each]) for each in (pairs.larger, pairs.smaller)])
+        return cls(mistaken, share_that_fits(pairs.union_px))
+
+
+# ---- False detections put into other frames, where they meet vessels by chance alone ----
+
+SHUFFLES = 8
+"""How often they are put elsewhere."""
+
+
+def shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
+    """False detections in other frames of the same state; every other time moved across the image as well."""
+    timed = np.isfinite(images.time_s)
+    keys = np.column_stack(
+        [
+            images.condition,
+            images.source,
+            np.where(timed, images.sequence, -1),
+            np.nan_to_num(images.sizes_px, nan=-1.0).astype(np.int64),
+        ]
+    )
+    _, group = np.unique(keys, axis=0, return_inverse=True)
+    group = group.ravel()
+    order = np.argsort(group, kind="stable")
+    first = np.searchsorted(group[order], group)
+    number = np.bincount(group)[group]
+    position = np.empty(len(images), dtype=np.int64)
+    position[order] = np.arange(len(images))
+    width = images.sizes_px[loose.image, 0]
+    for k in range(SHUFFLES):
+        step = (number * (2 * k + 1)) // (2 * SHUFFLES)
+        other = order[first + (position - first + step) % number]
+        stays = step == 0  # too few frames: they would meet their own vessels
+        boxes = loose.boxes_px
+        if k % 2:
+            room = width - sizes(boxes)[:, 0]
+            x = np.where(
+                room > 0, (boxes[:, 0] + room * (k + 1) / (SHUFFLES + 2)) % np.maximum(room, 1e-9), boxes[:, 0]
+            )
+            shift = np.where(np.isfinite(x), x - boxes[:, 0], 0.0)
+            boxes = boxes + shift[:, None] * [1, 0, 1, 0]
+        there = other[loose.image]
+        kept = np.flatnonzero(~stays[loose.image])
+        kept = kept[np.argsort(there[kept], kind="stable")]
+        yield Loose(loose.row[kept], there[kept], boxes[kept])
+
+
+# ---- What each detection is, and how often vessels could have come out as two boxes or two vessels as one ----
+
+LEAST_OVERLAP = 0.05
+"""Least share of the smaller of two vessels inside the larger for which they may come out as one box."""
+
+
+@dataclass(frozen=True, eq=False)
+class VesselPairs:
+    """Pairs of annotations, the larger and the smaller, and a box, as rows; shapes (p,).
+
+    Attributes:
+        overlap: Share of the smaller that lies in the larger, shape (p,).
+    """
+
+    larger: Indices
+    smaller: Indices
+    box: Indices
+    overlap: Array
+
+    def at_least(self, overlap: float) -> VesselPairs:
+        """Those that overlap so much."""
+        chosen = self.overlap >= overlap - 1e-9
+        return VesselPairs(**{name: column[chosen] for name, column in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
+class MatchTypes:
+    """What detections are, as rows of results and annotations.
+
+    Attributes:
+        doubled: Second boxes, shape (d,).
+        split: Annotations in two parts, and the larger parts, shape (2, k).
+        fragments: The smaller parts, shape (f,).
+        perhaps_parts: Matches of other annotations that look like parts of one that has no whole box, shape (q,).
+        merged: Pairs with one box around both.
+        one_box: Pairs of which one alone has a match, which may be around both.
+        ambiguous: Pairs whose boxes do not tell whether that of the larger is around both. Also the other way round,
+            where one is hardly larger.
+        trials: By the name in `form.RICHER`.
+    """
+
+    doubled: Indices
+    split: Indices
+    fragments: Indices
+    perhaps_parts: Indices
+    merged: VesselPairs
+    one_box: VesselPairs
+    ambiguous: VesselPairs
+    trials: dict[str, Trials]
+
+
+_NO_ROWS = np.empty(0, dtype=np.int64)
+_NO_PAIRS = VesselPairs(_NO_ROWS, _NO_ROWS, _NO_ROWS, np.empty(0))
+
+
+def kinds_of(labelled: LabelledSet, matched: Matched, used: Mask) -> MatchTypes:
+    """What the detections of the images that are used (I,) are: as a run says, or as their boxes look."""
+    annotations, results = labelled.annotations, labelled.results
+    rows = np.flatnonzero(matched.sought & used[annotations.image])
+    match = matched.detection[rows]
+    match_px = np.full((len(rows), 4), np.nan)
+    match_px[match >= 0] = results.boxes_px[match[match >= 0]]
+    sought = SoughtBoxes(annotations.image[rows], annotations.boxes_px[rows], match, match_px)
+    false = matched.false[used[results.image[matched.false]]]
+    if matched.rule.method == "provenance" and results.kind is not None:
+        return _as_the_run_says(labelled, sought, rows, false)
+    loose = Loose(false, results.image[false], results.boxes_px[false])
+    return _as_boxes_look(labelled.images, sought, rows, loose, matched.rule)
+
+
+def _as_the_run_says(labelled: LabelledSet, sought: SoughtBoxes, rows: Indices, false: Indices) -> MatchTypes:
+    results = labelled.results
+    assert results.kind is not None and results.partner is not None
+    place = np.full(len(labelled.annotations) + 1, NOBODY)
+    place[rows] = np.arange(len(rows))
+    kind, own = results.kind, sought.found
+    kind_of_match = np.where(own, np.append(kind, NOBODY)[sought.row], NOBODY)
+    merged = np.flatnonzero((kind_of_match == MERGED) & (place[np.append(results.partner, NOBODY)[sought.row]] >= 0))
+    smaller = place[results.partner[sought.row[merged]]]
+    pairs = Overlapping.of(sought, LEAST_OVERLAP)
+    keys = _unordered(pairs.larger, pairs.smaller, len(rows))
+    is_merged = np.isin(keys, _unordered(merged, smaller, len(rows)))
+    single, split = own & (kind_of_match != MERGED), np.flatnonzero(kind_of_match == SPLIT)
+    doubled = false[kind[false] == DUPLICATE]
+    nothing, none = np.zeros(len(rows)), np.zeros(len(pairs), dtype=bool)
+    trials = {
+        "merges": pair_trials(
+            sought, rows, pairs, is_merged, is_merged.astype(np.float64), np.zeros(len(pairs)), ~none, none
+        ),
+        "splits": vessel_trials(sought, _long(sought, single), split, nothing),
+        "duplicates": vessel_trials(sought, single, split[:0], nothing, results.image[doubled]),
+    }
+    return MatchTypes(
+        doubled=doubled,
+        split=np.stack([rows[split], sought.row[split]]),
+        fragments=false[kind[false] == FRAGMENT],
+        perhaps_parts=_NO_ROWS,
+        merged=VesselPairs(rows[merged], rows[smaller], sought.row[merged], np.ones(len(merged))),
+        one_box=_NO_PAIRS,
+        ambiguous=_NO_PAIRS,
+        trials=trials,
+    )
+
+
+def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Loose, rule: Rule) -> MatchTypes:
+    parts = two_parts(sought, loose)
+    whole = np.ones(len(rows), dtype=bool)
+    whole[parts.place] = False
+    row = sought.row.copy()
+    row[parts.place] = parts.larger
+    detected = replace(sought, row=row)  # a vessel in two parts is not missed
+    left = loose.without(np.concatenate([parts.larger, parts.smaller]))
+    pairs = Overlapping.of(sought, LEAST_OVERLAP)
+    common = common_boxes(sought, left, pairs, whole)
+    left = left.without(common.row)
+    single = sought.found.copy()
+    single[parts.place] = True
+    for each in (pairs.larger, pairs.smaller):
+        single[each[common.pair]] = False
+    place, doubled = second_boxes(sought, left, single & whole, rule)
+    left = left.without(doubled)
+    chance = _by_chance(sought, left, pairs, single & whole, whole, images, rule)
+    recognition = Recognition.of(sought, pairs, whole)
+    merges = _merge_trials(detected, rows, pairs, common, recognition, chance["merges"])
+    ambiguous = _ambiguous_pairs(detected, pairs, recognition)
+    # A vessel whose box may be around another one, too, is not surely single.
+    single[ambiguous.larger[~detected.found[ambiguous.smaller]]] = False
+    box, one = common.pair, np.flatnonzero(common.one_box)
+    owner = np.where(sought.found[pairs.larger], pairs.larger, pairs.smaller)[one]
+    return MatchTypes(
+        doubled=doubled,
+        split=np.stack([rows[parts.place], parts.larger]),
+        fragments=parts.smaller,
+        perhaps_parts=_perhaps_parts(sought, loose),
+        merged=VesselPairs(rows[pairs.larger[box]], rows[pairs.smaller[box]], common.row, pairs.share[box]),
+        one_box=VesselPairs(rows[pairs.larger[one]], rows[pairs.smaller[one]], sought.row[owner], pairs.share[one]),
+        ambiguous=replace(ambiguous, larger=rows[ambiguous.larger], smaller=rows[ambiguous.smaller]),
+        trials={
+            "merges": merges,
+            "splits": vessel_trials(sought, _long(sought, single), parts.place, chance["splits"]),
+            "duplicates": vessel_trials(sought, single, place, chance["duplicates"]),
+        },
+    )
+
+
+def _by_chance(
+    sought: SoughtBoxes, left: Loose, pairs: Overlapping, tried: Mask, whole: Mask, images: Images, rule: Rule
+) -> dict[str, Array]:
+    """How many second boxes and parts (n,), and boxes around two (p,), false positives that are left look like."""
+    chance = {name: np.zeros(len(sought)) for name in ("duplicates", "splits")}
+    chance["merges"] = np.zeros(len(pairs))
+    for moved in shuffled(left, images):
+        parts = two_parts(sought, moved).place
+        np.add.at(chance["splits"], parts[tried[parts]], 1 / SHUFFLES)
+        np.add.at(chance["duplicates"], second_boxes(sought, moved, tried, rule)[0], 1 / SHUFFLES)
+        common = common_boxes(sought, moved, pairs, whole)
+        np.add.at(chance["merges"], common.pair[np.isin(common.row, moved.row)], 1 / SHUFFLES)
+    return chance
+
+
+def _merge_trials(
+    detected: SoughtBoxes,
+    rows: Indices,
+    pairs: Overlapping,
+    common: CommonBoxes,
+    recognition: Recognition,
+    by_pair: Array,
+) -> Trials:
+    """Pairs that could have merged, less the boxes of one vessel (p,) and the false positives (p,) that look so."""
+    is_merged = np.zeros(len(pairs), dtype=bool)
+    is_merged[common.pair] = True
+    mistaken = np.where(detected.found[pairs.larger], *recognition.mistaken)
+    by_error = np.where(common.one_box, mistaken, 0.0)
+    told = np.maximum(recognition.recognized - by_error, 0.5)
+    probable = np.where(common.one_box, (is_merged - by_error) / told, 1.0 * is_merged)
+    chance, unambiguous = by_error + by_pair, recognition.unambiguous
+    return pair_trials(detected, rows, pairs, is_merged, probable - by_pair, chance, unambiguous, common.one_box)
+
+
+def _ambiguous_pairs(detected: SoughtBoxes, pairs: Overlapping, recognition: Recognition) -> VesselPairs:
+    """Places of pairs of which the box of the first does not tell whether it is around both."""
+    unsure, found = ~recognition.unambiguous, []
+    for mistaken, first, second in (
+        (np.ones(len(pairs)), pairs.larger, pairs.smaller),
+        (recognition.mistaken[1], pairs.smaller, pairs.larger),
+    ):
+        pair = np.flatnonzero(unsure & (mistaken > MOST_MISTAKEN) & detected.found[first])
+        found.append((first[pair], second[pair], detected.row[first[pair]], pairs.share[pair]))
+    return VesselPairs(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _perhaps_parts(sought: SoughtBoxes, loose: Loose) -> Indices:
+    """Rows of detections that look like the parts of an annotation which has no other match, whatever they match."""
+    own = np.flatnonzero(sought.found)
+    every = Loose(
+        np.concatenate([loose.row, sought.row[own]]),
+        np.concatenate([loose.image, sought.image[own]]),
+        np.concatenate([loose.boxes_px, sought.match_px[own]]),
+    )
+    order = np.argsort(every.image, kind="stable")
+    parts = two_parts(replace(sought, row=np.full(len(sought), NOBODY)), every.at(order))
+    match = sought.row[parts.place]
+    alone = (match < 0) | (match == parts.larger) | (match == parts.smaller)
+    return np.concatenate([parts.larger[alone], parts.smaller[alone]])
+
+
+def _long(sought: SoughtBoxes, single: Mask) -> Mask:
+    """Which single vessels may come out in two parts, shape (n,)."""
+    wide = sizes(sought.boxes_px)[:, 0] >= LEAST_WIDTH_PX
+    return single & wide & (sought.aspect >= LEAST_ASPECT)
+
+
+def _unordered(a: Indices, b: Indices, number: int) -> Indices:
+    """A number for each pair of places below a number, whichever comes first, shape (n,)."""
+    return np.minimum(a, b) * number + np.maximum(a, b)

@@ -1,0 +1,486 @@
+"""What the estimators of a detector's parameters look at: annotations and detections, matched, state by state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+from scipy import optimize
+
+from modsim3d.core.boxes import centres, errors_between, move, sizes
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.detector.false_positive_placement import depths_px, sea_levels
+from modsim3d.formats.labelled import EVERYWHERE, LabelledSet
+from modsim3d.formats.matching import Matched, Rule
+from modsim3d.learn.box_errors.fit import ErrorFit, fit_errors, fit_without_gate
+from modsim3d.learn.box_errors.matched_edges import ErrorModel, MatchedEdges, Unit, fit_student_t
+from modsim3d.learn.counted_types import CountedAs, counted_as
+from modsim3d.learn.persistence import Steps, frame_interval_s, steps_between
+
+# ---- The likeliest distribution of each kind for the box errors of a state ----
+
+_WHOLE_NEEDED = 10
+_REGULAR = 1e-8
+_LEAST_RATIO = 1e-6
+_LEAST_SHARE, _MEAN_TO_STD = 0.05, np.sqrt(np.pi / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorFits:
+    """Distributions of the box errors of some boxes, each fitted when it is first asked for."""
+
+    edges: MatchedEdges
+    _found: dict[tuple[Unit, bool], ErrorFit | None] = field(default_factory=dict)
+
+    def fit(self, unit: Unit, heavy: bool = False, least: float = -np.inf) -> ErrorFit | None:
+        """The likeliest distribution of a kind; None where the errors determine none.
+
+        One that will surely not reach the least log-likelihood that is asked of it is not fitted to the end.
+        """
+        if (unit, heavy) not in self._found:
+            start = self._start(unit, heavy) if len(self.edges) else None
+            self._found[unit, heavy] = None if start is None else fit_errors(start, self.edges, least)
+        return self._found[unit, heavy]
+
+    def chosen(self, unit: Unit, heavy: bool = False) -> ErrorFit | None:
+        """The same; where so many boxes fail the matching that it has no maximum, as if matching cut off nothing."""
+        found = self.fit(unit, heavy)
+        if found is None or found.settled:
+            return found
+        start = self._start(unit, heavy)
+        if start is not None:
+            self._found[unit, heavy] = found = fit_without_gate(start, self.edges)
+        return found
+
+    def value(self, unit: Unit, heavy: bool = False, least: float = -np.inf) -> float:
+        """Log-likelihood of the likeliest distribution of a kind, −∞ where there is none or it is below the least."""
+        found = self.fit(unit, heavy, least)
+        return -np.inf if found is None or not found.settled else found.value
+
+    def unclipped(self, relative: bool) -> Array:
+        """Errors of the boxes of which all edges are known, else of all, in pixels or sides, shape (m, 4)."""
+        edges, chosen = self.edges, self._unclipped
+        errors: Array = edges.errors_px[chosen] / (edges.sides_px[chosen] if relative else 1.0)
+        return errors
+
+    @cached_property
+    def _unclipped(self) -> Mask:
+        edges = self.edges
+        chosen = edges.whole & edges.known.all(axis=1)
+        if chosen.sum() < _WHOLE_NEEDED:
+            chosen = edges.whole if edges.whole.any() else np.ones(len(edges), dtype=bool)
+        return chosen
+
+    def _start(self, unit: Unit, heavy: bool) -> ErrorModel | None:
+        """A distribution near the likeliest one; None where errors are too few or determine each other."""
+        if unit == "mixed":
+            return self._start_of_mixed(heavy)
+        errors = self.unclipped(unit == "relative")
+        if not _regular(errors):
+            return None
+        if not heavy:
+            return ErrorModel.of_moments(errors.mean(axis=0), np.cov(errors.T, bias=True), unit)
+        found = fit_student_t(errors)
+        return (
+            None
+            if found is None
+            else ErrorModel.of_moments(found.mean, found.covariance, unit, found.degrees_of_freedom)
+        )
+
+    def _start_of_mixed(self, heavy: bool) -> ErrorModel | None:
+        """From that in pixels, with standard deviations that follow the mean size of errors over the sides."""
+        if heavy:
+            return self._start_of_heavy_mixed()
+        plain = self.fit("px")
+        if plain is None:
+            return None
+        edges, model = self.edges, plain.model
+        chosen = edges.whole
+        std, growth = np.empty(4), np.empty(4)
+        for k in range(4):
+            sides = np.column_stack([np.ones(chosen.sum()), edges.sides_px[chosen, k]])
+            found, _ = optimize.nnls(sides, _MEAN_TO_STD * np.abs(edges.errors_px[chosen, k] - model.mean[k]))
+            std[k], growth[k] = max(found[0], _LEAST_SHARE * model.std[k]), found[1]
+        return replace(model, std=std, growth=growth, unit="mixed", floor=_LEAST_SHARE * model.std)
+
+    def _start_of_heavy_mixed(self) -> ErrorModel | None:
+        """From normal mixed errors, with the tails of errors over their standard deviations."""
+        normal = self.fit("mixed")
+        tails = None if normal is None else fit_student_t(self.over_spread(normal.model))
+        if normal is None or tails is None:
+            return None
+        ratio = np.sqrt(np.diag(tails.covariance))
+        model = normal.model
+        std = np.maximum(ratio * model.std, model.floor)
+        return replace(model, std=std, growth=ratio * model.growth, freedom=tails.degrees_of_freedom)
+
+    def over_spread(self, model: ErrorModel) -> Array:
+        """Errors of `unclipped` boxes less their mean over their standard deviation by a distribution, shape (m, 4)."""
+        mean, std = model.at(self.edges.sides_px[self._unclipped])
+        errors: Array = (self.edges.errors_px[self._unclipped] - mean) / std
+        return errors
+
+
+def _regular(errors: Array) -> bool:
+    """Whether errors (n, 4) have a covariance that is not singular."""
+    if len(errors) < 2:
+        return False
+    matrix = np.cov(errors.T)
+    std = np.sqrt(np.diag(matrix))
+    if not np.all(std > _LEAST_RATIO * std.max()):
+        return False
+    return bool(np.linalg.eigvalsh(matrix / np.outer(std, std))[0] > _REGULAR)
+
+
+# ---- Annotations that were detected, with the errors of their boxes ----
+
+
+class ErrorSource(Enum):
+    """Which pairs the box error of a state is learned from: the first that has enough with all sides in the image."""
+
+    OWN_STATE = "pairs of the state"
+    ALL_STATES = "pairs of all states"
+    ALL_PAIRS = "pairs of all states, with sides that the image's edge cuts as they were measured"
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Annotations that were detected: their rows, images, states and confidences, shapes (m,).
+
+    Attributes:
+        annotated_px: The annotated box, x_min, y_min, x_max, y_max, shape (m, 4).
+        error_px: e_x, e_y, e_w, e_h of the detected box, shape (m, 4).
+        image_px: Width and height of the image, NaN where unknown, shape (m, 2).
+        rule: The rule by which they match.
+        unsure: Whether the annotated box tells nothing of box errors, shape (m,); None if that is so of none.
+    """
+
+    rows: Indices
+    image: Indices
+    state: Indices
+    confidence: Array
+    annotated_px: Array
+    error_px: Array
+    image_px: Array
+    rule: Rule
+    unsure: Mask | None = None
+    _fits: dict[tuple[ErrorSource, int], ErrorFits] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.rows)
+
+    @cached_property
+    def sides_px(self) -> Array:
+        """Width, height, width, height, at least a pixel: what relative errors are relative to; shape (m, 4)."""
+        return np.tile(np.maximum(sizes(self.annotated_px), 1.0), 2)
+
+    @cached_property
+    def edges(self) -> MatchedEdges:
+        """What each edge of the boxes says about their errors."""
+        found = move(self.annotated_px, self.error_px)
+        edges = MatchedEdges.of(self.annotated_px, found, self.image_px, self.image, self.rule)
+        return edges if self.unsure is None else edges.without(self.unsure)
+
+    @property
+    def sure(self) -> Mask:
+        """Which annotated boxes tell something of box errors, shape (n,); all if fewer than two do."""
+        unsure = np.zeros(len(self), dtype=bool) if self.unsure is None else self.unsure
+        return ~unsure if np.count_nonzero(~unsure) > 1 else np.ones(len(self), dtype=bool)
+
+    def errors(self, chosen: Mask, relative: bool) -> Array:
+        """Errors of some rows in pixels, or in sides of the box, shape (chosen, 4)."""
+        result: Array = self.error_px[chosen] / (self.sides_px[chosen] if relative else 1.0)
+        return result
+
+    def fits(self, source: ErrorSource, state: int) -> ErrorFits:
+        """Distributions of the errors that those of a state are learned from."""
+        key = (source, state if source is ErrorSource.OWN_STATE else -1)
+        if key not in self._fits:
+            self._fits[key] = ErrorFits(self._edges_of(source, state))
+        return self._fits[key]
+
+    def _edges_of(self, source: ErrorSource, state: int) -> MatchedEdges:
+        if source is ErrorSource.ALL_PAIRS:
+            return self.edges[self.sure].as_measured()
+        ours = self.edges.usable
+        return self.edges[ours & (self.state == state) if source is ErrorSource.OWN_STATE else ours]
+
+
+# ---- What the estimators of a detector's parameters look at ----
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Annotations that are to be detected, and what became of each at a least confidence.
+
+    Each image has the index of a state, −1 where it takes no part, shape (I,). `without` are the models of
+    `form.RICHER` that are left out whatever the data carry. `shown` are the kinds of `counted_kinds.NAMES` that are
+    there, with their thresholds, where that is known; else the data decide.
+    """
+
+    labelled: LabelledSet
+    matched: Matched
+    states: tuple[str, ...]
+    image_state: Indices
+    threshold: float
+    without: frozenset[str] = frozenset()
+    shown: Mapping[str, float | None] | None = None
+
+    @cached_property
+    def kinds(self) -> CountedAs:
+        """What each detection counts as: second boxes, parts of vessels and boxes around two are told from others."""
+        return counted_as(self.labelled, self.matched, self.image_state >= 0, self.without, self.shown)
+
+    @cached_property
+    def rows(self) -> Indices:
+        """Rows of the annotations that count, shape (n,)."""
+        return np.flatnonzero(self.matched.sought & (self.image_state[self.labelled.annotations.image] >= 0))
+
+    @cached_property
+    def detection(self) -> Indices:
+        """Row of the result that detects each annotation, −1 where none does, shape (n,)."""
+        return self.kinds.detection[self.rows]
+
+    @cached_property
+    def in_merged_box(self) -> Mask:
+        """Whether each annotation is in the box of another one, so that it counts as detected, shape (n,)."""
+        return self.kinds.in_merged_box[self.rows]
+
+    @cached_property
+    def false(self) -> Indices:
+        """Rows of the results that are false detections, second boxes and parts of vessels included, shape (f,)."""
+        return self.kinds.false
+
+    @cached_property
+    def false_positives(self) -> Indices:
+        """Rows of the false detections that are neither a second box nor a part of a vessel, shape (g,)."""
+        return self.kinds.false_positives
+
+    @cached_property
+    def found(self) -> Indices:
+        """Places of the annotations that have a detection of their own; of two in one box the larger, shape (m,)."""
+        return np.flatnonzero(self.detection >= 0)
+
+    @cached_property
+    def true(self) -> Indices:
+        """Rows of the results that are the one detection of an annotation, or of two in one box, shape (m,)."""
+        return np.sort(self.detection[self.detection >= 0])
+
+    @cached_property
+    def unambiguous(self) -> Mask:
+        """Whether each annotation would be known to be missed if it were, shape (n,).
+
+        One that overlaps a larger one may be in its box without a trace, where boxes merge.
+        """
+        return ~self.kinds.ambiguous[self.rows]
+
+    @cached_property
+    def false_sightings(self) -> FalseSightings:
+        """The false positives with their places relative to the horizon."""
+
+        return FalseSightings.of(self)
+
+    @cached_property
+    def image(self) -> Indices:
+        """Image of each annotation, shape (n,)."""
+        return self.labelled.annotations.image[self.rows]
+
+    @cached_property
+    def state(self) -> Indices:
+        """State in the image of each annotation, shape (n,)."""
+        return self.image_state[self.image]
+
+    @cached_property
+    def label(self) -> Indices:
+        """True label of each annotation, shape (n,)."""
+        return self.labelled.annotations.label[self.rows]
+
+    @cached_property
+    def thing(self) -> Indices:
+        """Number of the thing that each annotation is of, in its sequence, −1 where it has no identity, shape (n,)."""
+        identity = self.labelled.annotations.identity[self.rows]
+        keys = np.column_stack([self.labelled.images.sequence[self.image], identity])
+        number: Indices = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+        return np.where(identity >= 0, number, -1)
+
+    @cached_property
+    def missed(self) -> Mask:
+        """Whether each annotation was missed, shape (n,)."""
+        return (self.detection < 0) & ~self.in_merged_box
+
+    @cached_property
+    def seen_as(self) -> Indices:
+        """Label that each annotation was detected as, k where missed, k + 1 in the box of another, shape (n,)."""
+        found, k = self.labelled.results.label, len(self.labelled.labels)
+        label = found[self.detection] if len(found) else np.zeros(len(self.rows), dtype=np.int64)
+        return np.where(self.missed, k, np.where(self.in_merged_box, k + 1, label))
+
+    @cached_property
+    def steps(self) -> Steps:
+        """Consecutive annotations of the same thing, of those that are unambiguous, as places among `rows`."""
+        place = np.flatnonzero(self.unambiguous)
+        steps = steps_between(self.labelled, self.rows[place])
+        return Steps(place[steps.earlier], place[steps.later], steps.apart_s)
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Annotations that were detected by a box of their own, with the errors of the detected boxes."""
+        place = self.found[self.kinds.one_vessel[self.detection[self.found]]]
+        rows, detection = self.rows[place], self.detection[place]
+        annotations, results = self.labelled.annotations, self.labelled.results
+        image, box_px = annotations.image[rows], annotations.boxes_px[rows]
+        return Pairs(
+            rows,
+            image,
+            self.image_state[image],
+            results.confidence[detection],
+            box_px,
+            errors_between(results.boxes_px[detection], box_px),
+            self.labelled.images.sizes_px[image],
+            self.matched.rule,
+            None if annotations.unsure_box is None else annotations.unsure_box[rows],
+        )
+
+
+# ---- What the times of frames say ----
+
+_USUAL_RUNS = 24
+
+
+def usual_run_s(observed: Observed) -> float:
+    """Length of runs of frames in which misses that persist look independent; 0 where frames are not consecutive."""
+    times = observed.labelled.images.time_s
+    if not len(observed.steps):
+        return 0.0
+    return float(np.nanmax(times) - np.nanmin(times)) / _USUAL_RUNS
+
+
+def kept_share(observed: Observed, correlation_s: float) -> float:
+    """Share of noise with a correlation time, 0 if it does not persist, that is kept from one frame to the next."""
+    return float(np.exp(-frame_interval_s(observed.labelled) / correlation_s)) if correlation_s > 0 else 0.0
+
+
+# ---- False positives as seen by a camera whose horizon may be known ----
+
+_EDGE_PX = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class FalseSightings:
+    """The n false positives of a labelled set, ordered by image.
+
+    Attributes:
+        image: Image of each, shape (n,).
+        boxes_px: x_min, y_min, x_max, y_max, shape (n, 4).
+        image_px: Width and height of its image, NaN where unknown, shape (n, 2).
+        half_planes: The sea's side of the horizon in its image; everywhere where unknown, shape (n, 3).
+        known: Whether the horizon of its image is known, shape (n,).
+    """
+
+    image: Indices
+    boxes_px: Array
+    image_px: Array
+    half_planes: Array
+    known: Mask
+
+    @classmethod
+    def of(cls, observed: Observed) -> FalseSightings:
+        """Those of a labelled set."""
+        results, images = observed.labelled.results, observed.labelled.images
+        rows = observed.false_positives
+        image = results.image[rows]
+        given = images.half_planes[image]
+        known: Mask = np.asarray(np.isfinite(given).all(axis=1))
+        sea = np.where(known[:, None], given, EVERYWHERE)
+        return cls(image, results.boxes_px[rows], images.sizes_px[image], sea, known)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.image)
+
+    @cached_property
+    def centres_px(self) -> Array:
+        """Shape (n, 2)."""
+        return centres(self.boxes_px)
+
+    @cached_property
+    def sizes_px(self) -> Array:
+        """Width and height, at least a pixel, shape (n, 2)."""
+        sides: Array = np.maximum(sizes(self.boxes_px), 1.0)
+        return sides
+
+    @cached_property
+    def depth_px(self) -> Array:
+        """Distance of the centre below the horizon, shape (n,)."""
+        return depths_px(self.half_planes, self.centres_px)
+
+    @cached_property
+    def along_px(self) -> Array:
+        """Distance of the centre from the left edge along the horizon, shape (n,)."""
+        flat = np.hypot(self.half_planes[:, 0], self.half_planes[:, 1])
+        cosine = np.abs(self.half_planes[:, 1]) / np.where(flat > 0, flat, 1.0)
+        result: Array = self.centres_px[:, 0] / np.where(cosine > 0, cosine, 1.0)
+        return result
+
+    @cached_property
+    def places_px(self) -> tuple[Array, Array]:
+        """First and last row of the image in which the centre may lie, shapes (n,); the image's edge cuts boxes."""
+        low = high = self.centres_px[:, 1]
+        top, bottom = self.cut[:, 1], self.cut[:, 3]
+        return np.where(top, 0.0, low), np.where(bottom, self.image_px[:, 1], high)
+
+    @cached_property
+    def cut(self) -> Mask:
+        """Whether the left, upper, right and lower side lies on the image's edge, shape (n, 4)."""
+        with np.errstate(invalid="ignore"):
+            far: Mask = self.boxes_px[:, 2:] >= self.image_px - _EDGE_PX
+        near: Mask = self.boxes_px[:, :2] <= _EDGE_PX
+        return np.concatenate([near, far], axis=1)
+
+    @cached_property
+    def whole(self) -> Mask:
+        """Whether no edge cuts the box, nor its level below the horizon between the left and the right edge, (n,)."""
+        (a, b, _), (x, y) = self.half_planes.T, self.centres_px.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left, right = y + a / b * x, y + a / b * (x - self.image_px[:, 0])
+            outside = (np.minimum(left, right) < 0) | (np.maximum(left, right) > self.image_px[:, 1])
+        inside: Mask = ~outside & ~self.cut.any(axis=1)
+        return inside
+
+    @cached_property
+    def levels(self) -> tuple[Array, Array, Indices]:
+        """Depths and widths of the sea in each distinct image, shapes (k, nodes), and which is that of each row (n,).
+
+        Only for images whose size is known.
+        """
+        keys = np.column_stack([self.half_planes, self.image_px])
+        distinct, row = np.unique(keys, axis=0, return_inverse=True)
+        depth, width = np.empty((len(distinct), 0)), np.empty((len(distinct), 0))
+        for size in np.unique(distinct[:, 3:], axis=0):
+            ours = (distinct[:, 3:] == size).all(axis=1)
+            some = sea_levels(distinct[ours, :3], (int(size[0]), int(size[1])))
+            if not depth.shape[1]:
+                depth, width = (np.empty((len(distinct), each.shape[1])) for each in some)
+            depth[ours], width[ours] = some
+        return depth, width, row.ravel()
+
+    @cached_property
+    def level_px(self) -> Array:
+        """The depth in one image of the set at which as much of the sea lies above as above each row, shape (n,)."""
+        depth, width, row = self.levels
+        if not len(depth):
+            return np.empty(0)
+        area = np.cumsum((width[:, 1:] + width[:, :-1]) / 2 * np.diff(depth, axis=1), axis=1)
+        share = np.concatenate([np.zeros((len(area), 1)), area], axis=1) / np.maximum(area[:, -1:], 1e-9)
+        reference = int(np.argsort(area[:, -1])[len(area) // 2])
+        result = np.empty(len(self))
+        order = np.argsort(row, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(row[order])) + 1):
+            k = row[rows[0]]
+            above = np.interp(self.depth_px[rows], depth[k], share[k])
+            result[rows] = np.interp(above, share[reference], depth[reference])
+        return result

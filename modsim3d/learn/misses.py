@@ -1,0 +1,462 @@
+"""Dropout and class: confusion matrices, what the odds of a miss follow, and how long misses persist."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from modsim3d.core.text import counted
+from modsim3d.core.types import Array, Indices
+from modsim3d.learn.bootstrap import (
+    SIGNIFICANT,
+    Column,
+    Entry,
+    Key,
+    Resampling,
+    columns_of_one,
+    digits,
+    ratio,
+    resample,
+    spread,
+    widened,
+)
+from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, EffectTerm, MissFit, attribute_values, fit_misses
+from modsim3d.learn.matches import Observed, kept_share, usual_run_s
+from modsim3d.learn.persistence import Consecutive, LagTable, vessel_noise, why_no_steps, why_none
+
+# ---- Effects on misses that performance states have for themselves, where one slope for all of them does ----
+
+OWN_ATTRIBUTES = ("size_px", "distance_m")
+
+
+@dataclass(frozen=True, eq=False)
+class SplitEffects:
+    """Effects in which an attribute has a slope for each state, their fit, and twice the gain in log-likelihood."""
+
+    name: str
+    by_units: bool
+    effects: tuple[EffectTerm, ...]
+    fit: MissFit
+    gain: float
+
+
+def own_effects(
+    observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
+) -> tuple[tuple[EffectTerm, ...], MissFit]:
+    """Effects of which some have a slope for each state where misses are clearly likelier so, and the fit.
+
+    The attribute that gains most comes first. Twice the gain in log-likelihood must exceed the logarithm of the number
+    of annotations for each slope more (Bayesian information criterion), and what chance exceeds as rarely as one slope
+    exceeds `SIGNIFICANT` standard errors.
+
+    Args:
+        observed: What was seen.
+        effects: Effects that all states share.
+        fit: The fit with them.
+        inflation: Variance of the slope of each attribute over that of independent misses, by which gains are divided.
+        notes: What was decided is added to them.
+    """
+    enough = _states_with_enough(observed, len(effects))
+    left = [name for name in OWN_ATTRIBUTES if any(effect.attribute == name for effect in effects)]
+    if left and len(observed.states) > 1 and len(enough) < 2:
+        needed = f"{MISSES_FOR_EACH * len(effects)} misses and as many finds"
+        notes.append(f"states.NAME.dropout: none; had {counted(len(enough), 'state')} with {needed}, needs 2")
+    more = max(len(enough) - 1, 1)
+    by_chance = float(special.chdtri(more, 2 * special.ndtr(-SIGNIFICANT)))
+    needed_gain = max(more * np.log(max(len(observed.rows), 1)), by_chance)
+    while left and len(enough) > 1:
+        splits = [split for name in left for split in _splits(observed, effects, name, enough)]
+        if not splits:
+            break
+        best = max(splits, key=lambda split: split.gain / inflation[split.name])
+        gain, name = best.gain / inflation[best.name], best.name
+        if gain < needed_gain:
+            rest = f"a slope for each makes twice the log-likelihood {gain:.1f} larger, needs {needed_gain:.1f}"
+            notes += [f"states.NAME.dropout.{each}: the same in all states; {rest}" for each in left]
+            break
+        form = f"a slope for each state, by {'units' if best.by_units else 'doublings'}"
+        notes.append(f"states.NAME.dropout.{name}: {form} (twice the log-likelihood {gain:.1f} larger)")
+        effects, fit = best.effects, best.fit
+        left.remove(name)
+    return effects, fit
+
+
+def _states_with_enough(observed: Observed, effects: int) -> list[int]:
+    """States with enough misses and finds for slopes of their own, those with most annotations first."""
+    states, missed = len(observed.states), observed.missed.astype(bool)
+    misses = np.bincount(observed.state[missed], minlength=states)
+    finds = np.bincount(observed.state[~missed], minlength=states)
+    rarer = np.minimum(misses, finds)
+    enough = np.flatnonzero(rarer >= max(MISSES_FOR_EACH * effects, 1))
+    return [int(state) for state in enough[np.argsort(-(misses + finds)[enough], kind="stable")]]
+
+
+def _splits(observed: Observed, effects: tuple[EffectTerm, ...], name: str, enough: list[int]) -> list[SplitEffects]:
+    """Fits in which states have a slope of an attribute for themselves, by doublings and by units.
+
+    If some of all the states have too little, they share the slope of the state that has most. The gain counts from the
+    likelier of both forms with one slope for all states, so that it is not the gain of another form.
+    """
+    once = resample(observed.labelled.images, 0, 0)
+    place = next(k for k, effect in enumerate(effects) if effect.attribute == name)
+    before, after, splits, shared_fits = effects[:place], effects[place + 1 :], [], []
+    for by_units in (False, True):
+        shared = replace(effects[place], by_units=by_units)
+        shared_fits.append(fit_misses(observed, (*before, shared, *after), once))
+        own = (*before, *_of_each(shared, enough, len(observed.states)), *after)
+        fit = fit_misses(observed, own, once)
+        if fit is not None:
+            splits.append(SplitEffects(name, by_units, own, fit, 2 * fit.log_likelihood(observed.missed)))
+    most = max((2 * fit.log_likelihood(observed.missed) for fit in shared_fits if fit is not None), default=-np.inf)
+    return [replace(split, gain=split.gain - most) for split in splits]
+
+
+def _of_each(shared: EffectTerm, enough: list[int], states: int) -> list[EffectTerm]:
+    common = [] if len(enough) == states else [shared]
+    return [*common, *(replace(shared, state=state) for state in sorted(enough[len(common) :]))]
+
+
+# ---- Misses of which each thing keeps a share of the noise for as long as it is seen ----
+
+_SHARES = np.linspace(0, 0.99, 100)
+_CHANCES = 50
+
+
+def miss_lags(observed: Observed, chance: Array, slopes: int) -> LagTable:
+    """Products of the residuals of misses at all times between.
+
+    Args:
+        observed: The misses.
+        chance: Fitted chance of each to be missed, shape (n,).
+        slopes: Number of slopes that were fitted beside the rates of each state and label.
+    """
+    residual, variance = observed.missed - chance, np.maximum(chance * (1 - chance), 1e-12)
+    size = residual**2 / variance
+
+    def compare(earlier: Indices, later: Indices) -> tuple[Array, Array]:
+        """A miss that is read from the same number as another, scaled by how large both squares are."""
+        first, second = chance[earlier], chance[later]
+        same = np.minimum(first, second) - first * second
+        return residual[earlier] * residual[later], same * (size[earlier] + size[later]) / 2
+
+    group = observed.state * len(observed.labelled.labels) + observed.label
+    return LagTable.of(observed.labelled, observed.rows, group, compare, slopes)
+
+
+def latent_share(chance: Array) -> Callable[[Array], Array]:
+    """What share of the latent normal number things keep, from the correlation of misses that it leaves.
+
+    With a share s two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal
+    number of p and T the function of Owen (1956), "Tables for computing bivariate normal probabilities".
+    """
+    varied = chance[(chance > 0) & (chance < 1)]
+    p = np.quantile(varied, (np.arange(_CHANCES) + 0.5) / _CHANCES)[:, None]
+    both = p - 2 * special.owens_t(special.ndtri(p), np.sqrt((1 - _SHARES) / (1 + _SHARES)))
+    level = (both - p**2).sum(axis=0) / (p - p**2).sum()
+    return lambda found: np.interp(found, level, _SHARES)
+
+
+def crowds(observed: Observed, labels: int) -> Array:
+    """Mean number of sightings of the same thing in the same state, of each sighting, shape (states, labels)."""
+    thing = np.where(observed.thing >= 0, observed.thing, -1 - np.arange(len(observed.rows)))
+    cell = observed.state * labels + observed.label
+    keys, count = np.unique(np.column_stack([cell, thing]), axis=0, return_counts=True)
+    size = len(observed.states) * labels
+    squares, whole = (np.bincount(keys[:, 0], count**power, minlength=size) for power in (2, 1))
+    result: Array = (squares / np.maximum(whole, 1)).reshape(len(observed.states), labels)
+    return result
+
+
+# ---- Dropout and class ----
+
+_TRIALS = 200
+
+
+@dataclass(frozen=True)
+class ClassForm:
+    """Effects on the odds of a miss, and the rough correlation time of misses, 0 if they do not persist.
+
+    `things_keep` says whether each thing keeps a share of the noise for as long as it is seen.
+    """
+
+    effects: tuple[EffectTerm, ...]
+    class_s: float
+    notes: tuple[str, ...]
+    things_keep: bool = False
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedClasses:
+        """Confusion matrices of each state, slopes of the effects, and the correlation time of misses."""
+        fit = fit_misses(observed, self.effects, resampling) if self.effects else None
+        class_s, share, kept, level = None, None, 0.0, 0.0
+        if self.class_s > 0:
+            chance = fit if self.effects else _plain_fit(observed)
+            if self.things_keep and chance is not None:
+                table = miss_lags(observed, chance.chance, len(self.effects))
+                noise = vessel_noise(table, resampling, latent_share(chance.chance))
+                share, level = Entry(Key(("persistence", "class_vessel_share")), noise.share), noise.level
+                time_s = noise.time_s
+            else:
+                time_s = consecutive_misses(observed, chance).column(resampling)
+            class_s = Entry(Key(("persistence", "class_s")), time_s)
+            kept = kept_share(observed, float(class_s.estimate))
+        crowd = crowds(observed, len(observed.labelled.labels))
+        by_label = (1 - level) * (1 + kept) / (1 - kept) + level * crowd
+        inflation = float(by_label.max())
+        slopes = () if fit is None else _slopes(observed, self.effects, fit, inflation)
+        confusion = _confusion(observed, fit, resampling, by_label)
+        return LearnedClasses(slopes, class_s, share, confusion, inflation)
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedEffect:
+    """An effect on the odds of a miss with its slope, in log-odds for each unit or doubling."""
+
+    effect: EffectTerm
+    slope: Entry
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedClasses:
+    """Numbers of dropout and class; `class_s` is the correlation time of misses, None if they do not persist.
+
+    Attributes:
+        class_vessel_share: Share of the latent noise that each thing keeps; None if there is none.
+        confusion: Of each state, shape (k + 1, k); NaN in columns of labels that were never there.
+        inflation: Variance of the number of frames in which a thing is missed or confused, over that of independent
+            frames.
+    """
+
+    effects: tuple[LearnedEffect, ...]
+    class_s: Entry | None
+    class_vessel_share: Entry | None
+    confusion: tuple[Entry, ...]
+    inflation: float
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """Dropout and the persistence of misses."""
+        sections: dict[str, dict[str, Any]] = {}
+        if self.effects:
+            sections["dropout"] = {"model": "logistic", "anchor": "state_rate"} | self._effects_of(None)
+        if self.class_s is not None and self.class_s.estimate > 0:
+            sections["persistence"] = {"class_s": digits(self.class_s.estimate)}
+            if self.class_vessel_share is not None:
+                sections["persistence"]["class_vessel_share"] = digits(self.class_vessel_share.estimate)
+        return sections
+
+    def state_section(self, state: int) -> dict[str, Any]:
+        """The confusion matrix, and effects that are the state's own."""
+        own = self._effects_of(state)
+        confusion = {"confusion": columns_of_one(filled(self.confusion[state].estimate))}
+        return confusion | ({"dropout": own} if own else {})
+
+    def _effects_of(self, state: int | None) -> dict[str, Any]:
+        """Those of a state alone; of None, those that states share."""
+        return {
+            each.effect.attribute: {
+                each.effect.slope_key: digits(each.slope.estimate),
+                "reference": digits(each.effect.reference),
+            }
+            for each in self.effects
+            if each.effect.state == state
+        }
+
+
+def choose_classes(observed: Observed) -> ClassForm:
+    """Which effects on misses, and whether their persistence, the data can carry."""
+    notes: list[str] = []
+    candidates = () if "effects" in observed.without else _candidates(observed, notes)
+    effects, fit = _significant(observed, candidates, notes)
+    class_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, effects, fit, notes)
+    things_keep = class_s > 0 and _things_keep(observed, effects, fit, notes)
+    return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)), things_keep)
+
+
+def _candidates(observed: Observed, notes: list[str]) -> tuple[EffectTerm, ...]:
+    """Attributes that are given for every annotation and vary, if there are enough misses for them."""
+    chosen = []
+    for name, column in attribute_values(observed).items():
+        known = column[np.isfinite(column)]
+        if not len(known):
+            notes.append(f"dropout.{name}: none; it is not given")
+        elif len(known) < len(column):
+            notes.append(f"dropout.{name}: none; not given everywhere")
+        elif np.ptp(known) < 1e-6 * max(abs(float(known.max())), 1.0):
+            notes.append(f"dropout.{name}: none; constant")
+        else:
+            reference = 1.0 if name == "visible_fraction" else float(f"{np.median(known):.3g}")
+            chosen.append(EffectTerm(name, reference))
+    misses = int(observed.missed.sum())
+    rarer, needed = min(misses, len(observed.rows) - misses), MISSES_FOR_EACH * len(chosen)
+    if rarer >= needed:
+        return tuple(chosen)
+    rare = "misses" if misses == rarer else "finds"
+    notes.append(f"dropout: as in the confusion matrix; had {rarer} {rare}, needs {needed}")
+    return ()
+
+
+def _significant(
+    observed: Observed, effects: tuple[EffectTerm, ...], notes: list[str]
+) -> tuple[tuple[EffectTerm, ...], MissFit | None]:
+    """Effects after the least certain ones were left out one by one, and the fit with those that remain."""
+    runs = resample(observed.labelled.images, _TRIALS, 0, usual_run_s(observed)) if effects else None
+    while effects and runs is not None:
+        fit = fit_misses(observed, effects, runs)
+        if fit is None:
+            count = len(observed.rows)
+            notes.append(f"dropout: as in the confusion matrix; {count} annotations do not determine the effects")
+            break
+        errors = np.maximum(spread(fit.slopes[1:]), fit.errors_of_things)
+        strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, errors)
+        weakest = int(strength.argmin())
+        if strength[weakest] >= SIGNIFICANT:
+            wider = np.maximum(errors / fit.errors, 1.0) ** 2
+            inflation = {effect.attribute: float(each) for effect, each in zip(effects, wider, strict=True)}
+            return own_effects(observed, *_in_units(observed, effects, fit, inflation, notes), inflation, notes)
+        notes.append(
+            f"dropout.{effects[weakest].attribute}: none; {strength[weakest]:.1f} standard errors from 0 in "
+            f"{len(observed.rows)} annotations, needs {SIGNIFICANT}"
+        )
+        effects = effects[:weakest] + effects[weakest + 1 :]
+    return (), None
+
+
+def _in_units(
+    observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
+) -> tuple[tuple[EffectTerm, ...], MissFit]:
+    """Effects by units instead of doublings where misses are clearly likelier with them, and the fit.
+
+    Misses that persist count for less: gains in log-likelihood are divided by the inflation of the slope's variance.
+    """
+    once = resample(observed.labelled.images, 0, 0)
+    for place, effect in enumerate(effects):
+        if not effect.doublings:
+            continue
+        changed = (*effects[:place], replace(effect, by_units=True), *effects[place + 1 :])
+        other = fit_misses(observed, changed, once)
+        gain = -1.0
+        if other is not None:
+            gain = other.log_likelihood(observed.missed) - fit.log_likelihood(observed.missed)
+            gain /= inflation[effect.attribute]
+        if other is not None and gain > SIGNIFICANT**2 / 2:
+            notes.append(f"dropout.{effect.attribute}: by units, not doublings (log-likelihood {gain:.1f} larger)")
+            effects, fit = changed, other
+    return effects, fit
+
+
+def _persistence_s(observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit | None, notes: list[str]) -> float:
+    """Rough correlation time of misses; 0 with a note if they do not persist, or that is not sure."""
+    if not len(observed.steps):
+        notes.append(f"persistence: none; {why_no_steps(observed.labelled)}")
+        return 0.0
+    consecutive = consecutive_misses(observed, fit if effects else _plain_fit(observed))
+    found = consecutive.correlation()
+    if found.persists:
+        return consecutive.rough_time_s()
+    varies = consecutive.expected.sum() > 0
+    reason = found.doubt if varies else "of each label in each state either everything or nothing was missed"
+    notes.append(f"persistence.class_s: 0; {reason}")
+    return 0.0
+
+
+def _things_keep(observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit | None, notes: list[str]) -> bool:
+    """Whether each thing surely keeps a share of the noise of misses; a note if not."""
+    chance = fit if effects else _plain_fit(observed)
+    if chance is None or "vessels" in observed.without:
+        return False
+    why = why_none(miss_lags(observed, chance.chance, len(effects)))
+    if why:
+        notes.append(f"persistence.class_vessel_share: 0; {why}")
+    return not why
+
+
+def _empty_columns(observed: Observed) -> list[str]:
+    """Notes on labels that a state has not seen."""
+    notes, k = [], len(observed.labelled.labels)
+    counts = np.bincount(observed.state * k + observed.label, minlength=len(observed.states) * k).reshape(-1, k)
+    for state, label in np.argwhere(counts == 0):
+        if counts[:, label].any():
+            instead = "that of all states"
+        else:
+            instead = "found as often as the other labels, always by its name"
+        column = f"states.{observed.states[state]}.confusion, column {observed.labelled.labels[label]}"
+        notes.append(f"{column}: {instead}; had 0 of it")
+    return notes
+
+
+def _plain_fit(observed: Observed) -> MissFit | None:
+    """Misses by state and label alone, without replicates."""
+    return fit_misses(observed, (), resample(observed.labelled.images, 0, 0))
+
+
+def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
+    """Residuals of misses in consecutive frames from fitted chances of a miss, or one chance for all if None.
+
+    A pair's expected product is that of two misses read from the same draw, scaled by how large the earlier squared
+    residual was. Runs of frames with more misses than others then have larger products and larger expected products
+    alike, and do not change the correlation time.
+    """
+    rate = np.full(len(observed.rows), observed.missed[observed.unambiguous].mean()) if fit is None else fit.chance
+    residual = observed.missed - rate
+    a, b = observed.steps.earlier, observed.steps.later
+    size = residual[a] ** 2 / np.maximum(rate[a] * (1 - rate[a]), 1e-12)
+    expected = (np.minimum(rate[a], rate[b]) - rate[a] * rate[b]) * size
+    return Consecutive(residual[a] * residual[b], expected, observed.steps.apart_s, observed.image[b])
+
+
+def _slopes(
+    observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: float
+) -> tuple[LearnedEffect, ...]:
+    learned = []
+    for place, effect in enumerate(effects):
+        slopes = widened(fit.slopes[:, place], fit.errors[place] * np.sqrt(inflation))
+        column = Column(slopes, "mean", np.array(float(len(observed.rows))))
+        state = None if effect.state is None else observed.states[effect.state]
+        key = Key(("dropout", effect.attribute, effect.slope_key), state)
+        learned.append(LearnedEffect(effect, Entry(key, column)))
+    return tuple(learned)
+
+
+def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, inflation: Array) -> tuple[Entry, ...]:
+    """Confusion matrix of each state; where effects were fitted, misses have the rates that the effects leave.
+
+    `inflation` is that of the variance of a count of each state and label, shape (states, labels).
+    """
+    labels = observed.labelled.labels
+    k, states = len(labels), len(observed.states)
+    cell = (observed.state * (k + 2) + observed.seen_as) * k + observed.label
+    unambiguous = observed.unambiguous
+    every = resampling.counts(observed.image[unambiguous], cell[unambiguous], (states, k + 2, k))
+    counts, in_merged_box = every[:, :, : k + 1], every[:, :, k + 1]
+    # A vessel in the box of another one has no label of its own: it takes the shares of those that have one.
+    own = counts[:, :, :k].sum(axis=2)
+    counts[:, :, :k] *= np.where(own > 0, 1 + in_merged_box / np.maximum(own, 1), 1.0)[:, :, None]
+    whole = counts.sum(axis=2, keepdims=True)
+    rates = ratio(counts, whole)
+    if fit is not None:
+        detected = np.maximum(1 - rates[:, :, k], 1e-12)
+        held = np.where(np.isfinite(fit.rates), fit.rates, rates[:, :, k])
+        rates[:, :, :k] *= ((1 - held) / detected)[:, :, None]
+        rates[:, :, k] = held
+    everywhere = ratio(counts.sum(axis=1), whole.sum(axis=1))
+    entries = []
+    for index, name in enumerate(observed.states):
+        table = np.where(np.isfinite(rates[:, index]), rates[:, index], everywhere)
+        key = Key(("confusion",), name, ((*labels, "missed"), labels), own_table=True)
+        entries.append(Entry(key, Column(table, "share", np.tile(whole[0, index], (k + 1, 1)), inflation[index])))
+    return tuple(entries)
+
+
+def filled(confusion: Array) -> Array:
+    """A matrix in which labels that never occurred are found as often as the others on average, by their own name."""
+    table = confusion.copy()
+    k = table.shape[1]
+    unseen = ~np.isfinite(table).all(axis=0)
+    miss = float(table[k, ~unseen].mean()) if not unseen.all() else 0.0
+    for label in np.flatnonzero(unseen):
+        table[:, label] = 0.0
+        table[label, label], table[k, label] = 1 - miss, miss
+    return table

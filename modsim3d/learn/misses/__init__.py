@@ -1,1 +1,0 @@
-"""Misses and confusions, and what they follow."""

@@ -1,0 +1,66 @@
+"""What all parts of a learned detector share: a form that the data can carry, then its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Protocol
+
+from modsim3d.core.errors import InputError
+from modsim3d.io.validation import shown
+from modsim3d.learn.bootstrap import Resampling
+from modsim3d.learn.matches import Observed
+
+RICHER = (
+    "relative",
+    "mixed",
+    "student_t",
+    "effects",
+    "persistence",
+    "vessels",
+    "sizes",
+    "places",
+    "lasting",
+    "confidence",
+    "slopes",
+    "duplicates",
+    "merges",
+    "splits",
+)
+"""What learning may add to the plain model, and can be told to leave out: box errors that grow with the box, or partly
+do; heavy tails; effects on misses; persistence of misses, box errors, confidence and merges; the share of misses and
+box errors that each vessel keeps; sizes and places of false positives, and how long they last; confidence of true and
+false detections apart; its slopes; duplicates, merges and splits."""
+
+
+class LearnedPart(Protocol):
+    """The numbers of one part of the detector; its fields hold `Entry` objects."""
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """What the part writes outside the states, by section of the detector file."""
+
+    def state_section(self, state: int) -> dict[str, Any]:
+        """What the part writes into the section of a state, given its index."""
+
+
+class PartForm(Protocol):
+    """The model of one part that the data can carry."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Why it is not a richer one: how much data there was, and how much is needed."""
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
+        """The numbers of the model, with replicates for the weights of the resampling."""
+
+
+def left_out(names: Iterable[str], where: str) -> frozenset[str]:
+    """The models of `RICHER` that are to be left out, by their names; `where` is the option or argument.
+
+    Raises:
+        InputError: One is not known.
+    """
+    chosen = frozenset(names)
+    unknown = sorted(chosen - set(RICHER))
+    if unknown:
+        raise InputError(where, [f"must be some of {', '.join(RICHER)} (got {', '.join(map(shown, unknown))})"])
+    return chosen

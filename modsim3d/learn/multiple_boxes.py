@@ -1,0 +1,172 @@
+"""How often a vessel has a second box or comes out in two parts, and two vessels come out as one box."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from modsim3d.core.types import Indices
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, ratio
+from modsim3d.learn.counted_types import THRESHOLDS, hits_and_trials
+from modsim3d.learn.match_shapes import Trials
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.persistence import Consecutive, SightingStretches, Steps, inflation, steps_of, stretches_of_things
+
+# ---- How long two vessels that overlap come out as one box, or do not ----
+
+
+@dataclass(frozen=True, eq=False)
+class ConsecutiveMerges:
+    """Pairs that could have been merged, and which of them follow each other."""
+
+    trials: Trials
+    steps: Steps
+    stretches: SightingStretches
+
+    @classmethod
+    def of(cls, labelled: LabelledSet, trials: Trials) -> ConsecutiveMerges:
+        """Of pairs of vessels with identities in frames with times."""
+        pair = _identities(labelled, trials.vessels)
+        return cls(
+            trials,
+            steps_of(labelled.images, trials.image, pair),
+            stretches_of_things(labelled.images, trials.image, pair, np.zeros(len(pair), dtype=np.int64)),
+        )
+
+    def products(self) -> Consecutive:
+        """Products of the deviations from the mean share.
+
+        A case of which it is not sure whether the pair was tried counts by its weight. It has only hits, so the
+        squares of deviations are those of as many hits and misses.
+        """
+        hits, weight = self.trials.hits, self.trials.weight
+        share = float(np.clip(hits.sum() / max(weight.sum(), 1e-12), 0, 1))
+        residual = hits - share * weight
+        squares = hits * (1 - share) ** 2 + (weight - hits) * share**2
+        a, b = self.steps.earlier, self.steps.later
+        return Consecutive(
+            residual[a] * residual[b], squares[a] * weight[b], self.steps.apart_s, self.trials.image[b], self.stretches
+        )
+
+    def inflation(self, correlation_s: float) -> float:
+        """Variance of the mean share with a correlation time, over that of independent pairs."""
+        return inflation(self.steps, len(self.trials.image), correlation_s)
+
+
+def _identities(labelled: LabelledSet, vessels: Indices) -> Indices:
+    """A number for the same two vessels, whichever comes first, −1 where one has no identity; shape (n,)."""
+    both = np.sort(labelled.annotations.identity[vessels], axis=1)
+    _, pair = np.unique(both, axis=0, return_inverse=True)
+    return np.where(both[:, 0] >= 0, pair.ravel(), -1)
+
+
+# ---- How often a vessel has a second box or comes out in two parts, and two vessels come out as one box ----
+
+NO_ROOM = (
+    "false_positives: per_image, for a rate of false detections that counts second boxes and parts of vessels must be "
+    "at least what these would make if every vessel were long"
+)
+_EXTRA = ("duplicates", "splits")
+_MARGIN = 1e-4
+"""More than what the digits in the file can change."""
+
+
+@dataclass(frozen=True)
+class MultipleBoxForm:
+    """Which of `counted_kinds.NAMES` the data show, with their thresholds, None for one that has none.
+
+    `merge_s` is the rough correlation time of merges, 0 if they do not persist.
+    """
+
+    shown: tuple[tuple[str, float | None], ...]
+    notes: tuple[str, ...]
+    merge_s: float = 0.0
+
+    def noting(self, note: str) -> MultipleBoxForm:
+        """The same with another note."""
+        return replace(self, notes=(*self.notes, note))
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedMultipleBoxes:
+        """The probability of each, and the correlation time of merges."""
+        entries, merge_s, factor = [], None, dict[str, float]()
+        if self.merge_s > 0:
+            consecutive = ConsecutiveMerges.of(observed.labelled, observed.kinds.trials["merges"])
+            merge_s = Entry(Key(("persistence", "merge_s")), consecutive.products().column(resampling))
+            factor["merges"] = consecutive.inflation(float(merge_s.estimate))
+        for name, _ in self.shown:
+            sums = hits_and_trials(observed.kinds.trials[name], resampling)
+            share = np.clip(ratio(sums[:, 0], sums[:, 1]), 0, 1)
+            column = Column(share, "share", np.array(sums[0, 1]), factor.get(name, 1.0))
+            entries.append(Entry(Key(("false_positives", name)), column))
+        return LearnedMultipleBoxes(self, tuple(entries), merge_s)
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedMultipleBoxes:
+    """The probability of each kind that the data show; `merge_s` is None if merges do not persist."""
+
+    form: MultipleBoxForm
+    shares: tuple[Entry, ...]
+    merge_s: Entry | None = None
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """Probabilities, thresholds that are not the defaults, and the correlation time of merges."""
+        section: dict[str, Any] = {}
+        for (name, least), entry in zip(self.form.shown, self.shares, strict=True):
+            section[name] = digits(np.nan_to_num(entry.estimate))
+            if least is not None and least != THRESHOLDS[name][1]:
+                section[THRESHOLDS[name][0]] = least
+        sections = {"false_positives": section} if section else {}
+        if self.merge_s is not None and self.merge_s.estimate > 0:
+            sections["persistence"] = {"merge_s": digits(self.merge_s.estimate)}
+        return sections
+
+    def state_section(self, state: int) -> dict[str, Any]:
+        """Nothing in the states."""
+        return {}
+
+
+def choose_multiple_boxes(observed: Observed) -> MultipleBoxForm:
+    """Which kinds the data show."""
+    kinds, notes = observed.kinds, list(observed.kinds.notes)
+    merge_s = 0.0 if "persistence" in observed.without else _merge_s(observed, notes)
+    shown = tuple((name, kinds.thresholds.get(name)) for name in kinds.trials)
+    return MultipleBoxForm(shown, tuple(notes), merge_s)
+
+
+def _merge_s(observed: Observed, notes: list[str]) -> float:
+    """Rough correlation time of merges; 0 with a note if they do not persist, or that is not sure."""
+    trials = observed.kinds.trials.get("merges")
+    if trials is None or not len(observed.steps):
+        return 0.0  # which the notes on merges and on misses say
+    products = ConsecutiveMerges.of(observed.labelled, trials).products()
+    if not len(products):
+        notes.append("persistence.merge_s: 0; no two vessels overlap in two frames with times")
+        return 0.0
+    found = products.correlation()
+    if found.persists:
+        return products.rough_time_s()
+    notes.append(f"persistence.merge_s: 0; {found.doubt}")
+    return 0.0
+
+
+def leaves_room(observed: Observed) -> bool:
+    """Whether each state has as many false detections as second boxes and parts alone may make.
+
+    A model whose false discovery rate counts them needs that, with every vessel long, see `detector.file.agreement`.
+    """
+    trials = observed.kinds.trials
+    extra = sum(_share(trials[name].hits.sum(), trials[name].weight.sum()) for name in _EXTRA if name in trials)
+    results = observed.labelled.results
+    false, true = (
+        np.bincount(observed.image_state[results.image[rows]], minlength=len(observed.states))
+        for rows in (observed.false, observed.true)
+    )
+    return bool(np.all(false >= (extra + _MARGIN) * true)) or extra == 0
+
+
+def _share(hits: float, trials: float) -> float:
+    return float(np.clip(hits / trials, 0, 1)) if trials > 0 else 0.0

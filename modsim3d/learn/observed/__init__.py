@@ -1,1 +1,0 @@
-"""What the estimators look at: annotations and detections, matched, state by state."""

@@ -1,1 +1,0 @@
-"""How long noise persists, and what each vessel keeps of it."""

@@ -1,0 +1,223 @@
+"""What is reported of a learned detector."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.core.text import counted, listed
+from modsim3d.core.types import Array
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Matched
+from modsim3d.learn.bootstrap import Column
+from modsim3d.learn.error_shares import ErrorShares
+from modsim3d.learn.false_positives import NOT_WRITTEN
+from modsim3d.learn.figures import Figures
+from modsim3d.learn.learned import Learned
+from modsim3d.learn.matching_bias import Bias
+from modsim3d.learn.states import StateMap
+
+# ---- What is reported of a learned detector ----
+
+
+@dataclass(frozen=True)
+class NearGate:
+    """States of which many matches lie near the least IoU, so that larger errors were cut off.
+
+    Attributes:
+        shares: Share of the matches that lie near it, by state; only of states with many.
+        gate: The IoU below which a match lies near it.
+        other: Which rule cuts off less.
+        several: Whether there are several states.
+        simulated: Whether `--bias` could tell how much that does; it cannot for a voyage.
+    """
+
+    shares: tuple[tuple[str, float], ...] = ()
+    gate: float = 0.0
+    other: str = ""
+    several: bool = False
+    simulated: bool = True
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A remark for each state."""
+        return tuple(
+            f"{share:.0%} of the matches{f' in {name}' if self.several else ''} have an IoU of less than "
+            f"{self.gate:.2g}: {self._meaning}"
+            for name, share in self.shares
+        )
+
+    @property
+    def remark(self) -> str:
+        """One remark for all states; empty without any."""
+        if len(self.shares) < 2:
+            return "".join(self.remarks)
+        shares = ", ".join(f"{share:.0%} in {name}" for name, share in self.shares)
+        return f"Many matches have an IoU of less than {self.gate:.2g} ({shares}): {self._meaning}"
+
+    @property
+    def _meaning(self) -> str:
+        told = "--bias says how much that does; " if self.simulated else ""
+        return f"larger errors were cut off, and count as a miss and a false detection each ({told}{self.other})"
+
+
+@dataclass(frozen=True, eq=False)
+class LearnReport:
+    """Everything that is reported.
+
+    Attributes:
+        by_label: Matches label by label, for average precision and its curves; None without confidences.
+        conditions: Figures of each condition, the largest F1 first.
+        shares: What average precision is lost to; None without confidences.
+        bias: By how much matching shifts the numbers; None where that was not asked for.
+        level: Level of the confidence intervals.
+        beta: How many times more recall weighs than precision in F-beta.
+        matched_by: The matching rule in words.
+        curves_matched_by: The rule of average precision in words.
+        remarks_on_data: What the numbers have to be read with: entries left out, labels that are off.
+        near_gate: What matching by IoU cuts off.
+        warning: That most matches are lost to the rule, so that the numbers mean little; None where they are not.
+    """
+
+    labelled: LabelledSet
+    by_label: Matched | None
+    conditions: Sequence[Figures]
+    states: Sequence[Figures]
+    state_map: StateMap
+    learned: Learned
+    shares: ErrorShares | None
+    bias: Bias | None
+    level: float
+    beta: float
+    matched_by: str
+    curves_matched_by: str
+    remarks_on_data: tuple[str, ...] = ()
+    near_gate: NearGate = NearGate()
+    warning: str | None = None
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Everything that the numbers have to be read with, one for each state where it is of states."""
+        return *self.remarks_on_data, *self.near_gate.remarks
+
+    @property
+    def states_differ(self) -> bool:
+        """Whether the states are not just the conditions."""
+        return any(names != (state,) for state, names in self.state_map.states.items())
+
+    def name(self, figures: Figures) -> str:
+        """The name of a group, which says that it is a state where there are conditions beside it."""
+        state = self.states_differ and any(figures is each for each in self.states)
+        return f"state {figures.name}" if state else figures.name
+
+
+def lead(report: LearnReport) -> str:
+    """One sentence on the data and the method that the numbers rest on."""
+    learned, labelled = report.learned, report.labelled
+    counted = f"confidence at least {learned.observed.threshold:g}" if labelled.scored else "without confidences"
+    drawn = f"runs of {learned.run_s:.3g} s" if learned.run_s else "images"
+    return (
+        f"{len(labelled.images)} images, {len(labelled.annotations)} annotations, {len(labelled.results)} detections; "
+        f"matched by {report.matched_by}, {counted}; "
+        f"{report.level:.0%} intervals by bootstrap over {learned.units[None]} {drawn}."
+    )
+
+
+# ---- What was learned, from what and how well, in a few sentences and numbers ----
+
+
+def learned_from(report: LearnReport, name: str, sources: Sequence[str]) -> str:
+    """How many numbers of a detector file were learned, and from what.
+
+    Args:
+        report: What was learned.
+        name: Name of the detector file.
+        sources: The labelled sets, as they were given.
+    """
+    labelled, learned = report.labelled, report.learned
+    numbers = sum(np.size(each.estimate) for each in learned.intervals(report.level) if each.key.remark != NOT_WRITTEN)
+    matches = len(learned.observed.matched.pairs[0])
+    data = f"{counted(matches, 'match', 'matches')} in {counted(len(labelled.images), 'image')}"
+    return (
+        f"{name}: {counted(numbers, 'number')} for {counted(len(learned.observed.states), 'performance state')} and "
+        f"{counted(len(labelled.labels), 'class', 'classes')} ({listed(labelled.labels)}), learned from {data} of "
+        f"{listed(sources)}."
+    )
+
+
+def how_well(report: LearnReport) -> str:
+    """How well the most important numbers are known, in the state where they are known least."""
+    states = report.states
+    missed = _widest(report, [(each, each.any_label.false_negative_rate) for each in states])
+    false = _widest(report, [(each, each.any_label.false_discovery_rate) for each in states])
+    spread = _widest(report, [(each, each.errors.std) for each in states], relative=True)
+    if missed is None or false is None or spread is None:
+        return "There are too few images for intervals of the main numbers."
+    where = " in the state where they are known least" if len(states) > 1 else ""
+    said = (
+        f"With {report.level:.0%} confidence its share of misses is known to within ±{100 * missed:.2g} percentage "
+        f"points, its share of false detections to within ±{100 * false:.2g}, and the spread of its box errors to "
+        f"within ±{100 * spread:.2g} %{where}."
+    )
+    return said + _again(report)
+
+
+def _again(report: LearnReport) -> str:
+    """What learning again from a simulation of what was learned shows; nothing unless it was asked for."""
+    if report.bias is None:
+        return ""
+    shifted = sum(int(np.count_nonzero(report.bias.significant(each))) for each in report.bias.shifts)
+    numbers = sum(np.size(each.shift) for each in report.bias.shifts)
+    return (
+        f" Simulated and learned again, {numbers - shifted:,} of {numbers:,} numbers come back within what chance "
+        f"explains; the other {shifted:,} are shifted by the matching and listed below."
+    )
+
+
+def _widest(report: LearnReport, columns: Sequence[tuple[Figures, Column]], relative: bool = False) -> float | None:
+    """Half the width of the widest interval, also as a share of the estimate; None if one has no ends."""
+    found = []
+    for figures, column in columns:
+        low, high = column.interval(report.level, figures.units)
+        half = (np.asarray(high, dtype=float) - np.asarray(low, dtype=float)) / 2
+        found.append(_share_of(half, np.abs(column.estimate)) if relative else half)
+    widest = float(np.max([np.max(each) for each in found]))
+    return widest if np.isfinite(widest) else None
+
+
+def _share_of(half: Array, size: Array) -> Array:
+    """Half a width over a size; 0 where both are 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where((half == 0) & (size == 0), 0.0, half / size)
+
+
+def results(report: LearnReport) -> list[tuple[str, str, str]]:
+    """The tiles: a name, a number, and what it is of."""
+    observed = report.learned.observed
+    matched, found = observed.matched, len(observed.matched.pairs[0])
+    sought, counts = int(np.count_nonzero(matched.sought)), int(np.count_nonzero(matched.counts))
+    wrong = _wrong_class(report)
+    precise = []
+    if report.shares is not None:
+        points = f"{100 * report.shares.average_precision:.1f}"
+        precise = [("Average precision", points, f"points of 100, by {report.curves_matched_by}")]
+    return [
+        ("Matches", f"{found:,}", f"of {counted(sought, 'annotation')}"),
+        ("Missed", _percent(sought - found, sought), f"{sought - found:,} of {counted(sought, 'annotation')}"),
+        ("False", _percent(counts - found, counts), f"{counts - found:,} of {counted(counts, 'detection')}"),
+        ("Wrong class", _percent(wrong, found), f"{wrong:,} of {counted(found, 'match', 'matches')}"),
+        *precise,
+        ("Left simple", f"{len(report.learned.notes):,}", "parts of which the data say too little; listed below"),
+    ]
+
+
+def _wrong_class(report: LearnReport) -> int:
+    detections, annotations = report.learned.observed.matched.pairs
+    labelled = report.labelled
+    return int(np.count_nonzero(labelled.results.label[detections] != labelled.annotations.label[annotations]))
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{100 * part / whole:.1f} %" if whole else "–"

@@ -1,0 +1,485 @@
+"""What was learned, as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+
+from modsim3d.core.text import counted
+from modsim3d.core.types import Array
+from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, stationary_shares
+from modsim3d.learn.bootstrap import Column
+from modsim3d.learn.box_errors import estimate
+from modsim3d.learn.box_errors.laws import CELLS, ErrorMoments
+from modsim3d.learn.figures import AveragePrecisions, Curve, Figures, Ranking, Rates
+from modsim3d.learn.learned import LearnSettings, models_and_learners
+from modsim3d.learn.matching_bias import Bias
+from modsim3d.learn.report import LearnReport, how_well, lead, learned_from, results
+from modsim3d.runs.stored_run import StoredRun
+from modsim3d.view.pages import charts, page
+from modsim3d.view.pages.provenance import (
+    Input,
+    Provenance,
+    file_input,
+    folder_input,
+    run_inputs,
+    run_seeds,
+    run_versions,
+)
+
+# ---- What was learned, as tables ----
+
+Row = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A title, the names of the columns, and rows of cells."""
+
+    title: str
+    header: Row
+    rows: tuple[Row, ...]
+
+
+_RATES = ("precision", "recall", "F1", "FNR", "FDR")
+_AVERAGE_PRECISIONS = ("AP, all points", "AP, 11 points", "AP, 101 points", "AUC")
+_ERROR_COLUMNS = tuple(f"{name} {key}" for name in ("x", "y", "width", "height") for key in ("exp", "std"))
+
+
+def _cell(column: Column, level: float, units: int, digits: int, *place: int) -> str:
+    """An estimate with its interval."""
+    low, high = column.interval(level, units)
+    value, low_, high_ = (float(np.asarray(each)[place]) for each in (column.estimate, low, high))
+    if not np.isfinite(value):
+        return "–"
+    if not (np.isfinite(low_) and np.isfinite(high_)):
+        return f"{value:.{digits}f}"
+    return f"{value:.{digits}f} [{low_:.{digits}f}, {high_:.{digits}f}]"
+
+
+def tables(report: LearnReport, every: bool = False) -> list[Table]:
+    """All tables in the order of the thesis's chapter 8.
+
+    `every` adds what a terminal has no room for: labels of each condition, errors of labels, covariances.
+    """
+    groups = [*report.conditions, *report.states] if report.states_differ else list(report.states)
+    detailed = groups if every else report.states
+    several = len(report.labelled.labels) > 1
+    found = [_state_table(report)] if report.states_differ else []
+    found += [_rates(report, groups), _errors(report, groups), _correlations(report, groups), _used(report)]
+    found += [_covariances(report, groups)] if every else []
+    found += _curves(report, groups)
+    found += [_labels(report, figures) for figures in detailed if several]
+    found += [_label_errors(report, figures) for figures in detailed if several and every]
+    found += [_confusion(report, figures) for figures in detailed]
+    found += [*_shares(report), _parameters(report), *_long_run(report)]
+    found += [] if report.bias is None else [_bias(report.bias)]
+    return [*found, _models()]
+
+
+def _state_table(report: LearnReport) -> Table:
+    f1 = {figures.name: float(figures.any_label.f1.estimate) for figures in report.conditions}
+    rows = [
+        (state, ", ".join(f"{name} ({f1[name]:.3f})" if name in f1 else name for name in names))
+        for state, names in report.state_map.states.items()
+    ]
+    left = set(f1) - {name for names in report.state_map.states.values() for name in names}
+    rows += [("in no state", ", ".join(f"{name} ({f1[name]:.3f})" for name in f1 if name in left))] if left else []
+    return Table("Performance states, and their conditions with their F1", ("state", "conditions"), tuple(rows))
+
+
+def _rates(report: LearnReport, groups: Sequence[Figures]) -> Table:
+    rows = tuple(
+        (
+            report.name(figures),
+            str(figures.images),
+            *(_cell(column, report.level, figures.units, 3) for column in figures.any_label),
+        )
+        for figures in groups
+    )
+    header = ("condition", "images", "precision", "recall", "F1", f"F-{report.beta:g}", "FNR", "FDR")
+    return Table("Precision, recall, F1, false negative and false discovery rate, whatever the label", header, rows)
+
+
+def _labels(report: LearnReport, figures: Figures) -> Table:
+    def cells(columns: Sequence[Column], *place: int) -> list[str]:
+        return [_cell(column, report.level, figures.units, 3, *place) for column in columns]
+
+    def row(rates: Rates) -> tuple[Column, ...]:
+        return (*rates[:3], *rates[4:])  # without F-beta
+
+    def area(of: AveragePrecisions | None) -> tuple[Column, ...]:
+        return () if of is None else (of.all_points,)
+
+    columns, last = [*row(figures.of_labels), *area(figures.average_precision)], ("AP",) * report.labelled.scored
+    rows = [
+        (name, f"{figures.counts[:, place].sum():.0f}", *cells(columns, place))
+        for place, name in enumerate(report.labelled.labels)
+    ]
+    rows.append(("arithmetic mean", "", *cells([*row(figures.mean), *area(figures.mean_average_precision)])))
+    rows.append(("weighted mean", "", *cells(row(figures.weighted)), *("" for _ in last)))
+    title = f"Labels in {report.name(figures)}: another label is a miss of one and a false one of the other"
+    return Table(title, ("label", "annotations", *_RATES, *last), tuple(rows))
+
+
+def _error_cells(report: LearnReport, figures: Figures, moments: ErrorMoments) -> list[str]:
+    columns = (moments.mean, moments.std)
+    return [_cell(column, report.level, figures.units, 1, k) for k in range(4) for column in columns]
+
+
+def _errors(report: LearnReport, groups: Sequence[Figures]) -> Table:
+    rows = tuple((report.name(each), *_error_cells(report, each, each.errors)) for each in groups)
+    return Table("Box errors in pixels: expected value and standard deviation", ("condition", *_ERROR_COLUMNS), rows)
+
+
+def _correlations(report: LearnReport, groups: Sequence[Figures]) -> Table:
+    title = "Correlation coefficients of the box errors"
+    return _by_pair(title, report, groups, lambda figures: figures.errors.correlation, 2, ERROR_PAIRS)
+
+
+def _covariances(report: LearnReport, groups: Sequence[Figures]) -> Table:
+    title = "Covariances of the box errors in square pixels"
+    return _by_pair(title, report, groups, lambda figures: figures.error_covariance, 1, CELLS)
+
+
+def _by_pair(
+    title: str,
+    report: LearnReport,
+    groups: Sequence[Figures],
+    column: Callable[[Figures], Column],
+    digits: int,
+    pairs: Sequence[tuple[int, int]],
+) -> Table:
+    """A row for each group, a column for each pair of components of the box error."""
+    rows = tuple(
+        (report.name(each), *(_cell(column(each), report.level, each.units, digits, k) for k in range(len(pairs))))
+        for each in groups
+    )
+    return Table(title, ("condition", *(f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in pairs)), rows)
+
+
+def _label_errors(report: LearnReport, figures: Figures) -> Table:
+    rows = tuple(
+        (name, *_error_cells(report, figures, moments))
+        for name, moments in zip(report.labelled.labels, figures.errors_of_labels, strict=True)
+    )
+    title = f"Box errors in pixels by what was there, in {report.name(figures)}"
+    return Table(title, ("label", *_ERROR_COLUMNS), rows)
+
+
+def _curves(report: LearnReport, groups: Sequence[Figures]) -> list[Table]:
+    """The table of average precision; none without confidences."""
+    rows = []
+    for figures in groups:
+        if figures.mean_average_precision is None or figures.confidence_entropy is None:
+            return []
+        entropies = [figures.confidence_entropy, *([figures.label_entropy] if figures.label_entropy else [])]
+        columns = [*figures.mean_average_precision, *entropies]
+        rows.append((report.name(figures), *(_cell(column, report.level, figures.units, 3) for column in columns)))
+    extra = ("confidence cross-entropy", *(("label cross-entropy",) if groups[0].label_entropy else ()))
+    title = f"Mean average precision over labels, every detection counted, matched by {report.curves_matched_by}"
+    return [Table(title, ("condition", *_AVERAGE_PRECISIONS, *extra), tuple(rows))]
+
+
+def _confusion(report: LearnReport, figures: Figures) -> Table:
+    names, k = report.labelled.labels, len(report.labelled.labels)
+    rows = []
+    for row, name in enumerate([*names, "missed"]):
+        cells = [
+            f"{figures.counts[row, column]:.0f}  "
+            + _cell(figures.confusion, report.level, figures.units, 3, row, column)
+            for column in range(k)
+        ]
+        last = ""
+        if row < k:
+            last = f"{figures.counts[row, k]:.0f}  {_cell(figures.false_labels, report.level, figures.units, 3, row)}"
+        rows.append((name, *cells, last))
+    title = f"Confusion matrix of {report.name(figures)}: detected as, by what was there; counts and probabilities"
+    return Table(title, ("", *names, "background"), tuple(rows))
+
+
+def _shares(report: LearnReport) -> list[Table]:
+    """The table of what average precision is lost to; none without confidences."""
+    if report.shares is None:
+        return []
+    rows = tuple((each.kind.value, str(each.count), f"{each.gain_points:.2f}") for each in report.shares.shares)
+    points = f"{100 * report.shares.average_precision:.1f} points"
+    title = f"What mean average precision, {points}, is lost to, matched by {report.curves_matched_by}"
+    return [Table(title, ("error", "number", "points gained if corrected"), rows)]
+
+
+def _parameters(report: LearnReport) -> Table:
+    intervals = [each for each in report.learned.intervals(report.level) if not each.key.own_table]
+    rows = []
+    for each in sorted(intervals, key=lambda each: (each.key.state is not None, each.key.path)):
+        for place in np.ndindex(*each.estimate.shape):
+            value, low, high = (float(np.asarray(ends)[place]) for ends in (each.estimate, each.low, each.high))
+            rows.append((each.key.at(place), *_number(value, low, high)))
+    return Table("Numbers of the detector file", ("number", "learned", f"{report.level:.0%} interval"), tuple(rows))
+
+
+def _long_run(report: LearnReport) -> list[Table]:
+    """The table of the chain's stationary shares; none without a chain."""
+    transitions, states = report.learned.transitions, report.learned.observed.states
+    if not transitions.observed or len(states) == 1:
+        return []
+    shares = stationary_shares(transitions.matrix)  # every state follows every other, so there are such
+    rows = tuple((state, f"{share:.1%}") for state, share in zip(states, shares, strict=True))
+    return [Table("States in the long run, by the learned transition matrix", ("state", "share of time"), rows)]
+
+
+def _number(value: float, low: float, high: float) -> tuple[str, str]:
+    """A number and its interval; a dash for what the data do not tell."""
+    if not np.isfinite(value):
+        return "–", "–"
+    told = np.isfinite(low) and np.isfinite(high)
+    return f"{value:.4g}", f"{low:.4g} to {high:.4g}" if told else "–"
+
+
+def _bias(bias: Bias) -> Table:
+    rows: list[tuple[float, Row]] = []
+    for each in bias.shifts:
+        for found in zip(*np.nonzero(np.atleast_1d(bias.significant(each))), strict=True):
+            place = found if np.ndim(each.shift) else ()
+            strength = abs(float(each.shift[place])) / float(each.error[place])
+            numbers = [float(values[place]) for values in (each.entry.estimate, each.again, each.corrected)]
+            cells = (each.entry.key.at(place), *(f"{number:.4g}" for number in numbers), f"{strength:.1f}")
+            rows.append((strength, cells))
+    rows.sort(key=lambda row: -row[0])
+    header = ("number", "learned", "learned again", "corrected", "standard errors")
+    title = "Bias of the matching, by simulating what was learned and learning again"
+    return Table(title, header, tuple(row for _, row in rows[:40]) or (("none is sure", "", "", "", ""),))
+
+
+def _used(report: LearnReport) -> Table:
+    rows = tuple(each.cells for each in report.learned.numbers.box_errors.used)
+    return Table(estimate.TITLE, estimate.HEADER, rows)
+
+
+def _models() -> Table:
+    rows = tuple(
+        (part, name, "not learned" if learner is None else "learned") for part, name, learner in models_and_learners()
+    )
+    return Table("Models that can be learned", ("part", "model", "estimate"), rows)
+
+
+NEVER_LEARNED = (
+    "Never learned: gates, which are hard limits, and confidence as a precision-recall curve. Persistence, what "
+    "vessels keep, slopes of confidence, second boxes, merges and splits are not in the table of models; they are "
+    "learned where the data show them."
+)
+
+
+# ---- What a detector was learned from, for the page of what was learned ----
+
+_IMAGES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
+"""Of an image nothing but its size is read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Files and runs that were learned from.
+
+    Attributes:
+        truth: Ground truth, as it was given: a file or a folder for each condition.
+        detections: The results on each.
+        runs: Runs in place of both, or beside them.
+        read: Every file that was opened; also those that are not named, such as `data.yaml`.
+        settings: How was learned.
+        made_by: The command, or the call from Python.
+    """
+
+    truth: tuple[Path, ...]
+    detections: tuple[Path, ...]
+    runs: tuple[StoredRun, ...]
+    read: tuple[Path, ...]
+    settings: LearnSettings
+    made_by: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The labelled sets and the runs, as they were given."""
+        return tuple(str(path) for path in (*self.truth, *(run.folder for run in self.runs)))
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """All files with their checksums.
+
+        Raises:
+            InputError: A file cannot be read.
+        """
+        return (*self._files(), *(found for run in self.runs for found in run_inputs(run)))
+
+    @property
+    def seeds(self) -> tuple[tuple[str, str], ...]:
+        """The seed of the bootstrap, and those of the runs."""
+        of_runs = ((f"{name} of {run.folder}", seed) for run in self.runs for name, seed in run_seeds(run))
+        return ("bootstrap", str(self.settings.seed)), *of_runs
+
+    @property
+    def made_before(self) -> tuple[tuple[str, str], ...]:
+        """By which versions the runs were made."""
+        return tuple(dict.fromkeys(found for run in self.runs for found in run_versions(run)))
+
+    def _files(self) -> Iterator[Input]:
+        files_of, rest = self._sorted()
+        for place, pair in enumerate(zip(self.truth, self.detections, strict=True)):
+            number = f" {place + 1}" if len(self.truth) > 1 else ""
+            for what, given in zip((f"ground truth{number}", f"detections{number}"), pair, strict=True):
+                if given.is_dir():
+                    yield folder_input(what, given, files_of.get(given.absolute(), []))
+                else:
+                    yield file_input(what, given)
+        yield from (file_input("also read", path) for path in rest)
+
+    def _sorted(self) -> tuple[dict[Path, list[Path]], list[Path]]:
+        """The files that were read by the path that they belong to, which is absolute, and those of none.
+
+        A file belongs to the innermost of the given paths that it lies in. What is read of a run is listed with it.
+        """
+        given = {path.absolute() for path in (*self.truth, *self.detections)}
+        runs = [run.folder.resolve() for run in self.runs]
+        found: dict[Path, list[Path]] = {}
+        rest: list[Path] = []
+        for path in dict.fromkeys(self.read):
+            if not path.is_file() or path.suffix.lower() in _IMAGES:
+                continue
+            whole = path.absolute()
+            owner = next((each for each in (whole, *whole.parents) if each in given), None)
+            if owner is not None:
+                found.setdefault(owner, []).append(whole)
+            elif not (runs and any(path.resolve().is_relative_to(run) for run in runs)):
+                rest.append(path)
+        return found, rest
+
+
+# ---- What was learned, as a page ----
+
+
+def page_text(report: LearnReport, out: Path, detector: str, sources: Sources, sections: Sequence[str] = ()) -> str:
+    """The page, in one file.
+
+    Args:
+        report: What was learned.
+        out: The detector file.
+        detector: Its content.
+        sources: What it was learned from.
+        sections: Further sections, as HTML, which come before the pictures.
+    """
+    body = [f"<style>{_STYLE}</style>", page.paragraph(learned_from(report, out.name, sources.names), "lead")]
+    body += [page.paragraph(how_well(report), "lead")]
+    body += [page.paragraph(f"Warning: {report.warning}.", "bad")] if report.warning else []
+    body += [page.tiles(results(report)), *_to_know(report), page.paragraph(lead(report), "soft")]
+    body += [*sections, *_curve_pictures(report)]
+    body += [page.heading("Box errors"), *_scatter(report)]
+    body += [page.heading("Confusion matrices"), *_matrices(report)]
+    if report.shares is not None:
+        gains = {each.kind.value: max(each.gain_points, 0.0) for each in report.shares.shares}
+        body += [page.heading("What average precision is lost to"), charts.named_bars(gains, "points", _SHARES)]
+    for table in tables(report, every=True):
+        body += [page.heading(table.title), '<div class="wide">', page.table(table.rows, table.header), "</div>"]
+    body.append(page.heading("Left simple"))
+    notes = report.learned.notes
+    body.append(page.listed(notes) if notes else page.paragraph("Nothing: there was enough of everything."))
+    body += [page.paragraph(NEVER_LEARNED), *([page.paragraph(_POINTS, "soft")] if report.shares else [])]
+    title = f"{out.name}: a detector learned from {counted(len(report.labelled.images), 'image')}"
+    return page.page(title, body, _provenance(report, out, detector, sources))
+
+
+def _to_know(report: LearnReport) -> list[str]:
+    """What the numbers have to be read with, in one list."""
+    remarks = [*report.remarks_on_data, *([report.near_gate.remark] if report.near_gate.shares else [])]
+    if not remarks:
+        return []
+    return [page.heading("Read the numbers with this"), page.listed(f"{remark}." for remark in remarks)]
+
+
+def _provenance(report: LearnReport, out: Path, detector: str, sources: Sources) -> Provenance:
+    settings = sources.settings
+    states = "; ".join(f"{name} = {', '.join(names)}" for name, names in report.state_map.states.items())
+    written = Input("detector file that was learned", out.name, sha256(detector.encode()).hexdigest(), "as written")
+    return Provenance(
+        page="a detector learned from its results on labelled images",
+        made_by=sources.made_by,
+        inputs=(written, *sources.inputs),
+        seeds=sources.seeds,
+        options=(
+            ("Matched by", report.matched_by),
+            ("Least confidence", f"{settings.threshold:g}" if report.labelled.scored else "none: not given"),
+            ("Intervals", f"{report.level:.0%}, {settings.replicates:,} replicates of the bootstrap"),
+            ("States", states),
+        ),
+        made_before=sources.made_before,
+    )
+
+
+_STYLE = (
+    "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
+    ".plots figure { width: 25rem; margin: 0; } "
+    ".wide { font-size: 0.9rem; } "
+    "@media screen and (max-width: 40rem) { table.shares { font-size: 0.8rem; } } "
+    "table.shares td, table.shares th { padding: 0.25rem 0.6rem; } "
+    ".shares .soft { color: inherit; } table.shares th + th { text-align: right; } "
+    ".wide td, .wide th { padding: 0.2rem 0.9rem 0.2rem 0; }"
+)
+_SHARES = (
+    "Points of mean average precision that correcting one kind of error would gain (Bolya et al., 2020): "
+    "classification, localisation, both, duplicate, background, missed."
+)
+_POINTS = (
+    "Average precision: by all points it is the area under the interpolated curve; COCO's tools average that curve at "
+    "101 levels of recall, and the 11-point form at 11, so the three differ by up to a step of the curve."
+)
+
+
+def _curve_pictures(report: LearnReport) -> list[str]:
+    if report.by_label is None:
+        return []
+    curves, states = [], report.learned.observed.states
+    for label, name in enumerate(report.labelled.labels):
+        of_state: dict[str, tuple[Array, Array]] = {}
+        colours = []
+        for index, (state, colour) in enumerate(zip(states, charts.state_colours(len(states)), strict=True)):
+            images = report.learned.observed.image_state == index
+            curve: Curve | None = Ranking.of(report.labelled, report.by_label, label, images).curve()
+            if curve is not None and len(curve.recall):
+                of_state[f"{state}: AP {curve.all_points():.3f}"] = curve.recall, curve.interpolated
+                colours.append(colour)
+        curves.append(
+            charts.precision_recall(of_state, colours, f"{name}: largest precision at each recall or beyond.")
+        )
+    title = page.heading(f"Precision against recall, matched by {report.curves_matched_by}")
+    return [title, '<div class="plots">', *curves, "</div>"]
+
+
+def _scatter(report: LearnReport) -> list[str]:
+    pairs, relative = report.learned.observed.pairs, report.learned.form.box_errors.relative
+    error, state = pairs.errors(pairs.sure, relative), pairs.state[pairs.sure]  # in the unit in which they are learned
+    states, plots = report.learned.observed.states, []
+    there = [index for index in range(len(states)) if np.any(state == index)]
+    colours = [charts.state_colours(len(states))[index] for index in there]
+    for (i, j), what in (((0, 1), "centres"), ((2, 3), "sizes")):
+        groups = {states[index]: error[state == index][:, [i, j]] for index in there}
+        units = ("widths", "heights") if relative else ("px", "px")
+        x, y = (f"{ERROR_COMPONENTS[k]} in {unit}" for k, unit in zip((i, j), units, strict=True))
+        caption = f"Errors of {what}; ellipses hold 95 % of normal errors with the same mean and covariance."
+        plots.append(charts.error_scatter(groups, colours, x, y, caption))
+    return ['<div class="plots">', *plots, "</div>"]
+
+
+def _matrices(report: LearnReport) -> list[str]:
+    parts = []
+    for figures in report.states:
+        k = len(report.labelled.labels)
+        shares = np.full((k + 1, k + 1), np.nan)
+        shares[:, :k] = figures.confusion.estimate
+        shares[:k, k] = figures.false_labels.estimate
+        parts += [
+            page.paragraph(figures.name),
+            f'<div class="wide">{charts.confusion_table(report.labelled.labels, figures.counts, shares)}</div>',
+        ]
+    return parts

@@ -1,1 +1,0 @@
-"""Performance states: which conditions each has, and how they follow each other."""

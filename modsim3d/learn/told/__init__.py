@@ -1,1 +1,0 @@
-"""What was learned, as tables and as a page."""

@@ -1,0 +1,276 @@
+"""The cameras of a log, each registered against its scene before anything is learned."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.types import Array, Mask
+from modsim3d.io.validation import nearest, shown
+from modsim3d.learn.learn_detector import LEAST_CONFIDENCE
+from modsim3d.learn.voyage.attitude import Attitude
+from modsim3d.learn.voyage.clock import read_reports
+from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, CameraLog, Correction
+from modsim3d.learn.voyage.reference_error import POSITION_M, TruthNoise
+from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
+from modsim3d.learn.voyage.registration.parameters import SHARED_NAMES, SHORT
+from modsim3d.learn.voyage.registration.registering import BY_RULE, Registration, register
+from modsim3d.scene.scene import Scene
+from modsim3d.world.poses.base import Poses
+from modsim3d.world.poses.replay import RecordedPoses
+
+# ---- Vessels put where a registration says that they are, from where their reports put them ----
+
+
+def with_moved_vessels(scene: Scene, offsets: Array) -> Scene:
+    """A scene whose vessels are off their reports by antennas and delays.
+
+    A report that is late says where a vessel was; before its first and after its last pose a vessel is at that pose.
+
+    Args:
+        scene: The scene.
+        offsets: Antenna towards the bow and to port of the centre in metres, and delay of reports in seconds, of each
+            vessel, shape (V, 3).
+    """
+    if not offsets.any():
+        return scene
+    every_s, known = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
+    positions, headings = known.positions_m.copy(), known.headings_rad.copy()
+    for vessel in np.flatnonzero(offsets.any(axis=1)).tolist():
+        steps = np.flatnonzero(known.present[:, vessel])
+        if not len(steps):
+            continue
+        along, across, delay = offsets[vessel].tolist()
+        at_s = every_s[steps] + delay
+        heading = np.interp(at_s, every_s[steps], np.unwrap(known.headings_rad[steps, vessel]))
+        places = [np.interp(at_s, every_s[steps], axis) for axis in known.positions_m[steps, vessel].T]
+        ahead, port = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+        places[:2] = np.array(places[:2]) - along * ahead - across * port
+        positions[steps, vessel], headings[steps, vessel] = np.stack(places, axis=-1), heading
+    poses = RecordedPoses(scene.poses.timestamps, Poses(known.present, positions, headings))
+    return replace(scene, poses=poses)
+
+
+# ---- Means that a user knows of what registration cannot tell from a camera and a clock, as given to ----
+
+
+@dataclass(frozen=True)
+class KnownMeans:
+    """What is known beforehand; None where nothing is.
+
+        KnownMeans(mean_x_px=1.5, delay_s=2)
+
+    Attributes:
+        mean_x_px: Mean error of the boxes' centres in x, in pixels: detected less true.
+        mean_y_px: That in y.
+        mean_width_share: Mean error of the boxes' widths, as a share of the true ones.
+        mean_height_share: That of the heights.
+        delay_s: Mean delay of position reports, in seconds: a report says where a vessel was so long before its time.
+    """
+
+    mean_x_px: float | None = None
+    mean_y_px: float | None = None
+    mean_width_share: float | None = None
+    mean_height_share: float | None = None
+    delay_s: float | None = None
+
+    @property
+    def mean_errors(self) -> tuple[float | None, ...]:
+        """Those of boxes, in x, y, width and height."""
+        return self.mean_x_px, self.mean_y_px, self.mean_width_share, self.mean_height_share
+
+    def given(self) -> dict[str, float]:
+        """Those that are known, by the names of the attributes."""
+        return {each.name: value for each in fields(self) if (value := getattr(self, each.name)) is not None}
+
+    def scene_of(self, scene: Scene) -> Scene:
+        """The scene with its vessels where they were, if reports are late; own ships stay."""
+        if not self.delay_s:
+            return scene
+        offsets = np.zeros((len(scene.vessels), 3))
+        offsets[:, 2] = self.delay_s
+        offsets[list(scene.own_ships), 2] = 0
+        return with_moved_vessels(scene, offsets)
+
+
+NOTHING_KNOWN = KnownMeans()
+SHORT_NAMES = {each.name.rsplit("_", 1)[0]: each.name for each in fields(KnownMeans)}
+"""Names as users write them: `mean_x` for `mean_x_px`."""
+_FORM = f"must be NAME=VALUE,..., such as mean_x=1.5,delay=2, with the names {', '.join(SHORT_NAMES)}"
+
+
+def parse_known(given: str | Mapping[str, float] | KnownMeans | None) -> KnownMeans:
+    """Means from a text such as `mean_x=1.5,delay=2`, or a mapping of names to values.
+
+    Raises:
+        InputError: A name is unknown or there twice, or a value is no number or too large.
+    """
+    if given is None or isinstance(given, KnownMeans):
+        return given or NOTHING_KNOWN
+    known, problems = NOTHING_KNOWN, []
+    for name, text in _pairs(given):
+        full, value = SHORT_NAMES.get(name), _number(text)
+        if full is None:
+            problems.append(f"no mean {shown(name)} ({nearest(name, SHORT_NAMES)})")
+        elif getattr(known, full) is not None:
+            problems.append(f"{name}: is given twice")
+        elif math.isnan(value) or (full.endswith("_share") and abs(value) >= 1):
+            needed = "a share above -1 and below 1, such as 0.02" if full.endswith("_share") else "a number"
+            problems.append(f"{name}: must be {needed} (got {shown(text)})")
+        else:
+            known = replace(known, **{full: value})
+    if problems:
+        raise InputError("--known", problems)
+    return known
+
+
+def _pairs(given: str | Mapping[str, float]) -> list[tuple[str, object]]:
+    if isinstance(given, Mapping):
+        return list(given.items())
+    pairs = [part.partition("=") for part in given.split(",")]
+    if not all(name.strip() and sign for name, sign, _ in pairs):
+        raise InputError("--known", [f"{_FORM} (got {shown(given)})"])
+    return [(name.strip(), value.strip()) for name, _, value in pairs]
+
+
+def _number(value: object) -> float:
+    """A finite number, NaN if it is none."""
+    try:
+        number = float(str(value))
+    except ValueError:
+        return math.nan
+    return number if math.isfinite(number) else math.nan
+
+
+# ---- The cameras of a log, each registered against its scene before anything is learned ----
+
+ALL = "all"
+"""The name in `fixed` that stands for all parameters: then nothing is registered."""
+SHORT_OF = {full: short for short, full in SHORT.items()}
+FIXED_NAMES = tuple(SHORT_OF.get(name, name) for name in SHARED_NAMES if name not in BY_RULE)
+"""What `fixed` takes: the parameters that are registered, by their names without units."""
+OFFSETS_M = 5.0
+"""How far positions of AIS are expected to be off for as long as a vessel is seen: antennas, late reports."""
+MOST_NOISE_M = 100.0
+"""Positions that are worse do not tell which vessel a camera sees."""
+_SIZES = frozenset({"length", "beam", "air draft"})
+
+
+def is_from_ais(scene: Scene) -> bool:
+    """Whether `modsim3d ais` made the scene: its report lies beside it."""
+    return read_reports(scene.path) is not None
+
+
+def position_noise_m(scene: Scene, given: float | None) -> float:
+    """Standard deviation of each coordinate of positions: the given one, else 10 m with AIS and 0 without.
+
+    Raises:
+        InputError: The given one is negative, or so large that positions say nothing.
+    """
+    if given is None:
+        return POSITION_M if is_from_ais(scene) else 0.0
+    if not 0 <= given <= MOST_NOISE_M:
+        raise InputError("--position-noise", [f"must be metres from 0 to {MOST_NOISE_M:g} (got {given:g})"])
+    return given
+
+
+@dataclass(frozen=True, eq=False)
+class Registering:
+    """How cameras are registered.
+
+        Registering(("pitch",), position_m=10).of(scene, camera_log, "detections night.csv")
+
+    Attributes:
+        fixed: Names of parameters that stay as the scene has them.
+        position_m: Standard deviation of each coordinate of positions.
+        least_confidence: Least confidence of a detection that takes part.
+        attitude: That of own ship as it was measured.
+        known: Means that are known beforehand.
+    """
+
+    fixed: tuple[str, ...] = ()
+    position_m: float = 0.0
+    least_confidence: float = LEAST_CONFIDENCE
+    attitude: Attitude | None = None
+    known: KnownMeans = NOTHING_KNOWN
+
+    def of(self, scene: Scene, log: CameraLog, source: str) -> Registration | None:
+        """The registration of a camera; None if all of it is fixed.
+
+        Args:
+            scene: The scene.
+            log: The frames of the camera.
+            source: What messages call the log.
+
+        Raises:
+            ModsimError: It cannot be known, with the reason.
+        """
+        if ALL in self.fixed:
+            return None
+        camera = scene.cameras[log.camera]
+        attitude = self.attitude if self.attitude and self.attitude.vessel == camera.mount.vessel else None
+        known = attitude.known(log.time_s) if attitude else np.ones(len(log.time_s), dtype=bool)
+        sizes = not _SIZES & TruthNoise.of(scene).reasons.keys()
+        ais = is_from_ais(scene)
+        try:
+            return register(
+                scene,
+                camera.name,
+                _boxes(log, known, self.least_confidence),
+                fixed=self.fixed,
+                mean_errors=self.known.mean_errors,
+                use_sizes=sizes,
+                offsets_m=OFFSETS_M if ais else None,
+                noise_m=self.position_m,
+                attitude=attitude,
+            )
+        except ModsimError as error:
+            text = str(error)
+            if text.startswith("fixed: "):  # all of them, one by one
+                raise InputError("--fixed", [text.removeprefix("fixed: ")]) from None
+            way_out = "--fixed all learns with the camera and the clock as they are"
+            measured = "check the angles of --attitude too, and their signs; " if attitude else ""
+            raise InputError(f"{source}, camera '{camera.name}'", [f"{text}; {measured}{way_out}"]) from None
+
+
+def correction_of(registration: Registration | None) -> Correction:
+    """What a registration adds to the camera and to the clock of the log."""
+    if registration is None:
+        return NO_CORRECTION
+    return registration.correction
+
+
+def parse_fixed(names: str | Sequence[str] | None) -> tuple[str, ...]:
+    """Names of parameters from a text such as `pitch,yaw`, or a list of them; names with units, too.
+
+    Raises:
+        InputError: A name is not known, or `all` does not stand alone.
+    """
+    fixed = tuple(text.strip() for text in (names.split(",") if isinstance(names, str) else names or ()))
+    known = (*FIXED_NAMES, ALL)
+    if unknown := [name for name in fixed if SHORT_OF.get(name, name) not in known]:
+        raise InputError("--fixed", [f"no parameter {shown(unknown[0])} ({nearest(unknown[0], known)})"])
+    if ALL in fixed and len(fixed) > 1:
+        raise InputError("--fixed", [f"all stands alone (got {shown(','.join(fixed))})"])
+    return fixed
+
+
+def check_known(known: KnownMeans, fixed: tuple[str, ...]) -> None:
+    """Refuse means of boxes where nothing is registered.
+
+    Raises:
+        InputError: They are given, and all parameters are fixed.
+    """
+    if ALL in fixed and any(value is not None for value in known.mean_errors):
+        raise InputError("--known", ["means of box errors are for registration, which --fixed all leaves out"])
+
+
+def _boxes(log: CameraLog, frames: Mask, least: float) -> BoxesAtTimes:
+    """The detections of some frames (n,) that are confident enough, or have no confidence."""
+    taken = log.take(frames)
+    sure = np.isnan(taken.confidence) | (taken.confidence >= least)
+    return BoxesAtTimes(taken.time_s, taken.frame[sure], taken.boxes_px[sure])

@@ -1,0 +1,255 @@
+"""The times of a log on the scene's clock: seconds since its first step."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array, Mask
+from modsim3d.io.strict_json import load_json
+from modsim3d.io.validation import other_unit, shown
+from modsim3d.learn.voyage.logs.log import LEAST_UNIX_S, Clock, DetectionLog, utc_s
+from modsim3d.scene.ais.options import time_text
+from modsim3d.scene.ais.scene_folder import REPORT, REPORT_TIMES
+from modsim3d.scene.scene import Scene
+
+# ---- The clocks that a registration has found, as `--write-scene` notes them beside the scene ----
+
+REGISTRATION = "registration.json"
+"""What was registered, the clock of each camera's log included, which is no value of a scene."""
+
+
+def noted_cameras(scene: Path) -> Mapping[str, Mapping[str, Any]]:
+    """What is noted of each camera beside a scene file, `clock_s` at least; nothing if nothing was registered.
+
+    Raises:
+        InputError: The file is wrong.
+    """
+    path = scene.parent / REGISTRATION
+    if not path.is_file():
+        return {}
+    content = load_json(path, "registration")
+    cameras = content.get("cameras") if isinstance(content, dict) else None
+    if not isinstance(cameras, dict):
+        raise InputError(f"registration {path}", [f"must be a mapping with cameras (got {shown(content)})"])
+    problems = []
+    for name, noted in cameras.items():
+        clock_s = noted.get("clock_s") if isinstance(noted, dict) else None
+        if isinstance(clock_s, bool) or not isinstance(clock_s, int | float) or not np.isfinite(clock_s):
+            problems.append(f"cameras.{name}.clock_s: must be the seconds to add to a log's times (got {shown(noted)})")
+    if problems:
+        raise InputError(f"registration {path}", problems)
+    return cameras
+
+
+def noted_clock_s(scene: Path, camera: str) -> float:
+    """Seconds to add to the times of a camera's logs, as noted beside a scene file; 0 if nothing is.
+
+    Raises:
+        InputError: The file is wrong.
+    """
+    return float(noted_cameras(scene).get(camera, {"clock_s": 0.0})["clock_s"])
+
+
+# ---- When the vessels of a scene made from AIS have reported, as `modsim3d ais` writes it beside the ----
+
+_BYTES_PER_VALUE = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Reports:
+    """What is known of the reports that a scene's poses were made of.
+
+    Attributes:
+        start_s: Unix time of the scene's first step.
+        used_s: Vessel → times of its positions since the first step, ascending; none for an older scene.
+        jumps_s: Vessel → times of the positions that it cannot have reached, and that were dropped.
+    """
+
+    start_s: float
+    used_s: Mapping[str, Array] = field(default_factory=dict)
+    jumps_s: Mapping[str, Array] = field(default_factory=dict)
+
+
+def read_reports(scene: Path) -> Reports | None:
+    """The reports beside a scene file; None if the scene was not made from AIS.
+
+    Raises:
+        InputError: A file beside it is wrong.
+    """
+    times, report = scene.parent / REPORT_TIMES, scene.parent / REPORT
+    if times.is_file():
+        source = f"report times {times}"
+        content = load_json(times, "report times", _BYTES_PER_VALUE)
+        vessels = content.get("vessels") if isinstance(content, dict) else None
+        if not isinstance(vessels, dict):
+            raise InputError(source, [f"must be a mapping with start and vessels (got {shown(content)})"])
+        used, jumps = ({name: _times(each, key) for name, each in vessels.items()} for key in ("used_s", "jumps_s"))
+        if wrong := [name for name in vessels if used[name] is None or jumps[name] is None]:
+            raise InputError(source, [f"vessels.{wrong[0]}: must have used_s and jumps_s, ascending seconds"])
+        known = ({n: v for n, v in each.items() if v is not None} for each in (used, jumps))
+        return Reports(_start(content, source), *known)
+    if report.is_file():
+        content = load_json(report, "report")
+        return Reports(_start(content, f"report {report}"))
+    return None
+
+
+def _start(content: Any, source: str) -> float:
+    text = content.get("start") if isinstance(content, dict) else None
+    start_s = utc_s(text) if isinstance(text, str) else math.nan
+    if math.isnan(start_s):
+        raise InputError(source, [f"start: must be a time such as 2024-01-04T10:00:00Z (got {shown(text)})"])
+    return start_s
+
+
+def _times(entry: Any, key: str) -> Array | None:
+    values = entry.get(key) if isinstance(entry, dict) else None
+    if not isinstance(values, list) or not all(isinstance(v, int | float) for v in values):
+        return None
+    times = np.array(values, dtype=np.float64)
+    return times if (np.diff(times) >= 0).all() else None
+
+
+# ---- The times of a log on the scene's clock ----
+
+_NEAR_S = 1e-6
+_OUTSIDE_S = 0.1
+_HOUR_S = 3600.0
+_ZONES = 14.5
+"""No two zones are further apart from UTC, in hours."""
+_WHOLE_HOURS = 0.02
+"""Clocks that differ by whole hours up to this much of one are probably in two time zones."""
+
+
+@dataclass(frozen=True)
+class SceneClock:
+    """When a scene is.
+
+    Attributes:
+        length_s: Time from the first step to the last.
+        first_s: The first time as its poses write it.
+        start_s: Unix time of the first step; None if the scene does not say.
+    """
+
+    length_s: float
+    first_s: float
+    start_s: float | None
+
+    @classmethod
+    def of(cls, scene: Scene) -> SceneClock:
+        """The clock of a scene; one made by `modsim3d ais` has the start beside it, and poses may have Unix times."""
+        reports = read_reports(scene.path)
+        first_s = float(scene.timestamps(0, 1)[0])
+        start_s = reports.start_s if reports is not None else first_s if first_s >= LEAST_UNIX_S else None
+        return cls(float(scene.times_s(scene.steps - 1, scene.steps)[0]), first_s, start_s)
+
+    def span(self, clock: Clock) -> str:
+        """The first and the last step in words, by a clock."""
+        if clock is Clock.UTC and self.start_s is not None:
+            return f"{time_text(self.start_s)} to {time_text(self.start_s + self.length_s)}"
+        zero = self.first_s if clock is Clock.STAMP else 0.0
+        return f"{zero:.12g} s to {zero + self.length_s:.12g} s"
+
+
+def scene_times(log: DetectionLog, scene: Scene, clock: SceneClock) -> Array:
+    """Times of the log's frames since the scene's first step, shape (F,).
+
+    Raises:
+        InputError: The log is in UTC and the scene does not say when it starts.
+    """
+    return on_scene_clock(log.time_s, log.clock, log.source, scene, clock)
+
+
+def on_scene_clock(times_s: Array, kind: Clock, source: str, scene: Scene, clock: SceneClock) -> Array:
+    """Times by a clock, shape (n,), as times since the scene's first step, shape (n,).
+
+    Raises:
+        InputError: They are UTC and the scene does not say when it starts; `source` is what they are of.
+    """
+    if kind is Clock.STEP:
+        return times_s
+    if kind is Clock.STAMP:
+        return times_s - clock.first_s
+    if clock.start_s is None:
+        problem = (
+            f"its times are UTC (from {time_text(float(times_s.min()))}), and {scene.title} does not say when it "
+            "starts: a scene of modsim3d ais has report.json beside it, which does; or let its poses have Unix times"
+        )
+        if unit := _unit(times_s, kind, clock.length_s):
+            problem = f"has times from {time_text(float(times_s.min()))} if they are Unix times{unit}"
+        raise InputError(source, [problem])
+    return times_s - clock.start_s
+
+
+def within_scene(log_s: Array, clock_s: float, length_s: float) -> tuple[Array, Mask]:
+    """Times of a log's frames by a registered clock, and which of them are within the scene, both of shape (F,).
+
+    A clock is not known to the millisecond. So a frame that it puts outside by less than half the time between two
+    frames, and by 0.1 s at most, is at the scene's first or last step.
+
+    Args:
+        log_s: Times since the scene's first step by the log's own clock, ascending, shape (F,).
+        clock_s: What is added to them; 0 if it was not registered.
+        length_s: Time of the scene's last step.
+    """
+    frame_s = float(np.diff(log_s).min()) if len(log_s) > 1 else 0.0
+    outside_s = max(min(frame_s / 2, _OUTSIDE_S), _NEAR_S) if clock_s else _NEAR_S
+    times_s = log_s + clock_s
+    inside = (times_s >= -outside_s) & (times_s <= length_s + outside_s)
+    return np.clip(times_s, 0, length_s), inside
+
+
+def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneClock) -> None:
+    """Refuse a log most of whose frames are outside of the scene.
+
+    Args:
+        log: The log.
+        times_s: Times of its frames since the scene's first step, shape (F,).
+        scene: The scene.
+        clock: Its clock.
+
+    Raises:
+        InputError: With both spans.
+    """
+    outside = (times_s < -_NEAR_S) | (times_s > clock.length_s + _NEAR_S)
+    if 2 * outside.sum() <= len(outside):
+        return
+    spans = f"has frames from {log.span}, and {scene.title} is from {clock.span(log.clock)}"
+    unit = _unit(log.time_s, log.clock, clock.length_s)
+    if not outside.all():
+        what = f"{outside.sum():,} of {len(outside):,} frames are before or after the scene"
+        raise InputError(log.source, [f"{spans}: {what}{unit or '; give a part of the log, or a longer scene'}"])
+    later = times_s.min() > clock.length_s
+    apart_s = times_s.min() - clock.length_s if later else -times_s.max()
+    between_starts = times_s.min() / _HOUR_S
+    zones = ""
+    if (
+        log.clock is Clock.UTC
+        and 0.5 < abs(between_starts) < _ZONES
+        and abs(between_starts - round(between_starts)) < _WHOLE_HOURS
+    ):
+        zones = f"; the starts differ by {abs(round(between_starts))} h: is one of the clocks in local time?"
+    order = "after the scene's last step" if later else "before the scene's first step"
+    raise InputError(log.source, [f"{spans}: the log is {order}, by {_duration(float(apart_s))}{zones}{unit}"])
+
+
+def _unit(times_s: Array, kind: Clock, length_s: float) -> str:
+    """The unit that times are in; Unix times that are in the future are none."""
+    past = kind is Clock.UTC and times_s.max(initial=0.0) < time.time() + 24 * _HOUR_S
+    return "" if past else other_unit(times_s, length_s) or ": they are in the future" * (kind is Clock.UTC)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 2 * 60:
+        return f"{seconds:.3g} s"
+    if seconds < 2 * _HOUR_S:
+        return f"{seconds / 60:.1f} minutes"
+    return f"{seconds / _HOUR_S:.1f} hours" if seconds < 48 * _HOUR_S else f"{seconds / _HOUR_S / 24:,.1f} days"

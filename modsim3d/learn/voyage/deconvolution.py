@@ -1,0 +1,456 @@
+"""Learned box errors less the errors of truth, and how long they persist."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from modsim3d.core.text import counted
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
+from modsim3d.learn.bootstrap import Entry, spread
+from modsim3d.learn.box_errors.laws import LearnedErrors, covariance, moments
+from modsim3d.learn.learned import Learned
+from modsim3d.learn.matches import ErrorSource, Pairs
+from modsim3d.learn.persistence import frame_interval_s, steps_between
+from modsim3d.learn.report import LearnReport
+from modsim3d.learn.voyage.reference_error import TruthErrors, TruthNoise, View, box_jacobians
+from modsim3d.scene.scene import Scene
+
+# ---- The covariance of box errors without that part which comes from errors of truth ----
+
+_LEAST_PART = 1e-3
+"""A replicate whose rest is not positive keeps this share of a variance."""
+_MOST_CORRELATION = 0.999
+_ALIKE = 0.15
+"""By which share standard deviations as measured may differ from those of the law."""
+_FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class LessNoise:
+    """Errors of one state, less those of truth.
+
+    Attributes:
+        errors: What is written.
+        taken_off: Of which of e_x, e_y, e_w, e_h errors of truth were taken off; the others are upper bounds, (4,).
+        noise_std: Standard deviations that errors of truth give, in the unit of the errors, shape (4,).
+        before: Standard deviations that were learned, mean over the boxes, shape (4,).
+        after: The same, as written, shape (4,).
+        at_least: Standard deviations of what changes from frame to frame, which is the detector's, NaN where frames do
+            not tell, shape (4,).
+        share: Share of the whitened errors that was taken off, shape (rows,).
+    """
+
+    errors: LearnedErrors
+    taken_off: Mask
+    noise_std: Array
+    before: Array
+    after: Array
+    at_least: Array
+    share: Array
+
+    @property
+    def bounds(self) -> tuple[str, ...]:
+        """Names of the components that are upper bounds."""
+        names = zip(ERROR_COMPONENTS, self.taken_off, strict=True)
+        return tuple(name for name, taken in names if not taken)
+
+
+def less_noise(
+    errors: LearnedErrors,
+    noise: Array,
+    sides_px: Array,
+    level: float,
+    measured: Array | None,
+    at_least: Array,
+    cut_off: bool = False,
+) -> LessNoise:
+    """Take the covariance of errors of truth off, where the rest is surely positive.
+
+    The law keeps its form: of mixed errors, whose standard deviations grow with the side, both parts shrink alike.
+    Correlations with a component that is an upper bound are unknown: they keep their estimate, but no replicates.
+
+    Args:
+        errors: The errors of a state.
+        noise: Covariance of errors of truth in their unit, estimate and replicates, shape (rows, 4, 4).
+        sides_px: Width, height, width and height of the boxes, shape (n, 4).
+        level: Level of the intervals that must not reach 0.
+        measured: Covariances of the errors themselves, to take it off, shape (rows, 4, 4). Errors of truth differ from
+            box to box, so that the likeliest law has not quite their covariance. Those of components that are far from
+            it, as wrong matches make them, are not used; but where they are smaller, they must surely be larger than
+            errors of truth. None if unknown.
+        at_least: Standard deviations of what changes from frame to frame, shape (4,).
+        cut_off: Whether the matching has cut off errors, which only the law knows.
+    """
+    std, correlation = np.nan_to_num(errors.std.column.values), np.nan_to_num(errors.correlation.column.values)
+    growth = np.zeros_like(std) if errors.growth is None else np.maximum(errors.growth.column.values, 0)
+    products = _mean_products(std, growth, sides_px)
+    whole = products * _matrix(correlation)
+    if measured is not None and not cut_off:
+        whole = _as_measured(whole, measured)
+    taken = _sure(whole, noise, level)
+    if measured is not None:  # tails of the law may be wider than the errors
+        smaller = np.diag(measured[0]) < np.diag(whole[0])
+        taken = taken & (_sure(measured, noise, level) | ~smaller)
+    part = noise * (taken[:, None] & taken[None, :])
+    rest = whole - part
+    if np.linalg.eigvalsh(rest[0])[0] <= 0:
+        taken, part, rest = np.zeros(4, dtype=bool), np.zeros_like(part), whole
+    variance = np.einsum("bii->bi", products)
+    least = np.maximum(np.einsum("bii->bi", rest), _LEAST_PART * variance)
+    shrunk = np.sqrt(least / np.where(variance > 0, variance, 1.0))
+    shrunk = np.where(taken, np.minimum(shrunk, 1.0), 1.0)
+    shrunk_products = products * shrunk[:, :, None] * shrunk[:, None, :]
+    left = rest / np.where(shrunk_products > 0, shrunk_products, 1.0)
+    left = np.clip(left[:, _FIRST, _SECOND], -_MOST_CORRELATION, _MOST_CORRELATION)
+    correlation = np.where(taken[_FIRST] | taken[_SECOND], left, correlation)
+    correlation[1:, ~(taken[_FIRST] & taken[_SECOND])] = np.nan  # with errors of truth in it, it tells no interval
+    result = replace(
+        errors,
+        std=_with(errors.std, std * shrunk),
+        correlation=_with(errors.correlation, correlation),
+        growth=None if errors.growth is None else _with(errors.growth, growth * shrunk),
+    )
+    inverse = np.linalg.pinv(whole)
+    return LessNoise(
+        result,
+        taken,
+        np.sqrt(np.diag(noise[0])),
+        np.sqrt(variance[0]),
+        np.sqrt(variance[0]) * shrunk[0],
+        at_least,
+        np.clip(np.einsum("bij,bji->b", inverse, part) / 4, 0, 1),
+    )
+
+
+def _as_measured(law: Array, measured: Array) -> Array:
+    """Covariances of the law (rows, 4, 4) with standard deviations as measured, where both are nearly the same.
+
+    A vessel that is not where it is thought to be makes errors of one component that are far from the law. The tails of
+    the law, which all components share, then are too wide for the others. Where all are alike, correlations are those
+    measured, too.
+    """
+    ratio = np.sqrt(np.einsum("bii->bi", measured) / np.maximum(np.einsum("bii->bi", law), 1e-300))
+    alike = np.abs(ratio[0] - 1) <= _ALIKE
+    if alike.all():
+        return measured
+    scale = np.where(alike, ratio, 1.0)
+    return law * scale[:, :, None] * scale[:, None, :]
+
+
+def _sure(whole: Array, noise: Array, level: float) -> Mask:
+    """Which variances are surely larger than those that errors of truth give, shape (4,)."""
+    rest = np.einsum("bii->bi", whole - noise)
+    if len(rest) < 3:
+        return np.zeros(4, dtype=bool)
+    sure: Mask = rest[0] - float(special.ndtri((1 + level) / 2)) * spread(rest[1:]) > 0
+    return sure
+
+
+def _mean_products(std: Array, growth: Array, sides_px: Array) -> Array:
+    """Means over boxes of σ_j σ_k with σ = std + growth · side, shape (rows, 4, 4)."""
+    mean, second = sides_px.mean(axis=0), sides_px.T @ sides_px / len(sides_px)
+    cross = np.einsum("bj,bk->bjk", std, growth * mean)
+    products: Array = (
+        np.einsum("bj,bk->bjk", std, std)
+        + cross
+        + np.swapaxes(cross, 1, 2)
+        + np.einsum("bj,bk->bjk", growth, growth) * second
+    )
+    return products
+
+
+def _matrix(pairs: Array) -> Array:
+    """Correlation matrices (rows, 4, 4) from correlations of the `ERROR_PAIRS`, shape (rows, 6)."""
+    matrix = np.tile(np.eye(4), (len(pairs), 1, 1))
+    matrix[:, _FIRST, _SECOND] = matrix[:, _SECOND, _FIRST] = pairs
+    return matrix
+
+
+def _with(entry: Entry, values: Array) -> Entry:
+    return replace(entry, column=replace(entry.column, values=values))
+
+
+# ---- How long the detector's errors persist, once errors of truth, which last far longer, are taken off ----
+
+_LEAST = 0.01
+"""Correlation from one frame to the next that a replicate keeps: frames do not tell less from none."""
+
+
+def share_left(entry: Entry, part: Array) -> Entry:
+    """The share of errors that vessels keep, less a part (rows,) of all errors that is kept for ever."""
+    left = np.maximum((entry.column.values - part) / (1 - part), 0)
+    return replace(entry, column=replace(entry.column, values=left))
+
+
+def time_left(entry: Entry, part: Array, gap_s: float) -> Entry:
+    """The correlation time of errors, less a part (rows,) of all errors that is kept for ever.
+
+    It was learned from frames that follow each other, so their correlation is what must come out.
+    """
+    correlation = np.exp(-gap_s / np.maximum(entry.column.values, 1e-9))
+    left = np.clip((correlation - part) / (1 - part), 0, 1)
+    left[1:] = np.maximum(left[1:], _LEAST)
+    time_s = np.where(left > 0, gap_s / -np.log(np.clip(left, 1e-12, 1 - 1e-12)), 0.0)
+    return replace(entry, column=replace(entry.column, values=np.where(part > 0, time_s, entry.column.values)))
+
+
+# ---- Learned box errors less the errors of truth, and how long they persist ----
+
+_MOST_FRAMES = 500
+"""Frames that errors of truth are drawn in: they change over minutes."""
+_LEAST_PAIRS = 10
+_MOST_LOST = 0.02
+"""Where matching cuts off more boxes than this for each match, errors as measured are too small."""
+_TO_STD = 1.4826
+"""Median absolute number to standard deviation of normal numbers."""
+_SLOW = 5.0
+"""Errors of truth last for ever, compared with those of the detector, if they last so many times as long."""
+
+
+@dataclass(frozen=True)
+class ComponentNoise:
+    """Errors of one component of boxes in one state.
+
+    Attributes:
+        state: The state.
+        component: `x`, `y`, `width` or `height`.
+        unit: `px`, or `of the side`.
+        std: Standard deviations: as learned, from errors of truth, at least, and as written; NaN where unknown.
+        upper_bound: Whether errors of truth were not taken off.
+    """
+
+    state: str
+    component: str
+    unit: str
+    std: tuple[float, ...]
+    upper_bound: bool
+
+
+@dataclass(frozen=True, eq=False)
+class TakenOff:
+    """A detector of which the errors of truth are taken off.
+
+    Attributes:
+        learned: What is written.
+        states: The errors of each state; None where too few boxes tell the errors of truth.
+        noise: The errors of truth.
+        moved: Number of vessels whose places registration has found.
+        slow: Whether errors of truth last far longer than those of the detector, so that they are taken off what
+            persists as well.
+    """
+
+    learned: Learned
+    states: tuple[LessNoise | None, ...]
+    noise: TruthNoise
+    moved: int
+    slow: bool
+
+    def sentences(self) -> Iterator[str]:
+        """What was assumed, and what is an upper bound."""
+        noise = self.noise
+        if not noise.std.any():
+            yield "errors of truth: none are assumed"
+            return
+        uncertain = "".join(
+            f", {name} of {count} vessel{'s' if count > 1 else ''}" for name, count in noise.reasons.items()
+        )
+        less = f"; less what registration found of {counted(self.moved, 'vessel')}" if self.moved else ""
+        yield (
+            f"errors of truth: positions to {noise.position_m:g} m in each direction, for {noise.position_s:g} s"
+            f"{uncertain}{less}"
+        )
+        for name, found in zip(self.learned.observed.states, self.states, strict=True):
+            where = f"states.{name}.box_error.covariance"
+            if found is None:
+                yield f"{where}: an upper bound; too few matches tell how errors of truth show in it"
+            elif found.bounds:
+                which = "x, y, width and height" if len(found.bounds) == 4 else ", ".join(found.bounds)
+                yield (
+                    f"{where}: an upper bound in {which}, for it is not surely larger than what errors of truth give; "
+                    "correlations with it are unknown"
+                )
+        yield from self._on_persistence()
+
+    def _on_persistence(self) -> Iterator[str]:
+        errors = self.learned.numbers.box_errors
+        if errors.box_s is None or not self.noise.std.any():
+            return
+        key = "box_s" if errors.box_vessel_share is None else "box_vessel_share"
+        if self.slow:
+            but = " (but for the components that are upper bounds)" if any(s and s.bounds for s in self.states) else ""
+            yield f"persistence.{key}: less what persists of errors of truth{but}, as if they lasted for ever"
+        else:
+            yield f"persistence.{key}: an upper bound; errors of truth persist for about as long"
+
+    def components(self) -> Iterator[ComponentNoise]:
+        """The errors of each state and component of boxes."""
+        for name, found in zip(self.learned.observed.states, self.states, strict=True):
+            if found is None:
+                continue
+            unit = "px" if found.errors.unit != "relative" else "of the side"
+            columns = np.stack([found.before, found.noise_std, found.at_least, found.after])
+            for k, component in enumerate(("x", "y", "width", "height")):
+                std = tuple(columns[:, k].tolist())
+                yield ComponentNoise(name, component, unit, std, not found.taken_off[k])
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """A row of `HEADER` for each state and component."""
+        return [
+            (
+                *(each.state, each.component, each.unit),
+                *("–" if np.isnan(std) else f"{std:.3g}" for std in each.std),
+                "upper bound" if each.upper_bound else "",
+            )
+            for each in self.components()
+        ]
+
+
+TITLE = "Standard deviations of box errors, with and without errors of truth"
+HEADER = ("state", "error of", "unit", "learned", "from errors of truth", "at least", "written", "")
+
+
+def take_off_truth_noise(
+    learned: Learned, scene: Scene, views: Sequence[View], noise: TruthNoise, level: float = 0.95, seed: int = 0
+) -> TakenOff:
+    """Take errors of truth off the learned box errors, where what is left is surely positive.
+
+    Args:
+        learned: What was learned; the identities of its annotations are indices of the scene's vessels, see `View`.
+        scene: The scene that truth was made from.
+        views: Its vessels as each camera saw them.
+        noise: How well the vessels are known.
+        level: Level of the intervals that must not reach 0.
+        seed: Seed of the draws of errors of truth.
+    """
+    box_errors, pairs = learned.numbers.box_errors, learned.observed.pairs
+    if not noise.std.any():
+        return TakenOff(learned, (None,) * len(box_errors.states), noise, 0, False)
+    rows = len(learned.resampling.weights)
+    jacobians = _Jacobians.of(learned, scene, views)
+    states: list[LessNoise | None] = []
+    for index, (errors, form) in enumerate(zip(box_errors.states, learned.form.box_errors.states, strict=True)):
+        ours = pairs.edges.whole if form.source is not ErrorSource.ALL_PAIRS else pairs.sure
+        if form.source is ErrorSource.OWN_STATE:
+            ours = ours & (pairs.state == index)
+        relative = errors.unit == "relative"
+        of_truth = jacobians.errors(pairs, ours, relative, noise)
+        if of_truth is None or rows < 2:
+            states.append(None)
+            continue
+        drawn = of_truth.covariances(rows - 1, seed + index)
+        found = np.concatenate([drawn.mean(axis=0, keepdims=True), drawn])
+        lost = box_errors.used[index].lost
+        measured = _measured(learned, ours, relative)
+        at_least = _changes(learned, ours, relative, of_truth.change, noise.position_s)
+        cut_off = lost > _MOST_LOST
+        states.append(less_noise(errors, found, pairs.sides_px[ours], level, measured, at_least, cut_off))
+    box_s, share = box_errors.box_s, box_errors.box_vessel_share
+    slow = box_s is not None and float(box_s.estimate) * _SLOW <= noise.position_s
+    if slow and box_s is not None:
+        part = _part_of_truth(states, pairs, rows)
+        if share is not None:
+            share = share_left(share, part)
+        else:
+            box_s = time_left(box_s, part, frame_interval_s(learned.observed.labelled))
+    numbers = replace(
+        box_errors,
+        states=tuple(old if new is None else new.errors for old, new in zip(box_errors.states, states, strict=True)),
+        box_s=box_s,
+        box_vessel_share=share,
+    )
+    written = replace(learned, numbers=replace(learned.numbers, box_errors=numbers))
+    return TakenOff(written, tuple(states), noise, len(np.unique(jacobians.vessel[jacobians.moved >= 0])), slow)
+
+
+def report_less_truth_noise(
+    report: LearnReport, scene: Scene, views: Sequence[View], noise: TruthNoise
+) -> tuple[LearnReport, TakenOff]:
+    """The same for a report: its learned numbers without errors of truth, and remarks that say so."""
+    found = take_off_truth_noise(report.learned, scene, views, noise, report.level)
+    remarks = (*report.remarks_on_data, *found.sentences())
+    return replace(report, learned=found.learned, remarks_on_data=remarks), found
+
+
+@dataclass(frozen=True, eq=False)
+class _Jacobians:
+    """Derivatives of true boxes (n, 4, 8), with times, vessels and fits (n,), for pairs at `place` (n,).
+
+    See `TruthErrors` for `moved`.
+    """
+
+    place: Indices
+    jacobians: Array
+    time_s: Array
+    vessel: Indices
+    moved: Indices
+
+    @classmethod
+    def of(cls, learned: Learned, scene: Scene, views: Sequence[View]) -> _Jacobians:
+        """Those of pairs in at most so many images of each camera."""
+        pairs, labelled = learned.observed.pairs, learned.observed.labelled
+        identity, vessel = labelled.annotations.identity[pairs.rows], np.full(len(pairs), -1)
+        moved = np.full(len(pairs), -1)
+        places, found = [np.empty(0, dtype=np.int64)], [np.empty((0, 4, 8))]
+        for number, view in enumerate(views):
+            some = np.unique(np.linspace(0, len(view.images) - 1, _MOST_FRAMES).round().astype(np.int64))
+            frame = np.full(len(labelled.images), -1)
+            frame[view.images[some]] = some
+            place = np.flatnonzero((frame[pairs.image] >= 0) & (identity >= 0))
+            if not len(place):
+                continue
+            vessel[place] = identity[place] - view.first_identity
+            if view.moved is not None:
+                moved[place] = np.where(view.moved[vessel[place]], number * len(scene.vessels) + vessel[place], -1)
+            jacobians = box_jacobians(scene, view, frame[pairs.image[place]], vessel[place])
+            told = np.isfinite(jacobians).all(axis=(1, 2))
+            places.append(place[told])
+            found.append(jacobians[told])
+        place = np.concatenate(places)
+        time_s = labelled.images.time_s[pairs.image[place]]
+        return cls(place, np.concatenate(found), time_s, vessel[place], moved[place])
+
+    def errors(self, pairs: Pairs, chosen: Mask, relative: bool, noise: TruthNoise) -> TruthErrors | None:
+        """Errors of truth of some pairs; None of too few."""
+        ours = chosen[self.place]
+        if ours.sum() < _LEAST_PAIRS:
+            return None
+        unit_px = pairs.sides_px[self.place[ours]] if relative else np.ones((int(ours.sum()), 4))
+        columns = self.jacobians[ours], self.time_s[ours], self.vessel[ours]
+        return TruthErrors(*columns, noise, unit_px, self.moved[ours])
+
+
+def _measured(learned: Learned, ours: Mask, relative: bool) -> Array:
+    """Covariances of the errors of some pairs (m,) in each replicate, shape (rows, 4, 4)."""
+    pairs = learned.observed.pairs
+    _, std, correlation = moments(learned.resampling, pairs.image[ours], pairs.errors(ours, relative))
+    return np.stack([covariance(*each) for each in zip(np.nan_to_num(std), np.nan_to_num(correlation), strict=True)])
+
+
+def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting_s: float) -> Array:
+    """Standard deviations of what changes of the errors to the next frame, shape (4,), NaN where few frames tell.
+
+    Less what changes of errors of truth with these variances (4,).
+    """
+    pairs, place = learned.observed.pairs, np.flatnonzero(ours)
+    steps = steps_between(learned.observed.labelled, pairs.rows[place])
+    if len(steps) < _LEAST_PAIRS:
+        return np.full(4, np.nan)
+    errors = pairs.errors(ours, relative)
+    apart = np.abs(errors[steps.later] - errors[steps.earlier])
+    change = (_TO_STD * np.median(apart, axis=0)) ** 2 / 2  # a wrong match must not pull
+    of_truth = noise * -np.expm1(-steps.apart_s / lasting_s).mean()
+    left: Array = np.sqrt(np.maximum(change - of_truth, 0))
+    return left
+
+
+def _part_of_truth(states: Sequence[LessNoise | None], pairs: Pairs, rows: int) -> Array:
+    """Share of the whitened errors of all states that was taken off, shape (rows,)."""
+    counts = np.bincount(pairs.state, minlength=len(states)).astype(np.float64)
+    parts = np.stack([np.zeros(rows) if each is None else each.share for each in states])
+    part: Array = np.clip(counts @ parts / max(counts.sum(), 1.0), 0, 1 - 1e-6)
+    return part

@@ -1,0 +1,275 @@
+"""Vessels whose AIS says too little of where they are: their boxes are ignored, and they are named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from modsim3d.core.errors import InputError
+from modsim3d.core.text import counted
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.geometry.camera import Camera
+from modsim3d.geometry.camera_poses import CameraPoses, world_R_vehicle
+from modsim3d.learn.voyage.attitude import NEAR_S
+from modsim3d.learn.voyage.clock import Reports, read_reports
+from modsim3d.scene.ais.vessel_track import KNOT_M_S
+from modsim3d.scene.scene import Scene
+from modsim3d.scene.sight import line_of_sight
+from modsim3d.world.poses.base import Poses
+from modsim3d.world.vessel_motion import PosesInWaves
+
+STALE_S = 60.0
+"""A vessel under way that has not reported for so long before and after a frame is left out of it."""
+SLOW_KN, SLOW_STALE_S = 2.0, 180.0
+"""Below this speed transponders report every three minutes: of class B always, of class A when they are moored
+(ITU-R M.1371-5, Annex 1, Tables 1 and 2)."""
+LYING_M_S = 0.25
+"""A slower vessel does not move between its reports, which come every three minutes."""
+MOST_KN = 60.0
+"""A vessel that would be faster has jumped, unless the scene was made with another limit."""
+BEYOND_S = 3.0
+"""A vessel is there for so long before its first place and after its last one: clocks and reports may be late."""
+ALWAYS_OFF_M, OFF_M_S = 10.0, 0.5
+"""How far off the place of a vessel that is left out may be: at once, and for each second since its last report."""
+
+
+class Reason(Enum):
+    """Why a vessel is left out of a frame."""
+
+    STALE = "stale, no report within {limit}"
+    JUMP = "jumping"
+    OFF = "off"
+
+
+@dataclass(frozen=True, eq=False)
+class Regions:
+    """Where vessels that are left out may be in n frames: k regions.
+
+    Attributes:
+        frame: Number of the frame, non-decreasing, shape (k,).
+        vessel: Index of the vessel, shape (k,).
+        boxes_px: x_min, y_min, x_max, y_max, shape (k, 4).
+        depth_m: Distance along the axis of the camera, shape (k,).
+    """
+
+    frame: Indices
+    vessel: Indices
+    boxes_px: Array
+    depth_m: Array
+
+    def rows(self, rows: Mask | slice, later: int = 0) -> Regions:
+        """Some of the regions, shape (k,), with a number added to that of their frames."""
+        return Regions(self.frame[rows] + later, self.vessel[rows], self.boxes_px[rows], self.depth_m[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """How well the places of V vessels are known at n times.
+
+    Attributes:
+        reason: Reason → whether it holds, shape (n, V).
+        beyond: Whether a time is just before the first place of a vessel, or just after the last, shape (n, V).
+        since_s: Time to the nearest report, or to the nearest pose of the scene, 0 where unknown, shape (n, V).
+        guessed: Poses of the vessels that are off, straight between the last place before and the first after, and of
+            those just beyond their first or last one, straight on.
+    """
+
+    reason: Mapping[Reason, Mask]
+    beyond: Mask
+    since_s: Array
+    guessed: Poses
+
+
+def stale_limit_s(scene: Scene, given: float | None) -> float:
+    """Least time without a report of a vessel under way that is left out: the given one, else 60 s.
+
+    Raises:
+        InputError: The given one is not positive, or the scene was not made from AIS.
+    """
+    if given is None:
+        return STALE_S
+    if not (np.isfinite(given) and given > 0):
+        raise InputError("--stale", [f"must be seconds above 0 (got {given:g})"])
+    if read_reports(scene.path) is None:
+        problem = f"{scene.title} was not made by modsim3d ais: nothing says when its vessels have reported"
+        raise InputError("--stale", [problem])
+    return given
+
+
+class ReportAge:
+    """How well the places of a scene's vessels are known."""
+
+    def __init__(self, scene: Scene, reports: Reports | None, stale_s: float = STALE_S) -> None:
+        """Look at the poses of all steps.
+
+        Args:
+            scene: The scene.
+            reports: When its vessels have reported, if it was made from AIS.
+            stale_s: Least time without a report of a vessel under way that is left out; slow ones have three minutes.
+        """
+        self._scene, self._reports, self.stale_s = scene, reports, stale_s
+        self._every_s, self._poses = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
+
+    def at(self, times_s: Array) -> Known:
+        """How well they are known at ascending times within the scene, shape (n,)."""
+        count, vessels = len(times_s), len(self._scene.vessels)
+        reason = {each: np.zeros((count, vessels), dtype=bool) for each in Reason}
+        beyond, since_s = np.zeros((count, vessels), dtype=bool), np.zeros((count, vessels))
+        known = Known(reason, beyond, since_s, Poses.absent(count, vessels))
+        for column, name in enumerate(self._scene.vessel_names):
+            steps = np.flatnonzero(self._poses.present[:, column])
+            if len(steps):
+                self._fill(known, column, name, steps, times_s)
+        return known
+
+    def _fill(self, known: Known, column: int, name: str, steps: Indices, times_s: Array) -> None:
+        """Fill in the column of a vessel that is there at some steps, shape (k,)."""
+        at_s, places_m = self._every_s[steps], self._poses.positions_m[steps, column]
+        early, late = times_s < at_s[0] - NEAR_S, times_s > at_s[-1] + NEAR_S
+        before = np.clip(np.searchsorted(at_s, times_s + NEAR_S, side="right") - 1, 0, len(at_s) - 1)
+        before[late] = max(len(at_s) - 2, 0)  # straight on
+        after = np.minimum(before + 1, len(at_s) - 1)
+        inside = ~early & ~late
+        off = (steps[after] - steps[before] > 1) & (times_s - at_s[before] > NEAR_S) & inside
+        there, span = inside & ~off, np.where(after > before, at_s[after] - at_s[before], 1.0)
+        beyond = ~inside & (times_s >= at_s[0] - BEYOND_S) & (times_s <= at_s[-1] + BEYOND_S)
+        apart_s = np.minimum(np.abs(times_s - at_s[before]), np.abs(times_s - at_s[after]))
+        way_m = places_m[after] - places_m[before]
+        speed = np.linalg.norm(way_m, axis=1) / span
+        way_m[~inside & (speed > MOST_KN * KNOT_M_S)] = 0
+        known.reason[Reason.OFF][:, column], known.beyond[:, column] = off, beyond
+        known.reason[Reason.JUMP][:, column] = there & (speed > MOST_KN * KNOT_M_S)
+        known.since_s[:, column] = np.where(off | beyond, apart_s, 0.0)
+        known.guessed.present[:, column] = off | beyond
+        from_which = np.where(late, after, before)
+        share = ((times_s - at_s[from_which]) / span)[:, None]
+        known.guessed.positions_m[:, column] = places_m[from_which] + share * way_m
+        known.guessed.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
+        used = self._reports.used_s.get(name) if self._reports else None
+        if self._reports is None or used is None or not len(used):
+            return
+        previous = np.searchsorted(used, times_s, side="right") - 1
+        last, first = used[np.maximum(previous, 0)], used[np.minimum(previous + 1, len(used) - 1)]
+        near = np.minimum(np.abs(times_s - last), np.abs(first - times_s))
+        least_s = np.where(speed < SLOW_KN * KNOT_M_S, max(self.stale_s, SLOW_STALE_S), self.stale_s)
+        known.reason[Reason.STALE][:, column] = there & (near > least_s) & (speed > LYING_M_S)
+        jumps = self._reports.jumps_s.get(name, np.empty(0))
+        between = np.searchsorted(jumps, first) > np.searchsorted(jumps, last)
+        known.reason[Reason.JUMP][:, column] |= there & between
+        known.since_s[:, column] = np.where(off | beyond, known.since_s[:, column], near)
+
+
+@dataclass(frozen=True, eq=False)
+class Exclusions:
+    """What is left out of the frames of one camera.
+
+    Attributes:
+        rows: Whether each row of the truth is, shape (T,).
+        boxes_px: Where it may be instead, of those rows, shape (k, 4).
+        off: Where vessels may be that the truth lacks.
+        notes: A line for each vessel that is left out of frames in which it is, or would be.
+    """
+
+    rows: Mask
+    boxes_px: Array
+    off: Regions
+    notes: tuple[str, ...]
+
+
+def exclusions(
+    fresh: ReportAge,
+    scene: Scene,
+    camera: Camera,
+    camera_poses: CameraPoses,
+    times_s: Array,
+    seen: Regions,
+) -> Exclusions:
+    """What is left out of the n frames of a camera.
+
+    Args:
+        fresh: How well the places of the vessels are known.
+        scene: The scene.
+        camera: The camera.
+        camera_poses: From where it looks in each frame.
+        times_s: Ascending times of the frames, shape (n,).
+        seen: The T rows of the truth.
+    """
+    rows, pieces, boxes = np.zeros(len(seen.frame), dtype=bool), [_NOTHING], [np.empty((0, 4))]
+    counts = {each: np.zeros(len(scene.vessels), dtype=np.int64) for each in Reason}
+    beyond = np.zeros(len(scene.vessels), dtype=np.int64)
+    length = max(1, _AT_ONCE // len(scene.vessels))
+    for first in range(0, len(times_s), length):
+        frames = np.arange(first, min(first + length, len(times_s)))
+        known = fresh.at(times_s[frames])
+        start, stop = np.searchsorted(seen.frame, (frames[0], frames[-1] + 1))
+        part = seen.rows(slice(start, stop), -first)
+        for each, holds in known.reason.items():
+            ours = holds[part.frame, part.vessel]
+            rows[start:stop] |= ours
+            counts[each] += np.bincount(part.vessel[ours], minlength=len(scene.vessels))
+        look = CameraPoses(camera_poses.camera_R_world[frames], camera_poses.positions_m[frames])
+        boxes.append(_grown(part.rows(rows[start:stop]), camera, look, known).boxes_px)
+        away = _guessed_regions(scene, camera, look, known)
+        is_beyond = known.beyond[away.frame, away.vessel]
+        beyond += np.bincount(away.vessel[is_beyond], minlength=len(scene.vessels))
+        counts[Reason.OFF] += np.bincount(away.vessel[~is_beyond], minlength=len(scene.vessels))
+        pieces.append(away.rows(slice(None), first))
+    off = Regions(*(np.concatenate(columns) for columns in zip(*(vars(each).values() for each in pieces), strict=True)))
+    told = (*_told(scene, counts, len(times_s), fresh.stale_s), *_told_beyond(beyond))
+    return Exclusions(rows, np.concatenate(boxes), off, told)
+
+
+_NOTHING = Regions(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty(0))
+_AT_ONCE = 1_000_000
+"""Frames times vessels, at some 60 bytes each."""
+
+
+def _told(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: float) -> Iterator[str]:
+    limit = f"{stale_s:g} s" + (f" ({SLOW_STALE_S:g} s below {SLOW_KN:g} kn)" if stale_s < SLOW_STALE_S else "")
+    for column, name in enumerate(scene.vessel_names):
+        if parts := [
+            f"{each.value.format(limit=limit)} in {count[column]:,}" for each, count in counts.items() if count[column]
+        ]:
+            yield f"vessel '{name}' is left out of frames: its AIS is {'; '.join(parts)} of {frames:,}"
+
+
+def _told_beyond(beyond: Indices) -> Iterator[str]:
+    """What becomes of vessels that come or go, given their numbers of boxes just beyond their tracks, shape (V,)."""
+    if beyond.any():
+        vessels = counted(int(np.count_nonzero(beyond)), "vessel is", "vessels are")
+        yield (
+            f"{vessels} left out of frames up to {BEYOND_S:g} s before the first place that the scene has, or after "
+            f"the last: {counted(int(beyond.sum()), 'box', 'boxes')}"
+        )
+
+
+def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
+    """Where vessels without AIS may be in the frames of a camera with some poses, one for each frame."""
+    poses, frames = known.guessed, np.arange(len(known.since_s))
+    calm = np.zeros((*poses.present.shape, 3))
+    places = PosesInWaves(poses, calm, world_R_vehicle(poses.headings_rad))
+    sight = line_of_sight(camera, camera_poses, frames, scene.vessels, places, (), scene.sea == "curved")
+    outlines = sight.outlines(as_shoeboxes=True)
+    found = Regions(outlines.frame, outlines.occluder, outlines.boxes_px, outlines.depth_m)
+    return _grown(found, camera, camera_poses, known)
+
+
+def _grown(regions: Regions, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
+    """Regions that are as much larger as the places may be off, across the line of sight or along it.
+
+    A vessel at distance r that is nearer by d has its waterline lower by the share d / (r − d) of the rows between that
+    and the horizon, and is larger by the same share. One that is farther moves by less.
+    """
+    off_m = ALWAYS_OFF_M + OFF_M_S * known.since_s[regions.frame, regions.vessel]
+    depth_m = np.maximum(regions.depth_m, camera.intrinsics.near_clip_m)
+    share = off_m / np.maximum(depth_m - off_m, off_m)  # at most 1, which is off by half the distance
+    low, high = regions.boxes_px[:, :2], regions.boxes_px[:, 2:]
+    f1, f2 = camera.intrinsics.focal_px
+    below_px = f2 * np.abs(camera_poses.positions_m[regions.frame, 2]) / depth_m
+    more = share[:, None] * np.column_stack([np.full(len(share), f1), below_px + (high - low)[:, 1]])
+    size = np.array(camera.intrinsics.image_size_px, dtype=np.float64)
+    boxes = np.concatenate([np.maximum(low - more, 0), np.minimum(high + more, size)], axis=1)
+    return replace(regions, boxes_px=boxes)

@@ -1,0 +1,1 @@
+"""Readers of what a detector wrote during a voyage."""

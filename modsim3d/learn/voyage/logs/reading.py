@@ -1,0 +1,264 @@
+"""Which reader a log of detections is for."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.formats.reading.builder import Confidences, Problems
+from modsim3d.formats.reading.mot import number_lines, plain_lines, sequence_info
+from modsim3d.formats.writing.mcap_messages import DETECTIONS, VISION_MSGS
+from modsim3d.io.input_files import COCO_BYTES_PER_VALUE, FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES, note_input, read_text
+from modsim3d.io.strict_json import load_json
+from modsim3d.io.validation import shown
+from modsim3d.learn.voyage.logs.coco import SECTIONS, read_coco_log, read_lines_log, read_thesis_log
+from modsim3d.learn.voyage.logs.log import LEAST_UNIX_S, NO_OPTIONS, Clock, DetectionLog, LogOptions, LogRows
+from modsim3d.learn.voyage.logs.tables import read_table_log
+from modsim3d.runs.camera_sequences import camera_sequences
+from modsim3d.runs.files.overwrite import RUN_FILE, files_of_run
+from modsim3d.runs.stored_run import opened_run
+from modsim3d.tracks.diagnosis import CENTRE, MOT
+
+# ---- MOT challenge text, `det.txt` ----
+
+
+def read_mot_log(path: Path, options: LogOptions) -> DetectionLog:
+    """The log of a file of frame, −1, x, y, width, height, confidence and perhaps a class.
+
+    Raises:
+        InputError: The file is wrong, or its frame rate is not known.
+    """
+    source = f"detections {path}"
+    problems = Problems(source, options.skip_bad)
+    info = sequence_info(path, (math.nan, math.nan), source)
+    rate_hz = options.frame_rate_hz or info.rate_hz
+    if rate_hz is None:
+        problem = "the frame rate is not known: give --frame-rate, or put seqinfo.ini beside or above the file"
+        raise InputError(source, [problem])
+    lines, said = plain_lines(number_lines(path, "detections", ",", 7, problems), path.name, problems)
+    classes = any(len(numbers) > 7 and numbers[7] >= 1 for _, numbers in lines)
+    scores = ((where, numbers[6]) for where, numbers in lines)
+    rows = LogRows(source, problems, Confidences.of(scores, options.confidence_scale, problems), MOT)
+    most = min(max(info.frames, FREE_FRAMES + FRAMES_A_ROW * len(lines)), MAX_FRAMES)
+    last = max([info.frames, *(int(numbers[0]) for _, numbers in lines if 1 <= numbers[0] <= most)])
+    frames = [rows.frame(None, number / rate_hz, info.size_px) for number in range(last)]
+    for where, numbers in lines:
+        if not 1 <= numbers[0] <= most or numbers[0] != int(numbers[0]):
+            problems.add(f"{where}: frame must be a whole number from 1 to {most} (got {numbers[0]:.15g})")
+            continue
+        x, y, width, height = numbers[2:6]
+        label = _label(int(numbers[7]), options.labels) if classes and len(numbers) > 7 else None
+        rows.add(frames[int(numbers[0]) - 1], where, [x - 1, y - 1, width, height], label, numbers[6])
+    known = "seqLength in seqinfo.ini" if info.frames >= last else "the frame numbers up to the last with a detection"
+    at = "" if options.start else "; its first frame is taken to be the scene's first step (--start gives another time)"
+    return rows.log(Clock.STEP, f"{known}, {rate_hz:g} Hz{at}", notes=said)
+
+
+def _label(number: int, labels: tuple[str, ...]) -> str:
+    return labels[number - 1] if 1 <= number <= len(labels) else f"class_{number}"
+
+
+# ---- The detections of a run as a log ----
+
+
+def read_run_log(folder: Path) -> DetectionLog:
+    """The log of all cameras of a run; nothing of its truth is read.
+
+    Raises:
+        ModsimError: It is no run.
+    """
+    run, source = opened_run(folder), f"detections {folder}"
+    problems = Problems(source)
+    rows = LogRows(source, problems, Confidences("confidence", 0, 1, True, ""))
+    for each in camera_sequences(run, tuple(range(len(run.scene.cameras)))):
+        frames = [rows.frame(each.camera.name, time_s, each.size_px) for time_s in each.times_s.tolist()]
+        found, labels = each.detections, run.scene.detector.labels
+        sides = np.column_stack([found.boxes_px[:, :2], found.boxes_px[:, 2:] - found.boxes_px[:, :2]]).tolist()
+        columns = found.frame.tolist(), sides, found.label.tolist(), found.confidence.tolist()
+        for row, (frame, box, label, score) in enumerate(zip(*columns, strict=True)):
+            rows.add(frames[frame], f"{each.camera.name} row {row}", box, labels[label], score)
+    return rows.log(Clock.STEP, "its table of frames")
+
+
+# ---- ROS 2 bags with `vision_msgs/Detection2DArray` ----
+
+_NANO = 1_000_000_000
+
+
+def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
+    """The log of a bag: a folder with `metadata.yaml`, its file in `.db3`, or any in `.mcap`.
+
+    A camera is the first part of its topic's name: `/bow/detections` is that of `bow`.
+
+    Raises:
+        InputError: It cannot be read, or has no such topic.
+        ModsimError: rosbags is not installed.
+    """
+    source = f"detections {path}"
+    if path.suffix.lower() == ".db3":
+        path = path.parent
+        if not (path / "metadata.yaml").is_file():
+            raise InputError(source, ["metadata.yaml is missing beside it: give the whole folder of the bag"])
+    messages = list(_messages(path, source))
+    problems = Problems(source, options.skip_bad)
+    topics = {_camera(topic): topic for topic, _, _ in messages}
+    every = [(topic, stamp, k, found) for topic, stamp, message in messages for k, found in enumerate(message)]
+    scores = [(f"{topic} at {stamp / _NANO:.12g} s, [{k}]", score) for topic, stamp, k, (_, _, score, _) in every]
+    given = any(score is not None for _, score in scores)
+    confidences = Confidences.of(scores, options.confidence_scale, problems) if given else None
+    rows = LogRows(source, problems, confidences, CENTRE)
+    clock = Clock.UTC if messages and messages[0][1] >= LEAST_UNIX_S * _NANO else Clock.STAMP
+    for topic, stamp, message in messages:
+        where, camera = f"{topic} at {stamp / _NANO:.12g} s", _camera(topic)
+        if topics[camera] != topic:
+            which = f"{topic} and {topics[camera]} are both of camera {shown(camera)}"
+            raise InputError(source, [f"{which}: give a bag with one topic of a camera"])
+        if (stamp >= LEAST_UNIX_S * _NANO) != (clock is Clock.UTC):
+            raise InputError(source, [f"{where}: some stamps are Unix time and others are not"])
+        if rows.has(camera, stamp / _NANO):
+            problems.add(f"{where}: another message has the same stamp")
+            continue
+        frame = rows.frame(camera, stamp / _NANO)
+        for k, (box, label, score, turn_rad) in enumerate(message):
+            if abs(np.sin(turn_rad)) > 1e-6:  # half a turn changes nothing
+                problems.add(f"{where}, [{k}]: bbox.center.theta must be 0, an upright box (got {turn_rad:g})")
+                continue
+            rows.add(frame, f"{where}, [{k}]", box, label, score)
+    return rows.log(clock, "its messages")
+
+
+def _camera(topic: str) -> str | None:
+    parts = [part for part in topic.split("/") if part]
+    return parts[-2] if len(parts) > 1 else None
+
+
+def ros_name(camera: str) -> str:
+    """What a camera of a scene is called in topics."""
+    token = re.sub(r"[^A-Za-z0-9]+", "_", camera).strip("_")
+    return token if token[:1].isalpha() else f"camera_{token}".rstrip("_")
+
+
+Found = tuple[list[float], str | None, float | None, float]
+"""Left, top, width and height, label and score, and the angle by which the box is turned."""
+
+
+def _messages(path: Path, source: str) -> Iterator[tuple[str, int, list[Found]]]:
+    """Topic, stamp in nanoseconds and detections of each message."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError:
+        raise ModsimError('detections in a ROS 2 bag need rosbags: pip install "modsim3d[ros]"') from None
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        note_input(file)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in VISION_MSGS.items():
+        store.register(get_types_from_msg(text, name))
+    try:
+        with AnyReader([path], default_typestore=store) as reader:
+            wanted = [each for each in reader.connections if each.msgtype == DETECTIONS]
+            if not wanted:
+                topics = ", ".join(f"{each.topic} ({each.msgtype})" for each in reader.connections) or "no topic"
+                raise InputError(source, [f"must have a topic of {DETECTIONS} (got {topics})"])
+            for connection, _, raw in reader.messages(wanted):
+                message: Any = reader.deserialize(raw, connection.msgtype)
+                stamp = int(message.header.stamp.sec) * _NANO + int(message.header.stamp.nanosec)
+                yield connection.topic, stamp, [_found(each) for each in message.detections]
+    except ModsimError:
+        raise
+    except Exception as error:  # of a damaged bag the readers raise whatever they meet, not only their own errors
+        raise InputError(source, [f"cannot be read as a ROS 2 bag: {error}"]) from None
+
+
+def _found(detection: Any) -> Found:
+    box = detection.bbox
+    centre = getattr(box.center, "position", box.center)  # vision_msgs 2 and 3 have x and y in the pose itself
+    sides = [centre.x - box.size_x / 2, centre.y - box.size_y / 2, box.size_x, box.size_y]
+    turn_rad = float(getattr(box.center, "theta", 0.0))
+    kinds = [getattr(each, "hypothesis", each) for each in detection.results]  # vision_msgs 2 has it in the result
+    best = max(kinds, key=lambda each: float(each.score), default=None)
+    if best is None:
+        return sides, None, None, turn_rad
+    label = best.class_id if hasattr(best, "class_id") else best.id  # as vision_msgs 2 calls it
+    return sides, str(label) or None, float(best.score), turn_rad
+
+
+# ---- Which reader a log of detections is for ----
+
+_KNOWN = "a run folder, a ROS 2 bag, COCO .json, MOT .txt, .csv, .parquet, or .jsonl"
+
+
+def read_log(path: Path, options: LogOptions = NO_OPTIONS) -> DetectionLog:
+    """Read a log of detections, whose kind its name and its beginning tell.
+
+    Raises:
+        InputError: It cannot be read, is of no known kind, or is wrong.
+    """
+    log = _reader(path, options)
+    if options.images is not None and ".json" not in path.suffixes:
+        raise InputError("--images", [f"is for COCO results, and {path} says itself when its images were taken"])
+    return replace(log.shifted(options.start), of_run=_is_of_run(path))
+
+
+def _is_of_run(path: Path) -> bool:
+    """Whether a log is a run, or a file that a run has written into its folder."""
+    return (path / RUN_FILE).is_file() or path.name in files_of_run(path.parent)
+
+
+def _reader(path: Path, options: LogOptions) -> DetectionLog:
+    source = f"detections {path}"
+    if not path.exists():
+        raise InputError(source, ["no such file or folder"])
+    if path.is_dir():
+        if (path / RUN_FILE).is_file():
+            return read_run_log(path)
+        if (path / "metadata.yaml").is_file():
+            return read_bag_log(path, options)
+        raise InputError(source, [f"is a folder, and neither a run nor a ROS 2 bag; a log is {_KNOWN}"])
+    kinds = path.name.lower().removesuffix(".gz").rsplit(".", 1)
+    kind = kinds[1] if len(kinds) > 1 else ""
+    if kind in ("mcap", "db3"):
+        return read_bag_log(path, options)
+    if kind in ("jsonl", "ndjson"):
+        return read_lines_log(path, options)
+    if kind == "json":
+        return _json(path, source, options)
+    if kind == "parquet":
+        return read_table_log(path, options)
+    if kind in ("txt", "csv"):
+        return read_mot_log(path, options) if _begins_with_numbers(path) else read_table_log(path, options)
+    raise InputError(source, [f"its name does not say what it is; a log is {_KNOWN}"])
+
+
+def _begins_with_numbers(path: Path) -> bool:
+    """Whether the first line of a text is numbers, as MOT's are, and not names of columns."""
+    first = next((line for line in read_text(path, "detections").splitlines() if line.strip()), "")
+    try:
+        [float(part) for part in first.strip().rstrip(",").split(",")]
+    except ValueError:
+        return False
+    return True
+
+
+def _json(path: Path, source: str, options: LogOptions) -> DetectionLog:
+    content = load_json(path, "detections", COCO_BYTES_PER_VALUE)
+    if isinstance(content, list):
+        if options.images is None:
+            problem = "COCO results do not say when their images were taken: give the COCO file of these with --images"
+            raise InputError(source, [problem])
+        images: Any = load_json(options.images, "images", COCO_BYTES_PER_VALUE)
+        return read_coco_log(path, content, images, options)
+    if isinstance(content, dict) and any(key in content for key in SECTIONS):
+        if missing := [key for key in SECTIONS if key not in content]:
+            raise InputError(source, [f"{key}: missing" for key in missing])
+        return read_coco_log(path, content, None, options)
+    if isinstance(content, dict):
+        return read_thesis_log(path, content, options)
+    raise InputError(source, [f"must be COCO or a mapping from times to detections (got {shown(content)})"])

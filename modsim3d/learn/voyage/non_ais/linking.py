@@ -1,0 +1,380 @@
+"""False detections linked over time: which of them are the same thing, seen again.
+
+Things move at a constant velocity, along and below the horizon, so that a camera that rolls and pitches does not break
+the links.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from modsim3d.core.boxes import sizes
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.formats.labelled import Annotations, Images
+from modsim3d.formats.matching import image_pairs
+from modsim3d.learn.matches import FalseSightings, Observed
+
+# ---- By how much boxes of small vessels change from one frame to the next through the errors of the ----
+
+_SMALLEST = 0.25
+"""Share of the matched boxes that are called small; errors of larger ones are often larger in pixels."""
+_LEAST_CHANGES = 20
+_MUCH_SMALLER = 1 / 3
+"""Boxes of a smaller share of their side err by less in proportion: nothing shows that errors stay as large."""
+TO_STD = 1.4826
+"""Median absolute deviation to standard deviation of normal numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Jitter:
+    """Standard deviations of what the error of a small box changes by between two frames.
+
+    Attributes:
+        place_px: Of the centre, in x and y, shape (2,).
+        size_px: Of width and height, shape (2,).
+        side_px: Median of the square root of the area of the boxes that show it.
+    """
+
+    place_px: Array
+    size_px: Array
+    side_px: float
+
+    def off_px(self, side_px: Array | float) -> Array:
+        """How far centres of boxes of some sides are apart, for a standard deviation in x and y, shape of the sides."""
+        return float(np.hypot(*self.place_px)) * self._share(side_px)
+
+    def resized_px(self, side_px: Array | float) -> Array:
+        """Standard deviations of what width and height change by, shape (..., 2)."""
+        return self.size_px * self._share(side_px)[..., None]
+
+    def _share(self, side_px: Array | float) -> Array:
+        return np.minimum(np.asarray(side_px) / (_MUCH_SMALLER * self.side_px), 1.0)
+
+
+STEADY = Jitter(np.zeros(2), np.zeros(2), 1.0)
+
+
+def jitter_of(observed: Observed, longest_s: float) -> Jitter:
+    """Jitter of the smallest known vessels in full view, from detections at most so long apart; 0 if they are few."""
+    pairs, images = observed.pairs, observed.labelled.images
+    if not len(pairs):
+        return STEADY
+    identity = observed.labelled.annotations.identity[pairs.rows]
+    sequence, time_s = images.sequence[pairs.image], images.time_s[pairs.image]
+    whole = np.flatnonzero(pairs.edges.known.all(axis=1) & (identity >= 0))
+    order = whole[np.lexsort((time_s[whole], identity[whole], sequence[whole]))]
+    same = (np.diff(sequence[order]) == 0) & (np.diff(identity[order]) == 0)
+    with np.errstate(invalid="ignore"):
+        near = same & (np.diff(time_s[order]) <= longest_s)
+    side_px = np.sqrt(sizes(pairs.annotated_px[order]).prod(axis=1))
+    of_two = np.maximum(side_px[1:], side_px[:-1])[near]
+    changes = np.diff(pairs.error_px[order], axis=0)[near]
+    small = of_two <= np.quantile(of_two, _SMALLEST) if len(of_two) else near[:0]
+    if np.count_nonzero(small) < _LEAST_CHANGES:
+        return STEADY
+    spread = TO_STD * np.median(np.abs(changes[small]), axis=0)
+    return Jitter(spread[:2], spread[2:], float(np.median(of_two[small])))
+
+
+# ---- Things followed from frame to frame, by those of their sides that are not cut off ----
+
+MOST_HIDDEN_S = 30.0
+"""The longest that a thing may be hidden."""
+_LEAST_SEEN = 5
+"""Detections of a thing that may be missed for longer than usual."""
+_NEAR, _LEAST_NEAR_PX = 0.6, 5.0
+"""How far off a box may lie, in sides of it, and in pixels."""
+_SPEED_SIDES_S = 1.0
+"""How fast a thing may be, in lengths a second: a boat of 10 m at 20 knots makes one."""
+_MOST_WAY_SIDES = 2.0
+_MOST_LOG_RATIO = np.log(2.0)
+_GATE_STDS = 3.0
+"""A box may also be as far off, and as much larger or smaller, as so many standard deviations of the jitter."""
+_ASPECT = 3.0
+"""Width over height of a thing whose width was never seen."""
+_VAGUE = 0.5
+"""How far off a thing counts to be along an axis where no side tells, in reaches."""
+_NOTHING = 1.001
+_BESIDE_PX = 5.0
+"""A side so near to another detection's box may be hidden by what is there."""
+_MEMORY, _LEAST_MEMORY, _MEMORY_S = 12, 5, 6.0
+"""Detections that a velocity is made from; not many more than in so long, since what nears seems to go ever faster."""
+_AXES = np.array([0, 1, 0, 1])
+"""Axis of the left, upper, right and lower side."""
+
+
+@dataclass(eq=False)
+class _Thing:
+    """A thing: its number, how often, when first and when last it was seen.
+
+    Its sides (4,), which of them are known (4,), its velocity along and below the horizon (2,), and how many detections
+    tell where it is along each (2,).
+    """
+
+    number: int
+    seen: int
+    first_s: float
+    last_s: float
+    sides: Array
+    known: Mask
+    velocity: Array
+    told: Array
+
+    def lost(self, now: float, longest_s: float) -> bool:
+        """Whether it is another thing if it is seen again: it may be hidden for as long as it was followed."""
+        hidden_s = min(self.last_s - self.first_s, MOST_HIDDEN_S) if self.seen >= _LEAST_SEEN else 0.0
+        return now - self.last_s > max(longest_s, hidden_s) + 1e-9
+
+    def expected(self, now: float) -> Array:
+        """Its sides at a later time, shape (4,)."""
+        sides: Array = self.sides + self.velocity[_AXES] * (now - self.last_s)
+        return sides
+
+    def update(self, now: float, measured: Array, sure: Mask) -> None:
+        """Move it to where it was detected, by least squares over its last detections."""
+        apart, expected = now - self.last_s, self.expected(now)
+        usable = (sure & self.known).reshape(2, 2)
+        self.seen += 1
+        memory = np.clip(_MEMORY_S / apart, _LEAST_MEMORY, _MEMORY)
+        self.told = np.minimum(self.told + usable.any(axis=0), memory)
+        off = _offsets(measured[None], sure[None], expected[None], self.known[None])[0, 0] * usable.any(axis=0)
+        # Gains of a straight line through the last detections, evenly spaced (Brookner (1998), section 1.2.10).
+        sides = expected + (2 * (2 * self.told - 1) / (self.told * (self.told + 1)) * off)[_AXES]
+        self.velocity = self.velocity + 6 / (self.told * (self.told + 1)) * off / apart
+        both = usable.all(axis=0)  # then the size is seen as well
+        larger = ((measured - sides)[2:] - (measured - sides)[:2]) / 2 * both / self.told
+        sides += np.concatenate([-larger, larger])
+        sides = np.where(self.known, sides, measured)
+        self.sides, self.known, self.last_s = sides, self.known | sure, now
+
+
+def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float, jitter: Jitter) -> Indices:
+    """Number the detections of one sequence by what they are of, from 0 up, shape (n,).
+
+    Args:
+        time_s: Time of each, ascending, shape (n,).
+        sides: Left, upper, right and lower side, shape (n, 4).
+        sure: Which of them nothing cuts off, shape (n, 4).
+        longest_s: How long a thing may be missed at least before it is another one.
+        jitter: By how much small boxes change through the detector's errors.
+    """
+    numbers, things, count = np.full(len(time_s), -1), list[_Thing](), 0
+    edges = np.flatnonzero(np.diff(time_s)) + 1
+    for ours in np.split(np.arange(len(time_s)), edges) if len(time_s) else []:
+        now = float(time_s[ours[0]])
+        things = [thing for thing in things if not thing.lost(now, longest_s)]
+        free = np.arange(len(ours))
+        for seen in (sure[ours], sure[ours] & ~_beside_others(sides[ours])):
+            waiting = [thing for thing in things if thing.last_s < now]
+            taken = _assigned(waiting, now, sides[ours[free]], seen[free], jitter)
+            for place, thing in taken:
+                row = ours[free[place]]
+                numbers[row] = waiting[thing].number
+                waiting[thing].update(now, sides[row], seen[free[place]])
+            free = np.delete(free, [place for place, _ in taken])
+            if not len(free):
+                break
+        for row in ours[free].tolist():
+            numbers[row] = count
+            things.append(_Thing(count, 1, now, now, sides[row].copy(), sure[row].copy(), np.zeros(2), np.ones(2)))
+            count += 1
+    return numbers
+
+
+def _assigned(things: list[_Thing], now: float, measured: Array, sure: Mask, jitter: Jitter) -> list[tuple[int, int]]:
+    """Pairs of a detection and the thing that it is of, as places; measured and sure are (n, 4)."""
+    if not things:
+        return []
+    expected, known = np.stack([each.expected(now) for each in things]), np.stack([each.known for each in things])
+    apart, told = np.array([(now - each.last_s, each.told.min()) for each in things]).T
+    width, height = np.maximum(expected[:, 2:] - expected[:, :2], 1.0).T
+    whole = known[:, 0] & known[:, 2]
+    side = np.sqrt(np.where(whole, width, np.maximum(width, _ASPECT * height)) * height)
+    way = np.minimum(apart * _SPEED_SIDES_S, _MOST_WAY_SIDES) / np.sqrt(told)
+    near = np.maximum(_GATE_STDS * jitter.off_px(side), _LEAST_NEAR_PX)
+    reach = np.maximum(_NEAR * side, near) + side * way
+    off = np.linalg.norm(_offsets(measured, sure, expected, known), axis=-1) / reach
+    fits = (off <= 1) & _alike(measured, sure, expected, known, jitter)
+    if not fits.any():
+        return []
+    vague = 2 - (sure[:, None] & known[None]).reshape(*off.shape, 2, 2).any(axis=2).sum(axis=-1)
+    cost = np.where(fits, np.maximum(off, _VAGUE * vague), _NOTHING)
+    pairs = zip(*linear_sum_assignment(cost), strict=True)
+    return [(int(a), int(b)) for a, b in pairs if fits[a, b]]
+
+
+def _beside_others(sides: Array) -> Mask:
+    """Which sides (n, 4) of detections in one frame lie in or just beside the box of another, shape (n, 4)."""
+    low, high = sides[:, :2] - _BESIDE_PX, sides[:, 2:] + _BESIDE_PX
+    meets = ((sides[:, None, :2] <= high) & (sides[:, None, 2:] >= low)).all(axis=-1) & ~np.eye(len(sides), dtype=bool)
+    inside = (sides[:, None] >= np.tile(low, 2)) & (sides[:, None] <= np.tile(high, 2))
+    beside: Mask = np.asarray((inside & meets[..., None]).any(axis=1))
+    return beside
+
+
+def _offsets(measured: Array, sure: Mask, expected: Array, known: Mask) -> Array:
+    """How far n detections lie from where k things are expected, along and below the horizon, shape (n, k, 2).
+
+    By the sides that are sure; if none is, by how far the two are apart, which is 0 where they overlap.
+    """
+    usable = (sure[:, None] & known[None]).reshape(len(measured), len(expected), 2, 2)
+    off = (measured[:, None] - expected[None]).reshape(usable.shape)
+    number = usable.sum(axis=2)
+    mean = np.where(usable, off, 0.0).sum(axis=2) / np.maximum(number, 1)
+    before = np.maximum(expected[None, :, :2] - measured[:, None, 2:], 0)
+    after = np.maximum(measured[:, None, :2] - expected[None, :, 2:], 0)
+    offsets: Array = np.where(number > 0, mean, after - before)
+    return offsets
+
+
+def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Jitter) -> Mask:
+    """Whether n detections are about as large as k things, along axes where all sides are sure, shape (n, k)."""
+    usable = (sure[:, None] & known[None]).reshape(len(measured), len(expected), 2, 2).all(axis=2)
+    found, whole = (np.maximum(each[..., 2:] - each[..., :2], 1.0) for each in (measured[:, None], expected[None]))
+    near = np.abs(found - whole) <= _GATE_STDS * jitter.resized_px(np.sqrt(whole.prod(axis=-1)))
+    alike: Mask = (~usable | near | (np.abs(np.log(found / whole)) <= _MOST_LOG_RATIO)).all(axis=-1)
+    return alike
+
+
+# ---- The four sides of unmatched detections, and which of them are those of a whole thing ----
+
+AT_BORDER_PX = 5.0
+"""A side so near to the image's border may be cut by it."""
+_BESIDE, _NEAR_PX = 0.25, 5.0
+"""A side so near to a known vessel's box may be hidden by it: beside it in heights of the box, and in pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Sides of n detections.
+
+    Attributes:
+        places_px: Left, upper, right and lower side, along and below the horizon, shape (n, 4).
+        sure: Whether each is a side of the whole thing, as nothing cuts it off there, shape (n, 4).
+        at_border: Whether the image's left or right border may cut it, shape (n,).
+    """
+
+    places_px: Array
+    sure: Mask
+    at_border: Mask
+
+    @classmethod
+    def of(cls, sightings: FalseSightings, known: Annotations, images: int) -> Sides:
+        """Those of false detections beside known vessels, in so many images."""
+        centre, half = np.column_stack([sightings.along_px, sightings.depth_px]), sightings.sizes_px / 2
+        cut = _at_border(sightings)
+        sure: Mask = ~(cut | _hidden(sightings, known, images))
+        return cls(np.concatenate([centre - half, centre + half], axis=1), sure, cut[:, 0] | cut[:, 2])
+
+
+def _at_border(sightings: FalseSightings) -> Mask:
+    """Which sides lie at the border of their image, shape (n, 4)."""
+    boxes = sightings.boxes_px
+    with np.errstate(invalid="ignore"):
+        near, far = boxes[:, :2] <= AT_BORDER_PX, boxes[:, 2:] >= sightings.image_px - AT_BORDER_PX
+    cut: Mask = np.concatenate([near, far], axis=1)
+    return cut
+
+
+def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
+    """Which sides lie in the box of a known vessel, or just beside it, shape (n, 4)."""
+    hidden = np.zeros((len(sightings), 4), dtype=bool)
+    for row, vessel in image_pairs(sightings.image, known.image, images):
+        ours, theirs = sightings.boxes_px[row], known.boxes_px[vessel]
+        beside_px = np.maximum(_BESIDE * (theirs[:, 3] - theirs[:, 1]), _NEAR_PX)
+        near = np.column_stack([beside_px, np.full(len(row), _NEAR_PX)])
+        low, high = theirs[:, :2] - near, theirs[:, 2:] + near
+        meets = ((ours[:, :2] <= high) & (ours[:, 2:] >= low)).all(axis=1)
+        inside = (ours >= np.tile(low, 2)) & (ours <= np.tile(high, 2))
+        np.logical_or.at(hidden, row, inside & meets[:, None])
+    return hidden
+
+
+# ---- False detections linked over time ----
+
+MOST_GAP_S = 3.0
+"""A thing that is not detected for longer is another one when it is detected again, unless it was followed as long."""
+LEAST_GAP_FRAMES = 3
+"""Usual gaps between frames that a thing may be missed for in any case."""
+
+
+@dataclass(frozen=True, eq=False)
+class Links:
+    """Which detections are of one thing.
+
+    Attributes:
+        rows: Rows of the results that are linked, shape (n,).
+        link: Number of the thing that each is of, from 0 up, shape (n,).
+        image: Image of each, shape (n,).
+        time_s: Time of each, shape (n,).
+        places_px: Distance along and below the horizon of the centre, shape (n, 2).
+        bottom_px: Distance below the horizon of the middle of the lower edge, NaN where no horizon is known, (n,).
+        sizes_px: Width and height, shape (n, 2).
+        whole: Whether nothing cuts off a side, shape (n,).
+        at_border: Whether the image's left or right border may cut it, shape (n,).
+        gap_s: Usual time between frames.
+        longest_gap_s: Longest time between two detections of a thing that is not hidden.
+        jitter: By how much small boxes change through the detector's errors.
+    """
+
+    rows: Indices
+    link: Indices
+    image: Indices
+    time_s: Array
+    places_px: Array
+    bottom_px: Array
+    sizes_px: Array
+    whole: Mask
+    at_border: Mask
+    gap_s: float
+    longest_gap_s: float
+    jitter: Jitter
+
+    @property
+    def count(self) -> int:
+        """Number of things."""
+        return int(self.link.max(initial=-1)) + 1
+
+
+def link(observed: Observed) -> Links:
+    """Link the false positives of a labelled set whose images have times; others are things of their own."""
+    sightings, images = observed.false_sightings, observed.labelled.images
+    time_s = images.time_s[sightings.image]
+    gap_s = _usual_gap_s(images)
+    longest = max(MOST_GAP_S, (LEAST_GAP_FRAMES + 0.5) * gap_s)
+    jitter = jitter_of(observed, longest)
+    sides = Sides.of(sightings, observed.labelled.annotations, len(images))
+    numbers, first = np.full(len(sightings), -1), 0
+    sequence = images.sequence[sightings.image]
+    for each in np.unique(sequence[np.isfinite(time_s)]):
+        rows = np.flatnonzero((sequence == each) & np.isfinite(time_s))
+        rows = rows[np.argsort(time_s[rows], kind="stable")]
+        numbers[rows] = first + follow(time_s[rows], sides.places_px[rows], sides.sure[rows], longest, jitter)
+        first = int(numbers.max()) + 1
+    alone = np.flatnonzero(numbers < 0)
+    numbers[alone] = first + np.arange(len(alone))
+    return Links(
+        observed.false_positives,
+        numbers,
+        sightings.image,
+        time_s,
+        np.column_stack([sightings.along_px, sightings.depth_px]),
+        np.where(sightings.known, sides.places_px[:, 3], np.nan),
+        sightings.sizes_px,
+        np.asarray(sides.sure.all(axis=1)),
+        sides.at_border,
+        gap_s,
+        longest,
+        jitter,
+    )
+
+
+def _usual_gap_s(images: Images) -> float:
+    """Median time between consecutive frames; 1 where frames have no times."""
+    order = np.lexsort((images.time_s, images.sequence))
+    gaps = np.diff(images.time_s[order])[np.diff(images.sequence[order]) == 0]
+    gaps = gaps[gaps > 0]
+    return float(np.median(gaps)) if len(gaps) else 1.0

@@ -1,0 +1,249 @@
+"""Rates of false positives where not everything that floats has a transponder: two bounds, and what lies between."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from modsim3d.core.errors import InputError
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.io.validation import shown
+from modsim3d.learn.bootstrap import Column, Resampling, ratio
+from modsim3d.learn.voyage.logs.log import LEAST_UNIX_S, utc_s
+from modsim3d.scene.ais.options import time_text
+
+# ---- Rates of false positives where not everything that floats has a transponder ----
+
+
+class RateSource(Enum):
+    """Which rate of false positives goes into the detector file."""
+
+    EMPTY = "the stretches marked as empty"
+    MIXTURE = "the mixture of lifetimes"
+    ALL = "all unmatched detections that are not left out"
+
+
+@dataclass(frozen=True, eq=False)
+class Weighing:
+    """Unmatched detections, and what speaks for each being of a vessel without a transponder.
+
+    Attributes:
+        image: Image of each of n detections, shape (n,).
+        duration: Which of D durations its thing has, shape (n,).
+        tells: Which tell something; the others lie where vessels pass each other or come into view, shape (n,).
+        lasting: Probability that things of a duration last as vessels do, in each replicate, shape (rows, D).
+        likely: Whether these are taken for vessels, shape (D,).
+        perhaps: Whether they may be vessels, shape (D,).
+        empty: Which images lie in stretches marked as empty, shape (I,).
+    """
+
+    image: Indices
+    duration: Indices
+    tells: Mask
+    lasting: Array
+    likely: Mask
+    perhaps: Mask
+    empty: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class StateRates:
+    """False positives in an image of one state.
+
+    Attributes:
+        state: Its name.
+        images: Number of its images.
+        unmatched: Detections that match nothing, but for second boxes and parts of known vessels.
+        taken_for_vessels: Those of them that are taken for a vessel's.
+        upper: If all of them are false, those that tell nothing, too.
+        lower: If all that may be a vessel's are of vessels.
+        mixture: By the mixture; None if nothing lasts as vessels do.
+        empty: In the stretches marked as empty; None if none of its images lies in one.
+        vessel_share: Share of the unmatched detections that tell something that are of vessels, by the mixture.
+        kept: The rate of those that are learned from.
+        units: Number of runs or images that were resampled.
+    """
+
+    state: str
+    images: int
+    unmatched: int
+    taken_for_vessels: int
+    upper: Column
+    lower: Column
+    mixture: Column | None
+    empty: Column | None
+    vessel_share: Column
+    kept: Column
+    units: int
+
+    @property
+    def source(self) -> RateSource:
+        """Which rate is used."""
+        if self.empty is not None:
+            return RateSource.EMPTY
+        return RateSource.ALL if self.mixture is None else RateSource.MIXTURE
+
+    @property
+    def used(self) -> Column:
+        """The rate that is used."""
+        return self.empty or self.mixture or self.kept
+
+    @property
+    def factor(self) -> Array:
+        """The rate that is used over that of the detections that are learned from, shape (rows,)."""
+        factor = ratio(self.used.values, self.kept.values)
+        return np.where(np.isfinite(factor), factor, 1.0)
+
+
+def rates_of(
+    weighing: Weighing,
+    resampling: Resampling,
+    image_state: Indices,
+    states: Sequence[str],
+    found: bool,
+    inflation: float,
+) -> tuple[StateRates, ...]:
+    """The rates in each state.
+
+    Args:
+        weighing: The unmatched detections.
+        resampling: Weights of the images.
+        image_state: State of each image, −1 for none, shape (I,).
+        states: Their names.
+        found: Whether the data show things that last as vessels do.
+        inflation: Factor by which flicker that stays raises the variance of the number of its detections.
+    """
+    weights = resampling.weights
+    rates = []
+    for index, name in enumerate(states):
+        ours = image_state == index
+        every = ours[weighing.image]
+        chosen = every & weighing.tells
+        whole, marked = weights[:, ours].sum(axis=1), weights[:, ours & weighing.empty].sum(axis=1)
+        image, duration = weighing.image[chosen], weighing.duration[chosen]
+        cells = (weighing.lasting.shape[1], 2)
+        found_in = resampling.counts(image, 2 * duration + weighing.empty[image], cells)
+        seen, in_empty = found_in.sum(axis=2), found_in[:, :, 1]
+
+        def rate(amount: Array, images: Array = whole) -> Column:
+            return Column(np.nan_to_num(ratio(amount, images)), "rate", np.array(images[0]), inflation)
+
+        most = resampling.counts(weighing.image[every], np.zeros(int(every.sum()), dtype=np.int64), ())
+        telling, lasting = seen.sum(axis=1), (seen * weighing.lasting).sum(axis=1)
+        kept = np.where(weighing.likely, in_empty, seen)
+        share = np.nan_to_num(ratio(lasting, telling))
+        rates.append(
+            StateRates(
+                state=name,
+                images=int(ours.sum()),
+                unmatched=int(every.sum()),
+                taken_for_vessels=int(weighing.likely[duration].sum()),
+                upper=rate(most),
+                lower=rate(seen[:, ~weighing.perhaps].sum(axis=1)),
+                mixture=rate(telling - lasting) if found else None,
+                empty=rate(in_empty.sum(axis=1), marked) if marked[0] > 0 else None,
+                vessel_share=Column(share, "fraction", np.array(telling[0])),
+                kept=rate(kept.sum(axis=1)),
+                units=resampling.units(ours),
+            )
+        )
+    return tuple(rates)
+
+
+# ---- Stretches of time in which a user knows that the sea is empty, as given to `--empty` ----
+
+_SECONDS = re.compile(r"([0-9]+(?:\.[0-9]*)?)-([0-9]+(?:\.[0-9]*)?)")
+_FORM = (
+    "must be FROM-TO in seconds since the scene's first step, such as 120-300, or two UTC times, such as "
+    "2024-01-04T10:02:00Z/2024-01-04T10:05:00Z"
+)
+
+
+@dataclass(frozen=True)
+class TimeSpan:
+    """From one time to another, both in seconds since the scene's first step.
+
+    Attributes:
+        start_s: Unix time of that step if the stretch was given in UTC, to show it so.
+    """
+
+    first_s: float
+    last_s: float
+    start_s: float | None = field(default=None, compare=False)
+
+    def __str__(self) -> str:
+        """As it is given."""
+        if self.start_s is None:
+            return f"{self.first_s:g}-{self.last_s:g}"
+        return f"{self.when(self.first_s)}/{self.when(self.last_s)}"
+
+    def when(self, time_s: float) -> str:
+        """A time since the scene's first step, in words."""
+        return f"{time_s:g} s" if self.start_s is None else time_text(self.start_s + time_s)
+
+
+def parse_stretches(text: str, start_s: float | None) -> tuple[TimeSpan, ...]:
+    """Stretches from a text such as `120-300,900-1000`, or with UTC times and a slash between them.
+
+    Args:
+        text: What was given to `--empty`.
+        start_s: Unix time of the scene's first step; None if the scene does not say.
+
+    Raises:
+        InputError: A part has another form, ends before it begins, or is in UTC and the scene does not say when it is.
+    """
+    stretches, problems = [], []
+    for part in (each.strip() for each in text.split(",")):
+        found = _stretch(part, start_s)
+        if isinstance(found, str):
+            problems.append(found)
+        else:
+            stretches.append(found)
+    if problems:
+        raise InputError("--empty", problems)
+    return tuple(stretches)
+
+
+def in_stretches(stretches: tuple[TimeSpan, ...], time_s: Array) -> Mask:
+    """Which times (n,) lie in a stretch, its ends included, shape (n,)."""
+    inside: Mask = np.zeros(len(time_s), dtype=bool)
+    for each in stretches:
+        inside |= (time_s >= each.first_s - 1e-9) & (time_s <= each.last_s + 1e-9)
+    return inside
+
+
+def check_stretches(stretches: tuple[TimeSpan, ...], time_s: Array, counts: Mask | None = None) -> None:
+    """Refuse a stretch without frames.
+
+    Args:
+        stretches: The stretches.
+        time_s: Times of all frames, at least one, shape (n,).
+        counts: Which frames count; all if None, shape (n,).
+
+    Raises:
+        InputError: No frame that counts lies in a stretch.
+    """
+    for stretch in stretches:
+        inside = in_stretches((stretch,), time_s)
+        if not (inside if counts is None else inside & counts).any():
+            low, high = (stretch.when(float(end)) for end in (np.nanmin(time_s), np.nanmax(time_s)))
+            raise InputError("--empty", [f"{stretch}: no frame lies in it; they are from {low} to {high}"])
+
+
+def _stretch(part: str, start_s: float | None) -> TimeSpan | str:
+    """A stretch, or what is wrong with it."""
+    seconds = _SECONDS.fullmatch(part)
+    ends = [float(each) for each in seconds.groups()] if seconds else [utc_s(each) for each in part.split("/")]
+    if len(ends) != 2 or any(math.isnan(each) for each in ends):
+        return f"{_FORM} (got {shown(part)})"
+    utc = not seconds or min(ends) >= LEAST_UNIX_S
+    if utc and start_s is None:
+        return f"{part}: is in UTC, and the scene does not say when it starts: give seconds since its first step"
+    zero = start_s if utc and start_s is not None else 0.0
+    first_s, last_s = (each - zero for each in ends)
+    return TimeSpan(first_s, last_s, zero if utc else None) if first_s < last_s else f"{part}: must end after it begins"

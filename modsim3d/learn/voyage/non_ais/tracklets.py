@@ -1,0 +1,285 @@
+"""Things that were detected without a transponder: how long each lasts, and whether it moves like a vessel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.formats.labelled import Images
+from modsim3d.learn.voyage.non_ais.linking import TO_STD, Links
+
+# ---- Things that were detected without a transponder ----
+
+_LEAST_SEEN = 5
+"""Detections that are needed to see how a thing moves; with fewer nothing speaks against a vessel."""
+_MOST_OFF, _MOST_OFF_PX, _MOST_RESIZED = 0.35, 5.0, 0.4
+"""Median distance from the middle of the detections before and after, in sides and in pixels; spread of log sides."""
+_LEAST_SHARE = 0.25
+"""Share of the frames of its life in which a vessel is detected at least."""
+_ABOVE, _LEAST_ABOVE_PX = 0.25, 3.0
+"""How far above the horizon a vessel's lower edge may seem to be, in heights and in pixels."""
+_UNSTEADY_STDS = 1.5
+"""What does not exceed so many standard deviations of the jitter of known boxes is steady in any case."""
+
+
+class Behaviour(IntEnum):
+    """What speaks against a vessel: the first that is true."""
+
+    LIKE_A_VESSEL = 0
+    ABOVE_THE_HORIZON = 1
+    RARELY_SEEN = 2
+    JUMPS = 3
+    CHANGES_SIZE = 4
+
+    @property
+    def in_words(self) -> str:
+        """For a report."""
+        return {
+            Behaviour.LIKE_A_VESSEL: "nothing speaks against a vessel",
+            Behaviour.ABOVE_THE_HORIZON: "lower edge above the horizon",
+            Behaviour.RARELY_SEEN: f"detected in less than {_LEAST_SHARE:.0%} of the frames",
+            Behaviour.JUMPS: "moves unsteadily",
+            Behaviour.CHANGES_SIZE: "changes its size",
+        }[self]
+
+
+@dataclass(frozen=True, eq=False)
+class Things:
+    """N linked things.
+
+    Attributes:
+        detections: How often each was detected, shape (N,).
+        first_image: Image in which each was first detected, shape (N,).
+        frames: Frames from the first detection to the last, both included, by the usual gap, shape (N,).
+        lasted_s: Time from the first detection to the last, shape (N,).
+        cut: Whether the frames end before the thing surely did, shape (N,).
+        behaviour: Of `Behaviour`, shape (N,).
+    """
+
+    detections: Indices
+    first_image: Indices
+    frames: Indices
+    lasted_s: Array
+    cut: Mask
+    behaviour: Indices
+
+    @property
+    def perhaps_vessel(self) -> Mask:
+        """Whether nothing but a short life speaks against a vessel, shape (N,)."""
+        perhaps: Mask = self.behaviour == Behaviour.LIKE_A_VESSEL
+        return perhaps
+
+    @property
+    def unsteady(self) -> Mask:
+        """Whether places or sizes jump, as those of a small vessel with large box errors do too, shape (N,)."""
+        unsteady: Mask = np.isin(self.behaviour, (Behaviour.JUMPS, Behaviour.CHANGES_SIZE))
+        return unsteady
+
+
+def things_of(links: Links, images: Images) -> Things:
+    """How long things last and how they move."""
+    count, order = links.count, np.lexsort((links.time_s, links.link))
+    link = links.link[order]
+    starts = np.searchsorted(link, np.arange(count))
+    stops = np.searchsorted(link, np.arange(count), side="right")
+    detections = stops - starts
+    time_s = links.time_s[order]
+    lasted = np.nan_to_num(time_s[stops - 1] - time_s[starts]) if count else np.empty(0)
+    frames = 1 + np.rint(lasted / links.gap_s).astype(np.int64)
+    first_image = links.image[order][starts]
+    ends = _ends_s(images)[images.sequence[first_image]] if count else np.empty(0)
+    with np.errstate(invalid="ignore"):
+        cut = ends - time_s[stops - 1] < links.longest_gap_s if count else np.empty(0, dtype=bool)
+    cut = cut | links.at_border[order][stops - 1] if count else cut
+    behaviour = np.zeros(count, dtype=np.int64)
+    for thing in np.flatnonzero(detections >= _LEAST_SEEN).tolist():
+        rows = order[starts[thing] : stops[thing]]
+        whole = rows[links.whole[rows]]
+        rows = whole if len(whole) >= _LEAST_SEEN else rows[:0]
+        behaviour[thing] = _behaviour(links, rows, detections[thing] / frames[thing]) if len(rows) else 0
+    return Things(detections, first_image, frames, lasted, cut, behaviour)
+
+
+def _behaviour(links: Links, rows: Indices, share: float) -> Behaviour:
+    """How a thing behaves that was detected in some rows, in order of time, shape (n,)."""
+    place, size, time_s = links.places_px[rows], links.sizes_px[rows], links.time_s[rows]
+    below = links.bottom_px[rows]
+    if np.isfinite(below).any() and np.nanmedian(below + np.maximum(_ABOVE * size[:, 1], _LEAST_ABOVE_PX)) < 0:
+        return Behaviour.ABOVE_THE_HORIZON
+    if share < _LEAST_SHARE:
+        return Behaviour.RARELY_SEEN
+    part = ((time_s[1:-1] - time_s[:-2]) / (time_s[2:] - time_s[:-2]))[:, None]
+    off = np.linalg.norm(place[1:-1] - (place[:-2] + part * (place[2:] - place[:-2])), axis=1)
+    side = float(np.median(np.sqrt(size.prod(axis=1))))
+    if np.median(off) > max(_MOST_OFF * side, _MOST_OFF_PX, _UNSTEADY_STDS * float(links.jitter.off_px(side))):
+        return Behaviour.JUMPS
+    # A vessel that nears grows, but slowly.
+    shares, pixels = (TO_STD * np.median(np.abs(np.diff(each, axis=0)), axis=0) for each in (np.log(size), size))
+    resized = (shares > np.sqrt(2) * _MOST_RESIZED) & (pixels > _UNSTEADY_STDS * links.jitter.resized_px(side))
+    return Behaviour.CHANGES_SIZE if resized.any() else Behaviour.LIKE_A_VESSEL
+
+
+def _ends_s(images: Images) -> Array:
+    """The last time of each sequence, by its number, NaN without times."""
+    ends = np.full(int(images.sequence.max(initial=-1)) + 1, -np.inf)
+    timed = np.isfinite(images.time_s)
+    np.maximum.at(ends, images.sequence[timed], images.time_s[timed])
+    return np.where(np.isfinite(ends), ends, np.nan)
+
+
+# ---- Two kinds of durations ----
+
+LEAST_S = 30.0
+"""What lasts as vessels do lasts so long on average at least."""
+LEAST_RATIO = 3.0
+"""And so many times as long as flicker that stays: that lasts no longer on average than the least over this."""
+_STEPS = 60
+_SURE = 6.0
+"""Gain of log-likelihood by which the longer kind is there: by chance it is as large in one of 400 sets."""
+_LEAST_WEIGHT = 0.05
+"""In a replicate without any of the few things that last, they are still known to be there."""
+_SINGLE, _SHORT, _LONG = range(3)
+
+
+@dataclass(frozen=True, eq=False)
+class DurationTypes:
+    """Durations that are alike, and the mixture fitted to them in each replicate.
+
+    Attributes:
+        of_thing: Which duration each of N things has, shape (N,).
+        lasting: Probability that a thing of each duration is of the longer kind, shape (rows, durations).
+        short_s, long_s: Mean lifetimes of flicker that stays and of the longer kind, shape (rows,).
+        found: Whether the data show a longer kind; else `lasting` is 0.
+        longer: Whether things of each duration move like a vessel and were seen for longer than flicker lasts on
+            average at most, shape (durations,).
+        unsteady: Whether they last as vessels do and jump: they count as false, and may be vessels; (durations,).
+        inflation: Factor by which flicker that stays raises the variance of the number of its detections.
+    """
+
+    of_thing: Indices
+    lasting: Array
+    short_s: Array
+    long_s: Array
+    found: bool
+    longer: Mask
+    unsteady: Mask
+    inflation: float
+
+    def at_least(self, probability: float) -> Mask:
+        """Which durations may be of vessels with such a probability, shape (durations,).
+
+        Those of things that were seen for long, where the data do not show whether there is a longer kind; and always
+        those of things that last and jump.
+        """
+        likely: Mask = self.lasting[0] >= probability
+        return (likely if self.found else self.longer) | self.unsteady
+
+
+def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = LEAST_S) -> DurationTypes:
+    """Fit the mixture to the durations of N things, of which each has a weight in each replicate.
+
+    Things that do not move like a vessel are left out, and are surely of no longer kind, however long they last.
+
+    Args:
+        things: The things.
+        weights: In the first row one each, shape (rows, N).
+        gap_s: Usual time between frames.
+        least_s: Least mean lifetime of the longer kind.
+    """
+    perhaps = things.perhaps_vessel
+    keys = np.column_stack([things.frames, things.cut, perhaps, things.unsteady]).astype(np.int64)
+    values, of_thing = np.unique(keys.reshape(-1, 4), axis=0, return_inverse=True)
+    of_thing = of_thing.ravel()
+    counts: Array = np.zeros((len(weights), len(values)))
+    for row in range(len(weights)):
+        counts[row] = np.bincount(of_thing, perhaps * np.maximum(weights[row], _LEAST_WEIGHT), minlength=len(values))
+    durations = _Durations(values[:, 0], values[:, 1], values[:, 2].astype(bool), counts, least_s / gap_s)
+    two, both = durations.fit(with_long=False, rows=1), durations.fit(with_long=True)
+    found = bool(len(values)) and bool(both.value[0] >= two.value[0] + _SURE)
+    fit = both if found else durations.fit(with_long=False)
+    lasting = fit.shares[_LONG] if found else np.zeros_like(counts)
+    long_s = fit.long * gap_s if found else np.full(len(weights), np.nan)
+    lasted_s = (durations.frames - 1) * gap_s
+    longer = durations.perhaps & (lasted_s > least_s / LEAST_RATIO)
+    unsteady = values[:, 3].astype(bool) & (lasted_s >= least_s)
+    return DurationTypes(
+        of_thing, lasting, fit.short * gap_s, long_s, found, longer, unsteady, durations.inflation(fit)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Shares of the kinds in each duration, (3, rows, D); mean lifetimes in frames and log-likelihood, (rows,)."""
+
+    shares: Array
+    short: Array
+    long: Array
+    value: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Durations:
+    """D durations: frames, whether they are cut and may be a vessel's, shape (D,), and how often each is, (rows, D)."""
+
+    frames: Indices
+    cut: Indices
+    perhaps: Mask
+    counts: Array
+    least: float
+
+    @cached_property
+    def trials(self) -> Array:
+        """Frames after which each could have ended, shape (D,)."""
+        trials: Array = np.subtract(self.frames, self.cut, dtype=np.float64)
+        return trials
+
+    def fit(self, with_long: bool, rows: int | None = None) -> _Fit:
+        """The likeliest mixture of each row, with or without the longer kind."""
+        counts = self.counts[:rows]
+        amount: Array = np.tile([[0.5], [0.4], [0.1 if with_long else 0.0]], (1, len(counts)))
+        middle = max(1 + self.least / (2 * LEAST_RATIO), 1.1)
+        short, long = np.full(len(counts), middle), np.full(len(counts), 4 * self.least + 2)
+        shares = np.zeros((3, *counts.shape))
+        value = np.zeros(len(counts))
+        for _ in range(_STEPS):
+            density = np.stack(
+                [
+                    np.broadcast_to(np.log(np.where(self.frames == 1, 1.0, 1e-300)), counts.shape),
+                    self._log_density(short),
+                    np.where(self.perhaps & with_long, self._log_density(long), -np.inf),
+                ]
+            )
+            joint = density + np.log(np.maximum(amount, 1e-300))[..., None]
+            top = joint.max(axis=0)
+            whole = np.exp(joint - top).sum(axis=0)
+            shares = np.exp(joint - top) / whole
+            value = (counts * (top + np.log(whole))).sum(axis=1)
+            weighted = counts * shares
+            total = np.maximum(counts.sum(axis=1), 1e-12)
+            amount = weighted.sum(axis=2) / total
+            short = np.clip(self._mean(weighted[_SHORT]), 1.05, max(self.least / LEAST_RATIO, 1.1))
+            long = np.maximum(self._mean(weighted[_LONG]), np.maximum(self.least, LEAST_RATIO * short))
+        return _Fit(shares, short, long, value)
+
+    def inflation(self, fit: _Fit) -> float:
+        """Inflation, see `DurationTypes`: 1 + share · 2 Σ q^k over k > 0, q the chance to be in the next frame."""
+        seen = self.counts[0] * self.frames
+        stays, flickers = (float((seen * fit.shares[kinds, 0]).sum()) for kinds in (_SHORT, slice(_SINGLE, _LONG)))
+        return 1 + 2 * max(float(fit.short[0]) - 1, 0.0) * stays / max(flickers, 1e-12)
+
+    def _log_density(self, mean: Array) -> Array:
+        """Log-probability of each duration with a mean number of frames (rows,), shape (rows, D)."""
+        end = 1 / np.maximum(mean, 1.0)[:, None]
+        stay = np.log(np.maximum(1 - end, 1e-12))
+        density: Array = np.multiply(self.frames - 1, stay) + (1 - self.cut) * np.log(end)
+        return density
+
+    def _mean(self, weights: Array) -> Array:
+        """Mean number of frames: all frames over all ends, shape (rows,)."""
+        ends = (weights * (1 - self.cut)).sum(axis=1)
+        mean: Array = (weights * self.trials).sum(axis=1) / np.maximum(ends, 0.5)
+        return mean

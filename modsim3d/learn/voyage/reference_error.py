@@ -1,0 +1,299 @@
+"""How well AIS tells where a vessel is, where it heads and how large it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.geometry.camera import Camera
+from modsim3d.geometry.camera_poses import CameraPoses, world_R_vehicle
+from modsim3d.geometry.curved_sea import lowered
+from modsim3d.io.strict_json import load_json
+from modsim3d.learn.voyage.log_to_scene import hull_of, stacked
+from modsim3d.scene.ais.scene_folder import REPORT
+from modsim3d.scene.scene import Scene
+from modsim3d.world.vessel_motion import PosesInWaves
+from modsim3d.world.vessels import Vessel
+
+# ---- How well AIS tells where a vessel is, where it heads and how large it is ----
+
+POSITION_M = 10.0
+"""Standard deviation of each coordinate of a position: receivers without correction say that they are good to 10 m."""
+POSITION_S = 300.0
+"""How long its error lasts: that of a GNSS receiver changes over minutes, with satellites and ionosphere."""
+PARAMETERS = ("east", "north", "heading", "length", "beam", "air draft", "antenna along", "antenna across")
+"""What the truth of a box depends on, in metres and radians."""
+SLOW, CONSTANT = slice(0, 3), slice(3, 8)
+"""Those whose errors change over minutes, and those that a vessel keeps."""
+_REPORTED_DEG, _FROM_COURSE_DEG, _UNKNOWN_DEG = 1.0, 6.0, 45.0
+"""A heading as it is sent; course or bearing in its place, off by leeway and current; none at all."""
+_ROUNDED_M = float(np.sqrt(2 / 12))
+"""A length is the sum of two distances, each rounded to a metre."""
+_TYPICAL = 0.3
+"""Spread of a dimension within a ship type, as a share: "100 to 180 m" and "10 to 14 m" in the table of types."""
+_ANTENNA = 0.23
+"""Spread of the antenna's place where it is taken to be the middle of the hull, as a share: it may be anywhere on four
+fifths of it."""
+_SAME_M = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class TruthNoise:
+    """Standard deviations of the errors of truth.
+
+    Attributes:
+        std: Of the `PARAMETERS` of each vessel, shape (V, 8).
+        position_s: Correlation time of errors of position and heading.
+        reasons: What is uncertain besides positions → number of vessels.
+    """
+
+    std: Array
+    position_s: float
+    reasons: Mapping[str, int]
+
+    @classmethod
+    def of(cls, scene: Scene, position_m: float = POSITION_M, position_s: float = POSITION_S) -> TruthNoise:
+        """That of a scene. Of one that `modsim3d ais` made, its report says what was missing; of others only positions.
+
+        Args:
+            scene: The scene.
+            position_m: Standard deviation of each coordinate of a position.
+            position_s: Correlation time of its error.
+
+        Raises:
+            InputError: The report beside the scene cannot be read.
+        """
+        file = scene.path.parent / REPORT
+        content = load_json(file, "report") if file.is_file() else {}
+        entries = content.get("vessels", {}) if isinstance(content, dict) else {}
+        std, reasons = np.zeros((len(scene.vessels), len(PARAMETERS))), dict[str, int]()
+        std[:, :2] = position_m
+        for row, vessel in enumerate(scene.vessels):
+            entry = entries.get(vessel.name)
+            if isinstance(entry, dict):
+                std[row, 2] = _heading_rad(entry)
+                std[row, CONSTANT], missing = _dimensions(vessel, entry)
+                for name in missing:
+                    reasons[name] = reasons.get(name, 0) + 1
+        return cls(std, position_s, reasons)
+
+    @property
+    def position_m(self) -> float:
+        """Standard deviation of each coordinate of a position."""
+        return float(self.std[0, 0])
+
+
+def _heading_rad(entry: Mapping[str, Any]) -> float:
+    """Spread of the errors of a vessel's headings, by how many of them were sent."""
+    replaced = entry.get("replaced", {})
+    messages = max(float(entry.get("messages", 1)), 1.0)
+    filled = sum(replaced.get(f"heading_{name}", 0) for name in ("from_course", "from_bearing", "held"))
+    unknown, filled = replaced.get("heading_unknown", 0) / messages, filled / messages
+    sent = max(1 - filled - unknown, 0.0)
+    degrees = np.sqrt(sent * _REPORTED_DEG**2 + filled * _FROM_COURSE_DEG**2 + unknown * _UNKNOWN_DEG**2)
+    return float(np.radians(degrees))
+
+
+def _dimensions(vessel: Vessel, entry: Mapping[str, Any]) -> tuple[Array, list[str]]:
+    """Spread of length, beam, air draft and the antenna's place, shape (5,), and which of them were typical ones.
+
+    What a user has changed in the scene since is taken to be known.
+    """
+    std, missing = np.zeros(5), []
+    for place, name in enumerate(("length", "beam", "air_draft")):
+        value = float(getattr(vessel, f"{name}_m"))
+        if abs(float(entry.get(f"{name}_m", np.nan)) - value) > _SAME_M:
+            continue
+        typical = name in entry.get("defaults", ())
+        std[place] = _TYPICAL * value if typical else _ROUNDED_M
+        missing += [name.replace("_", " ")] if typical else []
+    if "antenna" in entry.get("defaults", ()):
+        std[3:] = _ANTENNA * vessel.length_m, _ANTENNA * vessel.beam_m
+        missing.append("antenna's place")
+    return std, missing
+
+
+# ---- By how much a true box changes with the place, heading and size of its vessel ----
+
+_STEPS = (0.5, 0.5, 0.005, 0.1, 0.1, 0.1)
+"""By how much places, headings and dimensions are moved to either side."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What one camera looked at, with a row for each of F frames.
+
+    Attributes:
+        camera: The camera, as it was registered.
+        poses: Vessels in each frame.
+        images: Rows of the labelled set's images, shape (F,).
+        first_identity: The identity in these images of the scene's first vessel; `joined` sets count on.
+        moved: Which vessels registration has put where their detections are, shape (V,); None for none.
+    """
+
+    camera: Camera
+    poses: PosesInWaves
+    images: Indices
+    first_identity: int = 0
+    moved: Mask | None = None
+
+
+def box_jacobians(scene: Scene, view: View, frame: Indices, vessel: Indices) -> Array:
+    """Derivatives of boxes by the `PARAMETERS`, shape (n, 4, 8).
+
+    Boxes are whole ones, as if the image had no edge, given as centre x, centre y, width and height in pixels. They are
+    NaN for a vessel that is absent or partly behind the camera.
+
+    Args:
+        scene: The scene.
+        view: Its vessels as a camera saw them.
+        frame: Row of the view, shape (n,).
+        vessel: Index of the vessel, shape (n,).
+    """
+    placed = _Placed.of(scene, view, frame, vessel)
+    result = np.full((len(frame), 4, len(PARAMETERS)), np.nan)
+    for column, step in enumerate(_STEPS):
+        move = np.zeros(len(_STEPS))
+        move[column] = step
+        result[..., column] = (placed.boxes(move) - placed.boxes(-move)) / (2 * step)
+    cosine, sine = np.cos(placed.heading_rad)[:, None], np.sin(placed.heading_rad)[:, None]
+    east, north = result[..., 0], result[..., 1]
+    result[..., 6], result[..., 7] = cosine * east + sine * north, cosine * north - sine * east
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """n vessels before a camera: hulls in VCF (n, K, 3), positions (n, 3), headings (n,), and rotations by waves."""
+
+    camera: Camera
+    camera_poses: CameraPoses
+    unit_hulls: Array
+    extents_m: Array
+    positions_m: Array
+    heading_rad: Array
+    nominal_R_vessel: Array
+    curved: bool
+
+    @classmethod
+    def of(cls, scene: Scene, view: View, frame: Indices, vessel: Indices) -> _Placed:
+        """Those in some frames of a view."""
+        poses = view.poses
+        cameras = scene.camera_poses(view.camera, poses, np.arange(len(view.images)))
+        cameras = CameraPoses(cameras.camera_R_world[frame], cameras.positions_m[frame])
+        padded = stacked([hull_of(each.solid) for each in scene.vessels])
+        heading = poses.poses.headings_rad[frame, vessel]
+        positions = np.where(
+            poses.poses.present[frame, vessel][:, None], poses.poses.positions_m[frame, vessel], np.nan
+        )
+        turned = np.swapaxes(world_R_vehicle(heading), -1, -2) @ poses.world_R_vessel[frame, vessel]
+        extents = np.array([each.extents_m for each in scene.vessels])[vessel]
+        curved = scene.sea == "curved"
+        return cls(view.camera, cameras, padded[vessel], extents, positions, heading, turned, curved)
+
+    def boxes(self, move: Array) -> Array:
+        """Centre x and y, width and height once the first six parameters have moved, shape (6,) to (n, 4)."""
+        positions = self.positions_m + np.array([move[0], move[1], 0.0])
+        if self.curved:
+            positions = lowered(positions, self.camera_poses.positions_m)
+        rotations = world_R_vehicle(self.heading_rad + move[2]) @ self.nominal_R_vessel
+        hulls = self.unit_hulls * (self.extents_m + move[3:])[:, None, :]
+        world = hulls @ np.swapaxes(rotations, -1, -2) + positions[:, None, :]
+        pixels = self.camera.intrinsics.project(self.camera_poses.to_camera(world))
+        low, high = pixels.min(axis=1), pixels.max(axis=1)
+        boxes: Array = np.concatenate([(low + high) / 2, high - low], axis=1)
+        return boxes
+
+
+# ---- Covariances that errors of truth give to errors of boxes, drawn at random ----
+
+_DRAWS_AT_ONCE = 20
+_KNOWN_TO = 0.1
+"""Share to which standard deviations of errors of truth are known themselves: they are rules of thumb."""
+_SEEN = np.array([[1, 0, 0, 0], [0, 1, 0, 0.5]])
+"""What registration looks at: bearing and waterline, from centre x, centre y, width and height."""
+_MOVED = slice(6, 8)
+"""The `PARAMETERS` that registration finds of a vessel."""
+_LEAST_M = 0.01
+_SEEN_PX = 3.0
+"""Standard deviation of errors of bearing and waterline; it hardly matters where a vessel is seen often."""
+
+
+@dataclass(frozen=True, eq=False)
+class TruthErrors:
+    """n true boxes and how they follow from their vessels.
+
+    Attributes:
+        jacobians: From `box_jacobians`, shape (n, 4, 8).
+        time_s: Time of each, shape (n,).
+        vessel: Index of each vessel, shape (n,).
+        noise: How well the vessels are known.
+        unit_px: Unit of the learned errors, shape (n, 4).
+        moved: Number of the fit that has moved each, such as the camera and the vessel; −1 for none, shape (n,).
+    """
+
+    jacobians: Array
+    time_s: Array
+    vessel: Indices
+    noise: TruthNoise
+    unit_px: Array
+    moved: Indices
+
+    @property
+    def change(self) -> Array:
+        """Variance of that part of each error that changes with time, mean over the boxes, shape (4,)."""
+        part = (self.jacobians * self.noise.std[self.vessel][:, None])[..., SLOW] / self.unit_px[..., None]
+        variance: Array = (part**2).sum(axis=2).mean(axis=0)
+        return variance
+
+    def covariances(self, draws: int, seed: int) -> Array:
+        """Covariance of the errors about their mean in each draw, shape (draws, 4, 4)."""
+        rng, count = np.random.default_rng([seed, 23]), max(len(self.vessel) - 1, 1)
+        found = [np.empty((0, 4, 4))]
+        for errors in self._errors(rng, draws):
+            about = errors - errors.mean(axis=1, keepdims=True)
+            found.append(np.swapaxes(about, 1, 2) @ about / count)
+        larger = 1 + _KNOWN_TO * special.ndtri((rng.permutation(draws) + 0.5) / max(draws, 1))
+        covariances: Array = np.concatenate(found) * larger[:, None, None] ** 2
+        return covariances
+
+    def _errors(self, rng: np.random.Generator, draws: int) -> Iterator[Array]:
+        """Errors of the boxes, some draws at a time, shape (some, n, 4)."""
+        times, frame = np.unique(self.time_s, return_inverse=True)
+        frame = frame.ravel()
+        std = self.noise.std[self.vessel]
+        slow_j = (self.jacobians * std[:, None])[..., SLOW]
+        constant_j = (self.jacobians * std[:, None])[..., CONSTANT]
+        kept = np.exp(-np.diff(times, prepend=times[:1]) / self.noise.position_s)
+        vessels, constants = len(self.noise.std), CONSTANT.stop - CONSTANT.start
+        for first in range(0, draws, _DRAWS_AT_ONCE):
+            some = min(_DRAWS_AT_ONCE, draws - first)
+            slow = rng.standard_normal((len(times), some, vessels, SLOW.stop))
+            for k in range(1, len(times)):
+                slow[k] = kept[k] * slow[k - 1] + np.sqrt(1 - kept[k] ** 2) * slow[k]
+            own = rng.standard_normal((some, vessels, constants))
+            errors: Array = np.einsum("nij,nsj->sni", slow_j, slow[frame, :, self.vessel])
+            errors += np.einsum("nij,snj->sni", constant_j, own[:, self.vessel])
+            for rows, slopes, fit in self._fits:
+                seen = np.einsum("ij,snj->sni", _SEEN, errors[:, rows]).reshape(some, -1)
+                errors[:, rows] -= np.einsum("nij,sj->sni", slopes, seen @ fit)
+            yield errors / self.unit_px
+
+    @cached_property
+    def _fits(self) -> list[tuple[Indices, Array, Array]]:
+        """Of each vessel that was moved its m rows, their slopes (m, 4, 2), and what is fitted from them, (2m, 2)."""
+        fits = []
+        for number in np.unique(self.moved[self.moved >= 0]).tolist():
+            rows = np.flatnonzero(self.moved == number)
+            slopes = self.jacobians[rows][..., _MOVED]
+            seen = (_SEEN @ slopes).reshape(-1, 2) / _SEEN_PX
+            expected_m = max(float(self.noise.std[self.vessel[rows[0]], 0]), _LEAST_M)
+            inverse = np.linalg.inv(seen.T @ seen + np.eye(2) / expected_m**2)
+            fits.append((rows, slopes, seen / _SEEN_PX @ inverse))
+        return fits

@@ -1,0 +1,386 @@
+"""The last fit: the camera together with what is wrong with single vessels, and how well each is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array, Indices
+from modsim3d.learn.voyage.registration.icp import SOFT, Aligner, Alignment, SightingResiduals, Unknowns, derivatives
+from modsim3d.learn.voyage.registration.identifiability import COMMON_DELAY, Knowledge, Linear, clusters, wider
+from modsim3d.learn.voyage.registration.parameters import NAMES as OF_A_VESSEL_NAMES
+from modsim3d.learn.voyage.registration.parameters import (
+    PLACE,
+    SHARED_NAMES,
+    Values,
+    VesselEffects,
+    plausible,
+    vessel_effects,
+)
+
+# ---- Errors of positions that last ----
+
+LASTS_S = 300.0
+KNOT_S, MOST_KNOTS = 3.0, 60
+"""The drift is linear between knots, of which a vessel has at most so many."""
+TINY = 1e-9
+ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """A linear fit of p values of the camera and of the vessels' drifts.
+
+    Attributes:
+        change: Change of the values, shape (p,).
+        off: How far each row's vessel is off its reports, along and across in metres, and how late, shape (m, 3).
+        steady: The same of a vessel that did not drift, so that it stays put among what is seen of it, shape (m, 3).
+        errors_px: What is left of the residuals, shape (m,).
+        spreads_px: Spread of what is left of each row, shape (m,).
+    """
+
+    change: Array
+    off: Array
+    steady: Array
+    errors_px: Array
+    spreads_px: Array
+
+
+def drift_axes(time_s: Array, vessel: Indices, constant: Array, noise_m: float) -> Array:
+    """How far unit normals put the vessel of each row off: along and across in metres, late in s, shape (m, 3, q).
+
+    Args:
+        time_s: Time of each row, shape (m,).
+        vessel: Its vessel, which has its own normals, shape (m,).
+        constant: Standard deviations of what is constant: along, across and delay, shape (3,).
+        noise_m: Standard deviation of the drift along and across.
+    """
+    parts = [(rows, _hats(time_s[rows])) for rows in clusters(vessel)]
+    most = max((hats.shape[1] for _, hats in parts), default=0)
+    drifting, staying = np.zeros((len(time_s), 3, 2, most)), np.zeros((len(time_s), 3, 3))
+    for rows, hats in parts:
+        for axis in range(2):
+            drifting[rows, axis, axis, : hats.shape[1]] = noise_m * hats
+    staying[:] = np.diag(constant)
+    return np.concatenate([drifting.reshape(len(time_s), 3, 2 * most), staying], axis=2)
+
+
+def _hats(time_s: Array) -> Array:
+    """A Gauss-Markov process of unit spread at n times, from unit normals, shape (n, K)."""
+    first, last = float(time_s.min()), float(time_s.max())
+    knots = np.linspace(first, last, int(min((last - first) // KNOT_S + 1, MOST_KNOTS)) + 1)
+    covariance = np.exp(-np.abs(knots[:, None] - knots) / LASTS_S)
+    root = np.linalg.cholesky(covariance + TINY * np.eye(len(knots)))
+    return np.stack([np.interp(time_s, knots, column) for column in root.T], axis=1)
+
+
+def fit_drift(
+    residuals: SightingResiduals,
+    px: Array,
+    first_px: Array,
+    slopes_px: Array,
+    own_px: Array,
+    axes: Array,
+    together: float,
+) -> Drift:
+    """Fit values of the camera, and where the vessels are.
+
+    Args:
+        residuals: The rows.
+        px: Residuals with all vessels where their reports put them, shape (m,).
+        first_px: What is left of them by the last fit, shape (m,).
+        slopes_px: Derivatives by the values, shape (m, p).
+        own_px: Derivatives by along, across and delay of the row's vessel, per metre and second, shape (m, 3).
+        axes: See `drift_axes`, shape (m, 3, q).
+        together: How many rows count as one.
+    """
+    axes_px = (own_px[:, :, None] * axes).sum(axis=1)
+    errors, change, normals = first_px, np.zeros(slopes_px.shape[1]), np.zeros(axes_px.shape)
+    groups, p = list(clusters(residuals.vessel)), slopes_px.shape[1]
+    for _ in range(ROUNDS):
+        spreads = residuals.spreads_px(errors)
+        weights = (1 + (errors / spreads / SOFT) ** 2) ** -0.25 / spreads
+        shared = axes_px * weights[:, None] / np.sqrt(together)
+        rows = np.column_stack([slopes_px, px]) * weights[:, None]
+        products, inner = rows.T @ rows, []
+        for own in groups:  # the covariance of a vessel's rows is 1 + Z Zᵀ; its inverse is Woodbury's
+            crossed = shared[own].T @ rows[own]
+            inner.append(np.linalg.solve(np.eye(shared.shape[1]) + shared[own].T @ shared[own], crossed))
+            products -= crossed.T @ inner[-1]
+        change = -np.linalg.pinv(products[:p, :p], hermitian=True) @ products[:p, p]
+        for own, solved in zip(groups, inner, strict=True):
+            normals[own] = -(solved[:, :p] @ change + solved[:, p]) / np.sqrt(together)
+        errors = px + slopes_px @ change + (axes_px * normals).sum(axis=1)
+    off = (axes * normals[:, None]).sum(axis=2)
+    far = np.sqrt((axes**2).sum(axis=2).max(axis=0))[:2]
+    rest = (px + slopes_px @ change + own_px[:, 2] * off[:, 2]) * weights
+    steady = np.column_stack([_steady(rest, own_px[:, :2] * weights[:, None], groups, far), off[:, 2]])
+    return Drift(change, off, steady, errors, spreads)
+
+
+def _steady(rest: Array, slopes: Array, groups: Sequence[Indices], far_m: Array) -> Array:
+    """One place along and across for all rows of a vessel, expected within so many metres (2,), shape (m, 2)."""
+    steady = np.zeros(slopes.shape)
+    for own in groups:
+        pull = slopes[own].T @ rest[own]
+        steady[own] = -np.linalg.solve(slopes[own].T @ slopes[own] + np.diag(1 / np.maximum(far_m, TINY) ** 2), pull)
+    return steady
+
+
+# ---- The last fit ----
+
+BLOCK_S = 10.0
+"""Stretches of time within which a vessel's box errors are taken to go together."""
+PROBED = (*SHARED_NAMES, "along_m", "across_m", COMMON_DELAY)
+"""A common delay is a delay of all vessels; the columns of single vessels' values are the same, each for its rows."""
+OWN = slice(len(SHARED_NAMES), len(PROBED))
+DELAY_S = 0.5
+"""Standard deviation, over vessels, of how late reports are, where offsets are expected."""
+FIRST_M = 5.0
+"""That of constant errors in the first fit, where none are expected."""
+EFFECT_ROUNDS, DRIFT_ROUNDS = 2, 6
+SAME = 0.003
+"""The drifts stay if no value changes by more, in plausible distances."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """The last fit.
+
+    Attributes:
+        aligned: The values and their matches.
+        linear: The fit near them, a column for each of `PROBED`.
+        effects: What is wrong with single vessels.
+        known: How well the free shared values are known.
+    """
+
+    aligned: Alignment
+    linear: Linear
+    effects: VesselEffects
+    known: Knowledge
+
+
+def estimate(
+    aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None, noise_m: float
+) -> Estimated:
+    """Fit the free shared values with what is wrong with vessels; see `register` for the latter two."""
+    if noise_m:
+        return _with_drift(aligner, aligned, free, offsets_m, noise_m)
+    aligned, effects, together = _with_effects(aligner, aligned, free, offsets_m)
+    linear = linearized(aligner, aligned)
+    return Estimated(aligned, linear, effects, _known(linear, free, aligned, effects, together))
+
+
+def linearized(aligner: Aligner, aligned: Alignment) -> Linear:
+    """The fit as a regression in plausible distances, with a column for each of `PROBED`.
+
+    Raises:
+        ModsimError: There is nothing to fit.
+    """
+    if not len(aligned.residuals.row):
+        raise ModsimError("registration: no match is left")
+    px, slopes = _px_and_slopes(aligner, aligned)
+    spreads = aligned.spreads_px
+    return Linear.of_soft_loss(slopes / spreads[:, None], px / spreads, SOFT)
+
+
+def columns(linear: Linear, names: Sequence[str]) -> Array:
+    """The slopes of named parameters, shape (m, len(names))."""
+    found: Array = linear.slopes[:, [PROBED.index(name) for name in names]]
+    return found
+
+
+def blocks_of(residuals: SightingResiduals) -> Indices:
+    """Stretches of time of each vessel, as numbers of clusters, shape (m,)."""
+    times_s = residuals.sightings.time_s[residuals.row]
+    stretch = ((times_s - times_s.min()) // BLOCK_S).astype(np.int64) if len(times_s) else np.empty(0, np.int64)
+    return np.asarray(residuals.vessel * (stretch.max(initial=0) + 1) + stretch, dtype=np.int64)
+
+
+def _px_and_slopes(aligner: Aligner, aligned: Alignment) -> tuple[Array, Array]:
+    """Residuals in pixels, shape (m,), and derivatives by `PROBED` in plausible distances, (m, 14); 0 if unknown."""
+    names = (*SHARED_NAMES, *OF_A_VESSEL_NAMES)
+    slopes = derivatives(aligner.model, aligned.residuals, aligned.values, names) * plausible(names)
+    px = aligned.residuals.px(aligner.model, aligned.values)
+    known = np.isfinite(px)[:, None] & np.isfinite(slopes)
+    return np.nan_to_num(px, nan=0.0), np.where(known, slopes, 0.0)
+
+
+def _with_mean_speeds(aligner: Aligner, aligned: Alignment, slopes: Array) -> Array:
+    """Slopes by the clock and by delays as if vessels kept their mean speed of a minute, shape (m, 14).
+
+    The speed from one report to the next has the errors of both. A fit would take their pattern for a mark by which
+    to set the clock.
+    """
+    residuals, scale = aligned.residuals, plausible(OF_A_VESSEL_NAMES)
+    time_s = residuals.sightings.time_s[residuals.row] + aligned.values["clock_s"]
+    speeds = aligner.model.traffic.velocities(time_s, residuals.vessel)
+    by_metres, late = slopes[:, OWN][:, :2] / scale[:2], PROBED.index(COMMON_DELAY)
+    smooth = -(by_metres * speeds).sum(axis=1)
+    changed, clock = slopes.copy(), PROBED.index("clock_s")
+    changed[:, clock] += (smooth - slopes[:, late] / scale[2]) * plausible(["clock_s"])
+    changed[:, late] = smooth * scale[2]
+    return changed
+
+
+def _with_effects(
+    aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None
+) -> tuple[Alignment, VesselEffects, float]:
+    """The alignment with what is wrong with single vessels, and how many rows count as one."""
+    for _ in range(EFFECT_ROUNDS):
+        linear, residuals = linearized(aligner, aligned), aligned.residuals
+        together = _together(linear, free, residuals)
+        rows = Linear(linear.slopes, _without(linear, aligned))
+        effects = _effects(rows, free, residuals, together, offsets_m)
+        if not effects.spreads.any():
+            break
+        unknowns = Unknowns(free, effects.spreads / np.sqrt(together), effects.vessels)
+        aligned = aligner.until_stable(aligned, unknowns, tied=False, rounds=2)
+    return aligned, effects, together
+
+
+def _effects(
+    rows: Linear, free: tuple[str, ...], residuals: SightingResiduals, together: float, offsets_m: float | None
+) -> VesselEffects:
+    """Constant errors of vessels by rows with unit errors, whose residuals have all values of vessels zero."""
+    own = rows.slopes[:, OWN] / plausible(OF_A_VESSEL_NAMES)
+    return vessel_effects(own, rows.residuals, columns(rows, free), residuals.vessel, together, offsets_m)
+
+
+def _together(linear: Linear, free: tuple[str, ...], residuals: SightingResiduals) -> float:
+    """How many rows count as one, because box errors last: the ratio of variances with and without clusters."""
+    part = Linear(columns(linear, free), linear.residuals)
+    alone = np.sqrt(np.diagonal(np.linalg.pinv(part.information, hermitian=True)))
+    ratio = part.known_by(blocks_of(residuals)).errors / np.maximum(alone, 1e-300)
+    return max(float(np.median(ratio**2)), 1.0)
+
+
+def _without(linear: Linear, aligned: Alignment) -> Array:
+    """Scaled residuals with all values of vessels zero, shape (m,)."""
+    values = aligned.values.vessels[aligned.residuals.vessel] / plausible(OF_A_VESSEL_NAMES)
+    return np.asarray(linear.residuals - (linear.slopes[:, OWN] * values).sum(axis=1))
+
+
+def _known(
+    linear: Linear, free: tuple[str, ...], aligned: Alignment, effects: VesselEffects, together: float
+) -> Knowledge:
+    """How well the free shared values are known; vessels are clusters, and share what is wrong with them."""
+    part = Linear(columns(linear, free), linear.residuals)
+    blocks, vessel = blocks_of(aligned.residuals), aligned.residuals.vessel
+    if not effects.spreads.any():
+        return wider(part.known_by(vessel), part.known_by(blocks))
+    spreads = effects.spreads / plausible(OF_A_VESSEL_NAMES) / np.sqrt(together)
+    shared = Linear(part.slopes, _without(linear, aligned)).whitened(linear.slopes[:, OWN] * spreads, vessel)
+    by_model = shared.known_by_model(together, float(len(effects.vessels)))
+    return wider(wider(shared.known_by(vessel), shared.known_by(blocks)), by_model)
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """One fit with drifts.
+
+    Attributes:
+        aligned: The new values, with the matches of the old ones.
+        change: Change of the free shared values, in plausible distances, shape (p,).
+        linear: The fit near the old values, a column for each of `PROBED`.
+        rows: The same with the residuals that are left where all vessels are as they are reported.
+        axes: What unit normals of the row's vessel add, shape (m, q).
+        drifts: The same without what is estimated of the constant errors, shape (m, r).
+    """
+
+    aligned: Alignment
+    change: Array
+    linear: Linear
+    rows: Linear
+    axes: Array
+    drifts: Array
+
+
+def _with_drift(
+    aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None, noise_m: float
+) -> Estimated:
+    """The same where positions drift besides: linear fits, since all but the wrong matches is nearly linear.
+
+    Raises:
+        ModsimError: Positions drift so far that no match is left.
+    """
+    late = np.array([0.0, 0.0, 0.0 if offsets_m is None else DELAY_S])
+    first_m = FIRST_M if offsets_m is None else offsets_m
+    constant, together = np.array([first_m, first_m, 0.0]) + late, 1.0
+    for _ in range(DRIFT_ROUNDS):
+        matched = aligner.matched(aligned)
+        if not len(matched.sightings):
+            raise ModsimError(f"registration: no match is left where positions are off by {noise_m:g} m")
+        fitted = _round(aligner, matched, free, constant, late, noise_m, together)
+        aligned, rows, vessel = fitted.aligned, fitted.rows, fitted.aligned.residuals.vessel
+        together = _together(rows.whitened(fitted.axes / np.sqrt(together), vessel), free, aligned.residuals)
+        steady = rows.whitened(fitted.drifts / np.sqrt(together), vessel)
+        effects = _effects(steady, free, aligned.residuals, together, offsets_m)
+        constant = effects.spreads + late
+        if np.abs(fitted.change).max() < SAME:
+            break
+    white = Linear(columns(rows, free), rows.residuals).whitened(fitted.axes / np.sqrt(together), vessel)
+    degrees = float(len(effects.vessels))
+    known = white.known_by_model(together, degrees)
+    for cluster in (vessel, blocks_of(aligned.residuals)):
+        known = wider(known, white.known_by(cluster, degrees))
+    return Estimated(aligned, fitted.linear, effects, known)
+
+
+def _round(
+    aligner: Aligner,
+    aligned: Alignment,
+    free: tuple[str, ...],
+    constant: Array,
+    late: Array,
+    noise_m: float,
+    together: float,
+) -> _Round:
+    """Fit the shared values and where vessels are, near the values of an alignment.
+
+    Args:
+        aligner: What is fitted.
+        aligned: The alignment.
+        free: Names of the shared values that may change.
+        constant: Standard deviations of constant errors: along, across and delay, shape (3,).
+        late: The same of those that are not estimated.
+        noise_m: That of the drift.
+        together: How many rows count as one.
+    """
+    residuals = aligned.residuals
+    vessel, time_s = residuals.vessel, residuals.sightings.time_s[residuals.row]
+    px, slopes = _px_and_slopes(aligner, aligned)
+    slopes = _with_mean_speeds(aligner, aligned, slopes)
+    own = slopes[:, OWN] / plausible(OF_A_VESSEL_NAMES)
+    reported = px - (own * aligned.values.vessels[vessel]).sum(axis=1)
+    axes = drift_axes(time_s, vessel, constant, noise_m)
+    places = [PROBED.index(name) for name in free]
+    drift = fit_drift(residuals, reported, px, slopes[:, places], own, axes, together)
+    parts = [axes, drift_axes(time_s, vessel, late, noise_m), drift.off[:, :, None]]
+    added = [(own[:, :, None] * part).sum(axis=1) for part in parts]
+    scaled = np.column_stack([slopes, *added]) / drift.spreads_px[:, None]
+    linear = Linear.of_soft_loss(scaled, drift.errors_px / drift.spreads_px, SOFT)
+    cuts = np.cumsum([len(PROBED), added[0].shape[1], added[1].shape[1]])
+    each, all_axes, drifts, off = np.split(linear.slopes, cuts, axis=1)
+    values = _changed(aligned.values, free, drift.change, vessel, drift.steady)
+    return _Round(
+        Alignment(values, aligned.sightings, residuals, aligned.spreads_px),
+        drift.change,
+        Linear(each, linear.residuals),
+        Linear(each, linear.residuals - off[:, 0]),
+        all_axes,
+        drifts,
+    )
+
+
+def _changed(values: Values, free: tuple[str, ...], change: Array, vessel: Indices, off: Array) -> Values:
+    """Values with a change of shared ones, in plausible distances, and each vessel off as its rows say on average."""
+    shared, vessels = values.shared.copy(), np.zeros_like(values.vessels)
+    shared[[PLACE[name] for name in free]] += change * plausible(free)
+    counts = np.maximum(np.bincount(vessel, minlength=len(vessels)), 1)
+    for axis in range(off.shape[1]):
+        vessels[:, axis] = np.bincount(vessel, off[:, axis], len(vessels)) / counts
+    return Values(shared, vessels)

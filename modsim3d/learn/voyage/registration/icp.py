@@ -1,0 +1,337 @@
+"""Matches and fits in turn, with ever closer gates, until the matches stay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from modsim3d.core.boxes import sizes
+from modsim3d.core.types import Array, Indices
+from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes, Predictions, Sightings, match, predict
+from modsim3d.learn.voyage.registration.model import BoxModel, Occluders
+from modsim3d.learn.voyage.registration.parameters import (
+    MEAN_ERRORS,
+    OF_A_VESSEL,
+    PLACE,
+    SHARED_NAMES,
+    Values,
+    plausible,
+)
+
+# ---- What a match says ----
+
+KINDS = ("centre", "left", "right", "waterline", "width", "height")
+OF_EDGES = np.array(
+    [[0.5, 0, 0.5, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 1, 0], [0, -1, 0, 1]], dtype=np.float64
+)
+"""Each kind from the left, top, right and bottom edge, shape (6, 4)."""
+OF_MEAN_ERRORS = np.array(
+    [[1, 0, 0, 0], [1, 0, -0.5, 0], [1, 0, 0.5, 0], [0, 1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=np.float64
+)
+"""Each kind from the errors of the box in x, y, width and height in pixels, shape (6, 4)."""
+SIDE = np.array([0, 0, 0, 1, 0, 1])
+"""Whether a kind's error grows with the box's width (0) or height (1)."""
+LEAST_PX = 0.3
+BINS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class SightingResiduals:
+    """Residuals of n sightings: m rows, one for each sighting and kind that its usable edges allow.
+
+    Attributes:
+        sightings: The sightings.
+        row: Index of the sighting, shape (m,).
+        kind: Index into `KINDS`, shape (m,).
+        observed_px: What was detected, shape (m,).
+        size_px: Expected width or height, whichever the kind's error grows with, shape (m,).
+    """
+
+    sightings: Sightings
+    row: Indices
+    kind: Indices
+    observed_px: Array
+    size_px: Array
+
+    @classmethod
+    def of(cls, sightings: Sightings, *, use_sizes: bool) -> SightingResiduals:
+        """Those of sightings. One side alone counts where the other is not usable."""
+        left, top, right, bottom = sightings.usable.T
+        both, tall = left & right, top & bottom
+        kinds = [both, left & ~right, right & ~left, bottom, both & use_sizes, tall & use_sizes]
+        row, kind = np.nonzero(np.stack(kinds, axis=1))
+        sides = np.maximum(sizes(sightings.expected_px[row]), 1.0)
+        size = np.take_along_axis(sides, SIDE[kind][:, None], axis=1)[:, 0]
+        observed = (OF_EDGES[kind] * sightings.boxes_px[row]).sum(axis=1)
+        return cls(sightings, row, kind, observed, size)
+
+    @property
+    def vessel(self) -> Indices:
+        """Vessel of each row, shape (m,)."""
+        return self.sightings.vessel[self.row]
+
+    def px(self, model: BoxModel, values: Values) -> Array:
+        """Detected less expected in pixels, shape (m,)."""
+        seen = self.sightings
+        edges = model.edges(values, seen.time_s, seen.vessel, seen.corners_m)
+        return self.observed_px - self._of_edges(edges) - self._mean_errors(values)
+
+    def _of_edges(self, edges_px: Array) -> Array:
+        used = OF_EDGES[self.kind]
+        return np.asarray((used * np.where(used == 0, 0.0, edges_px[self.row])).sum(axis=1))
+
+    @cached_property
+    def of_mean_errors(self) -> Array:
+        """What a unit of each of `MEAN_ERRORS` adds to what is detected, in pixels, shape (m, 4)."""
+        unit = np.ones((len(self.row), 4))
+        unit[:, 2:] = np.maximum(sizes(self.sightings.expected_px[self.row]), 1.0)
+        return np.asarray(OF_MEAN_ERRORS[self.kind] * unit)
+
+    def _mean_errors(self, values: Values) -> Array:
+        first = PLACE[MEAN_ERRORS[0].name]
+        shift: Array = self.of_mean_errors @ values.shared[first : first + len(MEAN_ERRORS)]
+        return shift
+
+    def spreads_px(self, residuals_px: Array) -> Array:
+        """Spread of each row's residual in pixels, shape (m,): by kind, and by size where there are enough rows.
+
+        The spread is 1.48 times the median absolute residual, which no wrong match pulls. It is measured about zero in
+        bins of size, and interpolated in the logarithm of the size.
+        """
+        spread = np.ones(len(self.row))
+        for kind in range(len(KINDS)):
+            rows = np.flatnonzero(self.kind == kind)
+            if not len(rows):
+                continue
+            size, absolute = np.log(self.size_px[rows]), np.abs(residuals_px[rows])
+            bins = np.array_split(np.argsort(size, kind="stable"), min(BINS, max(len(rows) // 40, 1)))
+            middle = np.array([np.median(size[some]) for some in bins])
+            typical = np.array([max(1.4826 * np.median(absolute[some]), LEAST_PX) for some in bins])
+            spread[rows] = np.exp(np.interp(size, middle, np.log(typical)))
+        return spread
+
+
+# ---- The values that fit matched detections best ----
+
+SOFT = 1.5
+"""Spreads beyond which a residual counts less (the soft loss of `scipy.optimize.least_squares`)."""
+MOST = 12
+STEP = 1e-3
+"""Step of the numerical derivatives, in plausible distances."""
+MEAN_NAMES = tuple(parameter.name for parameter in MEAN_ERRORS)
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Which of the parameters a fit looks for, as one vector.
+
+    Attributes:
+        shared: Names of shared ones, in the order of `SHARED`.
+        spreads: How far the values of vessels are from zero, as standard deviations of along, across and delay, shape
+            (3,); a value with zero is not looked for.
+        vessels: Indices of the vessels whose values are looked for, shape (k,).
+    """
+
+    shared: tuple[str, ...]
+    spreads: Array
+    vessels: Indices
+
+    @property
+    def own(self) -> Indices:
+        """Which of along, across and delay are looked for."""
+        return np.flatnonzero(self.spreads > 0)
+
+    @property
+    def places(self) -> list[int]:
+        """Places of the shared ones in `Values.shared`."""
+        return [PLACE[name] for name in self.shared]
+
+    def vector(self, values: Values) -> Array:
+        """Values as a vector in plausible distances, and of vessels in their spreads."""
+        own = values.vessels[np.ix_(self.vessels, self.own)] / self.spreads[self.own]
+        return np.concatenate([values.shared[self.places] / plausible(self.shared), own.ravel()])
+
+    def values(self, vector: Array, start: Values) -> Values:
+        """The values of a vector; others as at the start."""
+        shared, vessels = start.shared.copy(), start.vessels.copy()
+        count = len(self.shared)
+        shared[self.places] = vector[:count] * plausible(self.shared)
+        own = vector[count:].reshape(len(self.vessels), len(self.own))
+        vessels[np.ix_(self.vessels, self.own)] = own * self.spreads[self.own]
+        return Values(shared, vessels)
+
+
+def derivatives(model: BoxModel, residuals: SightingResiduals, values: Values, names: tuple[str, ...]) -> Array:
+    """Derivatives of residuals in pixels by named parameters, in pixels per unit, shape (m, len(names)).
+
+    Of a vessel's parameter it is the derivative of the vessel's own rows.
+    """
+    columns = np.empty((len(residuals.row), len(names)))
+    here = residuals.px(model, values)
+    for column, (name, scale) in enumerate(zip(names, plausible(names), strict=True)):
+        if name in MEAN_NAMES:
+            columns[:, column] = -residuals.of_mean_errors[:, MEAN_NAMES.index(name)]
+            continue
+        step = STEP * scale
+        columns[:, column] = (residuals.px(model, values.moved(name, step)) - here) / step
+    return columns
+
+
+def fit(
+    model: BoxModel,
+    residuals: SightingResiduals,
+    start: Values,
+    unknowns: Unknowns,
+    spreads_px: Array,
+    *,
+    tied: bool = False,
+    most: int | None = None,
+) -> Values:
+    """The values that fit best, from a start; see `Unknowns` for those that are looked for.
+
+    With `tied`, shared ones are held near the scene's values, each as by one measurement with the plausible distance
+    as its standard deviation, so that what the data do not determine stays where it is. `most` ends a rough fit after
+    so many evaluations.
+    """
+    vessel_names = [OF_A_VESSEL[own].name for own in unknowns.own]
+    place = np.full(len(model.hulls_m), -1)
+    place[unknowns.vessels] = np.arange(len(unknowns.vessels))
+    row_of, count = place[residuals.vessel], len(unknowns.shared)
+    priors = len(unknowns.vessels) * len(vessel_names)
+    ties = count if tied else 0
+    weights = np.concatenate([plausible(unknowns.shared), unknowns.spreads[unknowns.own]])
+
+    def of(vector: Array) -> Array:
+        px = residuals.px(model, unknowns.values(vector, start))
+        return np.concatenate([np.nan_to_num(px / spreads_px, nan=1e3), vector[count - ties :]])
+
+    def slopes(vector: Array) -> Array:
+        values = unknowns.values(vector, start)
+        each = derivatives(model, residuals, values, (*unknowns.shared, *vessel_names)) * weights / spreads_px[:, None]
+        each = np.nan_to_num(each, nan=0.0)
+        jacobian = np.zeros((len(each) + ties + priors, count + priors))
+        jacobian[: len(each), :count] = each[:, :count]
+        known = np.flatnonzero(row_of >= 0)
+        for own in range(len(vessel_names)):
+            jacobian[known, count + row_of[known] * len(vessel_names) + own] = each[known, count + own]
+        jacobian[len(each) :, count - ties :] = np.eye(ties + priors)
+        return jacobian
+
+    first = unknowns.vector(start)
+    found = least_squares(of, first, slopes, loss="soft_l1", f_scale=SOFT, xtol=1e-4, ftol=1e-5, max_nfev=most or MOST)
+    return unknowns.values(found.x, start)
+
+
+# ---- Matches and fits in turn, with ever closer gates, until the matches stay ----
+
+FIRST = ("clock_s", "yaw_deg", "pitch_deg")
+THEN = (*FIRST, "roll_deg", "height_m", "focal_share")
+GATES_DEG = (1.5, 1.0, 0.6)
+GATE_SHARE = 0.3
+"""A gate grows by this share of the box's size, as errors of boxes do."""
+SPREADS = 4.5
+"""The last gates in spreads of the residuals."""
+MOST_ROUNDS = 10
+SAME = 0.003
+"""The matches stay if fewer than this share of them change."""
+LEAST_FIT = 10
+ROUGH = 4
+"""Iterations of a rough fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Values, the matches that they give, and their residuals with spreads in pixels, shapes (m,)."""
+
+    values: Values
+    sightings: Sightings
+    residuals: SightingResiduals
+    spreads_px: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Aligner:
+    """What an alignment needs of the scene and the detections.
+
+    Attributes:
+        free: Names of the shared parameters that may change.
+        use_sizes: Whether widths and heights count.
+    """
+
+    model: BoxModel
+    hiding: Occluders
+    found: BoxesAtTimes
+    free: tuple[str, ...]
+    use_sizes: bool
+
+    def first(self, start: Values) -> Alignment:
+        """A rough alignment from a guess."""
+        values = start
+        for gate_deg, names in zip(GATES_DEG, (FIRST, THEN, SHARED_NAMES), strict=True):
+            predicted = predict(self.model, self.hiding, values, self.found.times_s)
+            gate = np.radians(gate_deg) * self.model.traffic.camera.intrinsics.focal_px[0]
+            sightings = self._match(predicted, gate + GATE_SHARE * sizes(predicted.boxes_px))
+            aligned = self._fitted(sightings, values, self._unknowns(names), tied=True, most=ROUGH)
+            values = aligned.values
+        return aligned
+
+    def until_stable(
+        self, aligned: Alignment, unknowns: Unknowns, *, tied: bool, rounds: int = MOST_ROUNDS
+    ) -> Alignment:
+        """Match and fit until the matches stay, at most so many times."""
+        for _ in range(rounds):
+            predicted = predict(self.model, self.hiding, aligned.values, self.found.times_s)
+            sightings = self._match(predicted, self._close_gates(aligned, predicted))
+            before, aligned = aligned.sightings, self._fitted(sightings, aligned.values, unknowns, tied=tied)
+            was, now = (seen.detection * len(self.model.hulls_m) + seen.vessel for seen in (before, sightings))
+            if len(np.setxor1d(was, now)) <= SAME * max(len(sightings), 1):
+                break
+        return aligned
+
+    def matched(self, aligned: Alignment) -> Alignment:
+        """The matches of the detections with the values of another alignment, and no fit."""
+        predicted = predict(self.model, self.hiding, aligned.values, self.found.times_s)
+        sightings = self._match(predicted, self._close_gates(aligned, predicted))
+        return self._fitted(sightings, aligned.values, self._unknowns(()), tied=False)
+
+    def _unknowns(self, names: tuple[str, ...]) -> Unknowns:
+        chosen = tuple(name for name in names if name in self.free)
+        return Unknowns(chosen, np.zeros(3), np.empty(0, dtype=np.int64))
+
+    def all_unknowns(self) -> Unknowns:
+        """All shared ones that may change."""
+        return self._unknowns(SHARED_NAMES)
+
+    def _match(self, predicted: Predictions, gates_px: Array) -> Sightings:
+        return match(self.found, predicted, self.model.traffic.camera.intrinsics.image_size_px, gates_px)
+
+    def _fitted(
+        self, sightings: Sightings, start: Values, unknowns: Unknowns, *, tied: bool, most: int | None = None
+    ) -> Alignment:
+        residuals = SightingResiduals.of(sightings, use_sizes=self.use_sizes)
+        values = start
+        for _ in range(2 if most else 1):  # the spreads follow from the residuals, which follow from the fit
+            spreads = residuals.spreads_px(np.nan_to_num(residuals.px(self.model, values), nan=0.0))
+            if len(residuals.row) < LEAST_FIT or not unknowns.shared:
+                break
+            values = fit(self.model, residuals, values, unknowns, spreads, tied=tied, most=most)
+        return Alignment(values, sightings, residuals, spreads)
+
+    def _close_gates(self, aligned: Alignment, predicted: Predictions) -> Array:
+        """Gates from the spreads of the residuals of centres and waterlines, which grow with size, shape (m, 2)."""
+        residuals, gates = aligned.residuals, np.empty((len(predicted.frame), 2))
+        px = np.abs(np.nan_to_num(residuals.px(self.model, aligned.values), nan=0.0))
+        for axis, kind in enumerate((KINDS.index("centre"), KINDS.index("waterline"))):
+            rows: Indices = np.flatnonzero(residuals.kind == kind)
+            typical = np.median(px[rows] / usual_px(residuals.size_px[rows])) if len(rows) else 1.0
+            gates[:, axis] = SPREADS * 1.4826 * max(typical, 0.5) * usual_px(sizes(predicted.boxes_px)[:, axis])
+        return gates
+
+
+def usual_px(size_px: Array) -> Array:
+    """The usual size of box errors, in pixels, of boxes of a width or height."""
+    usual: Array = 1 + 0.05 * size_px
+    return usual

@@ -1,0 +1,357 @@
+"""Where the edges of a vessel's box are in the image, for any values of the parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.geometry.camera import Camera, Distortion, Intrinsics
+from modsim3d.geometry.camera_poses import CameraPoses, poses_ashore, poses_on_board, vehicle_R_nominal, world_R_vehicle
+from modsim3d.geometry.curved_sea import lowered
+from modsim3d.learn.voyage.attitude import Attitude, Sampler
+from modsim3d.learn.voyage.log_to_scene import hull_of, stacked
+from modsim3d.learn.voyage.registration.parameters import Values
+from modsim3d.scene.scene import Scene
+from modsim3d.world.vessels import shoebox
+
+# ---- Where the vessels and the camera of a scene are at any time, between its steps too ----
+
+BEYOND_S = 60.0
+"""How long before the first step and after the last one vessels go on."""
+
+MEAN_S = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class KnownTraffic:
+    """The poses of V vessels at S ascending times, to interpolate between.
+
+    Vessels go on at their speed where they are absent, and before the first step and after the last one. A fit of the
+    clock moves the times of its matches: a match near the end of a track must not tear away when that is passed.
+
+    Attributes:
+        camera: The camera that looks at them.
+        times_s: Times of the steps since the scene's first, with one `BEYOND_S` before and one after them, shape (S,).
+        present: Whether each vessel is there, shape (S, V); nowhere at the first and the last of these times.
+        places_m: Positions and then unwrapped heading, roll, pitch and yaw in waves, in metres and radians, shape
+            (S, V, 7).
+        carrier: Index of the vessel that carries the camera; None ashore.
+        composition: How its angles and the camera's combine; see `poses_on_board`.
+        curved: Whether the sea is curved.
+    """
+
+    camera: Camera
+    times_s: Array
+    present: Mask
+    places_m: Array
+    carrier: int | None
+    composition: str
+    curved: bool
+
+    @classmethod
+    def of(cls, scene: Scene, camera: Camera, attitude: Attitude | None = None) -> KnownTraffic:
+        """That of a scene, all its steps, before one of its cameras; an attitude as it was measured replaces waves."""
+        motion = Sampler(scene, attitude).at(scene.times_s(0, scene.steps))
+        headings = motion.poses.headings_rad[..., None]
+        places = np.concatenate([motion.poses.positions_m, headings, motion.angles_rad], axis=-1)
+        name = camera.mount.vessel
+        steps_s = scene.times_s(0, scene.steps)
+        times_s = np.concatenate([[steps_s[0] - BEYOND_S], steps_s, [steps_s[-1] + BEYOND_S]])
+        present = np.pad(motion.poses.present, ((1, 1), (0, 0)))
+        return cls(
+            camera,
+            times_s,
+            present,
+            _continued(times_s, present, np.pad(places, ((1, 1), (0, 0), (0, 0)))),
+            None if name is None else scene.vessel_names.index(name),
+            scene.waves.composition if scene.waves else "rigid",
+            scene.sea == "curved",
+        )
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """Times of the scene's first and last step."""
+        return float(self.times_s[1]), float(self.times_s[-2])
+
+    def there(self, times_s: Array, vessel: Indices) -> Mask:
+        """Whether vessels are there at times: at the steps before and after, shape (n,)."""
+        before, share = self._between(times_s)
+        after = np.where(share > 0, before + 1, before)
+        found: Mask = self.present[before, vessel] & self.present[after, vessel]
+        return found
+
+    def at(self, times_s: Array, vessel: Indices) -> tuple[Array, Array]:
+        """Positions in WCF, shape (n, 3), and rotations VCF to WCF, (n, 3, 3), of vessels at times, both (n,)."""
+        places = self._placed(times_s, vessel)
+        nominal = world_R_vehicle(places[:, 3])
+        if not self.places_m[..., 4:].any():
+            return places[:, :3], nominal
+        return places[:, :3], nominal @ np.swapaxes(vehicle_R_nominal(places[:, 4:]), -1, -2)
+
+    def velocities(self, times_s: Array, vessel: Indices) -> Array:
+        """Mean velocities along and across from `MEAN_S` before to `MEAN_S` after n times, in m/s, shape (n, 2).
+
+        They turn with the vessel: one that goes round in a circle keeps its speed ahead.
+        """
+        known = [np.flatnonzero(column) for column in self.present.T]
+        first, last = (np.array([self.times_s[rows[end]] if len(rows) else 0.0 for rows in known]) for end in (0, -1))
+        start, stop = (
+            np.clip(times_s + side, first[vessel], np.maximum(last[vessel], first[vessel] + 1e-3))
+            for side in (-MEAN_S, MEAN_S)
+        )
+        moved = self._interpolated(self._travelled_m, stop, vessel) - self._interpolated(
+            self._travelled_m, start, vessel
+        )
+        found: Array = moved / np.maximum(stop - start, 1e-3)[:, None]
+        return found
+
+    def camera_at(self, times_s: Array, turn_rad: Array, raised_m: float) -> CameraPoses:
+        """Poses of the camera at n times, with roll, pitch and yaw (3,) added to its mount's, and so much higher."""
+        mount = self.camera.mount
+        roll, pitch, yaw = (np.array([mount.roll_rad, mount.pitch_rad, mount.yaw_rad]) + turn_rad).tolist()
+        along, port, up = mount.position_m
+        mount = replace(mount, position_m=(along, port, up + raised_m), roll_rad=roll, pitch_rad=pitch, yaw_rad=yaw)
+        if self.carrier is None:
+            return poses_ashore(mount, len(times_s))
+        places = self._placed(times_s, np.full(len(times_s), self.carrier))
+        return poses_on_board(mount, places[:, :3], places[:, 3], places[:, 4:], self.composition)
+
+    def _between(self, times_s: Array) -> tuple[Indices, Array]:
+        """The step before each time, and the share of the way to the next."""
+        before = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, len(self.times_s) - 2)
+        share = (times_s - self.times_s[before]) / (self.times_s[before + 1] - self.times_s[before])
+        return before, np.clip(share, 0.0, 1.0)
+
+    @cached_property
+    def _travelled_m(self) -> Array:
+        """How far vessels have come since the first of the times, along and across their headings, shape (S, V, 2)."""
+        moved, heading = np.diff(self.places_m[..., :2], axis=0), self.places_m[..., 3]
+        midway = (heading[1:] + heading[:-1]) / 2
+        cosine, sine = np.cos(midway), np.sin(midway)
+        along, across = moved[..., 0] * cosine + moved[..., 1] * sine, moved[..., 1] * cosine - moved[..., 0] * sine
+        return np.pad(np.cumsum(np.stack([along, across], axis=-1), axis=0), ((1, 0), (0, 0), (0, 0)))
+
+    def _placed(self, times_s: Array, vessel: Indices) -> Array:
+        return self._interpolated(self.places_m, times_s, vessel)
+
+    def _interpolated(self, of_steps: Array, times_s: Array, vessel: Indices) -> Array:
+        """Values of vessels at the steps, shape (S, V, k), at times (n,), shape (n, k)."""
+        before, share = self._between(times_s)
+        start, end = of_steps[before, vessel], of_steps[before + 1, vessel]
+        found: Array = start + share[:, None] * (end - start)
+        return found
+
+
+def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
+    """Places with those of absent vessels filled in and headings that go on beyond a full turn, shape (S, V, 7).
+
+    Between two stretches they are linear. Before the first one and after the last one the position goes on at its
+    speed, and the angles stay.
+    """
+    filled = places_m.copy()
+    for vessel in np.flatnonzero(present.any(axis=0)).tolist():
+        steps = np.flatnonzero(present[:, vessel])
+        known_s, known = times_s[steps], places_m[steps, vessel]
+        known[:, 3] = filled[steps, vessel, 3] = np.unwrap(known[:, 3])
+        columns = [np.interp(times_s, known_s, column) for column in known.T]
+        absent = np.flatnonzero(~present[:, vessel])
+        filled[absent, vessel] = np.stack(columns, axis=-1)[absent]
+        if len(steps) > 1:
+            for edge, inner, beyond in ((0, 1, absent < steps[0]), (-1, -2, absent > steps[-1])):
+                speed = (known[edge, :2] - known[inner, :2]) / (known_s[edge] - known_s[inner])
+                rows = absent[beyond]
+                filled[rows, vessel, :2] += (times_s[rows] - known_s[edge])[:, None] * speed
+    return filled
+
+
+# ---- Where the edges of a vessel's box are in the image, for any values of the parameters ----
+
+AXIS = np.array([0, 1, 0, 1])
+"""Whether the left, top, right and bottom edges are columns (0) or rows (1)."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoxModel:
+    """The boxes of V vessels before a camera.
+
+    Attributes:
+        traffic: Where they are.
+        hulls_m: Vertices of each vessel's convex hull in VCF, the last one repeated, shape (V, K, 3).
+    """
+
+    traffic: KnownTraffic
+    hulls_m: Array
+
+    @classmethod
+    def of(cls, scene: Scene, traffic: KnownTraffic) -> BoxModel:
+        """That of a scene's vessels, with their dimensions and the shapes that its source of truth gives them."""
+        meshes = scene.annotation.source != "rectangles"
+        solids = [vessel.solid if meshes else shoebox() for vessel in scene.vessels]
+        hulls = [hull_of(solid) * vessel.extents_m for solid, vessel in zip(solids, scene.vessels, strict=True)]
+        return cls(traffic, stacked(hulls))
+
+    def intrinsics(self, values: Values) -> Intrinsics:
+        """The camera's intrinsics with other focal length and k1."""
+        lens = self.traffic.camera.intrinsics
+        (f1, f2), larger = lens.focal_px, 1 + values["focal_share"]
+        bent, k1 = lens.distortion or Distortion(), values["k1"]
+        distortion = replace(bent, k1=bent.k1 + k1) if k1 else lens.distortion
+        return replace(lens, focal_px=(f1 * larger, f2 * larger), distortion=distortion)
+
+    def camera_poses(self, values: Values, times_s: Array) -> CameraPoses:
+        """Poses of the camera at times of the detector's clock, shape (n,)."""
+        turn = np.radians([values["roll_deg"], values["pitch_deg"], values["yaw_deg"]])
+        return self.traffic.camera_at(times_s + values["clock_s"], turn, values["height_m"])
+
+    def points_world(self, values: Values, times_s: Array, vessel: Indices, points_m: Array) -> Array:
+        """Points of n vessels in VCF, shape (n, K, 3), at times of the detector's clock, in WCF, shape (n, K, 3).
+
+        What AIS reports is the antenna: its offset is taken off. A delayed report says where a vessel was, so that
+        the vessel is where it reports to be that much later.
+        """
+        along, across, delay = values.vessels[vessel].T
+        positions, rotations = self.traffic.at(times_s + values["clock_s"] + delay, vessel)
+        antenna = np.stack([along, across, np.zeros(len(along))], axis=-1)
+        world: Array = (points_m - antenna[:, None]) @ np.swapaxes(rotations, -1, -2) + positions[:, None]
+        return world
+
+    def pixels(self, values: Values, times_s: Array, vessel: Indices, points_m: Array) -> Array:
+        """The same points in the image, NaN behind the camera, shape (n, K, 2)."""
+        if not len(vessel):
+            return np.empty((*points_m.shape[:2], 2))
+        world = self.points_world(values, times_s, vessel, points_m)
+        poses = self.camera_poses(values, times_s)
+        if self.traffic.curved:
+            world = lowered(world, poses.positions_m[:, None])
+        return self.intrinsics(values).project(poses.to_camera(world))
+
+    def boxes(self, values: Values, times_s: Array, vessel: Indices) -> tuple[Array, Array]:
+        """Boxes that are not cut at the image, shape (n, 4), and the vertex in VCF at each edge, (n, 4, 3).
+
+        Boxes of vessels that are absent, or partly behind the camera, are NaN.
+        """
+        hulls = self.hulls_m[vessel]
+        pixels = self.pixels(values, times_s, vessel, hulls)
+        shown = self.traffic.there(times_s + values["clock_s"] + values.vessels[vessel, 2], vessel)
+        shown &= np.isfinite(pixels).all(axis=(1, 2))
+        if self.traffic.carrier is not None:
+            carrier = np.full(len(vessel), self.traffic.carrier)
+            shown &= (vessel != carrier) & self.traffic.there(times_s + values["clock_s"], carrier)
+        safe = np.where(shown[:, None, None], pixels, 0.0)
+        ends = np.concatenate([safe.argmin(axis=1), safe.argmax(axis=1)], axis=1)
+        corners = np.take_along_axis(hulls, ends[..., None], axis=1)
+        boxes = np.concatenate([safe.min(axis=1), safe.max(axis=1)], axis=1)
+        boxes[~shown] = np.nan
+        return boxes, corners
+
+    def edges(self, values: Values, times_s: Array, vessel: Indices, corners_m: Array) -> Array:
+        """Left, top, right and bottom edge from the vertices that make them, shape (n, 4, 3) to (n, 4)."""
+        pixels = self.pixels(values, times_s, vessel, corners_m)
+        edges: Array = np.take_along_axis(pixels, AXIS[None, :, None], axis=2)[..., 0]
+        return edges
+
+
+# ---- Which edges of a vessel's box something else hides ----
+
+NEARLY = 0.999
+"""A ray is hidden before this share of its way: the end is on the vessel itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class Occluders:
+    """What can hide vessels from a camera.
+
+    Attributes:
+        model: The vessels, each of which hides others with the box around it.
+        obstacles: Planes of convex solids, n · p + d <= 0 inside, each of shape (F, 4).
+        extents_m: Length, beam and air draft of the vessels, shape (V, 3).
+    """
+
+    model: BoxModel
+    obstacles: tuple[Array, ...]
+    extents_m: Array
+
+    @classmethod
+    def of(cls, scene: Scene, model: BoxModel) -> Occluders:
+        """The vessels and obstacles of a scene; own ship's hull is left out."""
+        solids = [planes_of(vertices) for obstacle in scene.obstacles for _, vertices in obstacle.solids]
+        extents = np.array([vessel.extents_m for vessel in scene.vessels])
+        return cls(model, tuple(planes for planes in solids if planes is not None), extents)
+
+    def hidden(self, values: Values, times_s: Array, vessel: Indices, corners_m: Array, group: Indices) -> Mask:
+        """Whether the vertices that make the edges of boxes are hidden, shape (n, 4).
+
+        Args:
+            values: The parameters.
+            times_s: Times of the detector's clock, shape (n,).
+            vessel: The vessels, shape (n,).
+            corners_m: Vertices in VCF, shape (n, 4, 3).
+            group: The frame of each row, ascending: only vessels of the same frame hide each other, shape (n,).
+        """
+        ends = self.model.points_world(values, times_s, vessel, corners_m)
+        starts = self.model.camera_poses(values, times_s).positions_m[:, None]
+        hidden = np.zeros(ends.shape[:2], dtype=bool)
+        for planes in self.obstacles:
+            hidden |= crosses(starts, ends, planes)
+        row, other = _pairs(group)
+        delay = values.vessels[vessel[other], 2]
+        places, rotations = self.model.traffic.at(times_s[other] + values["clock_s"] + delay, vessel[other])
+        begin, stop = ((points - places[:, None]) @ rotations for points in (starts[row], ends[row]))
+        inside = crosses_box(begin, stop, self.extents_m[vessel[other]])
+        np.logical_or.at(hidden, row, inside)
+        return hidden
+
+
+def planes_of(vertices_m: Array) -> Array | None:
+    """The planes around the convex hull of vertices (K, 3), shape (F, 4); None if they lie in one plane."""
+    try:
+        planes: Array = np.unique(ConvexHull(vertices_m).equations.round(9), axis=0)
+    except QhullError:
+        return None
+    return planes
+
+
+def crosses(starts_m: Array, ends_m: Array, planes: Array) -> Mask:
+    """Whether the way from starts to ends goes through a convex solid, shapes (..., 3) to (...).
+
+    The part of the way inside all half-spaces is found by cutting it at each plane in turn.
+    """
+    at_start = starts_m @ planes[:, :3].T + planes[:, 3]
+    at_end = ends_m @ planes[:, :3].T + planes[:, 3]
+    return _stays(np.broadcast_to(at_start, at_end.shape), at_end)
+
+
+def crosses_box(starts_m: Array, ends_m: Array, extents_m: Array) -> Mask:
+    """The same of boxes in their own VCF, with extents of shape (n, 3), for ways of shapes (n, ..., 3)."""
+    half = extents_m / 2 * (1, 1, 0) + extents_m * (0, 0, 1)
+    low = -half * (1, 1, 0)
+    upper, lower = half[:, None], low[:, None]
+    at_start = np.concatenate([starts_m - upper, lower - starts_m], axis=-1)
+    at_end = np.concatenate([ends_m - upper, lower - ends_m], axis=-1)
+    return _stays(np.broadcast_to(at_start, at_end.shape), at_end)
+
+
+def _stays(at_start: Array, at_end: Array) -> Mask:
+    """Whether some part of a way is on the inner side of all planes; values at its ends, shape (..., F)."""
+    change = at_end - at_start
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cut = -at_start / change
+    enters = np.where(change < 0, cut, np.where((change == 0) & (at_start > 0), np.inf, 0.0)).max(axis=-1)
+    leaves = np.where(change > 0, cut, 1.0).min(axis=-1)
+    found: Mask = np.maximum(enters, 0.0) < np.minimum(leaves, NEARLY)
+    return found
+
+
+def _pairs(group: Indices) -> tuple[Indices, Indices]:
+    """All ordered pairs of different rows of the same group, which ascends."""
+    first, count = np.searchsorted(group, group, side="left"), np.searchsorted(group, group, side="right")
+    sizes = count - first
+    row = np.repeat(np.arange(len(group)), sizes)
+    before = np.repeat(np.cumsum(sizes) - sizes, sizes)
+    other = np.repeat(first, sizes) + np.arange(len(row)) - before
+    apart = row != other
+    return row[apart], other[apart]

@@ -1,0 +1,352 @@
+"""Registers a camera and its detector's clock against the truth that AIS and a scene give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from modsim3d.core.boxes import centre_form, corner_form
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array
+from modsim3d.geometry.camera import Camera
+from modsim3d.io.validation import nearest
+from modsim3d.learn.voyage.attitude import Attitude
+from modsim3d.learn.voyage.log_to_scene import Correction
+from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes, Sightings
+from modsim3d.learn.voyage.registration.estimating import PROBED, Estimated, blocks_of, columns, estimate, linearized
+from modsim3d.learn.voyage.registration.icp import Aligner, Alignment
+from modsim3d.learn.voyage.registration.identifiability import (
+    COMMON_DELAY,
+    ConfoundedGroup,
+    Knowledge,
+    Linear,
+    covering,
+    exchange,
+    undetermined,
+)
+from modsim3d.learn.voyage.registration.initial_guesses import check_matches, check_times, explained, rivals_of, starts
+from modsim3d.learn.voyage.registration.model import BoxModel, KnownTraffic, Occluders
+from modsim3d.learn.voyage.registration.parameters import (
+    MEAN_ERRORS,
+    SHARED,
+    SHARED_NAMES,
+    Values,
+    VesselEffects,
+    held,
+    known_of,
+    plausible,
+)
+from modsim3d.scene.scene import Scene
+
+# ---- A registration ----
+
+
+@dataclass(frozen=True)
+class RegisteredValue:
+    """One number of a registration; zero is what the scene says.
+
+    Attributes:
+        name: Name with unit, such as `pitch_deg`; of a vessel with the vessel's ID before: `ferry.delay_s`.
+        words: What it is.
+        unit: Unit in text.
+        value: Estimate, or the value at which it is held.
+        standard_error: NaN if it is held.
+        low: Lower end of the 95 % interval; NaN if it is held.
+        high: Upper end.
+        held: The rule by which it is held; empty if it was estimated.
+    """
+
+    name: str
+    words: str
+    unit: str
+    value: float
+    standard_error: float
+    low: float
+    high: float
+    held: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """How a camera and the clock of its detector differ from what the scene says.
+
+    Attributes:
+        camera: Name of the camera.
+        values: All values: zero is what the scene says.
+        estimates: The shared parameters, in order.
+        vessels: What is known of single vessels: only what the data determine.
+        covariance: Covariance of the estimated shared parameters, in the order of `estimates`, shape (p, p).
+        groups: What the data cannot tell apart, so that a rule had to settle it.
+        sightings: The matches that were used.
+        detections: Number of detections.
+        rms_before_px: Root mean square of bearings' and waterlines' residuals with the scene's values, by the same
+            matches; NaN if one has no place in the image then.
+        rms_after_px: The same with the registration.
+    """
+
+    camera: str
+    values: Values
+    estimates: tuple[RegisteredValue, ...]
+    vessels: tuple[RegisteredValue, ...]
+    covariance: Array
+    groups: tuple[ConfoundedGroup, ...]
+    sightings: Sightings
+    detections: int
+    rms_before_px: float
+    rms_after_px: float
+
+    def __getitem__(self, name: str) -> RegisteredValue:
+        """An estimate by its name, such as `pitch_deg` or `ferry.delay_s`."""
+        return {each.name: each for each in (*self.estimates, *self.vessels)}[name]
+
+    @property
+    def matched_vessels(self) -> int:
+        """Number of vessels that were matched."""
+        return len(np.unique(self.sightings.vessel))
+
+    @property
+    def correction(self) -> Correction:
+        """What the estimates add to the camera and to the clock."""
+        return Correction(**{each.name: self.values[each.name] for each in fields(Correction)})
+
+    def camera_of(self, camera: Camera) -> Camera:
+        """The camera as it really is, from the scene's."""
+        return self.correction.camera(camera)
+
+    def scene_of(self, scene: Scene) -> Scene:
+        """The scene with the camera as it really is. The clock and the vessels are left as they are."""
+        cameras = (self.camera_of(camera) if camera.name == self.camera else camera for camera in scene.cameras)
+        return replace(scene, cameras=tuple(cameras))
+
+    def __repr__(self) -> str:
+        """The estimates line by line, then what could not be told apart."""
+        lines = [f"registration of camera '{self.camera}' by {len(self.sightings)} of {self.detections} detections"]
+        lines[0] += f" of {self.matched_vessels} vessels"
+        lines.append(f"  residual {self.rms_before_px:.1f} px before, {self.rms_after_px:.1f} px after")
+        for each in (*self.estimates, *self.vessels):
+            known = f"held: {each.held}"
+            if not each.held:
+                known = f"{each.low:.4g} to {each.high:.4g}"
+            lines.append(f"  {each.name:<20} {each.value:>9.4g} {each.unit:<3} ({known})")
+        return "\n".join([*lines, *(f"  by rule: {group.words()}" for group in self.groups)])
+
+
+# ---- Registers a camera and its detector's clock against the truth that AIS and a scene give ----
+
+SEARCHED_S = 60.0
+FIRST_FRAMES = 150
+MOST_BOXES = 2500
+"""Of more detections a fit takes frames that are evenly spread: those beside each other have nearly the same errors."""
+BY_RULE = ("mean_x_px", "mean_y_px")
+"""Mean errors are zero, or given: in the images nothing else looks like yaw and pitch."""
+NORMAL = 1.96
+
+
+def register(
+    scene: Scene,
+    camera: str,
+    found: BoxesAtTimes,
+    *,
+    fixed: Sequence[str] = (),
+    mean_errors: Sequence[float | None] = (None, None, None, None),
+    use_sizes: bool = True,
+    searched_s: float = SEARCHED_S,
+    offsets_m: float | None = None,
+    noise_m: float = 0.0,
+    attitude: Attitude | None = None,
+) -> Registration:
+    """Estimate how a camera and its detector's clock differ from what the scene says.
+
+        registration = register(scene, "quay", BoxesAtTimes(times_s, frame, boxes_px))
+        print(registration)
+
+    Args:
+        scene: The scene.
+        camera: Name of the camera.
+        found: What its detector wrote.
+        fixed: Names of parameters that are held at the scene's values, such as `pitch`.
+        mean_errors: Mean box errors in x and y, in pixels, and in width and height, as shares; they are taken off and
+            held. None where one is not known: those in x and y are taken to be zero then.
+        use_sizes: Whether widths and heights of boxes count: not if the vessels' dimensions are guesses.
+        searched_s: Greatest offset of the clock that is looked for.
+        offsets_m: Standard deviation, over vessels, that is expected of how far positions are off, such as by unknown
+            places of antennas. It counts as much as four vessels. With `noise_m`, reports are also expected to be late,
+            by `DELAY_S` over vessels. None if nothing is expected: then the matches alone tell, which few vessels do
+            badly.
+        noise_m: Standard deviation, in each direction, of errors of positions that change over minutes, such as those
+            of satellite navigation: see `drifting`.
+        attitude: That of own ship as it was measured, in place of the scene's waves.
+
+    Raises:
+        ModsimError: The data cannot tell, with the reason.
+    """
+    eye = _camera(scene, camera)
+    if scene.live:
+        raise ModsimError(f"{scene.title}: a registration needs poses that are known beforehand, not live ones")
+    model = BoxModel.of(scene, KnownTraffic.of(scene, eye, attitude))
+    check_times(model, found, searched_s)
+    given = _corrected(found, np.array([value or 0.0 for value in mean_errors]))
+    known_means = {name: value for name, value in zip(_MEANS, mean_errors, strict=True) if value is not None}
+    stays = held([*fixed, *BY_RULE, *known_means, *(() if use_sizes else _SIZES)])
+    free = tuple(name for name, stay in zip(SHARED_NAMES, stays, strict=True) if not stay)
+    if not free:
+        raise ModsimError("fixed: all parameters are fixed; leave at least one to be estimated")
+    hiding = Occluders.of(scene, model)
+    first = Aligner(model, hiding, given.some(FIRST_FRAMES), free, use_sizes)
+    best, rivals = starts(first, searched_s, float(np.hypot(offsets_m or 0.0, noise_m)), scene)
+    some = given.some(max(int(len(given.times_s) * MOST_BOXES / len(given.frame)), FIRST_FRAMES))
+    aligner = Aligner(model, hiding, some, free, use_sizes)
+    aligned = aligner.until_stable(aligner.first(best), aligner.all_unknowns(), tied=True)
+    check_matches(model, aligned, scene.vessel_names)
+    linear, blocks = linearized(aligner, aligned), blocks_of(aligned.residuals)
+    groups = undetermined(Linear(columns(linear, free), linear.residuals), free, blocks)
+    lost = {group.held for group in groups}
+    free = tuple(name for name in free if name not in lost)
+    last = Aligner(model, hiding, some, free, use_sizes)
+    aligned = _settled(last, aligned, lost)
+    fits = [estimate(last, aligned, free, offsets_m, noise_m)]
+    others = (_fitted_from(rival, last, lost, free, offsets_m, noise_m, scene.vessel_names) for rival in rivals)
+    fits += [fitted for fitted in others if fitted is not None]
+    estimated, known = _best(last, fits, free)
+    aligned, linear, effects = estimated.aligned, estimated.linear, estimated.effects
+    check_matches(model, aligned, scene.vessel_names)
+    rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
+    rules |= {name: "mean errors are taken to be zero" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
+    rules |= {group.held: f"not determined: {group.words()}" for group in groups}
+    rules |= {name: f"given as {_mean_text(name, value)}" for name, value in known_means.items()}
+    vessels = _vessel_estimates(scene, model, aligned, effects, known.covariance)
+    # Held by a rule: what the others would be under another one.
+    groups += [exchange(linear, PROBED, name, list(free)) for name in (*BY_RULE, COMMON_DELAY)]
+    if some is not given:
+        aligned = Aligner(model, hiding, given, free, use_sizes).matched(aligned)
+    done = _registration(camera, model, aligned, free, known, rules, groups, vessels, len(found.frame))
+    estimates = (replace(each, value=known_means.get(each.name, each.value)) for each in done.estimates)
+    return replace(done, estimates=tuple(estimates))
+
+
+_MEANS = tuple(parameter.name for parameter in MEAN_ERRORS)
+_SIZES = _MEANS[2:]
+
+
+def _mean_text(name: str, value: float) -> str:
+    return f"{value:+g} px" if name in BY_RULE else f"{100 * value:+g} %"
+
+
+def _camera(scene: Scene, name: str) -> Camera:
+    cameras = {camera.name: camera for camera in scene.cameras}
+    if name not in cameras:
+        raise ModsimError(f"{scene.title}: no camera '{name}' ({nearest(name, list(cameras))})")
+    return cameras[name]
+
+
+def _corrected(found: BoxesAtTimes, mean: Array) -> BoxesAtTimes:
+    """The detections with given mean errors taken off: x and y in pixels, width and height as shares."""
+    if mean.shape != (4,) or not np.isfinite(mean).all() or np.any(mean[2:] <= -1):
+        raise ModsimError(f"mean_errors: four numbers x, y, width, height are needed (got {mean.tolist()})")
+    boxes = centre_form(found.boxes_px)
+    boxes[:, :2] -= mean[:2]
+    boxes[:, 2:] /= 1 + mean[2:]
+    return BoxesAtTimes(found.times_s, found.frame, corner_form(boxes))
+
+
+def _fitted_from(
+    start: Values,
+    aligner: Aligner,
+    lost: set[str],
+    free: tuple[str, ...],
+    offsets_m: float | None,
+    noise_m: float,
+    names: tuple[str, ...],
+) -> Estimated | None:
+    """The last fit from another start; None where its matches come to nothing, so that it is no registration."""
+    aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
+    try:
+        settled = _settled(aligner, aligned, lost)
+        check_matches(aligner.model, settled, names)
+        fitted = estimate(aligner, settled, free, offsets_m, noise_m)
+        check_matches(aligner.model, fitted.aligned, names)
+    except ModsimError:
+        return None
+    return fitted
+
+
+def _best(aligner: Aligner, fits: Sequence[Estimated], free: tuple[str, ...]) -> tuple[Estimated, Knowledge]:
+    """The fit that explains the detections best, with intervals that hold those nearly as good, too."""
+    if len(fits) == 1:
+        return fits[0], fits[0].known
+    scored = [(explained(aligner, fit.aligned), fit) for fit in fits]
+    (most, best), *others = sorted(scored, key=lambda pair: -float(pair[0].sum()))
+    values = best.aligned.values
+    rivals = rivals_of(most, values, [(less, fit.aligned.values) for less, fit in others])
+    return best, covering(best.known, [rival.scaled(free) - values.scaled(free) for rival in rivals])
+
+
+def _settled(aligner: Aligner, aligned: Alignment, lost: set[str]) -> Alignment:
+    """The alignment with undetermined values back at the scene's, and without ties to them."""
+    back = aligned.values.changed(**dict.fromkeys(lost, 0.0))
+    again = Alignment(back, aligned.sightings, aligned.residuals, aligned.spreads_px)
+    return aligner.until_stable(again, aligner.all_unknowns(), tied=False)
+
+
+def _vessel_estimates(
+    scene: Scene, model: BoxModel, aligned: Alignment, effects: VesselEffects, covariance: Array
+) -> tuple[RegisteredValue, ...]:
+    """What is determined of single vessels; `covariance` is that of the camera's parameters in plausible distances."""
+    if not effects.spreads.any():
+        return ()
+    times_s = aligned.sightings.time_s + aligned.values["clock_s"]
+    vessel, traffic = aligned.sightings.vessel, model.traffic
+    moved = traffic.at(times_s + 0.5, vessel)[0] - traffic.at(times_s - 0.5, vessel)[0]
+    metres = np.hypot(moved[:, 0], moved[:, 1])
+    totals, counts = (np.bincount(vessel, values, len(model.hulls_m)) for values in (metres, None))
+    speeds = (totals / np.maximum(counts, 1))[effects.vessels]  # the last matches may be without one of them
+    return tuple(
+        RegisteredValue(name, words, unit, value, error, value - NORMAL * error, value + NORMAL * error)
+        for name, words, unit, value, error in known_of(effects, covariance, speeds, scene.vessel_names)
+    )
+
+
+def _registration(
+    camera: str,
+    model: BoxModel,
+    aligned: Alignment,
+    free: tuple[str, ...],
+    known: Knowledge,
+    rules: dict[str, str],
+    groups: list[ConfoundedGroup],
+    vessels: tuple[RegisteredValue, ...],
+    detections: int,
+) -> Registration:
+    scales, estimates, nan = plausible(free), [], float("nan")
+    for parameter in SHARED:
+        value = aligned.values[parameter.name]
+        error, half = nan, nan
+        if parameter.name in free:
+            place = free.index(parameter.name)
+            error, half = float(known.errors[place] * scales[place]), float(known.half_widths[place] * scales[place])
+        about = parameter.name, parameter.words, parameter.unit
+        estimates.append(
+            RegisteredValue(*about, value, error, value - half, value + half, rules.get(parameter.name, ""))
+        )
+    before, after = (_rms(model, aligned, values) for values in (Values.none(len(model.hulls_m)), aligned.values))
+    covariance = known.covariance * scales[:, None] * scales
+    return Registration(
+        camera,
+        aligned.values,
+        tuple(estimates),
+        vessels,
+        covariance,
+        tuple(groups),
+        aligned.sightings,
+        detections,
+        before,
+        after,
+    )
+
+
+def _rms(model: BoxModel, aligned: Alignment, values: Values) -> float:
+    """Root mean square of bearings' and waterlines' residuals in pixels."""
+    px = aligned.residuals.px(model, values)[aligned.residuals.kind <= 3]
+    return float(np.sqrt(np.mean(px**2))) if len(px) else float("nan")

@@ -1,0 +1,348 @@
+"""What is reported of a voyage besides the detector, and its tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from modsim3d.core.text import counted
+from modsim3d.geometry.camera import Camera
+from modsim3d.learn.bootstrap import Column
+from modsim3d.learn.report import LearnReport
+from modsim3d.learn.report_page import Table
+from modsim3d.learn.voyage import deconvolution as truth_noise
+from modsim3d.learn.voyage.coverage import (
+    Coverage,
+    FrameStretch,
+    coverage_drawing,
+    coverages,
+    frame_sketch,
+    missed_stretches,
+    missed_table,
+    range_table,
+    unmatched_stretches,
+    unmatched_table,
+)
+from modsim3d.learn.voyage.deconvolution import ComponentNoise, TakenOff
+from modsim3d.learn.voyage.labelled_voyage import LabelledVoyage, Registered
+from modsim3d.learn.voyage.non_ais import report as unseen
+from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections
+from modsim3d.learn.voyage.non_ais.rates import StateRates
+from modsim3d.learn.voyage.registration.identifiability import COMMON_DELAY, ConfoundedGroup
+from modsim3d.learn.voyage.registration.parameters import SHARED
+from modsim3d.learn.voyage.registration.registering import BY_RULE, RegisteredValue, Registration
+from modsim3d.scene.scene import Scene
+from modsim3d.view.pages import charts, page
+
+# ---- A registration as a table and in sentences ----
+
+HEADER = ("parameter", "scene", "registered", "change", "95 % interval", "held")
+_WORDS = {parameter.name: parameter.words for parameter in SHARED} | {COMMON_DELAY: "mean delay of all reports"}
+_WORDS |= {"clock_s": "clock", "focal_share": "focal length", "k1": "lens distortion k1"}
+_UNITS = {parameter.name: parameter.unit for parameter in SHARED} | {COMMON_DELAY: "s"}
+
+
+def registration_table(registered: Registered, scene: Scene) -> Table:
+    """The parameters of one camera."""
+    found = registered.registration
+    (camera,) = (each for each in scene.cameras if each.name == found.camera)
+    before, after = _values(camera), _values(found.camera_of(camera))
+    before["clock_s"] = f"{registered.clock_s:+.3f} s" if registered.clock_s else "0 s"
+    after["clock_s"] = f"{registered.clock_s + found.values['clock_s']:+.3f} s"
+    lost = {group.held for group in found.groups} - {*BY_RULE, COMMON_DELAY}
+    rows = tuple(
+        (
+            _name(each),
+            before.get(each.name, ""),
+            after.get(each.name, "") if not each.held else "",
+            amount(each.name, each.value, each.unit, each.standard_error) if not each.held else "",
+            _interval(each),
+            "not determined, see below" if each.name in lost else each.held,
+        )
+        for each in (*found.estimates, delay_of(registered), *found.vessels)
+    )
+    return Table(f"Registration of camera '{found.camera}' in {registered.source}", HEADER, rows)
+
+
+def registration_lead(registered: Registered) -> str:
+    """How much it rests on, and the residuals before and after."""
+    found = registered.registration
+    before = f"{found.rms_before_px:.3g} px" if math.isfinite(found.rms_before_px) else "more than the lens shows"
+    moved = ", with vessels off their reports as fits them best" if found.values.vessels.any() else ""
+    return (
+        f"Camera '{found.camera}' was registered by {len(found.sightings):,} of "
+        f"{counted(found.detections, 'detection')}, of {counted(found.matched_vessels, 'vessel')}: bearings and "
+        f"waterlines are off by {before} with the scene's values and by {found.rms_after_px:.3g} px with the "
+        f"registered ones{moved} (root mean square, by the same matches)."
+    )
+
+
+def delay_of(registered: Registered) -> RegisteredValue:
+    """The mean delay of all reports, which is held by a rule."""
+    given, nan = registered.known.delay_s, float("nan")
+    rule = "the mean delay is taken to be zero" if given is None else f"given as {given:+g} s"
+    return RegisteredValue(COMMON_DELAY, _WORDS[COMMON_DELAY], "s", given or 0.0, nan, nan, nan, rule)
+
+
+def exchanges(registration: Registration) -> Iterator[str]:
+    """What cannot be told apart: by how much other values would change if a held one were another."""
+    for group in registration.groups:
+        yield _exchange(group)
+
+
+def amount(name: str, value: float, unit: str, error: float | None = None) -> str:
+    """A change with its sign and unit, to the digits that an error leaves; shares are in percent."""
+    percent = name.endswith("_share")
+    size, shown = (100.0, " %") if percent else (1.0, unit if unit in ("", "°") else f" {unit}")
+    if error is None:
+        return f"{size * value:+.3g}{shown}"
+    digits = min(max(1 - math.floor(math.log10(max(size * error, 1e-6))), 0), 6)
+    return f"{round(size * value, digits) + 0.0:+.{digits}f}{shown}"  # + 0.0: no minus before zero
+
+
+def _name(estimate: RegisteredValue) -> str:
+    vessel = estimate.name.rpartition(".")[0]
+    return f"{vessel}: {estimate.words}" if vessel else _WORDS[estimate.name]
+
+
+def _exchange(group: ConfoundedGroup) -> str:
+    held = _WORDS[group.held]
+    if not group.exchange:
+        return f"{held} is held: the detections say nothing of it"
+    one = 0.01 if _UNITS[group.held] == "" else 1.0
+    changes = ", ".join(f"{amount(name, one * by, _UNITS[name])} of {_WORDS[name]}" for name, by in group.exchange)
+    return f"{held} is held; {amount(group.held, one, _UNITS[group.held])} of it would look like {changes}"
+
+
+def _interval(estimate: RegisteredValue) -> str:
+    if estimate.held or not np.isfinite(estimate.low):
+        return ""
+    low, high = (
+        amount(estimate.name, end, estimate.unit, estimate.standard_error) for end in (estimate.low, estimate.high)
+    )
+    return f"{low} to {high}"
+
+
+def _values(camera: Camera) -> dict[str, str]:
+    """The values of a camera as its scene has them, in degrees, metres and pixels."""
+    mount, lens = camera.mount, camera.intrinsics
+    angles = {f"{name}_deg": np.degrees(getattr(mount, f"{name}_rad")) for name in ("roll", "pitch", "yaw")}
+    return {name: f"{angle:.3f}°" for name, angle in angles.items()} | {
+        "height_m": f"{mount.position_m[2]:.3f} m",
+        "focal_share": f"{lens.focal_px[0]:.1f} px",
+        "k1": f"{lens.distortion.k1 if lens.distortion else 0:.4f}",
+    }
+
+
+# ---- What is reported of a voyage besides the detector, and its tables ----
+
+NOT_REGISTERED = "Cameras and clocks were taken as the scene and the log have them: nothing was registered."
+
+
+@dataclass(frozen=True, eq=False)
+class VoyageReport:
+    """What is reported of a voyage besides the detector.
+
+    Attributes:
+        voyage: The labelled set, the cameras and their registrations.
+        judged: Which unmatched detections are of vessels without a transponder.
+        taken_off: What errors of truth were taken off the box errors.
+        rates: Rates of false positives in each state, as bounds and between them.
+        level: Level of their intervals.
+    """
+
+    voyage: LabelledVoyage
+    judged: ClassifiedDetections
+    taken_off: TakenOff
+    rates: tuple[StateRates, ...]
+    level: float
+
+    @classmethod
+    def of(
+        cls,
+        voyage: LabelledVoyage,
+        judged: ClassifiedDetections,
+        taken_off: TakenOff,
+        report: LearnReport,
+        replicates: int,
+        seed: int,
+    ) -> VoyageReport:
+        """That of a report; the rates are resampled so many times."""
+        return cls(voyage, judged, taken_off, judged.own_rates(replicates, seed), report.level)
+
+    @property
+    def registration(self) -> list[tuple[str, Table, tuple[str, ...]]]:
+        """What each registration rests on, its table, and what could not be told apart."""
+        return [
+            (registration_lead(each), registration_table(each, self.voyage.scene), (*exchanges(each.registration),))
+            for each in self.voyage.registered
+        ]
+
+    @property
+    def unseen(self) -> Table:
+        """The rates of false positives."""
+        return Table(unseen.TITLE, unseen.HEADER, tuple(unseen.rows_of(self.rates, self.level)))
+
+    @property
+    def truth_noise(self) -> Table:
+        """Box errors with and without errors of truth; without rows if none are assumed."""
+        return Table(truth_noise.TITLE, truth_noise.HEADER, tuple(self.taken_off.rows()))
+
+    @cached_property
+    def coverage(self) -> list[Coverage]:
+        """What each camera matched and missed."""
+        return coverages(self.judged.telling, self.voyage.views)
+
+    @cached_property
+    def missed(self) -> list[FrameStretch]:
+        """Stretches in which vessels were missed."""
+        return missed_stretches(self.voyage, self.judged)
+
+    @cached_property
+    def unmatched(self) -> list[FrameStretch]:
+        """Detections of nothing known."""
+        return unmatched_stretches(self.voyage, self.judged)
+
+    @property
+    def tables(self) -> list[Table]:
+        """Tables besides those of registration."""
+        coverage = [range_table(each) for each in self.coverage]
+        return [self.unseen, self.truth_noise, *coverage, missed_table(self.missed), unmatched_table(self.unmatched)]
+
+
+# ---- What `modsim3d learn --json` says of a voyage ----
+
+
+def voyage_json(told: VoyageReport) -> dict[str, Any]:
+    """Registrations, rates of false positives as bounds, box errors less errors of truth, and coverage."""
+    return {
+        "registration": [_registration_content(each) for each in told.voyage.registered],
+        "false_positives_per_image": [_rates(each, told.level) for each in told.rates],
+        "box_errors": [_box_error(each) for each in told.taken_off.components()],
+        "coverage": [
+            {
+                "camera": each.camera,
+                "bearings_deg": each.bearings_deg.tolist(),
+                "ranges_m": each.ranges_m.tolist(),
+                "matched": each.counts()[0].astype(int).tolist(),
+                "to_be_detected": each.counts()[1].astype(int).tolist(),
+            }
+            for each in told.coverage
+        ],
+    }
+
+
+def _registration_content(registered: Registered) -> dict[str, Any]:
+    found = registered.registration
+    return {
+        "camera": found.camera,
+        "log": registered.source,
+        "matches": len(found.sightings),
+        "detections": found.detections,
+        "vessels": found.matched_vessels,
+        "residual_before_px": found.rms_before_px,
+        "residual_after_px": found.rms_after_px,
+        "clock_before_s": registered.clock_s,
+        "parameters": [
+            {"name": each.name, "unit": each.unit, "value": each.value, "low": each.low, "high": each.high}
+            | {"held": each.held or None}
+            for each in (*found.estimates, delay_of(registered), *found.vessels)
+        ],
+        "held_by_rule": list(exchanges(found)),
+    }
+
+
+def _box_error(error: ComponentNoise) -> dict[str, Any]:
+    names = ("learned", "from_errors_of_truth", "at_least", "written")
+    about = {"state": error.state, "component": error.component, "unit": error.unit}
+    return about | dict(zip(names, error.std, strict=True)) | {"upper_bound": error.upper_bound}
+
+
+def _rates(rates: StateRates, level: float) -> dict[str, Any]:
+    def found(column: Column | None) -> dict[str, float] | None:
+        if column is None:
+            return None
+        low, high = column.interval(level, rates.units)
+        return {"value": float(column.estimate), "low": float(low), "high": float(high)}
+
+    return {
+        "state": rates.state,
+        "unmatched": rates.unmatched,
+        "like_vessels": found(rates.vessel_share if rates.mixture else None),
+        "least": found(rates.lower),
+        "by_lifetimes": found(rates.mixture),
+        "most": found(rates.upper),
+        "in_empty_stretches": found(rates.empty),
+        "used": rates.source.value,
+    }
+
+
+# ---- The sections of a voyage on the page of what was learned ----
+
+_DRAWN = 3
+_COVERAGE = (
+    "Each cell has the share that was matched, and of how many boxes. Vessels without a transponder are in none of "
+    "them. Where no vessel passed, nothing is known."
+)
+_KEY = (
+    "Blue: vessels that were matched. Red, dashed: vessels that were missed. Orange: detections of nothing known. The "
+    "grey line is the horizon. The circle is about what the title names."
+)
+
+
+def voyage_sections(told: VoyageReport) -> tuple[str, ...]:
+    """All sections, as HTML."""
+    return (*_registration_section(told), *_unseen(told), *_truth_noise(told), *_coverage(told), *_worst(told))
+
+
+def _registration_section(told: VoyageReport) -> Iterator[str]:
+    yield page.heading("Registration")
+    if not told.voyage.registered:
+        yield page.paragraph(NOT_REGISTERED)
+    for lead, table, exchanges in told.registration:
+        yield page.paragraph(lead)
+        yield from _table(table)
+        yield page.paragraph("What these data cannot tell apart, so that a rule settles it:")
+        yield page.listed(f"{each[:1].upper()}{each[1:]}.".replace(" -", " −") for each in exchanges)
+
+
+def _unseen(told: VoyageReport) -> Iterator[str]:
+    yield page.heading("What AIS does not see")
+    yield from _table(told.unseen)
+
+
+def _truth_noise(told: VoyageReport) -> Iterator[str]:
+    table = told.truth_noise
+    if table.rows:
+        yield page.heading("How well the truth is known")
+        yield from _table(table)
+
+
+def _coverage(told: VoyageReport) -> Iterator[str]:
+    yield page.heading("Coverage of the sea")
+    for coverage in told.coverage:
+        yield charts.figure([coverage_drawing(coverage)], _COVERAGE)
+        yield from _table(range_table(coverage))
+
+
+def _worst(told: VoyageReport) -> Iterator[str]:
+    yield page.heading("The longest without a match")
+    for stretches, table in (
+        (told.missed, missed_table(told.missed)),
+        (told.unmatched, unmatched_table(told.unmatched)),
+    ):
+        if not stretches:
+            continue
+        yield from _table(table)
+        yield charts.figure([frame_sketch(told.voyage, told.judged, each) for each in stretches[:_DRAWN]], _KEY)
+
+
+def _table(table: Table) -> Iterator[str]:
+    if table.rows:
+        yield page.paragraph(table.title, "soft")
+        yield f'<div class="wide">{page.table(table.rows, table.header)}</div>'

@@ -1,1 +1,0 @@
-"""What commands write: one writer at a time, and every file whole."""

@@ -1,1 +1,0 @@
-"""Detections in the world: bearing, inverse range, and position where its error is nearly normal."""

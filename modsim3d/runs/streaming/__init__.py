@@ -1,0 +1,1 @@
+"""Detections line by line, while a scene is simulated."""

@@ -1,0 +1,102 @@
+"""Detections without what could tell where they came from: what a tracker may read of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import orjson
+
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.detector.records import Detections
+from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.runs.files.run_file import frame_lines, number_texts
+from modsim3d.scene.scene import Scene
+
+# ---- Detections without what could tell where they came from ----
+
+BOX_DECIMALS = 3
+"""Of a box's edges in pixels: the last bits of exact edges tell true detections from false ones."""
+_CONFIDENCE_DECIMALS = 6
+"""The last bits of exact ones tell some false detections from true ones, which more goes into."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerDetections:
+    """Detections as a tracker may read them: m rows by frame, the most confident of a frame first.
+
+    Attributes:
+        frame: Number of the frame, shape (m,).
+        label: Index of the label, shape (m,).
+        boxes_px: x_min, y_min, x_max, y_max, rounded, shape (m, 4).
+        confidence: Rounded, shape (m,).
+    """
+
+    frame: Indices
+    label: Indices
+    boxes_px: Array
+    confidence: Array
+
+    @classmethod
+    def of(cls, detections: Detections) -> TrackerDetections:
+        """What a tracker may read of a detector's detections."""
+        return anonymised(detections.frame, detections.label, detections.boxes_px, detections.confidence)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.frame)
+
+    def take(self, chosen: Mask | Indices) -> Self:
+        """The chosen rows."""
+        return type(self)(**{name: column[chosen] for name, column in vars(self).items()})
+
+
+def anonymised(frame: Indices, label: Indices, boxes_px: Array, confidence: Array) -> TrackerDetections:
+    """Round detections, and bring them into an order that tells nothing either.
+
+    Equally confident detections of a frame follow each other by their boxes. For the arguments see
+    `TrackerDetections`; they are in any order, and not rounded.
+    """
+    boxes_px, confidence = boxes_px.round(BOX_DECIMALS), confidence.round(_CONFIDENCE_DECIMALS)
+    order = np.lexsort((-confidence, frame))
+    # Few detections are equally confident: only those are put in order of their boxes.
+    before, after = order[:-1], order[1:]
+    same = (frame[before] == frame[after]) & (confidence[before] == confidence[after])
+    if same.any():
+        tied = (np.append(same, False) | np.append(False, same)).nonzero()[0]
+        rows = order[tied]
+        order[tied] = rows[np.lexsort((label[rows], *boxes_px[rows].T[::-1], -confidence[rows], frame[rows]))]
+    return TrackerDetections(frame, label, boxes_px, confidence).take(order)
+
+
+# ---- What a tracker may read ----
+
+TRACKER_INPUT = "tracker_input"
+
+
+def tracker_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
+    """The detections of a camera, one line for each of its frames."""
+    times_s = scene.times_s(block.first, block.stop)[part.steps - block.first]
+    return detection_lines(part.detections, scene.detector.labels, part.steps, times_s)
+
+
+def detection_lines(detections: Detections, labels: Sequence[str], steps: Indices, times_s: Array) -> bytes:
+    """Detections as a tracker may read them, one line for each frame; steps and times have shape (S,)."""
+    found = TrackerDetections.of(detections)
+    names = [b'],"label":' + orjson.dumps(label) + b',"confidence":' for label in labels]
+    heads = [
+        b'{"time_s":' + time_s + b',"step":' + step + b',"detections":['
+        for time_s, step in zip(number_texts(times_s), number_texts(steps), strict=True)
+    ]
+    return frame_lines(
+        heads,
+        b"]}\n",
+        found.frame,
+        b'{"box_px":[',
+        found.boxes_px,
+        [names[label] for label in found.label.tolist()],
+        found.confidence,
+        b"}",
+    )

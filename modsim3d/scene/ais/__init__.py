@@ -1,0 +1,1 @@
+"""Poses from real traffic: AIS reports in, a scene folder out."""

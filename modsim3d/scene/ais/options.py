@@ -1,0 +1,165 @@
+"""The options of `modsim3d ais`, and how they are read from text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+from modsim3d.core.errors import InputError
+from modsim3d.io.validation import nearest, shown
+from modsim3d.scene.ais.hulls import ship_types
+from modsim3d.scene.ais.messages import SeaRegion
+
+COMMAND_LINE = "command line"
+LEAST_VALUE, MOST_VALUE = 1e-6, 1e9
+"""Of every time and speed: a microsecond, and 30 years."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user chose, as docs/ais.md lists it.
+
+    Attributes:
+        origin: Latitude and longitude of w1 = w2 = 0; the median position if None.
+        region: Positions outside are dropped; none are if None.
+        start_s: Unix time of the first step; the first report's if None.
+        end_s: Unix time of the last step; the last report's if None.
+        duration_s: Time from the first step to the last, in place of the end.
+        max_gap_s: A vessel is away between reports that are further apart.
+        max_speed_kn: A position that a vessel can reach only at a higher speed is dropped.
+        labels_by_type: Label vessels by group of ship type, not all of them `Vessel`.
+        labels: Group → label, for some or all groups.
+    """
+
+    origin: tuple[float, float] | None = None
+    region: SeaRegion | None = None
+    start_s: float | None = None
+    end_s: float | None = None
+    duration_s: float | None = None
+    time_step_s: float = 1.0
+    max_gap_s: float = 400.0
+    max_speed_kn: float = 60.0
+    swap_coordinates: bool = False
+    labels_by_type: bool = False
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    def label(self, group: str) -> str:
+        """The label of a vessel of a group."""
+        return self.labels.get(group, ship_types()[group].label if self.labels_by_type else "Vessel")
+
+    @property
+    def window_s(self) -> tuple[float, float]:
+        """Unix times of the first and last report that may matter: start and end, each widened by the longest gap."""
+        first_s = -math.inf if self.start_s is None else self.start_s
+        last_s = math.inf if self.end_s is None else self.end_s
+        if self.start_s is not None and self.duration_s is not None:
+            last_s = self.start_s + self.duration_s
+        return first_s - self.max_gap_s, last_s + self.max_gap_s
+
+    def check(self) -> None:
+        """Refuse values that are impossible or contradict each other.
+
+        Raises:
+            InputError: With every problem found.
+        """
+        problems = [
+            f"--{name}: must be above 0, from {LEAST_VALUE:g} to {MOST_VALUE:g} (got {value:g})"
+            for name, value in (
+                ("time-step", self.time_step_s),
+                ("max-gap", self.max_gap_s),
+                ("max-speed", self.max_speed_kn),
+                ("duration", self.duration_s),
+            )
+            if value is not None and not LEAST_VALUE <= value <= MOST_VALUE
+        ]
+        if self.end_s is not None and self.duration_s is not None:
+            problems.append("--end and --duration: only one of them can be given")
+        if self.start_s is not None and self.end_s is not None and self.end_s < self.start_s:
+            problems.append(f"--end: {time_text(self.end_s)} is before --start, {time_text(self.start_s)}")
+        if problems:
+            raise InputError(COMMAND_LINE, problems)
+
+
+FIRST_TEXT_S, LAST_TEXT_S = (datetime(year, 1, 2, tzinfo=UTC).timestamp() for year in (1, 9999))
+
+
+def time_text(unix_s: float) -> str:
+    """A time as text, such as 2024-01-04T10:00:00Z; years from 1 to 9999, a time outside as a number of seconds."""
+    if not FIRST_TEXT_S <= unix_s < LAST_TEXT_S:
+        return f"{unix_s:g} s after 1970"
+    text = datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds")
+    return text.removesuffix("+00:00").removesuffix(".000") + "Z"
+
+
+def parse_time(text: str, option: str) -> float:
+    """Unix time from a date and time of ISO 8601; without a zone it is UTC, as in AIS.
+
+    Raises:
+        InputError: The text is no such time.
+    """
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        problem = f"{option}: a time such as 2024-01-04T10:00:00 is needed, in UTC (got {shown(text)})"
+        raise InputError(COMMAND_LINE, [problem]) from None
+    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+
+
+def parse_origin(text: str) -> tuple[float, float]:
+    """Latitude and longitude of the origin."""
+    latitude, longitude = _degrees(text, "--origin", "LAT,LON")
+    return latitude, longitude
+
+
+def parse_region(text: str) -> SeaRegion:
+    """A region from two of its corners."""
+    return SeaRegion.between(*_degrees(text, "--region", "LAT1,LON1,LAT2,LON2"))
+
+
+def _degrees(text: str, option: str, form: str) -> list[float]:
+    """Numbers from a text of latitudes and longitudes in turn, separated by commas, as many as `form` names.
+
+    Raises:
+        InputError: There are more or fewer numbers than needed, or one is out of range.
+    """
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) != len(form.split(",")) or not all(map(math.isfinite, values)):
+        raise InputError(COMMAND_LINE, [f"{option}: {form} in degrees is needed (got {shown(text)})"])
+    problems = [
+        f"{option}: latitude {latitude:g} is beyond ±90"
+        + (": latitude comes first" if abs(longitude) <= 90 and abs(latitude) <= 180 else "")
+        for latitude, longitude in zip(values[::2], values[1::2], strict=True)
+        if abs(latitude) > 90
+    ]
+    problems += [
+        f"{option}: longitude {longitude:g} is beyond ±180" for longitude in values[1::2] if abs(longitude) > 180
+    ]
+    if problems:
+        raise InputError(COMMAND_LINE, problems)
+    return values
+
+
+def parse_labels(texts: Sequence[str]) -> dict[str, str]:
+    """Labels by group, from texts such as `passenger=Ferry`.
+
+    Raises:
+        InputError: With every problem found.
+    """
+    labels: dict[str, str] = {}
+    problems = []
+    for text in texts:
+        group, sign, label = (part.strip() for part in text.partition("="))
+        if not sign or not label or not label.isprintable():
+            problems.append(f"--label: GROUP=LABEL is needed (got {shown(text)})")
+        elif group not in ship_types():
+            problems.append(f"--label: no group {shown(group)} ({nearest(shown(group), ship_types())})")
+        labels[group] = label
+    if problems:
+        raise InputError(COMMAND_LINE, problems)
+    return labels

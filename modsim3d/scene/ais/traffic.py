@@ -1,0 +1,241 @@
+"""AIS files in, the traffic of a scene out: runs the parts of this room in their order."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.types import Array, Indices
+from modsim3d.scene.ais.gathering import FileTally, Gathered, by_sender, gather
+from modsim3d.scene.ais.hulls import AisHull, hulls
+from modsim3d.scene.ais.messages import Positions, blank_unknown, in_order, local_metres, median_place
+from modsim3d.scene.ais.options import Options, time_text
+from modsim3d.scene.ais.vessel_track import TimeGrid, VesselTrack, time_grid, vessel_track
+
+# ---- A place for a camera from which the traffic can be seen, clear of all hulls ----
+
+CELL_M = 1000.0
+HEIGHT_M = 20.0
+MIN_DISTANCE_M, MAX_DISTANCE_M = 300.0, 2500.0
+CLEARANCE_M = 50.0
+TRIES = 12
+MAX_POSES_LOOKED_AT = 200_000
+"""Of more poses than this, evenly spaced ones are used to find the busiest water."""
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A camera ashore, at w1, w2, w3, that looks at a place on the water, w1, w2; its pitch is positive down."""
+
+    position_m: tuple[float, float, float]
+    yaw_rad: float
+    pitch_rad: float
+    target_m: tuple[float, float]
+    distance_m: float
+
+
+def viewpoint(vessels: Indices, places_m: Array, half_lengths_m: Array) -> Viewpoint:
+    """A camera that looks across the busiest patch of water.
+
+    The patch is the square kilometre that most vessels visit. The camera looks at right angles to the main direction of
+    motion there, from the distance at which half of that traffic fills its view. If a hull comes near that place, the
+    camera is turned aside or moved further away.
+
+    Args:
+        vessels: The vessel of each pose, in the order of time, shape (n,).
+        places_m: Centre of its hull, shape (n, 2).
+        half_lengths_m: Half the length of each hull, shape (V,).
+    """
+    spacing = max(1, len(vessels) // MAX_POSES_LOOKED_AT)
+    target = _busiest(places_m[::spacing], vessels[::spacing])
+    bearing, distance = _across(places_m, target)
+    place = _clear_place(places_m, half_lengths_m[vessels] + CLEARANCE_M, target, bearing, distance)
+    look = target - place
+    distance = float(np.hypot(*look))
+    return Viewpoint(
+        (round(float(place[0]), 1), round(float(place[1]), 1), HEIGHT_M),
+        round(float(np.arctan2(look[1], look[0])), 4),
+        round(float(np.arctan2(HEIGHT_M, distance)), 4),
+        (round(float(target[0]), 1), round(float(target[1]), 1)),
+        distance,
+    )
+
+
+def _across(places_m: Array, target_m: Array) -> tuple[float, float]:
+    """Direction from the target at right angles to the traffic around it, in radians from w1, and a distance in metres.
+
+    The direction is to the south, so that the light comes from behind; the distance shows half of the traffic.
+    """
+    near = places_m[np.abs(places_m - target_m).max(axis=1) <= 1.5 * CELL_M]
+    spread = near - near.mean(axis=0)
+    _, directions = np.linalg.eigh(spread.T @ spread)
+    along = directions[:, 1]
+    across = float(np.arctan2(-along[0], along[1]))
+    reach = float(np.median(np.abs(spread @ along)))
+    distance = float(np.clip(1.5 * reach, MIN_DISTANCE_M, MAX_DISTANCE_M))
+    return (across if np.sin(across) < 0 else across + np.pi), distance
+
+
+def _clear_place(places_m: Array, clearance_m: Array, target_m: Array, bearing_rad: float, distance_m: float) -> Array:
+    """The first place that is clear of all hulls: at the bearing and distance, turned aside, or further away.
+
+    `clearance_m`, shape (n,), is the distance to keep from each of the places, shape (n, 2).
+    """
+    for attempt in range(TRIES):
+        turned = bearing_rad + (0.0, np.pi, 0.5, -0.5)[attempt % 4]
+        further = distance_m * 1.5 ** (attempt // 4)
+        place = target_m + further * np.array([np.cos(turned), np.sin(turned)])
+        if (np.linalg.norm(places_m - place, axis=1) > clearance_m).all():
+            return place
+    south_m = float((places_m[:, 1] - clearance_m).min()) - CLEARANCE_M  # beyond the southernmost hull
+    return np.array([target_m[0], south_m])
+
+
+def _busiest(places_m: Array, vessels: Indices) -> Array:
+    """The mean place, shape (2,), in the cell that most vessels visit; of several, the one with most poses."""
+    cells = np.floor(places_m / CELL_M).astype(np.int64)
+    names, cell = np.unique(cells, axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+    visits = np.unique(np.stack([cell, vessels], axis=1), axis=0)[:, 0]
+    visited = np.bincount(visits, minlength=len(names))
+    poses = np.bincount(cell, minlength=len(names))
+    best = int(np.lexsort((poses, visited))[-1])
+    return np.asarray(places_m[cell == best].mean(axis=0))
+
+
+# ---- AIS files in, the traffic of a scene out ----
+
+MAX_POSES = 3_000_000
+"""About 250 MB of JSON, which takes minutes and gigabytes to read again."""
+EXCHANGE_HINT = "if latitude and longitude are in each other's place: --swap-coordinates exchanges them in all tables"
+
+
+@dataclass(frozen=True, eq=False)
+class AisTraffic:
+    """The vessels of a scene, and how they came about.
+
+    Attributes:
+        dropped: Reason → number of messages left out, in all files and afterwards.
+        origin: Latitude and longitude of w1 = w2 = 0.
+        vessels: Those that are there at some step, by identity.
+        elsewhere: Identities of vessels with usable positions that are there at no step.
+        left_out: Reason → number of positions dropped, of each sender of whom no position is left.
+        camera: A place to look from.
+        repeated: Number of duplicates that say the same as another, as those of several receivers do.
+    """
+
+    options: Options
+    files: list[FileTally]
+    dropped: Counter[str]
+    origin: tuple[float, float]
+    grid: TimeGrid
+    vessels: list[VesselTrack]
+    elsewhere: list[int]
+    left_out: dict[int, dict[str, int]]
+    camera: Viewpoint
+    repeated: int
+
+
+def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
+    """Tracks of all vessels in AIS files of any of the known formats, at the steps of a scene.
+
+    Raises:
+        InputError: Something is wrong with a file, or no vessel is left.
+        ModsimError: There would be too many steps or poses for one scene.
+    """
+    options.check()
+    gathered = gather(paths, options)
+    dropped = gathered.dropped
+    positions, dropped["duplicate"], repeated = in_order(gathered.positions)
+    if not len(positions):
+        raise _nothing_left(gathered, options)
+    grid = time_grid(positions, options)
+    near = grid.within(positions.time_s, options.max_gap_s)
+    dropped["outside_window"] += int((~near).sum())
+    senders = sum((tally.senders for tally in gathered.files), Counter[tuple[int, str]]())
+    senders.update(by_sender("outside_window", positions.mmsi[~near]))
+    positions = blank_unknown(positions.take(near))
+    if not len(positions):
+        raise _nothing_left(gathered, options)
+    origin = options.origin or _origin(positions, grid)
+    every_hull = hulls(gathered.particulars, np.unique(positions.mmsi).tolist())
+    tracks = _limited(_tracks(positions, origin, every_hull, grid, options))
+    dropped["jump"] += sum(track.jumps for track in tracks)
+    vessels = [track for track in tracks if len(track.steps)]
+    if not vessels:
+        raise _nothing_left(gathered, options)
+    elsewhere, camera = [track.mmsi for track in tracks if not len(track.steps)], _camera(vessels)
+    left_out = _left_out(senders, {track.mmsi for track in tracks})
+    return AisTraffic(options, gathered.files, dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated)
+
+
+def _left_out(senders: Counter[tuple[int, str]], kept: set[int]) -> dict[int, dict[str, int]]:
+    """Why positions were dropped, of each sender that is not among those kept."""
+    reasons: dict[int, dict[str, int]] = {}
+    for (mmsi, reason), count in sorted(senders.items()):
+        if mmsi not in kept:
+            reasons.setdefault(mmsi, {})[reason] = count
+    return reasons
+
+
+def _tracks(
+    positions: Positions, origin: tuple[float, float], every_hull: dict[int, AisHull], grid: TimeGrid, options: Options
+) -> Iterator[VesselTrack]:
+    """The track of each vessel, from positions that are ordered by vessel and time."""
+    places = local_metres(positions.latitude_deg, positions.longitude_deg, origin)
+    bounds = [0, *(np.flatnonzero(np.diff(positions.mmsi)) + 1).tolist(), len(positions)]
+    for first, stop in pairwise(bounds):
+        own = positions.take(np.arange(first, stop))
+        yield vessel_track(own, places[first:stop], every_hull[int(own.mmsi[0])], grid, options)
+
+
+def _limited(tracks: Iterable[VesselTrack]) -> list[VesselTrack]:
+    """All tracks, unless they hold more poses than a scene can."""
+    kept, poses = [], 0
+    for track in tracks:
+        poses += len(track.steps)
+        if poses > MAX_POSES:
+            raise ModsimError(
+                f"this would be more than {MAX_POSES:,} poses: take less of it (--start, --duration, --region), "
+                "or fewer steps (--time-step)"
+            )
+        kept.append(track)
+    return kept
+
+
+def _origin(positions: Positions, grid: TimeGrid) -> tuple[float, float]:
+    """The median position within the scene's time, or of all if there is none, to seven decimals (1 cm)."""
+    within = grid.within(positions.time_s, 0.0)
+    chosen = positions.take(within) if within.any() else positions
+    latitude, longitude = median_place(chosen.latitude_deg, chosen.longitude_deg)
+    return round(latitude, 7), round(longitude, 7)
+
+
+def _camera(vessels: list[VesselTrack]) -> Viewpoint:
+    number = np.repeat(np.arange(len(vessels)), [len(vessel.steps) for vessel in vessels])
+    order = np.lexsort((number, np.concatenate([vessel.steps for vessel in vessels])))
+    places = np.concatenate([vessel.places_m for vessel in vessels])
+    half_lengths = np.array([vessel.hull.length_m / 2 for vessel in vessels])
+    return viewpoint(number[order], places[order], half_lengths)
+
+
+def _nothing_left(gathered: Gathered, options: Options) -> InputError:
+    """The error that says what was asked for, what the files cover and why positions were dropped."""
+    wanted = []
+    if options.start_s is not None or options.end_s is not None:
+        first, last = (time_text(time) if time is not None else "…" for time in (options.start_s, options.end_s))
+        wanted.append(f"from {first} to {last}")
+    if options.region is not None:
+        wanted.append(f"in the region {options.region}")
+    problems = [f"no positions of ships {' '.join(wanted)}".rstrip() + f": {gathered.extent}"]
+    if reasons := ", ".join(f"{name} {count}" for name, count in sorted((+gathered.dropped).items())):
+        problems.append(f"left out: {reasons}")
+    if options.region is not None:
+        problems.append(EXCHANGE_HINT)
+    return InputError("AIS files", problems)

@@ -1,1 +1,0 @@
-"""Scores of tracks as a sentence, tables, `score.json` and a page."""

@@ -1,1 +1,0 @@
-"""Files of tracks: what each may hold, and what is wrong with one."""

@@ -1,0 +1,204 @@
+"""Columns of a text file with commas, as numbers and names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import ArrayLike
+from pyarrow import csv
+
+from modsim3d.core.errors import InputError
+from modsim3d.core.text import counted
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.io.validation import LOST, SCIENTIFIC, has_lost_digits, nearest, no_commas, shown
+from modsim3d.runs.files.tables import NOBODY
+
+# ---- What is wrong with the rows of a file of tracks ----
+
+_MOST = 10
+"""Rows that are named; the others are counted."""
+
+
+@dataclass
+class RowProblems:
+    """The wrong rows of a file, collected over the checks of one stage.
+
+    Attributes:
+        source: The file.
+        line: Number of each row in the file, shape (k,).
+        word: What a row is called in messages.
+    """
+
+    source: str
+    line: Indices
+    word: str = "line"
+    _found: dict[int, str] = field(default_factory=dict)
+    _wrong: set[int] = field(default_factory=set)
+
+    def refuse(self, bad: ArrayLike, say: Callable[[int], str]) -> None:
+        """Record wrong rows, shape (k,); `say` has the message for a row. Only the first problem of a row is kept."""
+        rows = np.flatnonzero(bad)
+        self._wrong.update(rows.tolist())
+        for row in rows[:_MOST].tolist():
+            self._found.setdefault(row, say(row))
+
+    def settle(self) -> None:
+        """End a stage.
+
+        Raises:
+            InputError: There are wrong rows.
+        """
+        if not self._wrong:
+            return
+        told = sorted(self._found)[:_MOST]
+        lines = [f"{self.word} {self.line[row]}: {self._found[row]}" for row in told]
+        if len(self._wrong) > len(told):
+            lines.append(f"… and {len(self._wrong) - len(told):,} more {self.word}s")
+        raise InputError(self.source, lines)
+
+
+# ---- Columns of a text file with commas, as numbers and names ----
+
+_NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
+_MOST_NUMBER = 1e15
+"""A larger number is no identity and no place, and neighbours of it cannot be told apart."""
+
+
+def source_of(path: Path) -> str:
+    """What messages call a file of tracks."""
+    return f"tracks {path}"
+
+
+def name_of(path: Path) -> str:
+    """What tables call somebody's own tracks in a file."""
+    return path.name.removesuffix(".gz").rsplit(".", 1)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class TextTable:
+    """The k rows of a file.
+
+    Attributes:
+        columns: Texts by the column's name, without white space around them, each shape (k,).
+        problems: What is wrong with the rows.
+    """
+
+    columns: dict[str, pa.ChunkedArray]
+    problems: RowProblems
+
+    @classmethod
+    def of(cls, text: str, names: Sequence[str], source: str, first_line: int = 1) -> TextTable:
+        """The rows of a text; empty lines are passed over.
+
+        Args:
+            text: Lines of cells.
+            names: Name of each cell of a line.
+            source: The file, for messages.
+            first_line: Number of the text's first line in the file.
+
+        Raises:
+            InputError: A line has another number of cells.
+        """
+        rows, other = _cells(text, names, source)
+        empty = pc.equal(pc.binary_length(rows[0]), 0)
+        for column in rows[1:]:
+            empty = pc.and_(empty, pc.equal(pc.binary_length(column), 0))
+        kept = ~np.asarray(empty, dtype=bool)
+        count = len(kept) + len(other)
+        line = np.delete(np.arange(count), [number - 1 for number, _, _ in other]) + first_line
+        if wrong := [(number, cells, line_text) for number, cells, line_text in other if line_text.strip()]:
+            number, cells, line_text = wrong[0]
+            found = f"line {number - 1 + first_line}: has {counted(cells, 'cell')}, must have {len(names)}"
+            lines = [f"{found}: {', '.join(names)} (got {shown(line_text)}){no_commas(','.join(names))}"]
+            if len(wrong) > 1:
+                lines.append(f"… and {len(wrong) - 1:,} more lines")
+            raise InputError(source, lines)
+        return cls(
+            {name: column.filter(pa.array(kept)) for name, column in zip(names, rows, strict=True)},
+            RowProblems(source, line[kept]),
+        )
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.problems.line)
+
+    def has(self, name: str) -> bool:
+        """Whether there is a column of the name."""
+        return name in self.columns
+
+    def numbers(self, name: str, *, needed: bool = True) -> Array:
+        """A column of finite numbers; NaN where a cell is empty, if it may be, shape (k,)."""
+        texts = self.columns[name]
+        good = pc.match_substring_regex(texts, _NUMBER)
+        empty = pc.equal(pc.binary_length(texts), 0)
+        cells = pc.if_else(good, texts, pa.scalar(None, pa.string()))
+        values = np.asarray(pc.cast(cells, pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
+        bad = ~_mask(good) if needed else ~(_mask(good) | _mask(empty))
+        self.problems.refuse(bad, lambda row: f"{name} must be a number (got {self._shown(name, row)})")
+        too_large = np.abs(values) > _MOST_NUMBER
+        self.problems.refuse(too_large, lambda row: f"{name} must be at most 1e15 (got {self._shown(name, row)})")
+        return np.where(too_large, np.nan, values)
+
+    def whole_numbers(self, name: str, least: int) -> Indices:
+        """A column of whole numbers; one that is wrong is `NOBODY`, and a problem, shape (k,)."""
+        values = self.numbers(name)
+        bad = ~np.isnan(values) & ((values != np.floor(values)) | (values < least))
+        self.problems.refuse(
+            bad, lambda row: f"{name} must be a whole number, at least {least} (got {self._shown(name, row)})"
+        )
+        return np.where(bad | np.isnan(values), NOBODY, values).astype(np.int64)
+
+    def identities(self, name: str, least: int) -> Indices:
+        """A column of whole numbers that are names, none of which may have lost digits, shape (k,)."""
+        values = self.whole_numbers(name, least)
+        lost = _mask(pc.match_substring_regex(self.columns[name], SCIENTIFIC))
+        lost[lost] = [has_lost_digits(self.columns[name][row].as_py()) for row in np.flatnonzero(lost).tolist()]
+        self.problems.refuse(lost, lambda row: f"{name} {LOST} (got {self._shown(name, row)})")
+        return values
+
+    def names(self, name: str, known: Sequence[str], *, needed: bool = True) -> Indices:
+        """A column of names as indices of those that are known; `NOBODY` where empty, if it may be, shape (k,)."""
+        texts = self.columns[name]
+        index = pc.fill_null(pc.index_in(texts, value_set=pa.array(list(known), pa.string())), NOBODY)
+        found = np.asarray(index.to_numpy(zero_copy_only=False), dtype=np.int64)
+        unknown = found == NOBODY
+        if not needed:
+            unknown &= ~_mask(pc.equal(pc.binary_length(texts), 0))
+        self.problems.refuse(
+            unknown, lambda row: f"there is no {name} {self._shown(name, row)} ({nearest(texts[row].as_py(), known)})"
+        )
+        return found
+
+    def _shown(self, name: str, row: int) -> str:
+        return shown(self.columns[name][row].as_py())
+
+
+def _mask(values: pa.ChunkedArray) -> Mask:
+    return np.array(values.to_numpy(zero_copy_only=False), dtype=bool)
+
+
+def _cells(text: str, names: Sequence[str], source: str) -> tuple[list[pa.ChunkedArray], list[tuple[int, int, str]]]:
+    """The columns, and lines with another number of cells: number from 1, cells and text."""
+    if not text:
+        return [pa.chunked_array([], pa.string()) for _ in names], []
+    other: list[tuple[int, int, str]] = []
+
+    def leave_out(row: csv.InvalidRow) -> str:
+        other.append((row.number, row.actual_columns, row.text))
+        return "skip"
+
+    try:
+        table = csv.read_csv(
+            pa.BufferReader(text.encode("utf-8")),
+            csv.ReadOptions(use_threads=False, column_names=list(names)),
+            csv.ParseOptions(ignore_empty_lines=False, invalid_row_handler=leave_out),
+            csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False),
+        )
+    except pa.ArrowInvalid as error:
+        raise InputError(source, [f"is no table of cells with commas between them: {error}"]) from None
+    return [pc.utf8_trim_whitespace(table[name]) for name in names], other

@@ -1,0 +1,412 @@
+"""False positives: their rate, their kinds and their labels, held against what the model expects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from modsim3d.core.boxes import centres, sizes, unions
+from modsim3d.core.random_streams import Streams
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.detector.chain import clutter_of, clutter_rates
+from modsim3d.detector.draws import select
+from modsim3d.detector.false_positive_placement import DRAWS
+from modsim3d.detector.false_positives import FrameCounts, persistent_false_positives
+from modsim3d.detector.merges_and_splits import LEAST_SPLIT_PX, MergesAndSplits
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.parts import DetectorPart
+from modsim3d.detector.records import (
+    DUPLICATE,
+    FALSE_POSITIVE,
+    FRAGMENT,
+    MERGED,
+    PERSISTENT,
+    SPLIT,
+    TRUE,
+    CameraFrames,
+    Targets,
+)
+from modsim3d.verify.class_checks import lag_pairs
+from modsim3d.verify.evidence import CameraEvidence, Evidence, frames_above_max, unknown_rest_note
+from modsim3d.verify.measures import CORRELATION, DiscoveryRate, Estimate, Exact, ImageRate, Rate
+from modsim3d.verify.parameters import Law, Parameter
+
+# ---- Checks of where false positives are, how large they are, and how long persistent ones live ----
+
+LEAST_FALSE = 50
+LEAST_LIFETIMES = 20
+"""Least length of a run in lifetimes, times the mean number at a time, for which lifetimes are tested."""
+_DRAWS_EACH = 40
+_REPLAYS = 150
+_DIGITS = 6  # decimals of a pixel: equal sides that were read back from centre and size stay equal
+
+
+def clutter_box_checks(model: DetectorModel, evidence: Evidence, persistent: Array) -> list[Parameter]:
+    """Places and sizes of transient false positives, and the lifetime of persistent ones.
+
+    `persistent` is the expected number of persistent ones in each frame, shape (s,).
+    """
+    note = unknown_rest_note(model, evidence)
+    names = ("placement[below the horizon]", "placement[along the horizon]", "size[width]", "size[height]")
+    laws = [None] * len(names) if note else _laws(model, evidence)
+    parameters = [
+        Parameter(f"false_positives.{name}", DetectorPart.FALSE_POSITIVES, law, 0.0, note=note)
+        for name, law in zip(names, laws, strict=True)
+    ]
+    if model.clutter.persistent_share:
+        lifetime = None if note else _lifetime(model, evidence, persistent)
+        note = note or "as the correlation of their number from one frame to the next"
+        name = "false_positives.persistence.lifetime_s"
+        parameters.append(Parameter(name, DetectorPart.FALSE_POSITIVES, lifetime, note=note))
+    return parameters
+
+
+def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
+    """Distance of each column of `_places_and_sizes` from many draws in the same frames (Smirnov (1939))."""
+    source, rng = clutter_of(model, evidence.census(model)), np.random.default_rng(0)
+    found, drawn = [], []
+    for seen in evidence.cameras:
+        rows = np.flatnonzero(seen.detections.kind == FALSE_POSITIVE)
+        frame = seen.detections.frame[rows]
+        found.append(_places_and_sizes(seen.frames, frame, seen.detections.boxes_px[rows]))
+        again = np.repeat(frame, _DRAWS_EACH)
+        boxes = source.boxes_px(seen.frames, _kept(seen), again, rng.random((len(again), DRAWS + 1)))
+        drawn.append(_places_and_sizes(seen.frames, again, boxes))
+    values, expected = np.concatenate(found), np.concatenate(drawn)
+    if len(values) < LEAST_FALSE:
+        return [None] * 4
+    worth = len(values) * _DRAWS_EACH // (_DRAWS_EACH + 1)  # the draws too are a sample
+    return [Law(_distance(values[:, k], expected[:, k]), worth) for k in range(4)]
+
+
+def _kept(seen: CameraEvidence) -> Targets:
+    """The detected vessels as the detector had them, with merged ones in one box."""
+    found = seen.detections
+    true = np.flatnonzero(~found.false())
+    true = true[np.argsort(found.frame[true], kind="stable")]
+    kept = select(seen.targets, found.target[true])
+    merged = np.flatnonzero(found.partner[true] >= 0)
+    boxes = kept.boxes_px.copy()
+    boxes[merged] = unions(boxes[merged], seen.targets.boxes_px[found.partner[true[merged]]])
+    return replace(kept, boxes_px=boxes)
+
+
+def _places_and_sizes(frames: CameraFrames, frame: Indices, boxes_px: Array) -> Array:
+    """Depth of the middle below the horizon, place along it, width, height; in pixels, shape (m, 4)."""
+    a, b, c = frames.sea_half_planes[frame].T
+    length = np.hypot(a, b)
+    x, y = centres(boxes_px).T
+    some, level = np.where(length > 0, length, 1), length == 0  # without a horizon: depth below the upper edge
+    below = np.where(level, y, (a * x + b * y + c) / some)
+    along = np.where(level, x, (b * x - a * y) / some)
+    return np.round(np.column_stack([below, along, sizes(boxes_px)]), _DIGITS)
+
+
+def _distance(found: Array, expected: Array) -> float:
+    """Greatest distance between two empirical distribution functions."""
+    places = np.concatenate([found, expected])
+    shares = [np.searchsorted(np.sort(each), places, side="right") / len(each) for each in (found, expected)]
+    return float(np.abs(shares[0] - shares[1]).max())
+
+
+def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Estimate | None:
+    """Estimate ρ = e^(−Δt/lifetime) from how much the number of persistent ones changes from frame to frame.
+
+    With m expected in one frame and m' in the next, the mean square change of the number less its expectation is
+    m + m' − 2ρ·min(m, m'). Replays of the process give the standard error.
+    """
+    images, lifetime = evidence.frames, model.clutter.lifetime_s
+    rows = np.flatnonzero(persistent > 0)
+    same = images.camera[rows][1:] == images.camera[rows][:-1]
+    now, before = rows[1:][same], rows[:-1][same]
+    if not len(now):
+        return None
+    apart = images.time_s[now] - images.time_s[before]
+    common = np.minimum(persistent[now], persistent[before])
+    if float((common * apart).sum()) < LEAST_LIFETIMES * lifetime:
+        return None
+
+    def correlation(numbers: Array) -> float:
+        surplus = numbers - persistent
+        changes = (surplus[now] - surplus[before]) ** 2
+        return float((persistent[now] + persistent[before] - changes).sum() / (2 * common.sum()))
+
+    counts = [
+        np.bincount(s.detections.frame[s.detections.kind == PERSISTENT], minlength=len(s.frames))
+        for s in evidence.cameras
+    ]
+    asked = float((np.exp(-apart / lifetime) * common).sum() / common.sum())
+    replays = np.array([correlation(_replayed(evidence, persistent, lifetime, seed)) for seed in range(_REPLAYS)])
+    error = float(replays.std())
+    if error <= 0:
+        return None
+    skewness = float(((replays - replays.mean()) ** 3).mean()) / error**3
+    return Estimate(correlation(np.concatenate(counts)), asked, error, len(now), skewness, possible=CORRELATION)
+
+
+def _replayed(evidence: Evidence, persistent: Array, lifetime_s: float, seed: int) -> Array:
+    """Number of persistent false positives in each frame with another seed, shape (s,)."""
+    numbers, streams, first = [], Streams(seed), 0
+    for seen in evidence.cameras:
+        means = persistent[first : first + len(seen.frames)]
+        shown = persistent_false_positives(streams, seen.frames, means, lifetime_s)
+        numbers.append(np.bincount(shown.frame, minlength=len(means)))
+        first += len(means)
+    return np.concatenate(numbers)
+
+
+# ---- False positives ----
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedClutter:
+    """Expected numbers of false positives in each image, given what was detected; shapes (s,).
+
+    Attributes:
+        due: Whether the detector runs.
+        transient: Mean number of transient false positives.
+        persistent: Mean number of persistent ones.
+        extras: Mean number of second boxes of vessels.
+        extra_variance: Variance of the number of second boxes.
+        dispersion: Variance of the number of transient ones over its mean: 1 for a Poisson number.
+    """
+
+    due: Mask
+    transient: Array
+    persistent: Array
+    extras: Array
+    extra_variance: Array
+    dispersion: Array
+
+    @property
+    def all(self) -> Array:
+        """Mean number of every kind, shape (s,)."""
+        return self.transient + self.persistent + self.extras
+
+
+def expected_clutter(model: DetectorModel, evidence: Evidence) -> ExpectedClutter:
+    """What the detector's own model of false positives expects."""
+    images, numbers, rates = evidence.frames, model.clutter.numbers, clutter_rates(model)
+    due = np.concatenate([model.gates.due(seen.frames) for seen in evidence.cameras])
+    extras, variance = _extras(model, evidence)
+    frames = FrameCounts(images.state, due, images.n_kept, extras)
+    means, share = numbers.means(rates, frames), model.clutter.persistent_share
+    return ExpectedClutter(due, (1 - share) * means, share * means, extras, variance, numbers.dispersion(rates, frames))
+
+
+@dataclass(frozen=True, eq=False)
+class ClutterEvidence:
+    """What the rates of false positives are measured from."""
+
+    model: DetectorModel
+    evidence: Evidence
+    expected: ExpectedClutter
+
+    def persistent_variance(self, ours: Mask) -> float:
+        """Variance of the number of persistent ones in the images chosen by a mask of shape (s,).
+
+        Two images Δt apart with means m and m′ share min(m, m′)·e^(−Δt/lifetime) of them on average.
+        """
+        rows = np.flatnonzero(ours & (self.expected.persistent > 0))
+        if not len(rows):
+            return 0.0
+        images, mean = self.evidence.frames, self.expected.persistent[rows]
+        total, lifetime = float(mean.sum()), self.model.clutter.lifetime_s
+        for later, earlier, apart in lag_pairs(images.camera[rows, None], images.time_s[rows], lifetime):
+            total += 2 * float((np.exp(-apart / lifetime) * np.minimum(mean[later], mean[earlier])).sum())
+        return total
+
+
+class RateCheck(Protocol):
+    """Measures the rate of false positives that one model has."""
+
+    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
+        """The rate of a state."""
+
+    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
+        """The rate of all states together, if that says more."""
+
+
+@dataclass(frozen=True)
+class DiscoveryRateCheck:
+    """The false discovery rate; `falls_short` if the model's own rule aims at another rate than the file's."""
+
+    falls_short: bool = False
+
+    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
+        """The rate of a state."""
+        state, measure = seen.model.states[s], self._measure(seen, seen.evidence.frames.state == s)
+        name, rate = f"states.{state.name}.false_discovery_rate", state.false_discovery_rate
+        parameter = Parameter(name, DetectorPart.FALSE_POSITIVES, measure, rate, state=state.name)
+        if not self.falls_short:
+            return parameter
+        return replace(parameter, promised=rate, note="asked: what the rule of eq. 7.35 gives here")
+
+    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
+        """The rate of all states together."""
+        measure = self._measure(seen, np.ones(len(seen.evidence.frames.state), dtype=bool))
+        promised = self._promised(seen) if self.falls_short else None
+        name = "false discovery rate, all states"
+        return [Parameter(name, DetectorPart.FALSE_POSITIVES, measure, in_file=False, promised=promised)]
+
+    @staticmethod
+    def _promised(seen: ClutterEvidence) -> float | None:
+        """The share of false positives that the states' rates ask for together."""
+        kept = seen.evidence.frames.n_kept
+        rate = seen.model.column("false_discovery_rate")[seen.evidence.frames.state]
+        asked = float((kept * rate / (1 - rate)).sum())
+        return asked / (asked + float(kept.sum())) if kept.sum() else None
+
+    @staticmethod
+    def _measure(seen: ClutterEvidence, ours: Mask) -> DiscoveryRate | None:
+        images, expected = seen.evidence.frames, seen.expected
+        true = float(images.n_kept[ours].sum())
+        if not true:
+            return None
+        mean = float(expected.all[ours].sum())
+        variance = float((expected.transient * expected.dispersion + expected.extra_variance)[ours].sum())
+        variance += seen.persistent_variance(ours)
+        inflation = variance / mean if mean > 0 else 1.0
+        return DiscoveryRate(float(images.n_false[ours].sum()), true, mean, inflation or 1.0)
+
+
+class ImageRateCheck:
+    """The number of false positives in an image."""
+
+    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
+        """The rate of a state."""
+        state = seen.model.states[s]
+        name, rate = f"states.{state.name}.false_positives_per_image", state.false_positives_per_image
+        return Parameter(name, DetectorPart.FALSE_POSITIVES, self._measure(seen, s), rate, state=state.name)
+
+    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
+        """Nothing: images of different rates have no common one."""
+        return []
+
+    @staticmethod
+    def _measure(seen: ClutterEvidence, s: int) -> ImageRate | None:
+        ours, expected, clutter = seen.evidence.frames.state == s, seen.expected, seen.evidence.false_detections
+        found = int(np.isin(clutter.kind, (FALSE_POSITIVE, PERSISTENT))[clutter.state == s].sum())
+        images = float(expected.due[ours].sum())
+        if not images:
+            return None
+        mean = float((expected.transient + expected.persistent)[ours].sum())
+        variance = float((expected.transient * expected.dispersion)[ours].sum()) + seen.persistent_variance(ours)
+        return ImageRate(found, images, mean / images, variance / mean if mean else 1.0)
+
+
+RATE_CHECKS: Mapping[str, RateCheck] = {
+    "calibrated": DiscoveryRateCheck(),
+    "thesis": DiscoveryRateCheck(falls_short=True),
+    "per_image": ImageRateCheck(),
+}
+"""By the name of the model of false positives; models that are missing here are reported as unchecked."""
+
+
+def second_box_candidates(model: DetectorModel, evidence: Evidence) -> tuple[Indices, Mask]:
+    """Rows of true detections that may be doubled or split, and whether they are long enough, shapes (k,)."""
+    true_detections, clutter = evidence.true_detections, evidence.false_detections
+    single = np.flatnonzero((true_detections.kind == TRUE) | (true_detections.kind == SPLIT))
+    instances = true_detections.instance[single]
+    placed = sizes(true_detections.boxes_px[single])[:, 0]
+    pieces = np.flatnonzero(clutter.kind == FRAGMENT)
+    of = {int(chance): int(row) for row, chance in zip(pieces, clutter.instance[pieces], strict=True)}
+    split = np.flatnonzero((true_detections.kind[single] == SPLIT) & np.isin(instances, [*of]))  # both were put out
+    other = np.array([of[int(chance)] for chance in instances[split]], dtype=np.int64)
+    placed[split] += sizes(clutter.boxes_px[other])[:, 0]  # both parts together
+    truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
+    return single, model.merges_and_splits.looks_long(truth[instances]) & (placed >= LEAST_SPLIT_PX)
+
+
+def _extras(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
+    """Mean and variance of the number of second boxes in each image, shapes (s,)."""
+    rule, size = model.merges_and_splits, len(evidence.frames.state)
+    if not rule.duplicates and not rule.splits:
+        return np.zeros(size), np.zeros(size)
+    single, long = second_box_candidates(model, evidence)
+    chance = rule.duplicates + rule.splits * long
+    image = evidence.images_of(evidence.true_detections.instance[single])
+    return (
+        np.bincount(image, chance, minlength=size).astype(np.float64),
+        np.bincount(image, chance * (1 - chance), minlength=size).astype(np.float64),
+    )
+
+
+def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
+    """The rate of each state and of all, the kinds, and the labels of false positives."""
+    note = unknown_rest_note(model, evidence)
+    seen = ClutterEvidence(model, evidence, expected_clutter(model, evidence))
+    check = RATE_CHECKS.get(model.clutter.model)
+    parameters = []
+    if model.gates.max_detections is not None:
+        wrong = Exact(frames_above_max(model, evidence), len(evidence.frames.state))
+        parameters.append(Parameter("gates.max_detections", DetectorPart.FALSE_POSITIVES, wrong))
+    for s in range(len(model.states)):
+        parameters += [] if check is None else [check.of_state(seen, s).unless(note)]
+        parameters += _label_checks(model, evidence, s)
+    parameters += [] if check is None else [overall.unless(note) for overall in check.overall(seen)]
+    if not note:
+        parameters += [*_second_box_checks(seen), _merge_check(seen), _persistent_share_check(seen)]
+    return [*parameters, *clutter_box_checks(model, evidence, seen.expected.persistent)]
+
+
+def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Parameter]:
+    """The labels of transient ones: a persistent one keeps its label, so only the others are independent."""
+    state, clutter = model.states[s], evidence.false_detections
+    if len(model.labels) < 2:
+        return []
+    found = clutter.label[(clutter.state == s) & (clutter.kind == FALSE_POSITIVE)]
+    note = "of those that do not persist" if model.clutter.persistent_share else ""
+    return [
+        Parameter(
+            f"states.{state.name}.false_positive_labels[{label}]",
+            DetectorPart.FALSE_POSITIVES,
+            Rate(int((found == i).sum()), len(found), float(state.false_positive_labels[i])) if len(found) else None,
+            float(state.false_positive_labels[i]),
+            state=state.name,
+            note=note,
+        )
+        for i, label in enumerate(model.labels)
+    ]
+
+
+def _second_box_checks(seen: ClutterEvidence) -> list[Parameter]:
+    rule, kinds = seen.model.merges_and_splits, seen.evidence.false_detections.kind
+    if rule == MergesAndSplits() and not np.isin(kinds, (DUPLICATE, FRAGMENT)).any():
+        return []
+    single, long = second_box_candidates(seen.model, seen.evidence)
+    parameters = []
+    for name, kind, count in (("duplicates", DUPLICATE, len(single)), ("splits", FRAGMENT, int(long.sum()))):
+        asked = float(getattr(rule, name))
+        measure = Rate(int((kinds == kind).sum()), count, asked) if count else None
+        parameters.append(Parameter(f"false_positives.{name}", DetectorPart.FALSE_POSITIVES, measure, asked))
+    return parameters
+
+
+def _merge_check(seen: ClutterEvidence) -> Parameter:
+    name, merges = "false_positives.merges", seen.model.merges_and_splits.merges
+    kinds = seen.evidence.true_detections.kind
+    if merges == 0:
+        return Parameter(name, DetectorPart.FALSE_POSITIVES, Exact(int((kinds == MERGED).sum()), len(kinds)))
+    note = "which pairs could have been merged depends on others that were: only counted"
+    return Parameter(name, DetectorPart.FALSE_POSITIVES, None, merges, note=note)
+
+
+def _persistent_share_check(seen: ClutterEvidence) -> Parameter:
+    name, share = "false_positives.persistence.share", seen.model.clutter.persistent_share
+    kinds, expected = seen.evidence.false_detections.kind, seen.expected
+    persistent, transient = int((kinds == PERSISTENT).sum()), int((kinds == FALSE_POSITIVE).sum())
+    if not share:
+        return Parameter(name, DetectorPart.FALSE_POSITIVES, Exact(persistent, len(kinds)))
+    if not persistent + transient:
+        return Parameter(name, DetectorPart.FALSE_POSITIVES, None, share)
+    variance = seen.persistent_variance(np.ones(len(expected.persistent), dtype=bool))
+    # The variance of the number of persistent ones, and of the rest, over that of a binomial share of them.
+    total = float(expected.persistent.sum()) + float(expected.transient.sum())
+    spread = (1 - share) ** 2 * variance + share**2 * float(expected.transient.sum())
+    factor = spread / max(total * share * (1 - share), 1e-12) if share < 1 else 1.0
+    measure = Rate(persistent, persistent + transient, share, max(factor, 1.0))
+    return Parameter(name, DetectorPart.FALSE_POSITIVES, measure, share)

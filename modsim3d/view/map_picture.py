@@ -1,0 +1,138 @@
+"""The scene from above as a picture, after Jessen & Mohr (2023), Figures 9.2, 9.6 and 9.10."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PIL import Image
+
+from modsim3d.core.errors import ModsimError
+from modsim3d.io.atomic_write import put_in_place
+from modsim3d.view.map_marks import (
+    BirdsEye,
+    CameraMark,
+    MapSheet,
+    Moment,
+    VesselMark,
+    camera_marks,
+    draw_circles,
+    draw_obstacles,
+    vessel_marks,
+)
+from modsim3d.view.map_names import MapNames
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FORMATS = (".png", ".svg", ".pdf")
+WIDTH_IN = 10.0
+"""A map is laid out at this width, so that text and lines grow with the picture."""
+FURNITURE, INNER = (0.13, 0.08), (0.92, 0.7)
+"""Height of title, axis and key, and width of the map, as shares of the picture's width.
+
+The first is of a wide map, with its key below it, the second of a high one, with its key beside it."""
+SEA = "#eaf1f5"
+
+
+def check_matplotlib() -> None:
+    """Raise a ModsimError if matplotlib, which draws maps, is not installed."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise ModsimError("maps need matplotlib: pip install 'modsim3d[view]'") from None
+
+
+class Map:
+    """A map whose vessels and cameras can be moved to any step of a run.
+
+    Attributes:
+        figure: The map as matplotlib's figure.
+        sheet: Its axes, and which artists on them move.
+    """
+
+    def __init__(self, birds_eye: BirdsEye, width_px: int, height_px: int | None = None) -> None:
+        """Draw what stays, from the bottom to the top; the map is as high as it needs if no height is given."""
+        check_matplotlib()
+        from matplotlib.figure import Figure
+
+        dpi = width_px / WIDTH_IN
+        size_in = WIDTH_IN, (height_px or map_height_px(birds_eye, width_px)) / dpi
+        self.figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
+        (x0, x1, y0, y1), axes = birds_eye.extent_m, self.figure.add_subplot()
+        axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", facecolor=SEA, xlabel="w1 (m)", ylabel="w2 (m)")
+        axes.set_autoscale_on(False)
+        axes.tick_params(labelsize=8)
+        axes.set_title(birds_eye.scene.name, fontsize=11)
+        self.sheet = MapSheet(axes, birds_eye, MapNames(axes), [axes.title])
+        self.sheet.moving.append(self.sheet.names.leaders)
+        draw_circles(self.sheet)
+        self._marks: list[VesselMark | CameraMark] = [*vessel_marks(self.sheet), *camera_marks(self.sheet)]
+        draw_obstacles(self.sheet)
+        handles = axes.get_legend_handles_labels()[0]
+        place = {"loc": "outside right upper"} if is_high(birds_eye) else {"loc": "outside lower center", "ncols": 5}
+        symbols = self.sheet.symbols
+        self.figure.legend(handles=handles, handler_map=symbols, fontsize=8, frameon=False, **place)
+        layout = self.figure.get_layout_engine()
+        assert layout is not None
+        for _ in range(2):  # the places of axes and legend are found from each other's
+            layout.execute(self.figure)
+            axes.apply_aspect()
+        self.figure.set_layout_engine("none")
+
+    def show(self, step: int) -> None:
+        """Move everything to where it is at a step."""
+        scene = self.sheet.birds_eye.scene
+        (time,) = scene.timestamps(step, step + 1)
+        self.sheet.axes.set_title(f"{scene.name}    {time} s    step {step}", fontsize=11)
+        self.sheet.names.clear()
+        moment = Moment(self.sheet.birds_eye, step)
+        for mark in self._marks:
+            mark.show(moment)
+        self.sheet.names.place()
+        for mark in self._marks:
+            if isinstance(mark, CameraMark) and mark.rings is not None:
+                mark.rings.put_radii()
+
+
+def map_figure(birds_eye: BirdsEye, step: int, width_px: int, height_px: int | None = None) -> Figure:
+    """The map at a step, as high as it needs if no height is given."""
+    drawn = Map(birds_eye, width_px, height_px)
+    drawn.show(step)
+    return drawn.figure
+
+
+def map_height_px(birds_eye: BirdsEye, width_px: int) -> int:
+    """The height that a map of the given width needs; even, as films need it."""
+    x0, x1, y0, y1 = birds_eye.extent_m
+    high = is_high(birds_eye)
+    return 2 * round(width_px * (INNER[high] * (y1 - y0) / (x1 - x0) + FURNITURE[high]) / 2)
+
+
+def is_high(birds_eye: BirdsEye) -> bool:
+    """Whether a map is higher than wide."""
+    x0, x1, y0, y1 = birds_eye.extent_m
+    return y1 - y0 > x1 - x0
+
+
+def save_map(birds_eye: BirdsEye, step: int, path: Path, width_px: int) -> Path:
+    """Write the map at a step in the format of the path's ending; the same map gives the same bytes."""
+    check_matplotlib()
+    from matplotlib import rc_context
+
+    ending = path.suffix.lower()
+    metadata: dict[str, Any] = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    with rc_context({"svg.hashsalt": "modsim3d"}), put_in_place(path) as partial:
+        figure = map_figure(birds_eye, step, width_px)
+        figure.savefig(partial, format=ending[1:], metadata=metadata[ending], dpi=figure.dpi)
+    return path
+
+
+def map_picture(birds_eye: BirdsEye, step: int, size: tuple[int, int]) -> Image.Image:
+    """The map at a step as a picture of a size, drawn whole."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(map_figure(birds_eye, step, *size))
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())

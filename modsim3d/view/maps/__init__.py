@@ -1,1 +1,0 @@
-"""Maps: a scene from above."""

@@ -1,0 +1,433 @@
+"""Horizons and silhouettes of a run's frames: what its page shows and its tables do not hold."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.scene.scene import Scene
+from modsim3d.truth.occlusion_order import in_boxes, order_of_pairs, overlapping_pairs
+from modsim3d.truth.outlines import Outlines, new_numbers
+from modsim3d.view.report.overview import PartMotion
+from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column, same_before
+from modsim3d.view.report.silhouette_edges import Edges, contours, silhouette_edges, tidy_at_border
+from modsim3d.world.vessel_motion import PosesInWaves
+
+# ---- The order in which silhouettes are painted over each other, so that each pixel shows what is in ----
+
+
+def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
+    """Which rows of the outlines may hide which others of their frame in part.
+
+    Of two solids at depths that do not overlap the nearer one is in front. Otherwise a plane between them, or between
+    the boxes around them, tells which one is. Without such a plane the truth decides, if one of the two hides the other
+    and not the other way round. It does not say what vessels hide of obstacles.
+
+    Args:
+        outlines: The solids before the camera.
+        occluder_count: Number of the scene's occluder names.
+        hides: Keys (frame · occluder_count + hidden) · occluder_count + hider of what hides what in the truth,
+            shape (m,).
+
+    Returns:
+        The rows that may be hidden, shape (p,), and for each of them the one that may hide it, shape (p,).
+    """
+    boxes = in_boxes(outlines)
+    first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
+    others = outlines.occluder[first] != outlines.occluder[second]
+    first, second = first[others], second[others]
+    nearest_m, farthest_m = _depths_m(boxes)
+    first_nearer, second_nearer = farthest_m[first] <= nearest_m[second], farthest_m[second] <= nearest_m[first]
+    apart = first_nearer | second_nearer
+    order = order_of_pairs(boxes, first[~apart], second[~apart])
+    one, other = order.first[order.intersecting], order.second[order.intersecting]
+    one_hides = np.isin(_keys(outlines, other, one, occluder_count), hides)
+    other_hides = np.isin(_keys(outlines, one, other, occluder_count), hides)
+    by_one, by_other = one_hides & ~other_hides, other_hides & ~one_hides
+    hidden = (order.second[order.first_can_hide], order.first[order.second_can_hide], other[by_one], one[by_other])
+    hider = (order.first[order.first_can_hide], order.second[order.second_can_hide], one[by_one], other[by_other])
+    farther = second[first_nearer], first[second_nearer & ~first_nearer]
+    nearer = first[first_nearer], second[second_nearer & ~first_nearer]
+    return np.concatenate([*hidden, *farther]), np.concatenate([*hider, *nearer])
+
+
+def _depths_m(outlines: Outlines) -> tuple[Array, Array]:
+    """The least and the greatest depth of each row's vertices, two arrays of shape (n,)."""
+    nearest_m, farthest_m = np.zeros((2, len(outlines)))
+    for part in outlines.parts:
+        depths_m = part.vertices_camera[..., 2]
+        nearest_m[part.rows], farthest_m[part.rows] = depths_m.min(axis=1), depths_m.max(axis=1)
+    return nearest_m, farthest_m
+
+
+def _keys(outlines: Outlines, hidden: Indices, hider: Indices, occluder_count: int) -> Indices:
+    """Keys of pairs of rows, as `in_front` describes them, shape (p,)."""
+    keys: Indices = (
+        outlines.frame[hidden] * occluder_count + outlines.occluder[hidden]
+    ) * occluder_count + outlines.occluder[hider]
+    return keys
+
+
+def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: Indices, hider: Indices) -> Indices:
+    """Sort rows so that each is painted after what it hides, and otherwise the farthest first.
+
+    Sorting by depth alone could paint a long ship over the boat that lies in front of its stern.
+
+    Args:
+        frame: Frame of each row, ascending, shape (n,).
+        depth_m: Depth of each row, shape (n,).
+        occluder: Occluder of each row, shape (n,). The pieces of one are painted together where possible.
+        hidden: Rows that may be hidden in part, shape (p,).
+        hider: For each of them, the row of the same frame that may hide it, shape (p,).
+
+    Returns:
+        A permutation of the rows, in order of frame, shape (n,).
+    """
+    _, occluder_in_frame = np.unique(frame * (int(occluder.max(initial=0)) + 1) + occluder, return_inverse=True)
+    farthest_m = np.full(len(frame), -np.inf)
+    np.maximum.at(farthest_m, occluder_in_frame, depth_m)
+    order = np.lexsort((-depth_m, occluder_in_frame, -farthest_m[occluder_in_frame], frame))
+    place = np.argsort(order)
+    wrong = np.unique(frame[hidden[place[hidden] > place[hider]]])
+    by_row = np.lexsort((hider, hidden))
+    hidden, hider = hidden[by_row], hider[by_row]
+    known: dict[tuple[bytes, ...], Indices] = {}
+    for crowded in wrong:
+        first, stop = np.searchsorted(frame, (crowded, crowded + 1)).tolist()
+        pairs = slice(*np.searchsorted(hidden, (first, stop)))
+        far_to_near, of, back, front = order[first:stop] - first, occluder[first:stop], hidden[pairs], hider[pairs]
+        same = far_to_near.tobytes(), of.tobytes(), (back - first).tobytes(), (front - first).tobytes()
+        if same not in known:  # little changes from frame to frame
+            before: dict[int, list[int]] = defaultdict(list)
+            for behind, nearer in zip((back - first).tolist(), (front - first).tolist(), strict=True):
+                before[behind].append(nearer)
+            known[same] = np.array(_behind_first(far_to_near.tolist(), of, before))
+        order[first:stop] = first + known[same]
+    return order
+
+
+def _behind_first(far_to_near: list[int], occluder: Indices, before: dict[int, list[int]]) -> list[int]:
+    """Sort the rows of a frame so that each comes before those in front of it.
+
+    Rows of the occluder painted last come next if they may, then farther ones before nearer ones. Where three hide each
+    other in a ring, the farthest comes first. `before` holds the rows in front of each row.
+    """
+    behind = Counter(front for row in far_to_near for front in before.get(row, ()))
+    free = _FreeRows(far_to_near, occluder)
+    for row in far_to_near:
+        if not behind[row]:
+            free.add(row)
+    while len(free.painted) < len(far_to_near):
+        for front in before.get(free.paint_next(), ()):
+            behind[front] -= 1
+            if not behind[front]:
+                free.add(front)
+    return list(free.painted)
+
+
+class _FreeRows:
+    """The rows of a frame that may be painted, as nothing unpainted is behind them, and what was painted so far."""
+
+    def __init__(self, far_to_near: list[int], occluder: Indices) -> None:
+        """Begin with no free row of a frame."""
+        self.painted: dict[int, None] = {}
+        self._rows, self._occluder = far_to_near, occluder
+        self._place = {row: place for place, row in enumerate(far_to_near)}
+        self._free: list[int] = []
+        self._free_of: dict[int, list[int]] = defaultdict(list)
+        self._last_occluder = -1
+
+    def add(self, row: int) -> None:
+        """Let a row be painted."""
+        heapq.heappush(self._free, self._place[row])
+        heapq.heappush(self._free_of[int(self._occluder[row])], self._place[row])
+
+    def paint_next(self) -> int:
+        """Take the next row; the farthest one that is left if none is free."""
+        for queue in (self._free_of[self._last_occluder], self._free):
+            while queue:
+                row = self._rows[heapq.heappop(queue)]
+                if row not in self.painted:
+                    return self._paint(row)
+        return self._paint(next(row for row in self._rows if row not in self.painted))
+
+    def _paint(self, row: int) -> int:
+        self.painted[row] = None
+        self._last_occluder = int(self._occluder[row])
+        return row
+
+
+# ---- Shapes that are painted ----
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Silhouettes, or pieces of an obstacle between which nothing else is painted: s shapes of l closed lines.
+
+    Attributes:
+        frame: Frame of each shape, shape (s,).
+        occluder: Whose it is, shape (s,).
+        lines: Number of lines of each shape, shape (s,).
+        count: Number of corners of each line, shape after shape, shape (l,).
+        corners: Corners of the lines in quanta, line after line, shape (k, 2).
+    """
+
+    frame: Indices
+    occluder: Indices
+    lines: Indices
+    count: Indices
+    corners: NDArray[np.uint16]
+
+    def __len__(self) -> int:
+        """Number of shapes."""
+        return len(self.frame)
+
+    @cached_property
+    def first_line(self) -> Indices:
+        """The first line of each shape, and the number of lines, shape (s + 1,)."""
+        return np.concatenate([[0], np.cumsum(self.lines)])
+
+    @cached_property
+    def first_corner(self) -> Indices:
+        """The first corner of each shape, and the number of corners, shape (s + 1,)."""
+        corners: Indices = np.concatenate([[0], np.cumsum(self.count)])[self.first_line]
+        return corners
+
+    def take(self, chosen: Mask) -> Shapes:
+        """The shapes that are chosen by a mask, shape (s,)."""
+        lines, corners = (np.repeat(chosen, np.diff(first)) for first in (self.first_line, self.first_corner))
+        frame, occluder = self.frame[chosen], self.occluder[chosen]
+        return Shapes(frame, occluder, self.lines[chosen], self.count[lines], self.corners[corners])
+
+    def pieces(self) -> Iterator[tuple[Indices, NDArray[np.uint16]]]:
+        """The counts and the corners of each shape."""
+        for shape in range(len(self)):
+            lines, corners = (slice(*first[shape : shape + 2]) for first in (self.first_line, self.first_corner))
+            yield self.count[lines], self.corners[corners]
+
+    def equal(self, others: Indices) -> Mask:
+        """Whether each shape has the same lines as another, by index, −1 for none, shape (s,)."""
+        same: Mask = (others >= 0) & (self.lines == self.lines[others])
+        size = np.diff(self.first_corner)
+        same &= size == size[others]
+        for values, first in ((self.count, self.first_line), (self.corners, self.first_corner)):
+            rows = np.flatnonzero(same)
+            long = np.diff(first)[rows]
+            which = np.repeat(np.arange(len(rows)), long)
+            place = np.arange(len(which)) - np.repeat(np.cumsum(long) - long, long)
+            mine, other = (values[first[shapes][which] + place] for shapes in (rows, others[rows]))
+            differ = (mine != other).any(axis=tuple(range(1, mine.ndim)))  # also of no shapes at all
+            same[rows[np.unique(which[differ])]] = False
+        return same
+
+
+def concatenated(some: Sequence[Shapes]) -> Shapes:
+    """Shapes one after the other."""
+    names = ("frame", "occluder", "lines", "count", "corners")
+    return Shapes(*(np.concatenate([getattr(part, name) for part in some]) for name in names))
+
+
+_NONE = np.empty(0, dtype=np.int64)
+NO_SHAPES = Shapes(_NONE, _NONE, _NONE, _NONE, np.empty((0, 2), dtype=np.uint16))
+
+
+# ---- Horizons and silhouettes of a run's frames ----
+
+STILL = 1 << 31
+"""The first number of the outlines that all parts share."""
+STEPS_TOGETHER = 250
+"""Steps whose geometry is computed together: few calls, little memory."""
+
+
+class Silhouettes:
+    """The horizons and silhouettes of a run that comes in parts.
+
+    A silhouette refers to an outline, so that what stands still is stored once: what an obstacle shows to a camera
+    ashore once for all parts, the rest once in each part.
+    """
+
+    def __init__(self, scene: Scene, quantum_px: float) -> None:
+        """Begin with no part of a run of a scene; lengths in the image are in this unit."""
+        self._scene, self._quantum_px = scene, quantum_px
+        self._still = OutlineStore()
+
+    def columns(
+        self, rows: RunRows, frames: Sequence[Indices], motion: PartMotion, horizons: Array
+    ) -> tuple[Indices, dict[str, Column | Coded]]:
+        """The silhouettes of one part, and its horizons.
+
+        Args:
+            rows: The run's rows of these frames at least.
+            frames: For each camera the steps of its frames, ascending, shape (F_c,).
+            motion: The vessels at these steps.
+            horizons: Receives the sea half plane of each frame, camera by camera, shape (F, 3) with F = ΣF_c at least.
+
+        Returns:
+            Number of the frame of each silhouette, counted camera by camera, ascending, shape (s,); and the columns
+            `owner` and `outline` of the silhouettes, shape (s,), `lineCount` of the outlines, `cornerCount` of their
+            lines, and `corners` of the lines: column and row, in quanta, shape (k, 2).
+        """
+        scene, occluder_count = self._scene, len(self._scene.occluder_names)
+        hides = hiding(rows)
+        found: list[Shapes] = [NO_SHAPES]
+        still, begin = [np.empty(0, dtype=bool)], 0
+        for index, every in enumerate(frames):
+            camera = scene.cameras[index]
+            still_owner = len(scene.vessels) if camera.mount.vessel is None else occluder_count
+            for first in range(0, len(every), STEPS_TOGETHER):
+                steps = every[first : first + STEPS_TOGETHER]
+                place = begin + first
+                horizons[place : place + len(steps)], drawn = seen(
+                    scene, index, steps, motion.at(steps), self._quantum_px, hides
+                )
+                found.append(replace(drawn, frame=place + drawn.frame))
+                still.append(drawn.occluder >= still_owner)
+            begin += len(every)
+        every_shape, stands = concatenated(found), np.concatenate(still)
+        outline = np.empty(len(stands), dtype=np.int64)
+        outline[stands] = STILL + self._still.numbers(every_shape.take(stands))
+        moving = every_shape.take(~stands)
+        outline[~stands], new = outline_numbers(moving, _camera_of(moving.frame, frames))
+        order = np.argsort(every_shape.frame, kind="stable")
+        return every_shape.frame[order], {
+            "owner": Coded(every_shape.occluder[order].astype(np.uint16), by=ROW_BEFORE),
+            "outline": Coded(outline[order].astype(np.uint32), by="owner"),
+            **_outline_columns(moving.take(new)),
+        }
+
+    def still_columns(self) -> dict[str, Column | Coded]:
+        """The outlines that all parts refer to, numbered from `STILL` on."""
+        return _outline_columns(self._still.shapes())
+
+
+def seen(
+    scene: Scene, index: int, steps: Indices, motion: PosesInWaves, quantum_px: float, hides: Indices
+) -> tuple[Array, Shapes]:
+    """What a camera sees at some steps.
+
+    Args:
+        scene: The scene.
+        index: Index of the camera.
+        steps: Ascending steps at which it takes a frame, shape (S,).
+        motion: Poses of all vessels at these steps.
+        quantum_px: The unit of lengths in the image.
+        hides: Keys of what hides what in the truth, from `hiding`, shape (m,).
+
+    Returns:
+        The sea half plane at each step, shape (S, 3); the silhouettes from back to front, with the place of their step
+        as their frame.
+    """
+    camera = scene.cameras[index]
+    sight, numbers = scene.sight(camera, steps, motion), steps * len(scene.cameras) + index
+    half_planes = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
+    before = sight.outlines(measured=False)
+    numbered = replace(before, frame=numbers[before.frame])
+    drawn = shapes(numbered, camera.intrinsics, quantum_px, len(scene.occluder_names), hides)
+    return half_planes, replace(drawn, frame=np.searchsorted(numbers, drawn.frame))
+
+
+def _camera_of(frame: Indices, frames: Sequence[Indices]) -> Indices:
+    """The camera of each frame, whose numbers are counted camera by camera, shape (n,)."""
+    camera: Indices = np.searchsorted(np.cumsum([len(every) for every in frames]), frame, side="right")
+    return camera
+
+
+def outline_numbers(moving: Shapes, camera: Indices) -> tuple[Indices, Mask]:
+    """The outline of each shape, and which shapes are the first of theirs, both of shape (s,).
+
+    A shape has the outline of the shape before of its occluder in its camera if that is the same.
+    """
+    before = same_before(moving.occluder * (int(camera.max(initial=0)) + 1) + camera)
+    new = ~moving.equal(before)
+    number = np.cumsum(new) - 1
+    while len(repeated := np.flatnonzero(~new & (number != number[before]))):
+        number[repeated] = number[before[repeated]]
+    return number, new
+
+
+class OutlineStore:
+    """Different outlines, numbered in the order in which they come."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._numbers: dict[tuple[bytes, bytes], int] = {}
+        self._kept: list[Shapes] = [NO_SHAPES]
+
+    def numbers(self, some: Shapes) -> Indices:
+        """The number of each shape's outline, shape (s,), a new one if no other has the same lines."""
+        found, new = np.empty(len(some), dtype=np.int64), np.zeros(len(some), dtype=bool)
+        for place, (count, corners) in enumerate(some.pieces()):
+            new[place] = (key := (count.tobytes(), corners.tobytes())) not in self._numbers
+            found[place] = self._numbers.setdefault(key, len(self._numbers))
+        self._kept.append(some.take(new))
+        return found
+
+    def shapes(self) -> Shapes:
+        """A shape with each of them."""
+        return concatenated(self._kept)
+
+
+def _outline_columns(different: Shapes) -> dict[str, Column | Coded]:
+    """The owners of outlines, the numbers of their lines and of the lines' corners, and the corners."""
+    return {
+        "outlineOwner": Coded(different.occluder.astype(np.uint16), by=ROW_BEFORE),
+        "lineCount": Coded(different.lines.astype(np.uint32), by="outlineOwner"),
+        "cornerCount": Coded(different.count.astype(np.uint32), by=ROW_BEFORE),
+        "corners": Coded(different.corners, by=OUTLINE_BEFORE),
+    }
+
+
+def hiding(rows: RunRows) -> Indices:
+    """Keys of what hides what in the truth, see `in_front`, shape (m,)."""
+    occluders, occluder_count = rows.occluders(), len(rows.scene.occluder_names)
+    frame, hidden = rows.truth_frame[occluders.hidden], rows.truth_vessel[occluders.hidden]
+    keys: Indices = (frame * occluder_count + hidden) * occluder_count + occluders.name
+    return keys
+
+
+def shapes(
+    outlines: Outlines, intrinsics: Intrinsics, quantum_px: float, occluder_count: int, hides: Indices
+) -> Shapes:
+    """The silhouettes of all frames of a camera, frame by frame and from back to front.
+
+    Args:
+        outlines: The solids before the camera.
+        intrinsics: The camera's intrinsics.
+        quantum_px: The unit of lengths in the image.
+        occluder_count: Number of the scene's occluder names.
+        hides: Keys of what hides what in the truth, see `in_front`, shape (m,).
+    """
+    edges = silhouette_edges(outlines, intrinsics)
+    outlines, edges = _seen(outlines, edges)
+    hidden, hider = in_front(outlines, occluder_count, hides)
+    order = painting_order(outlines.frame, outlines.depth_m, outlines.occluder, hidden, hider)
+    frame, occluder = outlines.frame[order], outlines.occluder[order]
+    begins = np.flatnonzero((np.diff(frame, prepend=-1) != 0) | (np.diff(occluder, prepend=-1) != 0))
+    shape_of_row = np.empty(len(order), dtype=np.int64)
+    shape_of_row[order] = np.searchsorted(begins, np.arange(len(order)), side="right") - 1
+    places = np.clip(np.rint(edges.ends_px / quantum_px), 0, NONE - 1).astype(np.int64)
+    stays = np.all(places[:, 0] == places[:, 1], axis=1)
+    row_of, places = edges.row[~stays], places[~stays]
+    column, row = np.rint(np.array(intrinsics.image_size_px) / quantum_px).astype(np.int64).tolist()
+    found = contours(*tidy_at_border(shape_of_row[row_of], places, (column, row)))
+    first_line = np.flatnonzero(np.diff(found.shape, prepend=-1))
+    begin = begins[found.shape[first_line]]
+    lines = np.diff(first_line, append=len(found.shape))
+    return Shapes(frame[begin], occluder[begin], lines, found.count, found.corners.astype(np.uint16))
+
+
+def _seen(outlines: Outlines, edges: Edges) -> tuple[Outlines, Edges]:
+    """The outlines that have edges in the image, with the boxes of these, and the edges."""
+    rows = edges.row[np.flatnonzero(np.diff(edges.row, prepend=-1))]
+    boxes_px = edges.boxes_px(len(outlines))[rows]
+    numbered = replace(edges, row=new_numbers(rows, len(outlines))[edges.row])
+    return replace(outlines.take(rows), boxes_px=boxes_px), numbered

@@ -1,1 +1,0 @@
-"""A run as a recording for the Rerun viewer."""

@@ -1,1 +1,0 @@
-"""Pictures in light and shade, in weather and by night."""

@@ -1,0 +1,292 @@
+"""A scene in light and shade: sea, sky, sun, vessels in their colours, obstacles, and own ship's bow if it has a mesh.
+
+Which pixel shows which vessel is as in the ID buffer of the same size. Light, fog and night are illustration: the
+simulation does not use them.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from modsim3d.core.types import Array, Mask
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.render.id_pass import SUBPIXELS, Region
+from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
+from modsim3d.view import palette
+from modsim3d.view.lights import SeenLight, is_hidden, lights_towards
+from modsim3d.view.pictures.canvas import Canvas, Window, font, text_size
+from modsim3d.view.pictures.plain import SUN, Solids, occluder_colour
+from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, RenderStyle, backdrop, fogged
+
+# ---- Draws the lights of vessels into a picture ----
+
+FAINTEST, BRIGHTEST = 0.35, 1.2
+"""Brightness of the middle of the faintest light that an eye sees, and of a strong light."""
+MOST_PX = 4.0
+"""Radius of the strongest light at a width of 1280."""
+
+
+def draw_lights(rgb: Floats, solids: Solids, window: Window, speeds_m_s: Array, extinction_per_m: float) -> None:
+    """Draw the lights before a camera that nothing hides into a picture, sRGB from 0 to 1, shape (h, w, 3).
+
+    For `speeds_m_s` and `extinction_per_m` see `lights_towards`.
+    """
+    camera = solids.sight.camera_poses
+    for light in lights_towards(solids.sight, speeds_m_s, extinction_per_m):
+        seen_m = camera.to_camera(light.place_m[None, None])[0, 0]
+        if seen_m[2] <= solids.intrinsics.near_clip_m:
+            continue
+        place_px = solids.intrinsics.project(seen_m[None])[0]
+        x, y = window.to_picture(place_px).tolist()
+        if not (0 <= x < window.size[0] and 0 <= y < window.size[1]):
+            continue
+        if not is_hidden(solids, light.vessel, place_px, solids.intrinsics.near_clip_m / seen_m[2]):
+            _glow(rgb, np.array([x, y]), light, window.size[0] / 1280)
+
+
+def _glow(rgb: Floats, place_px: Array, light: SeenLight, unit_px: float) -> None:
+    """A bright point in a halo. Its radius and its brightness grow with the logarithm of the light, as eyes see it."""
+    radius_px = max(1.0, unit_px * min(0.7 + 0.75 * light.decades, MOST_PX))
+    peak = min(FAINTEST + 0.4 * light.decades, BRIGHTEST)
+    reach = math.ceil(8 * radius_px)
+    height, width = rgb.shape[:2]
+    column, row = (math.floor(value) for value in place_px)
+    rows = np.arange(max(row - reach, 0), min(row + reach + 1, height))
+    columns = np.arange(max(column - reach, 0), min(column + reach + 1, width))
+    squared = ((rows + 0.5 - place_px[1])[:, None] ** 2 + (columns + 0.5 - place_px[0]) ** 2) / radius_px**2
+    strength = peak * (np.exp(-squared) + 0.2 * np.exp(-squared / 12))[..., None]
+    rgb[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += (strength * light.lantern.colour.value).astype(
+        np.float32
+    )
+
+
+# ---- A scene in light and shade ----
+
+SAMPLES = 2
+"""Solids are drawn this much larger and shrunk, so that their edges have no steps."""
+REFLECTION = 0.8
+"""Share of a vessel's light that a calm sea would show."""
+SMEAR = 6
+"""Pixels, at a width of 1280, by which ripples move a reflection."""
+OVERHEAD = np.array([0.2, -0.3, 1.0])
+"""Direction to the part of the sky that is brightest apart from the sun, in the world."""
+
+
+class ShadedPictureRenderer:
+    """Draws shaded pictures in one style. It keeps the backdrop of a camera that does not move."""
+
+    def __init__(self, renderer: ShadedRenderer, style: RenderStyle) -> None:
+        """Take the renderer, which lives as long as its context."""
+        self.style = style
+        self._renderer = renderer
+        self._grounds: dict[tuple[str, Intrinsics, Window], _Ground] = {}
+
+    def picture(
+        self, solids: Solids, window: Window, speeds_m_s: Array | None = None, samples: int = SAMPLES
+    ) -> Image.Image:
+        """A shaded picture.
+
+        Args:
+            solids: The solids before the camera.
+            window: The part of its image to show, and how large.
+            speeds_m_s: Speeds over ground of all vessels, shape (V,), whose lights are shown by night if it is given.
+            samples: Buffer pixels for each pixel of the window and axis; with 1 edges are not smoothed.
+        """
+        rays = _rays(solids.intrinsics, window)
+        ground = self._ground(rays, solids, window)
+        faces = lit_faces(solids)
+        mirrored = _mirrored(faces, solids)
+        regions = _region(faces, solids, window), _region(mirrored, solids, window, margin_px=2 * SMEAR)
+        rgb, rows = ground.begin(), _rows(regions)
+        self._reflect(rgb, ground.backdrop, mirrored, solids, window, regions[1])
+        self._stand(rgb, rays, faces, solids, window, regions[0], samples)
+        if self.style.night and speeds_m_s is not None:
+            rows = slice(0, window.size[1])
+            draw_lights(rgb, solids, window, speeds_m_s, self.style.extinction_per_m)
+        picture = Image.fromarray(ground.end(rows, rays.inside))
+        if self.style.caption:
+            _write(picture, self.style.caption)
+        return picture
+
+    def _ground(self, rays: Rays, solids: Solids, window: Window) -> _Ground:
+        """Sea and sky; kept from the last picture of the camera if it has not moved."""
+        poses = solids.sight.camera_poses
+        pose = np.concatenate([poses.camera_R_world[0].ravel(), poses.positions_m[0]])
+        key = solids.camera.name, solids.intrinsics, window
+        known = self._grounds.get(key)
+        if known is None or not np.array_equal(known.pose, pose):
+            focal_px = solids.intrinsics.focal_px[0] * window.scale
+            behind = backdrop(rays, poses.camera_R_world[0], poses.positions_m[0], focal_px, self.style)
+            known = self._grounds[key] = _Ground(pose, behind)
+        return known
+
+    def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> Lit:
+        """Faces in a region of a window."""
+        to_picture = np.diag([window.scale * samples, window.scale * samples, 1.0])
+        corner = window.x * window.scale + region.x, window.y * window.scale + region.y
+        to_picture[:2, 2] = -samples * np.array(corner)
+        lamps, ambient = _lamps(solids.sight.camera_poses.camera_R_world[0], self.style)
+        size = (region.width * samples, region.height * samples)
+        pixels = to_picture @ solids.intrinsics.matrix
+        return self._renderer.draw(faces, pixels, solids.intrinsics.near_clip_m, size, lamps, ambient)
+
+    def _stand(
+        self,
+        rgb: Floats,
+        rays: Rays,
+        faces: LitFaces,
+        solids: Solids,
+        window: Window,
+        region: Region,
+        samples: int,
+    ) -> None:
+        """Draw the solids in a region."""
+        if not region.width or not region.height:
+            return
+        lit = self._lit(faces, solids, window, region, samples)
+        here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
+        colour = lit.colour
+        if self.style.extinction_per_m:
+            along = np.repeat(np.repeat(rays.camera[here][..., 2], samples, axis=0), samples, axis=1)
+            misty = fogged(colour / np.float32(255), np.where(lit.drawn, lit.depth_m, 0) / along, self.style)
+            colour = np.rint(misty * lit.drawn[..., None] * 255).astype(np.uint8)
+        cover = _reduced(lit.drawn * np.uint8(255), samples)[..., None]
+        rgb[here] = rgb[here] * (1 - cover) + _reduced(colour, samples)
+
+    def _reflect(
+        self, rgb: Floats, behind: Backdrop, mirrored: LitFaces, solids: Solids, window: Window, region: Region
+    ) -> None:
+        """Draw mirrored solids in a region, moved by ripples."""
+        if not region.width or not region.height:
+            return
+        lit = self._lit(mirrored, solids, window, region, 1)
+        here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
+        rows, columns = np.arange(region.height)[:, None], np.arange(region.width)
+        unit = SMEAR * window.size[0] / 1280
+        from_row = np.clip(rows + np.rint(behind.ripple[here] * unit).astype(int), 0, region.height - 1)
+        source = (from_row * region.width + columns).ravel()
+        # Most of the sea shows no vessel: only the pixels that do are computed, each by one index, which is fast.
+        shown = np.flatnonzero(lit.drawn.ravel().take(source) & behind.sea[here].ravel())
+        source = source[shown]
+        row, column = np.divmod(shown, region.width)
+        target = (row + region.y) * rgb.shape[1] + column + region.x
+        share: Floats = (behind.mirror.ravel().take(target) * np.float32(REFLECTION))[:, None]
+        seen = lit.colour.reshape(-1, 3).take(source, axis=0).astype(np.float32) / np.float32(255)
+        if self.style.extinction_per_m:
+            depth = lit.depth_m.ravel().take(source)
+            seen = fogged(seen, depth, self.style)
+            share = share * np.exp(-self.style.extinction_per_m * depth)[:, None]
+        pixels = rgb.reshape(-1, 3)
+        pixels[target] = pixels.take(target, axis=0) * (1 - share) + seen * share
+
+
+class _Ground:
+    """Sea and sky as a camera sees them from one pose, on which pictures are drawn one after another."""
+
+    def __init__(self, pose: Array, behind: Backdrop) -> None:
+        """Begin with the first picture."""
+        self.pose = pose
+        self.backdrop = behind
+        self._rgb = behind.colour.copy()
+        self._changed = slice(0, 0)
+        self._used = False
+        self._shown: NDArray[np.uint8] | None = None
+
+    def begin(self) -> Floats:
+        """Nothing but sea and sky to draw on, sRGB from 0 to 1, shape (h, w, 3)."""
+        self._rgb[self._changed] = self.backdrop.colour[self._changed]
+        return self._rgb
+
+    def end(self, rows: slice, inside: Mask) -> NDArray[np.uint8]:
+        """The picture when some rows were drawn on, shape (h, w, 3), with paper outside the camera's image."""
+        self._changed = rows
+        if not self._used:  # by a camera that moves, only once
+            self._used = True
+            return _shown(self._rgb, inside)
+        if self._shown is None:
+            self._shown = _shown(self.backdrop.colour, inside)
+        picture = self._shown.copy()
+        picture[rows] = _shown(self._rgb[rows], inside[rows])
+        return picture
+
+
+def _shown(rgb: Floats, inside: Mask) -> NDArray[np.uint8]:
+    shown: NDArray[np.uint8] = (np.clip(rgb, 0, 1) * np.float32(255) + np.float32(0.5)).astype(np.uint8)
+    shown[~inside] = palette.PAPER
+    return shown
+
+
+_rays = lru_cache(maxsize=32)(Rays.of)
+
+
+def _reduced(image: NDArray[np.uint8], samples: int) -> Floats:
+    """Means of blocks, from 0 to 1, shape (h / samples, w / samples) or (h / samples, w / samples, 3)."""
+    return np.asarray(Image.fromarray(image).reduce(samples), dtype=np.float32) / np.float32(255)
+
+
+def lit_faces(solids: Solids) -> LitFaces:
+    """The triangles of the solids for a pinhole renderer; a lens that distorts has bent them before."""
+    triangles, intrinsics = solids.triangles, solids.intrinsics
+    snapped = np.rint(triangles.corners_px * SUBPIXELS) / SUBPIXELS  # as the ID pass has them
+    depth = intrinsics.near_clip_m / triangles.inverse_depth
+    flat = np.concatenate([snapped, np.ones_like(depth)[..., None]], axis=-1) @ np.linalg.inv(intrinsics.matrix).T
+    vessels = len(solids.extents_m)
+    colours = np.array([occluder_colour(occluder, vessels) for occluder in solids.occluders.tolist()]).reshape(-1, 3)
+    return LitFaces(flat * depth[..., None], solids.normals_camera(), colours[triangles.row] / 255)
+
+
+def _mirrored(faces: LitFaces, solids: Solids) -> LitFaces:
+    """The faces above the sea mirrored at it, without those that the near plane would cut."""
+    poses = solids.sight.camera_poses
+    rotation, place = poses.camera_R_world[0], poses.positions_m[0]
+    world = faces.corners_camera @ rotation + place
+    flip = np.array([1.0, 1.0, -1.0])
+    turned = (world * flip - place) @ rotation.T
+    # What is under water stands, turned over, within its own vessel's outline, and is drawn over: it is not cut off.
+    kept = (world[..., 2] > 0).any(axis=1) & (turned[..., 2] >= solids.intrinsics.near_clip_m).all(axis=1)
+    normals = (faces.normals_camera[kept] @ rotation * flip) @ rotation.T
+    return LitFaces(turned[kept], normals, faces.colours[kept])
+
+
+def _region(faces: LitFaces, solids: Solids, window: Window, margin_px: int = 1) -> Region:
+    """The pixels of a window that faces may touch."""
+    if not len(faces.colours):
+        return Region(0, 0, 0, 0)
+    flat = faces.corners_camera @ solids.intrinsics.matrix.T
+    pixels = window.to_picture(flat[..., :2] / flat[..., 2:]).reshape(-1, 2)
+    return Region.around(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]), window.size, margin_px)
+
+
+def _rows(regions: tuple[Region, ...]) -> slice:
+    """The rows of a window that regions touch."""
+    touched = [region for region in regions if region.width and region.height]
+    first = min((region.y for region in touched), default=0)
+    return slice(first, max((region.y + region.height for region in touched), default=0))
+
+
+def _lamps(camera_R_world: Array, style: RenderStyle) -> tuple[list[Lamp], tuple[float, float, float]]:
+    """Sun, sky and a little light from where the camera is; by night the moon in the sun's place."""
+
+    to_sun, to_zenith = (tuple((camera_R_world @ world).tolist()) for world in (SUN, OVERHEAD))
+    if style.night:
+        return [Lamp(to_sun, (0.65, 0.75, 1.0), 0.3)], (0.022, 0.026, 0.036)
+    sun = Lamp(to_sun, (1.0, 0.96, 0.88), 2.3)
+    sky = Lamp(to_zenith, (0.75, 0.87, 1.0), 0.7)
+    fill = Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)
+    return [sun, sky, fill], (0.20, 0.22, 0.25)
+
+
+def _write(picture: Image.Image, text: str) -> None:
+    """A small line at the bottom left."""
+    canvas = Canvas(picture)
+    size = max(10, round(0.8 * canvas.text_px))
+    left, top, right, bottom = text_size(text, size)
+    pad = size // 3
+    y = picture.height - (bottom - top) - 2 * pad
+    canvas.draw.rectangle((0, y, right - left + 2 * pad, picture.height), fill=palette.INK)
+    canvas.draw.text((pad - left, y + pad - top), text, fill=palette.PAPER, font=font(size))

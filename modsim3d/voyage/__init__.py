@@ -1,1 +1,0 @@
-"""A detector learned from a voyage: its log of detections, and the known tracks of vessels in place of labels."""

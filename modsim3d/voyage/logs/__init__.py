@@ -1,1 +1,0 @@
-"""What real detectors write, in one form."""

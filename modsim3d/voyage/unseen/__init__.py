@@ -1,1 +1,0 @@
-"""What has no transponder: false detections that behave like vessels, told from those that flicker."""

@@ -1,0 +1,205 @@
+"""How the vessels of a scene move: the pose source says where they are, and waves lift and turn them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modsim3d.core.random_streams import Purpose, Streams, grid_normals, normals
+from modsim3d.core.types import Array, Indices
+from modsim3d.geometry.camera_poses import CameraPoses, Mount, poses_on_board, vehicle_R_nominal, world_R_vehicle
+from modsim3d.geometry.kinematics import velocities
+from modsim3d.world.floating_vessels import Passage, WaveMotion
+from modsim3d.world.poses.base import Poses, PoseSource, times_s
+from modsim3d.world.poses.replay import LivePoses
+
+# ---- How the vessels of a scene move ----
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """How waves move the vessels of a scene.
+
+    Attributes:
+        motion: Gives heave and angles.
+        apply_to: `ownship`: only vessels that carry a camera are moved; `all`: every vessel.
+        composition: How a camera's own angles and its vessel's combine: `rigid` or `additive`.
+    """
+
+    motion: WaveMotion
+    apply_to: str = "ownship"
+    composition: str = "rigid"
+
+
+@dataclass(frozen=True, eq=False)
+class PosesInWaves:
+    """Poses of V vessels at S steps, waves included.
+
+    Attributes:
+        poses: Positions with heave, and headings without waves.
+        angles_rad: Roll, pitch and yaw in waves, shape (S, V, 3); zero for vessels that no wave moves.
+        world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
+    """
+
+    poses: Poses
+    angles_rad: Array
+    world_R_vessel: Array
+    _of_cameras: dict[tuple[Mount, int, str], CameraPoses] = field(init=False, repr=False, default_factory=dict)
+
+    def rows(self, rows: Indices) -> PosesInWaves:
+        """Poses at some of the S steps, by index, shape (n,)."""
+        return PosesInWaves(self.poses.rows(rows), self.angles_rad[rows], self.world_R_vessel[rows])
+
+    def of_camera(self, mount: Mount, carrier: int, composition: str) -> CameraPoses:
+        """Poses of a camera on the vessel with the index `carrier`; for `composition` see `Waves`.
+
+        Checks, truth and horizon ask for the same camera one after the other: they are kept.
+        """
+        key = mount, carrier, composition
+        if key not in self._of_cameras:
+            positions_m, headings_rad = self.poses.positions_m[:, carrier], self.poses.headings_rad[:, carrier]
+            waves_rad = self.angles_rad[:, carrier]
+            self._of_cameras[key] = poses_on_board(mount, positions_m, headings_rad, waves_rad, composition)
+        return self._of_cameras[key]
+
+
+@dataclass(frozen=True, eq=False)
+class VesselMotion:
+    """How V vessels move over the steps of a scene.
+
+    Attributes:
+        source: Poses on calm water.
+        names: IDs of the vessels.
+        waves: Waves; None for calm water.
+        moved: Indices of the vessels that waves move, ascending.
+        steps: Number of the scene's steps; of a live scene the most that are taken.
+    """
+
+    source: PoseSource
+    names: tuple[str, ...]
+    waves: Waves | None
+    moved: tuple[int, ...]
+    steps: int
+    _latest: dict[bytes, PosesInWaves] = field(init=False, repr=False, default_factory=dict)
+
+    def at(self, steps: Indices) -> PosesInWaves:
+        """Poses at ascending steps, shape (S,); arrays that cannot be written to.
+
+        Truth, horizon, attitudes and checks ask for the same steps one after the other: the latest ones are kept.
+        """
+        key = steps.tobytes()
+        found = self._latest.get(key)
+        if found is None:
+            found = self._at(steps)
+            for values in (*vars(found.poses).values(), found.angles_rad, found.world_R_vessel):
+                values.setflags(write=False)
+            self._latest.clear()
+            self._latest[key] = found
+        return found
+
+    def _at(self, steps: Indices) -> PosesInWaves:
+        if self.waves is None:
+            first, stop = int(steps[0]), int(steps[-1]) + 1
+            poses = self.source.poses(first, stop).rows(steps - first)
+            return PosesInWaves(poses, np.zeros((*poses.present.shape, 3)), world_R_vehicle(poses.headings_rad))
+        poses, angles = self._in_waves(self.waves.motion, steps)
+        rotations, moved = world_R_vehicle(poses.headings_rad), list(self.moved)
+        rotations[:, moved] = rotations[:, moved] @ np.swapaxes(vehicle_R_nominal(angles[:, moved]), -1, -2)
+        return PosesInWaves(poses, angles, rotations)
+
+    def with_neighbours(self, steps: Indices, margin: int = 1) -> tuple[int, int]:
+        """First step and stop of a range that holds ascending steps, shape (S,), and `margin` neighbours on each side.
+
+        A velocity needs the neighbouring steps, wherever a block ends. The range stays within the scene.
+        """
+        first, stop = int(steps[0]), int(steps[-1]) + 1
+        known = len(self.source.timestamps) if isinstance(self.source, LivePoses) else self.steps
+        return max(first - margin, 0), max(min(stop + margin, known), stop)
+
+    def _in_waves(self, motion: WaveMotion, steps: Indices) -> tuple[Poses, Array]:
+        """Poses with heave, and roll, pitch and yaw, shape (S, V, 3)."""
+        first, stop = self.with_neighbours(steps, 1 if motion.needs_velocity else 0)
+        around, times = self.source.poses(first, stop), times_s(self.source.timestamps, first, stop)
+        rows = steps - first
+        calm = around.rows(rows)
+        velocity = np.zeros_like(calm.positions_m)
+        if motion.needs_velocity:
+            velocity = velocities(times, around.positions_m, around.present)[rows]
+        positions, angles = calm.positions_m.copy(), np.zeros(calm.positions_m.shape)
+        for column in self.moved:
+            here = calm.present[:, column].nonzero()[0]
+            place, heading = calm.positions_m[here, column], calm.headings_rad[here, column]
+            passage = Passage(times[rows[here]], steps[here], place, heading, velocity[here, column])
+            moved = motion.motion(self.names[column], passage)
+            positions[here, column, 2] += moved.heave_m
+            angles[here, column] = moved.angles_rad
+        return Poses(calm.present, positions, calm.headings_rad), angles
+
+
+# ---- An inertial measurement unit ----
+
+
+@dataclass(frozen=True)
+class Imu:
+    """A strapdown unit with its axes along the vessel's, v1, v2, v3.
+
+    Attributes:
+        position_m: Place in VCF.
+        rate_noise_rad_s: Standard deviation of the noise of each angular rate; samples are independent.
+        rate_bias_rad_s: Standard deviation of the offset of each angular rate, drawn once a run for each vessel.
+        acceleration_noise_m_s2: Standard deviation of the noise of each component of the specific force.
+        acceleration_bias_m_s2: Standard deviation of the offset of each component of the specific force.
+        attitude_noise_rad: Standard deviation of the noise of measured roll and pitch.
+        attitude_bias_rad: Standard deviation of the offset of measured roll and pitch.
+        heading_noise_rad: Standard deviation of the noise of the measured heading.
+        heading_bias_rad: Standard deviation of the offset of the measured heading.
+    """
+
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rate_noise_rad_s: float = 0.0
+    rate_bias_rad_s: float = 0.0
+    acceleration_noise_m_s2: float = 0.0
+    acceleration_bias_m_s2: float = 0.0
+    attitude_noise_rad: float = 0.0
+    attitude_bias_rad: float = 0.0
+    heading_noise_rad: float = 0.0
+    heading_bias_rad: float = 0.0
+
+    @property
+    def attitude_std_rad(self) -> Array:
+        """Standard deviations of the errors of measured roll, pitch and heading over all runs, shape (3,)."""
+        return np.hypot(self._attitude_noises_rad, self._attitude_biases_rad)
+
+    @property
+    def _attitude_noises_rad(self) -> Array:
+        return np.array([self.attitude_noise_rad, self.attitude_noise_rad, self.heading_noise_rad])
+
+    @property
+    def _attitude_biases_rad(self) -> Array:
+        return np.array([self.attitude_bias_rad, self.attitude_bias_rad, self.heading_bias_rad])
+
+    def attitude_errors(self, streams: Streams, vessel: str, first: int, count: int) -> Array:
+        """Errors of measured roll, pitch and heading of a vessel in rad, n = `count` steps from `first` on, (n, 3)."""
+        noises, biases = self._attitude_noises_rad, self._attitude_biases_rad
+        if not (noises.any() or biases.any()):
+            return np.zeros((count, 3))
+        sample = grid_normals(streams.uniforms(Purpose.ATTITUDE_NOISE, vessel, first=first, count=count))
+        offset = grid_normals(streams.uniforms(Purpose.ATTITUDE_BIAS, vessel, first=0, count=1))
+        return noises * sample + biases * offset
+
+    def errors(self, streams: Streams, vessel: str, first: int, count: int) -> tuple[Array, Array]:
+        """Errors of the unit of a vessel at the n = `count` steps from `first` on.
+
+        Returns:
+            Errors of the angular rates in rad/s and of the specific force in m/s², each of shape (n, 3).
+        """
+        sample = normals(streams.uniforms(Purpose.IMU_NOISE, vessel, first=first, count=count))
+        offset = normals(streams.uniforms(Purpose.IMU_BIAS, vessel, first=0, count=1))
+        rates = self.rate_noise_rad_s * sample[:, :3] + self.rate_bias_rad_s * offset[:, :3]
+        forces = self.acceleration_noise_m_s2 * sample[:, 3:] + self.acceleration_bias_m_s2 * offset[:, 3:]
+        return rates, forces
+
+
+PERFECT_IMU = Imu()
+"""At the vessel's origin, without any error."""

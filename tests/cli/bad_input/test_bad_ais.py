@@ -1,0 +1,265 @@
+"""AIS logs that are broken or made to fill the memory get one clear error, or lose only what is broken in them."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d.scene.ais.messages import reachable
+from modsim3d.scene.ais.options import time_text
+from modsim3d.scene.ais.read_csv import read_csv, recognise
+from modsim3d.scene.ais.read_nmea import MOST_PENDING, read_nmea
+from modsim3d.scene.ais.traffic import AisTraffic
+from modsim3d.scene.ais.vessel_track import ReportedTrack, resample, steps_near
+from tests.cli.bad_input.builders import Call
+from tests.scene.ais.ais_builders import OLD_HEADER, SAMPLES, old_file, only, row, traffic_of
+
+TYPE_1 = "!AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4A"
+DANISH = (SAMPLES / "danish.csv").read_bytes()
+Refuse = Callable[..., str]
+
+
+def sentence(body: str) -> str:
+    total = 0
+    for character in body.encode():
+        total ^= character
+    return f"!{body}*{total:02X}"
+
+
+def tagged(content: str, after: str = TYPE_1) -> str:
+    return f"\\{sentence(content)[1:]}\\{after}\n"
+
+
+@pytest.fixture
+def refuse(call: Call, tmp_path: Path) -> Refuse:
+    """A function that asserts that `ais` refuses a log with some parts in a short message."""
+
+    def look(content: bytes | Path, *parts: str, options: tuple[str, ...] = ()) -> str:
+        path = content if isinstance(content, Path) else tmp_path / "log"
+        if isinstance(content, bytes):
+            path.write_bytes(content)
+        status, said = call("ais", path, "--out", tmp_path / "scene", *options)
+        assert status == 2, said
+        assert "Traceback" not in said
+        for part in parts:
+            assert part in said, f"{part!r} not in:\n{said}"
+        assert len(said) < 5_000
+        assert said.replace("\n", "").isprintable()
+        assert not (tmp_path / "scene").exists()
+        return said
+
+    return look
+
+
+# ---- bytes that are no text ---------------------------------------------------------------------------------------
+
+
+def spoilt(line: int, change: Callable[[list[bytes]], list[bytes]]) -> bytes:
+    lines = DANISH.split(b"\n")
+    lines[line] = b",".join(change(lines[line].split(b",")))
+    return b"\n".join(lines)
+
+
+def dropped_rows(path: Path) -> tuple[int, set[int]]:
+    """Number of rows that could not be read, and the rows of the sample that are missing beside the good file's."""
+    layout = recognise(path)
+    assert layout is not None
+    (chunk,), (whole,) = read_csv(path, layout), read_csv(SAMPLES / "danish.csv", layout)
+    return chunk.dropped["unreadable"], set(whole.positions.row.tolist()) - set(chunk.positions.row.tolist())
+
+
+def test_a_byte_that_is_no_text_costs_its_row_only(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(spoilt(5, lambda cells: [cells[0], b"\xff", cells[2], b"\xff", *cells[4:]]))
+    assert dropped_rows(path) == (1, {6})
+    path.write_bytes(spoilt(5, lambda cells: [*cells, b"\xff", b"\xff"]))
+    assert dropped_rows(path) == (1, {6})
+    path.write_bytes(spoilt(5, lambda cells: [b"\0\xff" * 40, *cells[1:]]))
+    assert dropped_rows(path) == (1, {6})
+
+
+def test_a_carriage_return_within_a_row_does_not_shift_the_rows(tmp_path: Path) -> None:
+    path = old_file(tmp_path, row(0), row(10).replace(",X,", ",X\rY,"), row(20), row(30, speed="fast"))
+    layout = recognise(path)
+    assert layout is not None
+    (chunk,) = read_csv(path, layout)
+    assert chunk.positions.row.tolist() == [2, 3, 4]
+    assert chunk.problems[0].startswith("row 5: SOG is not a number")
+
+
+def test_blank_rows_before_the_header_are_passed_over(tmp_path: Path) -> None:
+    path = old_file(tmp_path, row(0), row(10, speed="fast"), header="\n \n" + OLD_HEADER)
+    layout = recognise(path)
+    assert layout is not None
+    (chunk,) = read_csv(path, layout)
+    assert chunk.positions.row.tolist() == [4]
+    assert chunk.problems[0].startswith("row 5: SOG is not a number")
+
+
+@pytest.mark.parametrize("time", ["0001-01-04T10:00:00", "9999-12-31T23:59:59", "1969-12-31T23:59:59"])
+def test_a_year_without_ais_costs_its_row_only(tmp_path: Path, time: str) -> None:
+    wrong = row(30).replace("2024-01-04T10:00:30", time)
+    traffic = traffic_of(old_file(tmp_path, *(row(second) for second in range(0, 300, 10)), wrong))
+    assert (traffic.dropped["unreadable"], len(only(traffic).steps)) == (1, 291)
+
+
+def test_a_name_without_end_is_cut(tmp_path: Path) -> None:
+    wrong = row(30).replace(",X,", "," + "N" * 100_000 + ",")
+    traffic = traffic_of(old_file(tmp_path, *(row(second) for second in range(0, 300, 10)), wrong))
+    assert len(only(traffic).hull.name) <= 120
+
+
+# ---- what is no log -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"root:x:0:0:secret:/root:/bin/bash\n" * 40,
+        b"\x1b[31msecret\n",
+        b"\x89PNG\r\n\x1a\nsecret" + bytes(range(256)) * 40,
+        b"\0" * 5_000_000,
+        b"secret" * 1_000_000,
+    ],
+    ids=["passwd", "escape", "png", "zeros", "no lines"],
+)
+def test_what_is_no_log_is_refused_without_its_content(refuse: Refuse, content: bytes) -> None:
+    assert "secret" not in refuse(content, "is none of the formats that are read")
+
+
+def test_pipes_and_folders_are_refused(tmp_path: Path, refuse: Refuse) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    refuse(tmp_path / "pipe", "this is a pipe, a file was expected")
+    (tmp_path / "folder").mkdir()
+    refuse(tmp_path / "folder", "this is a folder, a file was expected")
+
+
+@pytest.mark.parametrize("head", [DANISH.split(b"\n")[0] + b"\n", tagged("c:1423133048").encode()])
+def test_blank_lines_without_end_are_refused(refuse: Refuse, head: bytes) -> None:
+    refuse(gzip.compress(head + b"\n" * 30_000_000, 1), "unpacks to more than 100 times its own size")
+
+
+def test_a_gzipped_log_that_is_cut_off_is_refused(refuse: Refuse) -> None:
+    refuse(gzip.compress(DANISH)[:-100], "is not a complete gzip file")
+
+
+def test_a_table_of_other_rows_is_given_up_early(refuse: Refuse) -> None:
+    header = DANISH.split(b"\n")[0] + b"\n"
+    refuse(header + b"a,b\n" * 60_000, "too much of it cannot be read: more than 50,000 rows")
+    refuse(header + b"," * 25 + b"\n" + (b"x" + b"," * 25 + b"\n") * 20_000, "too much of it cannot be read")
+    refuse(header.strip() + b"," * 600 + b"\n", "has 626 columns, more than 500")
+    refuse(b"MMSI,LAT,LON,\x1b[31m" + b"x" * 10_000 + b"\n1,2,3,4\n", "has no column BaseDateTime")
+
+
+# ---- times --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("digits", [11, 17, 400])
+def test_a_time_tag_of_too_many_digits_is_no_time(tmp_path: Path, refuse: Refuse, digits: int) -> None:
+    wrong = tagged("c:" + "9" * digits)
+    refuse((wrong * 3).encode(), "has no times", "in seconds or milliseconds")
+    path = tmp_path / "log"
+    path.write_text(tagged("c:1423133048") + wrong)
+    (chunk,) = read_nmea(path)
+    assert (len(chunk.positions), dict(chunk.dropped)) == (1, {"no_time": 1})
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        (("--time-step", "1e-300"), "--time-step: must be above 0, from 1e-06 to 1e+09 (got 1e-300)"),
+        (("--duration", "1e300"), "--duration: must be above 0, from 1e-06 to 1e+09"),
+        (("--max-speed", "1e308"), "--max-speed: must be above 0"),
+        (("--max-gap", "1e308"), "--max-gap: must be above 0"),
+        (("--start", "0001-01-01T00:00:00+14:00"), "more than 1,000,000: choose --start"),
+        (("--start", "9999-12-31T23:59:59-14:00", "--duration", "1e9"), "no positions of ships"),
+        (("--origin", "1e300,1e300"), "--origin: latitude 1e+300 is beyond ±90"),
+        (("--origin", "x" * 100_000), "--origin: LAT,LON in degrees is needed (got 'xxx"),
+        (("--label", "x" * 100_000), "--label: GROUP=LABEL is needed"),
+        (("--start", "x" * 100_000), "--start: a time such as"),
+    ],
+)
+def test_absurd_options_are_refused(refuse: Refuse, options: tuple[str, ...], part: str) -> None:
+    refuse(SAMPLES / "receiver.nmea", part, options=options)
+
+
+def test_every_time_has_a_text() -> None:
+    assert time_text(1704362400.0) == "2024-01-04T10:00:00Z"
+    assert [time_text(sign * 1e300) for sign in (1, -1)] == ["1e+300 s after 1970", "-1e+300 s after 1970"]
+
+
+# ---- what a few bytes may span ------------------------------------------------------------------------------------
+
+
+def test_two_reports_thirty_years_apart_are_refused(refuse: Refuse) -> None:
+    log = tagged("c:633133048") + tagged("c:1423133048")
+    refuse(log.encode(), "790,000,001 steps, more than 1,000,000")
+
+
+def far_apart(folder: Path, vessels: int) -> AisTraffic:
+    """Vessels of two reports each, eleven days apart, at a million steps."""
+    rows = [row(0, mmsi=219000000 + k) for k in range(vessels)]
+    rows += [text.replace("2024-01-04", "2024-01-15") for text in rows]
+    return traffic_of(old_file(folder, *rows))
+
+
+def test_vessels_of_two_reports_cost_two_steps_however_long_the_scene_is(tmp_path: Path) -> None:
+    traffic = far_apart(tmp_path, 50)
+    assert len(traffic.grid.times_s) == 950_401
+    assert sum(vessel.places_m.nbytes for vessel in traffic.vessels) == 50 * 2 * 16
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_steps_near_reports_are_all_at_which_a_vessel_can_be_there(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    known = np.unique(rng.integers(0, 300, int(rng.integers(1, 30)))) * rng.choice([1.0, 0.5])
+    times, gap = np.arange(0, 200, rng.choice([0.5, 1.0, 7.0])), float(rng.integers(1, 30))
+    count = len(known)
+    track = ReportedTrack(known, rng.normal(size=(count, 2)), rng.normal(size=(count, 2)), rng.normal(size=count))
+    there, places, headings = resample(track, times, gap)
+    steps = steps_near(known, times, gap)
+    near, near_places, near_headings = resample(track, times[steps], gap)
+    assert steps[near].tolist() == np.flatnonzero(there).tolist()
+    np.testing.assert_array_equal(near_places[near], places[there])
+    np.testing.assert_array_equal(near_headings[near], headings[there])
+
+
+def test_two_vessels_that_share_an_identity_all_day_are_told_apart_in_pieces() -> None:
+    number = 30_000
+    times, places = np.arange(number, dtype=float), np.zeros((number, 2))
+    places[1::3] = 1e6  # every third report is of the other vessel
+    assert np.flatnonzero(~reachable(times, places, 10.0)).tolist() == list(range(1, number, 3))
+
+
+def test_messages_that_never_end_do_not_stay_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    payload = "55?MbV02;H;s<HtKR20EHE:0@T4@Dn2222222216L961O5Gf0NSQEp6ClRp8,0"
+    lines = [f"1423133048 {sentence(f'AIVDM,2,1,{k % 10},{k},{payload}')}\n" for k in range(3000)]
+    path = tmp_path / "log"
+    path.write_text("".join([*lines, tagged("c:1423133048")]))
+    monkeypatch.setattr("modsim3d.scene.ais.read_nmea.CHUNK_MESSAGES", 1)
+    first, last = read_nmea(path)
+    assert first.dropped["incomplete"] == 3000 - MOST_PENDING
+    assert (last.dropped["incomplete"], len(first.positions)) == (MOST_PENDING, 1)
+
+
+def test_a_part_beyond_the_number_of_parts_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    wrong = [sentence(f"AIVDM,{count},{number},1,A,55?MbV02,0") for count, number in ((2, 3), (99, 1), (0, 0))]
+    path.write_text("".join(f"1423133048 {line}\n" for line in wrong) + tagged("c:1423133048"))
+    (chunk,) = read_nmea(path)
+    assert (sum(chunk.dropped.values()), len(chunk.positions)) == (3, 1)
+
+
+@pytest.mark.parametrize("filling", ["a", "1", "\\", "!", "VD", "!AIVDM,", "*4", "a\\", "$a"])
+def test_a_line_that_is_no_sentence_is_searched_in_time_that_grows_with_its_length(
+    tmp_path: Path, filling: str
+) -> None:
+    line = (filling * 1000)[:900] + "!" + TYPE_1
+    (tmp_path / "log").write_text(tagged("c:1423133048") + f"{line}\n" * 2000)
+    (chunk,) = read_nmea(tmp_path / "log")  # each such line took five seconds once
+    assert len(chunk.positions) >= 1

@@ -1,0 +1,225 @@
+"""Wrong arguments, folders that cannot be written to and a missing renderer: one clear error, and nothing is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modsim3d.render import context
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from tests.cli.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs
+
+# ---- the command line -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        (["run", "simulation_1", "--mode", "3"], "--mode"),
+        (["run", "simulation_1", "--steps", "0"], "--steps"),
+        (["run", "simulation_1", "--seed", "-1"], "--seed"),
+        (["run", "simulation_1", "--source", "guessed"], "--source"),
+        (["run", "simulation_1", "--frobnicate"], "--frobnicate"),
+        (["run"], "SCENE"),
+        (["fly"], "fly"),
+        (["run", "simulation_1", "--seed", str(2**70)], "seed: Input should be less than"),
+        (["check", "simulaton_1"], "no shipped scene has this name (did you mean 'simulation_1'?)"),
+        (["check", "."], "this is a folder"),
+        (["check", "x" * 5000], "File name too long"),
+        (["check", "/dev/null"], "this is a device, a file was expected"),
+    ],
+    ids=lambda value: "-".join(value)[:40] if isinstance(value, list) else "",
+)
+def test_wrong_arguments_exit_with_two(
+    call: Call, arguments: list[str], part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    status, said = call(*arguments)
+    assert status == 2
+    assert part in re.sub(r"\x1b\[[0-9;]*m", "", said)
+    assert "Traceback" not in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_with_a_shipped_scenes_name_does_not_hide_it(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "simulation_1").mkdir()
+    assert call("check", "simulation_1")[0] == 0
+
+
+# ---- output folders ---------------------------------------------------------------------------------------------
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def finished(inputs: Inputs, call: Call, tmp_path: Path) -> Path:
+    """A run directory that must not be lost."""
+    status, said = call("run", inputs.write(), "--out", tmp_path / "kept", "--no-sheet")
+    assert status == 0, said
+    return tmp_path / "kept"
+
+
+@pytest.mark.parametrize("place", ["file/run", "file", "/proc/modsim3d/run", "x" * 300])
+def test_folder_that_cannot_be_written_to_is_told(inputs: Inputs, call: Call, tmp_path: Path, place: str) -> None:
+    (tmp_path / "file").write_text("mine")
+    status, said = call("run", inputs.write(), "--out", tmp_path / place)
+    assert status == 2
+    assert "cannot be written to" in said or "is not a run directory" in said
+    assert "Traceback" not in said
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("options", [(), ("--overwrite",), ("--resume",), ("--overwrite", "--resume")])
+@pytest.mark.parametrize(
+    "name", ["notes.txt", "run.json", "unfinished/settings.json", "unfinished/chapter.txt", "truth.parquet"]
+)
+def test_a_folder_that_is_no_run_directory_keeps_all_it_holds(
+    inputs: Inputs, call: Call, tmp_path: Path, options: tuple[str, ...], name: str
+) -> None:
+    precious = tmp_path / "precious"
+    (precious / name).parent.mkdir(parents=True)
+    (precious / name).write_text('{"mine": true}')
+    (precious / "photo.jpg").write_text("mine too")
+    before = content(precious)
+    status, said = call("run", inputs.write(), "--out", precious, *options)
+    assert status == 2
+    assert f"{precious} exists and is not a run directory: choose another folder" in said
+    assert content(precious) == before
+
+
+@pytest.mark.parametrize("options", [(), ("--resume",)])
+def test_a_run_is_not_replaced_unasked(inputs: Inputs, finished: Path, call: Call, options: tuple[str, ...]) -> None:
+    before = content(finished)
+    status, said = call("run", inputs.path("scene"), "--out", finished, *options)
+    assert status == 2
+    assert "holds a run: use --overwrite" in said
+    assert content(finished) == before
+
+
+def test_bad_input_with_overwrite_keeps_the_run_that_is_there(inputs: Inputs, finished: Path, call: Call) -> None:
+    before = content(finished)
+    inputs.set("poses", "2.0/vehicle1", DELETED)
+    assert call("run", inputs.write(), "--out", finished, "--overwrite")[0] == 2
+    assert content(finished) == before
+
+
+def test_a_run_that_is_replaced_stays_until_the_new_one_is_finished(
+    inputs: Inputs, finished: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = content(finished)
+    inputs.data["scene"]["cameras"].pop("shore")
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("modsim3d.runs.files.run_directory.RunDirectory.write", interrupt)
+        assert call("run", inputs.write(), "--out", finished, "--overwrite")[0] == 130
+    assert content(finished).items() >= before.items()
+    assert call("run", inputs.write(), "--out", finished, "--resume", "--no-sheet")[0] == 0
+    after = content(finished)
+    assert not any("shore" in name or "unfinished" in name for name in after)
+    assert json.loads(after["run.json"])["cameras"] == ["C0"]
+
+
+@pytest.mark.parametrize("leftover", ["settings.json.partial", ""])
+def test_a_run_killed_at_its_very_start_can_be_begun_again(
+    inputs: Inputs, call: Call, tmp_path: Path, leftover: str
+) -> None:
+    work = tmp_path / "killed" / "unfinished"
+    work.mkdir(parents=True)
+    if leftover:
+        (work / leftover).write_text('{"form')
+    status, said = call("run", inputs.write(), "--out", work.parent, "--resume", "--no-sheet")
+    assert status == 0, said
+
+
+# ---- no renderer ------------------------------------------------------------------------------------------------
+
+
+def test_without_an_opengl_library_the_package_to_install_is_named(
+    inputs: Inputs, call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MODSIM3D_GL", raising=False)
+    monkeypatch.setattr(context, "_open_here", None)  # another test's context must not serve here
+    monkeypatch.setattr(context, "library_found", lambda backend: False)
+    status, said = call("run", inputs.write(), "--out", tmp_path / "out")
+    assert status == 2
+    for part in ("no OpenGL software renderer was found", "libosmesa6", "mesa-libEGL", "--source analytic"):
+        assert part in said
+    assert not (tmp_path / "out").exists()
+
+
+# ---- as its own process -----------------------------------------------------------------------------------------
+
+
+def process(*arguments: object, program: Path | None = None, **options: Any) -> subprocess.CompletedProcess[str]:
+    command = [*([program] if program else [sys.executable, "-m", "modsim3d.cli.main"]), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, **options)
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ({"MODSIM3D_GL": "nonsense"}, "MODSIM3D_GL='nonsense': use one of osmesa, egl, auto"),
+        ({"MODSIM3D_GL": "egl", "MODSIM3D_EGL_DEVICE": "77"}, "MODSIM3D_EGL_DEVICE='77': use a number from 0 to "),
+        (
+            {"MODSIM3D_GL": "egl", "__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent"},
+            "(the environment has __EGL_VENDOR_LIBRARY_DIRS='/nonexistent': try without)",
+        ),
+    ],
+    ids=["backend", "device", "no driver"],
+)
+def test_unknown_renderers_are_told_by_a_real_process(
+    inputs: Inputs, tmp_path: Path, asked: dict[str, str], told: str
+) -> None:
+    done = process("run", inputs.write(), "--out", tmp_path / "out", env={**os.environ, **asked})
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_real_process_says_it_on_standard_error_only(inputs: Inputs, prepared: Path) -> None:
+    inputs.set("vessels", "\ud800", GOOD["vessels"]["vehicle2"])
+    inputs.set("scene", "sed", 1)
+    done = process("check", inputs.write(), program=prepared)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("modsim3d: scene ")
+    assert "sed: unknown key" in done.stderr
+    assert "printable" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_full_disk_is_told_and_the_run_can_go_on(inputs: Inputs, prepared: Path, tmp_path: Path) -> None:
+    # Poses that need no file, so that the disk is full only after the scene has been copied.
+    inputs.data["scene"] |= {"poses": CIRCULAR, "steps": 120, "time_step_s": 0.5}
+    scene, out = inputs.write(), tmp_path / "out"
+
+    def small_files() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    done = process("run", scene, "--out", out, "--no-sheet", program=prepared, preexec_fn=small_files)
+    assert done.returncode == 2, done.stderr
+    assert f"{out} cannot be written to" in done.stderr
+    assert "what was finished is kept: go on with --resume" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (out / "run.json").exists()
+    run_scene(load_scene(scene), out, resume=True)
+    assert (out / "run.json").exists()

@@ -1,0 +1,310 @@
+"""Labelled sets that are broken or made to fill the memory get one clear error, and no traceback."""
+
+from __future__ import annotations
+
+import copy
+import gzip
+import io
+import json
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from modsim3d.core.errors import ModsimError
+from modsim3d.formats.reading import builder
+from modsim3d.formats.reading.builder import ReadOptions
+from modsim3d.formats.reading.pair import read_pair
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from tests.cli.bad_input.builders import Call, Inputs
+
+TRUTH: dict[str, Any] = {
+    "images": [
+        {"id": 1, "width": 640, "height": 480, "file_name": "a.png", "time_s": 0.5, "sequence": "s", "condition": "day"}
+        | {"horizon": [200, 210.5]}
+    ],
+    "categories": [{"id": 1, "name": "boat"}],
+    "annotations": [
+        {"image_id": 1, "category_id": 1, "bbox": [10, 20, 30, 40], "iscrowd": 0, "ignore": 0, "track_id": 3}
+        | {"visible_fraction": 0.5, "distance_m": 80}
+    ],
+}
+RESULTS: list[dict[str, Any]] = [
+    {"image_id": 1, "category_id": 1, "bbox": [10, 20, 30, 40], "score": 0.9, "probabilities": [1.0]}
+]
+LINE, FOUND = "1,3,10,20,30,40,1,1,0.5\n", "1,-1,12,20,30,40,0.9\n"
+BOX, SEEN = "0 .5 .5 .1 .1\n", "0 .5 .5 .1 .1 .9\n"
+Refuse = Callable[..., str]
+
+
+@pytest.fixture
+def refuse(call: Call, tmp_path: Path) -> Refuse:
+    """A function that asserts that `learn` refuses a pair of files with some parts in a short message."""
+
+    def look(truth: Path, detections: Path, *parts: str, options: tuple[str, ...] = ()) -> str:
+        out = tmp_path / "out" / "detector.yaml"
+        status, said = call("learn", "--truth", truth, "--detections", detections, "--out", out, *options)
+        assert status == 2, said
+        assert "Traceback" not in said
+        for part in parts:
+            assert part in said, f"{part!r} not in:\n{said}"
+        assert len(said) < 10_000
+        assert said.replace("\n", "").isprintable()
+        assert not out.parent.exists()
+        return said
+
+    return look
+
+
+def coco(folder: Path, truth: Any = TRUTH, results: Any = RESULTS) -> tuple[Path, Path]:
+    for name, content in (("gt.json", truth), ("dt.json", results)):
+        (folder / name).write_text(content if isinstance(content, str) else json.dumps(content))
+    return folder / "gt.json", folder / "dt.json"
+
+
+def mot(folder: Path, truth: str = LINE, found: str = FOUND) -> tuple[Path, Path]:
+    (folder / "gt.txt").write_text(truth)
+    (folder / "det.txt").write_text(found)
+    return folder / "gt.txt", folder / "det.txt"
+
+
+def yolo(folder: Path, truth: str = BOX, found: str = SEEN) -> tuple[Path, Path]:
+    for name, text in (("truth", truth), ("found", found)):
+        (folder / name).mkdir()
+        (folder / name / "a.txt").write_text(text)
+    return folder / "truth", folder / "found"
+
+
+SIZE = ("--image-size", "640,480")
+
+
+# ---- what a few bytes may span ------------------------------------------------------------------------------------
+
+
+def test_a_frame_far_beyond_the_lines_is_refused_with_what_raises_the_budget(tmp_path: Path, refuse: Refuse) -> None:
+    pair = mot(tmp_path, LINE + LINE.replace("1,3", "10000000,3", 1))
+    said = "gt.txt line 2: frame must be a whole number from 1 to 103000 (got 10000000)"
+    refuse(*pair, said, "seqLength in a seqinfo.ini", options=SIZE)
+
+
+def test_a_sparse_night_is_read_where_seq_length_says_how_long_it_is(tmp_path: Path) -> None:
+    pair = mot(tmp_path, LINE + LINE.replace("1,3", "360000,3", 1))
+    (tmp_path / "seqinfo.ini").write_text("[Sequence]\nimWidth=640\nimHeight=480\nseqLength=360000\nframeRate=10\n")
+    assert len(read_pair("night", *pair, ReadOptions()).images) == 360_000
+
+
+@pytest.mark.parametrize(
+    ("truth", "found", "part"),
+    [
+        (LINE.replace(",3,", ",1e300,"), FOUND, "gt.txt line 1: identity must be at most 1e+15 (got 1e+300)"),
+        (LINE.replace("1,1,0.5", "1,1e18,0.5"), FOUND.strip() + ",1e18\n", "class must be at most 10000 (got 1e+18)"),
+        (LINE + "1," * 50_000, FOUND, "gt.txt line 2: has 100,000 characters, must have at most 10,000"),
+        (LINE + "1,\0\x1b[31m\n", FOUND, r"gt.txt line 2: must be numbers (got '1,\x00\x1b[31m')"),
+        (LINE + "1,1,1\n" * 20_000, FOUND, "10,000 in all so far; the rest was not read"),
+    ],
+    ids=["identity", "class", "long line", "control characters", "all wrong"],
+)
+def test_lines_of_mot_that_are_none_are_refused(
+    tmp_path: Path, refuse: Refuse, truth: str, found: str, part: str
+) -> None:
+    refuse(*mot(tmp_path, truth, found), part, options=SIZE)
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("root:x:0:0:secret\n", "needs imWidth and imHeight under [Sequence]"),
+        ("[Sequence]\nimWidth=%(imWidth)s\nimHeight=480\n", "imWidth: must be above 0, and at most 1e+07"),
+        ("[Sequence]\nimWidth=640\nimHeight=480\nseqLength=10000000\n", "seqLength: must be from 0 to 1e+06"),
+        ("[Sequence]\nimWidth=640\nimHeight=480\nseqLength=" + "1" * 5000, "seqLength: must be from 0 to 1e+06"),
+        ("[Sequence]\nimWidth=" + "1" * 400 + "\nimHeight=480\n", "imWidth: must be above 0, and at most 1e+07"),
+    ],
+)
+def test_a_seqinfo_that_is_none_is_refused(tmp_path: Path, refuse: Refuse, text: str, part: str) -> None:
+    (tmp_path / "seqinfo.ini").write_text(text)
+    assert "secret" not in refuse(*mot(tmp_path), "seqinfo.ini", part)
+
+
+def test_a_class_far_beyond_the_others_costs_one_class(tmp_path: Path) -> None:
+    labelled = read_pair("day", *yolo(tmp_path, BOX + "9999 .5 .5 .1 .1\n"), ReadOptions(image_size_px=(640, 480)))
+    assert labelled.labels == ("class_0", "class_9999")
+    assert labelled.annotations.label.tolist() == [0, 1]
+    assert labelled.results.label.tolist() == [0]
+
+
+def test_more_classes_than_the_tables_have_room_for_are_refused(tmp_path: Path, refuse: Refuse) -> None:
+    many = {**TRUTH, "categories": [{"id": k, "name": f"c{k}"} for k in range(2000)]}
+    plain = [{key: value for key, value in RESULTS[0].items() if key != "probabilities"}]
+    refuse(*coco(tmp_path, many, plain), "2,000 classes in 1 states with 300 replicates", "--replicates")
+    pair = yolo(tmp_path)
+    (pair[0] / "data.yaml").write_text("names: {9999: last}\n")
+    refuse(*pair, "10,000 classes in 1 states", options=SIZE)
+
+
+def test_many_boxes_on_one_place_are_refused(tmp_path: Path, refuse: Refuse, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("modsim3d.formats.matching.MAX_PAIRS", 1000)
+    refuse(*yolo(tmp_path, BOX * 40, SEEN * 40), "image 'a'", "more than 1,000 pairs of boxes", options=SIZE)
+
+
+# ---- values -------------------------------------------------------------------------------------------------------
+
+HUGE = 10**400
+WRONG = [None, True, "", "x", "\x1b[31m", "\ud800", [], {}, [[None]], {"x": 1}, -1, 0, 1.5, 10**25, HUGE]
+WRONG += [1e300, -1e308, float("nan"), float("inf"), "9" * 5000, [1, 2, 3, 4], [HUGE] * 4, "x" * 100_000]
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in entries:
+        yield (*path, key)
+        yield from places(inner, (*path, key))
+
+
+@pytest.mark.parametrize("path", [("gt", *p) for p in places(TRUTH)] + [("dt", *p) for p in places(RESULTS)], ids=str)
+def test_any_value_anywhere_in_coco_is_read_or_refused(tmp_path: Path, path: tuple[Any, ...]) -> None:
+    for value in WRONG:
+        content: dict[str, Any] = copy.deepcopy({"gt": TRUTH, "dt": RESULTS})
+        section: Any = content
+        for key in path[:-1]:
+            section = section[key]
+        section[path[-1]] = value
+        pair = coco(tmp_path, content["gt"], content["dt"])
+        for rate_hz in (None, 5.0):
+            try:
+                read_pair("day", *pair, ReadOptions(frame_rate_hz=rate_hz))
+            except ModsimError as error:
+                assert len(str(error)) < 5000
+                assert str(error).replace("\n", "").isprintable()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "part"),
+    [
+        ("width", HUGE, "images[0]: width and height must be pixels"),
+        ("time_s", HUGE, "images[0]: time_s and frame_id must be numbers"),
+        ("bbox", [HUGE, 20, 30, 40], "annotations[0]: bbox must be in pixels, at most 1e+07"),
+        ("distance_m", HUGE, "annotations[0]: distance_m must be 0 or more"),
+        ("track_id", "x" * 10_000, ""),
+    ],
+)
+def test_numbers_of_400_digits_are_refused_with_their_place(
+    tmp_path: Path, refuse: Refuse, name: str, value: Any, part: str
+) -> None:
+    truth = copy.deepcopy(TRUTH)
+    entry = truth["images"][0] if name in ("width", "time_s") else truth["annotations"][0]
+    entry[name] = value
+    truth["annotations"] *= 2
+    refuse(*coco(tmp_path, truth), part)
+
+
+def test_a_file_name_of_5000_digits_and_a_class_that_no_file_can_hold(tmp_path: Path, refuse: Refuse) -> None:
+    truth = copy.deepcopy(TRUTH)
+    truth["images"][0]["file_name"] = "9" * 5000 + ".png"
+    assert len(read_pair("day", *coco(tmp_path, truth), ReadOptions()).images) == 1
+    truth["categories"][0]["name"] = "\ud800"
+    refuse(*coco(tmp_path, truth), "half a character")
+
+
+def test_a_name_that_is_unknown_is_not_written_out(tmp_path: Path, refuse: Refuse) -> None:
+    refuse(*coco(tmp_path, TRUTH, [{**RESULTS[0], "image_id": "x" * 1_000_000}]), "[0]: unknown image_id 'xxx")
+
+
+# ---- files --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", [coco, mot])
+def test_pipes_and_bombs_are_refused(tmp_path: Path, refuse: Refuse, form: Callable[[Path], tuple[Path, Path]]) -> None:
+    truth, found = form(tmp_path)
+    truth.write_bytes(gzip.compress(b"\n" * 20_000_000, 1))
+    refuse(truth, found, "unpacks to more than 100 times its own size", options=SIZE)
+    truth.unlink()
+    os.mkfifo(truth)
+    refuse(truth, found, "this is a pipe, a file was expected", options=SIZE)
+
+
+@pytest.mark.parametrize("name", ["gt.txt", "gt.json", "gt.csv"])
+def test_what_is_no_labelled_set_is_refused_without_its_content(tmp_path: Path, refuse: Refuse, name: str) -> None:
+    path = tmp_path / name
+    path.write_text("root:x:0:0:secret:/root:/bin/bash\n" * 40)
+    assert "secret" not in refuse(path, path, options=SIZE)
+    path.write_bytes(bytes(range(256)) * 40)
+    refuse(path, path, options=SIZE)
+
+
+def picture(kind: str) -> bytes:
+    stream = io.BytesIO()
+    Image.new("RGB", (64, 48)).save(stream, kind)
+    return stream.getvalue()
+
+
+def chunk(name: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+
+
+def png(width: int, height: int, *chunks: bytes) -> bytes:
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + b"".join(chunks) + chunk(b"IDAT", b"")
+
+
+IMAGES = {
+    "cut.png": picture("PNG")[:20],
+    "cut.jpg": picture("JPEG")[:30],
+    "empty.png": b"",
+    "none.png": png(0, 0),
+    "endless.png": png(2**31 - 1, 2**31 - 1),
+    "bomb.png": png(64, 48, chunk(b"zTXt", b"a\0\0" + zlib.compress(b"x" * 80_000_000, 1))),
+    "text.png": b"root:x:0:0:secret",
+}
+
+
+@pytest.mark.parametrize("name", [*IMAGES, "folder.png", "pipe.png", "large.webp"])
+def test_an_image_whose_size_cannot_be_known_is_refused(tmp_path: Path, refuse: Refuse, name: str) -> None:
+    truth, found = yolo(tmp_path)
+    path = truth / name
+    for folder in (truth, found):
+        (folder / "a.txt").rename(folder / f"{path.stem}.txt")
+    if name in IMAGES:
+        path.write_bytes(IMAGES[name])
+    elif name == "folder.png":
+        path.mkdir()
+    elif name == "pipe.png":
+        os.mkfifo(path)
+    else:
+        with path.open("wb") as file:
+            file.truncate(1 << 34)
+    assert "secret" not in refuse(truth, found, f"image {path}")
+
+
+def test_many_problems_are_counted_and_not_kept() -> None:
+    problems = builder.Problems("file", skip=True)
+    for _ in range(50_000):
+        problems.add("line")
+    assert len(problems.lines) == builder.MOST_PROBLEMS
+    assert problems.settle() == ["file: 50000 entries left out, the first because line"]
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        (("--truth", "gt.json", "--detections", "dt.json"), "--run and --truth are matched differently unless --match"),
+        (("--iou", "0.3"), "--iou is for --match confidence or optimal, not for provenance"),
+        (("--match", "centre", "--iou", "0.3"), "--iou is for --match confidence or optimal, not for centre"),
+        (("--distance", "9"), "--distance is for --match centre, not for provenance"),
+        (("--match", "optimal", "--distance", "9"), "--distance is for --match centre, not for optimal"),
+    ],
+    ids=" ".join,
+)
+def test_a_matching_rule_that_is_not_clear_is_refused(
+    inputs: Inputs, call: Call, tmp_path: Path, options: tuple[str, ...], part: str
+) -> None:
+    run_scene(load_scene(inputs.write()), tmp_path / "run")
+    status, said = call("learn", "--run", tmp_path / "run", *options, "--out", tmp_path / "d.yaml")
+    assert status == 2 and "Traceback" not in said
+    assert part in said and len(said.splitlines()) == 1
+    assert not (tmp_path / "d.yaml").exists()

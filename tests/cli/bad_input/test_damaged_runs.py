@@ -1,0 +1,302 @@
+"""A run directory that was damaged is refused by every command that reads runs: one error, and nothing is written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+from modsim3d.core.errors import RunDirectoryError
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from tests.cli.bad_input.builders import ASHORE, Call, lens
+from tests.cli.bad_input.writers import scene_file
+
+DETECTOR = Path(__file__).parents[3] / "scenes" / "detectors" / "rich.yaml"
+STEPS = 24
+TABLES = ("frames", "truth", "detections", "ownship")
+Damage = Callable[[Path], None]
+
+
+def write_run(folder: Path, seed: int) -> Path:
+    boats = {f"boat{i}": [[0, 50 + 20 * i, -9 + 3 * i], [12, 60 + 15 * i, 9 - 3 * i]] for i in range(4)}
+    size = {"length_m": 14.0, "beam_m": 4.0, "air_draft_m": 3.0, "label": "motorboat"}
+    content = {
+        "steps": STEPS,
+        "time_step_s": 0.5,
+        "seed": seed,
+        "vessels": dict.fromkeys(("own", *boats), size),
+        "poses": {"tracks": {"own": [[0, 0, 0], [12, 12, 0]], **boats}},
+        "cameras": {
+            "bow": lens(mount={"vessel": "own", "position_m": [4.0, 0.0, 1.0]}),
+            "shore": lens(pose=ASHORE, frame_rate_hz=1),
+        },
+        "annotation": {"mode": 2, "source": "analytic"},
+        "detector": str(DETECTOR),
+    }
+    folder.mkdir()
+    (folder / "scene.yaml").write_text(yaml.dump(content))
+    run_scene(load_scene(folder / "scene.yaml"), folder / "run")
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A good run, and one of the same scene with another seed."""
+    folder = tmp_path_factory.mktemp("runs")
+    return write_run(folder / "good", 0), write_run(folder / "other", 1)
+
+
+@pytest.fixture
+def run(runs: tuple[Path, Path], tmp_path: Path) -> Path:
+    """A copy of the good run."""
+    return Path(shutil.copytree(runs[0], tmp_path / "run"))
+
+
+def read(run: Path, name: str) -> pa.Table:
+    return pq.read_table(run / f"{name}.parquet")
+
+
+def relist(run: Path) -> None:
+    """Let `run.json` list the files as they are now, so that only their content can be wrong."""
+    settings = json.loads((run / "run.json").read_text())
+    for name in settings["files"]:
+        if (run / name).is_file():
+            data = (run / name).read_bytes()
+            settings["files"][name] = {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    (run / "run.json").write_text(json.dumps(settings))
+
+
+def replace_table(run: Path, name: str, table: pa.Table) -> None:
+    pq.write_table(table, run / f"{name}.parquet")
+    relist(run)
+
+
+def replace_value(run: Path, name: str, column: str, row: int, value: Any) -> None:
+    table = read(run, name)
+    values = table[column].to_pylist()
+    values[row] = value
+    place = table.column_names.index(column)
+    replace_table(run, name, table.set_column(place, column, pa.array(values, table[column].type)))
+
+
+def commands(run: Path, out: Path) -> dict[str, tuple[object, ...]]:
+    return {
+        "picture": ("view", run, "--frame", 0, "--out", out / "picture.png"),
+        "film": ("view", run, "--film", "detections", "--to", 2, "--out", out / "film.gif"),
+        "sheet": ("view", run, "--sheet", "--overwrite"),
+        "report": ("report", run, "--out", out / "report.html"),
+        "verify": ("verify", run, "--out", out / "verified"),
+        "learn": ("learn", "--run", run, "--out", out / "detector.yaml", "--replicates", 20),
+        "export": ("export", run, "--format", "coco", "--out", out / "coco"),
+        "detect": ("detect", run, "--out", out / "run"),
+        "rerun": ("rerun", run, "--out", out / "run.rrd"),
+    }
+
+
+READERS = tuple(commands(Path(), Path()))
+WHOLE_READERS = ("report", "verify", "learn", "export", "rerun")
+"""Those that read all rows of all tables."""
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def assert_refused(call: Call, run: Path, command: str, out: Path) -> str:
+    before = contents(run)
+    out.mkdir(exist_ok=True)
+    status, said = call(*commands(run, out)[command])
+    assert status == 2, said
+    assert "Traceback" not in said
+    assert said.count("modsim3d: ") == 1
+    assert contents(run) == before
+    assert not any(out.rglob("*"))
+    return said
+
+
+@pytest.mark.parametrize("command", READERS)
+@pytest.mark.parametrize("name", TABLES)
+def test_a_missing_table_is_one_clear_line(call, run, tmp_path, command, name):
+    (run / f"{name}.parquet").unlink()
+    assert f"{name}.parquet is missing: " in assert_refused(call, run, command, tmp_path / "out")
+
+
+WRONG = {  # table, column, row, value, part of the message
+    "a camera that is unknown": ("truth", "camera", 3, "stern", "row 3, column 'camera': must be one of bow, shore"),
+    "a camera that is null": ("detections", "camera", 3, None, "row 3, column 'camera': must be one of bow, shore"),
+    "a step beyond the last": ("truth", "step", -1, 10**9, f"column 'step' has 1000000000.* steps 0 to {STEPS - 1}"),
+    "a step below 0": ("detections", "step", 0, -1, "column 'step' has -1"),
+    "a step that is null": ("truth", "step", 3, None, "row 3, column 'step': must be there"),
+    "a step out of order": ("truth", "step", 3, 9, "column 'step': must be in ascending order"),
+    "another time": ("frames", "timestamp", 0, "7.0", "row 0, column 'timestamp': must be '0.0'"),
+    "an unknown state": ("frames", "state", 1, "hail", "row 1, column 'state': must be one of "),
+    "another state": ("frames", "state", 0, "haze", "column 'state': must be that of the frame in frames.parquet"),
+    "an unknown vessel": ("truth", "vessel", 2, "kayak", "row 2, column 'vessel': must be one of boat0, boat1"),
+    "another label": ("truth", "label", 2, "ferry", "row 2, column 'label'"),
+    "no full box": ("truth", "full_x_min_px", 2, None, "row 2, column 'full_x_min_px': must be a number"),
+    "a box in NaN": ("truth", "full_x_min_px", 2, float("nan"), "column 'full_x_min_px': must be a number"),
+    "a swapped box": ("truth", "full_x_max_px", 2, 0.0, "column 'full_x_max_px': must be at least full_x_min_px"),
+    "a box outside": ("truth", "full_y_max_px", 2, 1e300, "column 'full_y_max_px': must be from 0 to 480"),
+    "half a box": ("truth", "visible_x_min_px", 0, None, "like the other sides of the box, or null"),
+    "more seen than there is": ("truth", "visible_px", 0, 1e9, "row 0, column 'visible_px': must be from 0 to "),
+    "a fraction above 1": ("truth", "visible_fraction", 0, 2.0, "row 0, column 'visible_fraction'"),
+    "an infinite depth": ("truth", "depth_m", 0, float("inf"), "row 0, column 'depth_m'"),
+    "a null list": ("truth", "occluded_by", 0, None, "row 0, column 'occluded_by': must be there"),
+    "an unknown occluder": ("truth", "occluded_by", 0, [{"id": "kayak", "px": 1.0}], "row 0, column 'occluded_by'"),
+    "an occluder's null": ("truth", "occluded_by", 0, [None], "row 0, column 'occluded_by'"),
+    "an occluder's pixels": ("truth", "occluded_by", 0, [{"id": "own", "px": None}], "with numbers of pixels"),
+    "no flag": ("truth", "annotated", 0, None, "row 0, column 'annotated': must be there"),
+    "a detection's number": ("detections", "detection", 0, 7, "row 0, column 'detection': must be the number"),
+    "an unknown label": ("detections", "label", 0, "kayak", "row 0, column 'label': must be one of sailboat"),
+    "an unknown kind": ("detections", "kind", 0, "phantom", "row 0, column 'kind': must be one of true"),
+    "a confidence above 1": ("detections", "confidence", 0, 1.5, "row 0, column 'confidence': must be from 0 to 1"),
+    "a negative width": ("detections", "width_px", 0, -3.0, "row 0, column 'width_px': must be from 0 to 640"),
+    "a corner outside": ("detections", "x_max_px", 0, 1e300, "row 0, column 'x_max_px': must be from 0 to 640"),
+    "no corner": ("detections", "y_min_px", 1, None, "row 1, column 'y_min_px': must be a number"),
+    "the centre of another box": ("detections", "centre_y_px", 0, 0.0, "column 'centre_y_px': must be that of the box"),
+    "half an error": ("detections", "e_x_px", 0, float("inf"), "row 0, column 'e_x_px'"),
+    "a wrong count": ("frames", "n_false", 0, 99, "row 0, column 'n_false': must be the number in "),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_wrong_value_is_named_with_its_file_row_and_column(run, wrong):
+    name, column, row, value, message = WRONG[wrong]
+    replace_value(run, name, column, row, value)
+    with pytest.raises(RunDirectoryError, match=rf"{name}\.parquet|frames\.parquet") as refused:
+        open_run(run).tables()
+    refused.match(message)
+    with pytest.raises(RunDirectoryError):
+        list(open_run(run).frames())
+
+
+def test_the_good_run_is_read_by_every_command(call, run, tmp_path):
+    (tmp_path / "out").mkdir()
+    for command in commands(run, tmp_path / "out").values():
+        status, said = call(*command)
+        assert status in (0, 1), said  # 1: so few steps need not obey
+
+
+def test_a_changed_table_of_the_same_size_is_refused_where_it_is_read_whole(call, run, tmp_path):
+    table = read(run, "truth")
+    depth = pa.array([value + 1 for value in table["depth_m"].to_pylist()])
+    settings = json.loads((run / "run.json").read_text())
+    replace_table(run, "truth", table.set_column(table.column_names.index("depth_m"), "depth_m", depth))
+    settings["files"]["truth.parquet"]["bytes"] = (run / "truth.parquet").stat().st_size
+    (run / "run.json").write_text(json.dumps(settings))
+    for command in ("verify", "detect", "export", "report"):
+        said = assert_refused(call, run, command, tmp_path / "out")
+        assert "truth.parquet was changed after the run" in said
+
+
+def test_a_table_of_another_run_is_refused(runs, run):
+    shutil.copy(runs[1] / "detections.parquet", run)
+    with pytest.raises(RunDirectoryError, match=r"detections\.parquet has \d+ bytes, and had \d+"):
+        open_run(run)
+    relist(run)
+    with pytest.raises(RunDirectoryError, match=r"by the counts of run\.json"):
+        open_run(run)
+
+
+def damage_of(rng: random.Random, run: Path) -> tuple[str, Damage]:
+    """A random damage of a run, and what it is."""
+    name = rng.choice(TABLES[:3])
+    table = read(run, name)
+    column = rng.choice(table.column_names)
+    place, other = table.column_names.index(column), rng.choice((pa.int32(), pa.string(), pa.null()))
+    data = (run / f"{name}.parquet").read_bytes()
+    setting = rng.choice(sorted(json.loads((run / "run.json").read_text()).keys() - {"truth_versions", "files"}))
+
+    def change_setting(run: Path) -> None:
+        settings = json.loads((run / "run.json").read_text())
+        settings[setting] = [float("nan")]
+        (run / "run.json").write_text(json.dumps(settings))
+
+    def write(new: pa.Table) -> Damage:
+        return lambda run: replace_table(run, name, new)
+
+    def cut(run: Path) -> None:
+        (run / f"{name}.parquet").write_bytes(data[: rng.randrange(len(data))])
+        relist(run)
+
+    return rng.choice(
+        (
+            (f"{name} without {column}", write(table.remove_column(place))),
+            (f"{column} as {other}", write(table.set_column(place, column, pa.nulls(len(table), other)))),
+            (f"{name} backwards", write(table.take(pa.array(range(len(table))[::-1])))),
+            (f"{name} twice", write(pa.concat_tables([table, table]))),
+            (f"{name} without its first row", write(table.slice(1))),
+            (f"{name} cut", cut),
+            (f"{setting} of another type", change_setting),
+        )
+    )
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_damaged_run_is_one_error(call, run, tmp_path, seed):
+    rng = random.Random(seed)
+    what, damage = damage_of(rng, run)
+    damage(run)
+    said = assert_refused(call, run, rng.choice(WHOLE_READERS), tmp_path / "out")
+    assert "is not what a run has written" in said or "by the counts of run.json" in said, what
+
+
+@pytest.mark.parametrize("content", ["", "{", "[1]", '{"scene": "scene", "scene": 2}', "\x00", '{"scene": "../run"}'])
+def test_a_run_file_that_no_run_has_written_is_refused(call, run, tmp_path, content):
+    (run / "run.json").write_text(content)
+    assert "run.json is not what a run has written" in assert_refused(call, run, "verify", tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["9" * 5000, "é" * 200, "truth/" * 50])
+def test_a_listed_name_that_no_file_can_have_is_refused(call, run, tmp_path, name):
+    content = json.loads((run / "run.json").read_text())
+    content["files"][name] = {"bytes": 1, "sha256": "0" * 64}
+    (run / "run.json").write_text(json.dumps(content))
+    said = assert_refused(call, run, "verify", tmp_path / "out")
+    assert ("no path in a run directory" in said or "is missing" in said) and len(said) < 2000
+
+
+@pytest.mark.parametrize("name", ["seed", "steps", "cameras", "annotation", "detector_seed"])
+def test_settings_of_another_scene_are_refused(run, name):
+    settings = json.loads((run / "run.json").read_text())
+    settings[name] = {"cameras": ["bow"], "annotation": {"mode": 1}}.get(name, 7)
+    (run / "run.json").write_text(json.dumps(settings))
+    with pytest.raises(RunDirectoryError, match=rf"run\.json: {name}.* is .* in the run's copy of its scene"):
+        open_run(run)
+
+
+def test_a_changed_copy_of_the_scene_is_refused(call, run, tmp_path):
+    scene = scene_file(run)
+    scene.write_text(scene.read_text().replace('"time_step_s": 0.5', '"time_step_s": 0.25'))
+    relist(run)
+    assert "scene is not the scene that the run was made of" in assert_refused(call, run, "export", tmp_path / "out")
+    scene.unlink()
+    assert f"{scene.name} is missing" in assert_refused(call, run, "film", tmp_path / "out")
+
+
+def test_an_interrupted_run_whose_settings_are_damaged_is_refused(call, tmp_path, runs):
+    class Stop(Exception):
+        pass
+
+    def stop(steps: int) -> None:
+        raise Stop
+
+    with pytest.raises(Stop):
+        run_scene(load_scene(runs[0].parent / "scene.yaml"), tmp_path / "run", progress=stop)
+    work = tmp_path / "run" / "unfinished"
+    assert open_run(tmp_path / "run").steps == STEPS
+    (work / "scene" / "more.txt").write_text("")
+    assert "is not the scene" in assert_refused(call, tmp_path / "run", "report", tmp_path / "out")
+    (work / "settings.json").write_text('{"scene": "scene"}')
+    assert "settings.json is not what" in assert_refused(call, tmp_path / "run", "report", tmp_path / "out")

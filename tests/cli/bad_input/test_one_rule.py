@@ -1,0 +1,344 @@
+"""One rule for all commands: what exists is refused without --overwrite, and what is read is never written over."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import modsim3d
+from modsim3d.cli.main import app
+from modsim3d.core.errors import OutputError
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.writing.coco import write_coco
+from modsim3d.io.overwrite_guard import check_free
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from tests.campaign.small_campaign import small_campaign
+from tests.cli.bad_input import writers
+from tests.cli.bad_input.builders import Call, Inputs
+from tests.scene.ais.ais_builders import SAMPLES
+from tests.scenes import crossing
+
+COMMANDS = {
+    str(command.name): list(inspect.signature(command.callback, eval_str=True).parameters.values())
+    for command in app.registered_commands
+    if command.callback is not None
+}
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene, a run of it, its labels and tracks; no test writes here."""
+    folder = tmp_path_factory.mktemp("finished")
+    run_scene(load_scene(crossing(folder, 40), source="analytic"), folder / "run")
+    write_coco(labelled_run(folder / "run")[0], folder / "coco")
+    (folder / "tracks.csv").write_text(writers.TRACKS)
+    return folder
+
+
+@pytest.fixture
+def run(finished: Path, tmp_path: Path) -> Path:
+    """A copy of the run in the test's own folder, with all that lies beside it."""
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "run"
+
+
+def test_the_tables_of_these_tests_have_every_command_and_every_path_that_one_is_given() -> None:
+    named = {name.partition(":")[0] for name in writers.WRITERS}
+    assert named | {*writers.FOLDER_WRITERS, *writers.CONTINUING, *writers.NO_WRITERS} == COMMANDS.keys()
+    defaults = set()
+    for name, parameters in COMMANDS.items():
+        paths = {each.name for each in parameters if "Path" in str(each.annotation)}
+        assert paths <= writers.READ | writers.WRITTEN, f"{name}: is it read or written?"
+        writes = name not in writers.NO_WRITERS
+        replaces = "overwrite" in {each.name for each in parameters}
+        assert writes == bool(paths & writers.WRITTEN) == (replaces or name in writers.CONTINUING), name
+        optional = {each.name for each in parameters if each.default is None}
+        # The first three write nothing without it, and the page of a campaign does not lie in a run.
+        if name in named and "out" in optional and name not in writers.NO_DEFAULT:
+            defaults.add(name)
+    assert {name.partition(":")[0] for name in writers.DEFAULTS} == defaults
+
+
+@pytest.mark.parametrize(("names", "line"), writers.DEFAULTS.values(), ids=writers.DEFAULTS)
+def test_what_a_command_writes_into_a_run_it_writes_again_only_with_overwrite(
+    run: Path, call: Call, names, line
+) -> None:
+    assert call(*line(run))[0] in (0, 1)
+    for name in names:
+        (run / name).write_bytes(b"mine")
+    before = content(run)
+    status, said = call(*line(run))
+    assert status == 2
+    assert " exists: use --overwrite" in said and len(said.splitlines()) == 1
+    assert content(run) == before
+    assert call(*line(run), "--overwrite")[0] in (0, 1)
+    assert all((run / name).read_bytes() != b"mine" for name in names)
+
+
+HOW: dict[str, Callable[[Path, Path], None]] = {
+    "link": lambda out, read: out.symlink_to(read),
+    "link to a link": lambda out, read: (
+        out.with_name("between").symlink_to(read),
+        out.symlink_to("between"),
+    ),
+    "hard link": lambda out, read: os.link(read, out),
+}
+
+
+@pytest.mark.parametrize("how", HOW.values(), ids=HOW)
+@pytest.mark.parametrize("name", writers.WRITERS)
+def test_what_a_command_reads_stays_whatever_leads_to_it(run: Path, call: Call, tmp_path, name: str, how) -> None:
+    file, line = writers.WRITERS[name]
+    read = writers.INPUTS[name](run) if name in writers.INPUTS else run / "truth.parquet"
+    (tmp_path / "out").mkdir()
+    how(tmp_path / "out" / file, read)
+    before = content(tmp_path)
+    status, said = call(*line(run, tmp_path / "out" / file), "--overwrite")
+    assert status == 2
+    assert f"{tmp_path / 'out' / file} is read by this command" in said
+    assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize("spelled", ["run/../run/truth.parquet", "./run//truth.parquet", "folder/truth.parquet"])
+def test_what_a_command_reads_stays_however_it_is_spelled(
+    run: Path, call: Call, tmp_path, monkeypatch, spelled
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("folder").symlink_to(run)
+    before = content(tmp_path)
+    status, said = call("report", "run", "--out", spelled, "--overwrite")
+    assert status == 2
+    assert "is read by this command" in said
+    assert content(tmp_path) == before
+
+
+def test_files_are_the_same_by_what_they_are_and_not_by_their_names(tmp_path, monkeypatch) -> None:
+    """As where the case of a name means nothing: `realpath` gives two names, `stat` one file."""
+    (tmp_path / "gt.json").write_text("mine")
+    os.link(tmp_path / "gt.json", tmp_path / "GT.JSON")
+    with pytest.raises(OutputError, match="is read by this command"):
+        check_free(tmp_path / "GT.JSON", True, [tmp_path / "gt.json"])
+
+
+@pytest.mark.parametrize("name", [".d.yaml.lock", ".d.partial.yaml"])
+def test_what_lies_beside_an_output_while_it_is_written_is_no_input(run: Path, call: Call, tmp_path, name) -> None:
+    (tmp_path / name).write_text("usual\n")
+    line = ("learn", "--run", run, "--sequence", tmp_path / name, "--interval", 1, "--out", tmp_path / "d.yaml")
+    status, said = call(*line, "--overwrite")
+    assert status == 2
+    assert str(tmp_path / name) in said
+    assert (tmp_path / name).read_text() == "usual\n"
+
+
+def yolo(folder: Path) -> tuple[object, ...]:
+    """A YOLO data set whose classes stand in a file above it."""
+    for kind, line in (("labels", "0 .5 .5 .2 .2\n"), ("found", "0 .5 .5 .2 .2 .9\n")):
+        (folder / kind).mkdir()
+        (folder / kind / "a.txt").write_text(line)
+    (folder / "data.yaml").write_text("names: [boat]\n")
+    options = ("--image-size", "640,480", "--replicates", 20)
+    return ("learn", "--truth", folder / "labels", "--detections", folder / "found", *options)
+
+
+def mot(folder: Path) -> tuple[object, ...]:
+    """A MOT sequence with its size in a file above it."""
+    (folder / "gt").mkdir()
+    (folder / "gt" / "gt.txt").write_text("1,3,10,20,30,40,1,1,0.5\n")
+    (folder / "det.txt").write_text("1,-1,12,20,30,40,0.9\n")
+    text = "[Sequence]\nimWidth=640\nimHeight=480\nseqLength=1\nframeRate=10\n"
+    (folder / "seqinfo.ini").write_text(text)
+    return ("learn", "--truth", folder / "gt" / "gt.txt", "--detections", folder / "det.txt", "--replicates", 20)
+
+
+@pytest.mark.parametrize(
+    ("make", "option", "name"),
+    [
+        (yolo, "--out", "data.yaml"),
+        (yolo, "--page", "labels/a.txt"),
+        (mot, "--out", "seqinfo.ini"),
+        (mot, "--page", "det.txt"),
+    ],
+)
+def test_files_that_learn_reads_without_being_told_stay_too(call: Call, tmp_path, make, option, name) -> None:
+    line = make(tmp_path)
+    before = content(tmp_path)
+    other = ("--out", tmp_path / "d.yaml") if option == "--page" else ()
+    status, said = call(*line, option, tmp_path / name, *other, "--overwrite")
+    assert status == 2
+    assert f"{tmp_path / name} is read by this command" in said
+    assert content(tmp_path) == before
+    assert call(*line, "--out", tmp_path / "labels.yaml")[0] == 0
+
+
+def test_neither_does_a_result_in_python_replace_what_it_was_learned_from(tmp_path) -> None:
+    yolo(tmp_path)
+    paths = {"truth": tmp_path / "labels", "detections": tmp_path / "found"}
+    result = modsim3d.learn_detector(**paths, image_size_px=(640, 480), replicates=20)
+    before = content(tmp_path)
+    for name in ("data.yaml", "labels/a.txt"):
+        with pytest.raises(OutputError, match="is read by this command"):
+            result.write(tmp_path / name, overwrite=True)
+    assert content(tmp_path) == before
+    result.write(tmp_path / "labels" / "detector.yaml")
+    with pytest.raises(OutputError, match="exists: use --overwrite"):
+        result.write(tmp_path / "labels" / "detector.yaml")
+
+
+def test_neither_does_a_verification_in_python_replace_a_page(run: Path) -> None:
+    verified = modsim3d.verify_run(run)
+    verified.write()
+    before = content(run)
+    with pytest.raises(OutputError, match="exists: use --overwrite"):
+        verified.write()
+    assert content(run) == before
+    verified.write(overwrite=True)
+
+
+@pytest.mark.parametrize("name", sorted(writers.WRITERS.keys() - writers.INPUTS.keys()))
+def test_nothing_is_written_among_the_unfinished_files_of_the_run_that_is_read(run, call: Call, name: str) -> None:
+    file, line = writers.WRITERS[name]
+    out = run / "unfinished" / "new" / file
+    if name.startswith("view"):
+        out.parent.mkdir(parents=True)
+    before = content(run)
+    status, said = call(*line(run, out), "--overwrite")
+    assert status == 2
+    assert f" is inside {run / 'unfinished'}, which this command reads" in said
+    assert content(run) == before
+
+
+def test_frames_of_a_film_are_not_written_among_them_either(run: Path, call: Call) -> None:
+    (run / "unfinished").mkdir()
+    status, said = call("view", run, "--film", "ids", "--format", "png", "--out", run / "unfinished" / "ids")
+    assert status == 2
+    assert "which this command reads" in said
+    assert not (run / "unfinished" / "ids").exists()
+
+
+def interrupted(scene: Path, out: Path) -> None:
+    def stop(_: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(load_scene(scene), out, progress=stop)
+
+
+@pytest.mark.parametrize("how", ["there", "link", "hard link"])
+def test_a_vessels_file_among_the_files_that_a_run_replaces_stays(inputs: Inputs, call: Call, tmp_path, how) -> None:
+    out = tmp_path / "run"
+    interrupted(inputs.write(), out)
+    inside, given = out / "unfinished" / "vessels.json", inputs.path("vessels")
+    shutil.move(given, inside)
+    if how == "there":
+        inputs.data["scene"]["vessels"] = str(inside)
+    elif how == "link":
+        given.symlink_to(inside)
+    else:
+        inside.rename(out / "unfinished" / "detections_C0.jsonl")
+        os.link(out / "unfinished" / "detections_C0.jsonl", given)
+    vessels = inputs.data.pop("vessels")
+    before = content(out)
+    status, said = call("run", inputs.write(), "--out", out, "--overwrite", "--no-sheet")
+    assert vessels
+    assert status == 2
+    assert "this run reads it" in said
+    assert content(out) == before
+
+
+@pytest.mark.parametrize("name", ["poses.jsonl", "unfinished/poses.jsonl"])
+def test_the_poses_of_a_live_run_are_not_lost_by_running_them_again(inputs: Inputs, call: Call, tmp_path, name) -> None:
+    out = tmp_path / "run"
+    line = json.dumps({"0.0": inputs.data["poses"]["0.0"]})
+    (tmp_path / "live.jsonl").write_text(line + "\n")
+    inputs.data["scene"]["poses"] = {"stream": {"file": str(tmp_path / "live.jsonl"), "timeout_s": 0}}
+    assert call("run", inputs.write(), "--out", out, "--no-sheet")[0] == 0
+    (out / name).parent.mkdir(exist_ok=True)
+    (out / name).write_text(line + "\n")
+    inputs.data["scene"]["poses"] = {"stream": {"file": str(out / name), "timeout_s": 0}}
+    before = content(out)
+    status, said = call("run", inputs.write(), "--out", out, "--overwrite", "--no-sheet")
+    assert status == 2
+    assert "this run reads it" in said
+    assert content(out) == before
+
+
+def test_a_run_does_not_replace_a_file_that_a_hard_link_leads_to(inputs: Inputs, call: Call, tmp_path) -> None:
+    run_scene(load_scene(inputs.write()), tmp_path / "run")
+    shutil.copy(inputs.path("poses"), tmp_path / "poses.json")
+    inputs.path("poses").unlink()
+    inputs.data.pop("poses")
+    os.link(tmp_path / "run" / "scene" / "poses.json", inputs.path("poses"))
+    before = content(tmp_path)
+    status, said = call("run", inputs.path("scene"), "--out", tmp_path / "run", "--overwrite", "--no-sheet")
+    assert status == 2
+    assert "this run reads it" in said
+    assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", [name for name in writers.FOLDER_WRITERS if name != "campaign-run"])  # reuses its own
+def test_a_folder_that_holds_something_is_refused_without_overwrite(run: Path, call: Call, tmp_path, name) -> None:
+    lines = {
+        "run": ("run", tmp_path / "scene.yaml", "--steps", 3, "--source", "analytic", "--no-sheet"),
+        "detect": ("detect", run, "--seed", 3),
+        "ais": ("ais", SAMPLES / "danish.csv"),
+    }
+    out = tmp_path / "new"
+    assert call(*lines[name], "--out", out)[0] == 0
+    before = content(out)
+    status, said = call(*lines[name], "--out", out)
+    assert status == 2
+    assert "--overwrite" in said and len(said.splitlines()) == 1
+    assert content(out) == before
+    assert call(*lines[name], "--out", out, "--overwrite")[0] == 0
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    assert call(*lines[name], "--out", tmp_path / "mine", "--overwrite")[0] == 2
+    assert content(tmp_path / "mine") == {"notes.txt": b"mine"}
+
+
+@pytest.mark.parametrize("how", HOW.values(), ids=HOW)
+def test_an_ais_log_stays_whatever_leads_to_it(call: Call, tmp_path, how) -> None:
+    out, log = tmp_path / "scene", tmp_path / "log.csv"
+    shutil.copy(SAMPLES / "danish.csv", log)
+    assert call("ais", log, "--out", out)[0] == 0
+    (out / "vessels.json").unlink()
+    how(out / "vessels.json", log)
+    before = content(tmp_path)
+    status, said = call("ais", log, "--out", out, "--overwrite")
+    assert status == 2
+    assert "is read by this command" in said
+    assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", writers.NO_WRITERS)
+def test_commands_that_write_nothing_write_nothing(run: Path, call: Call, tmp_path, monkeypatch, name) -> None:
+    monkeypatch.chdir(tmp_path)
+    small_campaign(tmp_path)
+    before = content(tmp_path)
+    lines = {"check": ("scene.yaml",), "scenes": (), "repeat": ("run",), "stream": ("scene.yaml", "--steps", 3)}
+    lines["campaign-status"] = ("campaign",)
+    assert call(name, *lines[name])[0] == 0
+    assert content(tmp_path) == before
+
+
+def test_a_detector_from_a_pipe_is_called_a_pipe(inputs: Inputs, call: Call, tmp_path) -> None:
+    """As the shell gives for `--detector <(cat file)`."""
+    reading, writing = os.pipe()
+    try:
+        status, said = call("run", inputs.write(), "--out", tmp_path / "run", "--detector", f"/dev/fd/{reading}")
+    finally:
+        os.close(reading)
+        os.close(writing)
+    assert status == 2
+    assert f"detector /dev/fd/{reading}: this is a pipe, a file was expected" in said

@@ -1,0 +1,236 @@
+"""No command loses a file: none that it reads, none that it has not been told to replace, none by failing halfway."""
+
+from __future__ import annotations
+
+import hashlib
+import resource
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.writing.coco import write_coco
+from modsim3d.io.locks import locked_file, locked_folder
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from tests.cli.bad_input.builders import CIRCULAR, Call, Inputs
+from tests.cli.bad_input.writers import TRACKS, WRITERS, Line
+from tests.scene.ais.ais_builders import SAMPLES
+from tests.scenes import crossing
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "run.log")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("outputs")
+    run_scene(load_scene(crossing(folder, 20), source="analytic"), folder / "run")
+    write_coco(labelled_run(folder / "run")[0], folder / "coco")
+    (folder / "tracks.csv").write_text(TRACKS)
+    return folder / "run"
+
+
+EACH = pytest.mark.parametrize(("name", "line"), WRITERS.values(), ids=WRITERS)
+
+
+@EACH
+def test_a_file_that_is_there_is_replaced_only_with_overwrite(run, call: Call, tmp_path, name: str, line: Line) -> None:
+    out = tmp_path / "out" / name
+    out.parent.mkdir()
+    out.write_text("mine")
+    status, said = call(*line(run, out))
+    assert status == 2
+    assert f"{out} exists: use --overwrite" in said
+    assert content(out.parent) == {name: b"mine"}
+    status, said = call(*line(run, out), "--overwrite")
+    assert status in (0, 1), said
+    assert out.read_bytes() != b"mine"
+    assert not [path.name for path in out.parent.iterdir() if path.name.startswith(".")]
+
+
+@EACH
+def test_while_another_process_writes_a_file_it_is_refused(run, call: Call, tmp_path, name: str, line: Line) -> None:
+    out = tmp_path / "out" / name
+    with locked_file(out):
+        status, said = call(*line(run, out), "--overwrite")
+    assert status == 2
+    assert f"{out} is being written by " in said
+    assert content(out.parent) == {}
+
+
+@EACH
+def test_a_folder_that_cannot_be_made_is_told(run, call: Call, tmp_path, name: str, line: Line) -> None:
+    (tmp_path / "file").write_text("mine")
+    status, said = call(*line(run, tmp_path / "file" / name))
+    assert status == 2
+    assert "Traceback" not in said
+    assert str(tmp_path / "file") in said
+    assert ".partial" not in said and ".lock" not in said
+    assert content(tmp_path) == {"file": b"mine"}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        lambda run: ("report", run, "--out", run / "truth.parquet"),
+        lambda run: ("view", run, "--frame", 3, "--out", run / "listed.png"),
+        lambda run: ("view", run, "--film", "ids", "--out", run / "listed.gif"),
+        lambda run: ("learn", "--run", run, "--out", run / "run.json"),
+        lambda run: ("learn", "--run", run, "--out", run.parent / "d.yaml", "--page", run / "detections.parquet"),
+        lambda run: ("learn", *pair(run), "--out", run.parent / "coco" / "gt.json"),
+        lambda run: ("learn", *pair(run), "--out", run.parent / "d.yaml", "--page", run.parent / "link" / "dt.json"),
+        lambda run: ("verify", run, "--detector", run.parent / "coco" / "verify.json", "--out", run.parent / "coco"),
+    ],
+)
+def test_what_a_command_reads_is_not_written_over_even_if_it_is_told_to(run, call: Call, line) -> None:
+    for path in (run / "listed.png", run / "listed.gif", run.parent / "coco" / "verify.json"):
+        path.write_bytes(b"mine")
+    listed = (run / "run.json").read_text()
+    entry = f'{{"bytes": 4, "sha256": "{hashlib.sha256(b"mine").hexdigest()}"}}'
+    (run / "run.json").write_text(
+        listed.replace('"files": {', f'"files": {{"listed.png": {entry}, "listed.gif": {entry},')
+    )
+    if not (run.parent / "link").exists():
+        (run.parent / "link").symlink_to(run.parent / "coco")
+    before = content(run.parent)
+    status, said = call(*line(run), "--overwrite")
+    (run / "run.json").write_text(listed)
+    assert status == 2
+    assert "is read by this command, so it is not written over" in said
+    assert content(run.parent) == {**before, "run/run.json": listed.encode()}
+
+
+def pair(run: Path) -> tuple[object, ...]:
+    return ("--truth", run.parent / "coco" / "gt.json", "--detections", run.parent / "coco" / "dt.json")
+
+
+def test_an_ais_log_in_the_scene_folder_is_not_written_over(call: Call, tmp_path) -> None:
+    out, log = tmp_path / "scene", SAMPLES / "danish.csv"
+    assert call("ais", log, "--out", out)[0] == 0
+    (out / "report.json").write_bytes(log.read_bytes())
+    before = content(out)
+    status, said = call("ais", out / "report.json", "--out", out, "--overwrite")
+    assert status == 2
+    assert "is read by this command" in said
+    with locked_folder(out):
+        status, said = call("ais", log, "--out", out, "--overwrite")
+    assert status == 2
+    assert "is being written by" in said
+    assert content(out) == before
+
+
+@pytest.mark.parametrize("name", ["device", "folder"])
+def test_only_regular_files_are_written(run, call: Call, tmp_path, name: str) -> None:
+    (tmp_path / "device").symlink_to("/dev/null")
+    (tmp_path / "folder" / "report.html").mkdir(parents=True)
+    status, said = call("report", run, "--out", tmp_path / name, "--overwrite")
+    assert status == 2
+    assert "choose another name" in said
+    assert Path("/dev/null").is_char_device()
+
+
+def test_a_link_is_written_through(run, call: Call, tmp_path) -> None:
+    (tmp_path / "link.html").symlink_to(tmp_path / "page.html")
+    assert call("report", run, "--out", tmp_path / "link.html")[0] == 0
+    assert (tmp_path / "link.html").is_symlink()
+    assert (tmp_path / "page.html").stat().st_size > 1000
+
+
+FULL = [
+    ("page.html", ("report",)),
+    ("picture.png", ("view", "--frame", "3")),
+    ("map.png", ("view", "--map")),
+    ("film.gif", ("view", "--film", "ids", "--width", "320")),
+    ("film.mp4", ("view", "--film", "ids", "--width", "320")),
+    ("film", ("view", "--film", "detections", "--format", "png", "--width", "1600")),
+]
+
+
+@pytest.mark.parametrize(("name", "words"), FULL, ids=[name for name, _ in FULL])
+def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_named(
+    run, prepared, tmp_path, name, words
+):
+    out = tmp_path / name
+    if name == "film":
+        out.mkdir()
+    (out / "frame_000000.png" if name == "film" else out).write_bytes(b"before")
+    before = content(tmp_path)
+    command, *options = words
+    done = subprocess.run(
+        [prepared, command, str(run), *options, "--out", str(out), "--overwrite"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000)),
+    )
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert f"modsim3d: {out} c" in done.stderr  # cannot be written to, could not be encoded
+    assert ".partial" not in done.stderr
+    assert content(tmp_path) == before
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("kind", ["gif", "mp4", "png"])
+def test_an_interrupted_film_leaves_what_was_there(run, call: Call, tmp_path, monkeypatch, kind):
+    out = tmp_path / ("film" if kind == "png" else f"film.{kind}")
+    line = ("view", run, "--film", "ids", "--width", 160, "--every", 5, "--format", kind, "--out", out)
+    assert call(*line)[0] == 0
+    before = content(tmp_path)
+    drawn = []
+
+    def interrupt(*_: object, **__: object) -> None:
+        drawn.append(1)
+        if len(drawn) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("rich.progress.Progress.update", interrupt)
+    status, said = call(*line, "--overwrite")
+    assert status == 130
+    assert "no film was written" in said
+    assert content(tmp_path) == before
+
+
+def test_a_film_killed_between_its_last_two_renames_is_found_again(tmp_path):
+    from modsim3d.io.atomic_write import put_folder_in_place
+
+    (tmp_path / ".film.replaced").mkdir()
+    (tmp_path / ".film.replaced" / "frame_000001.png").write_text("old")
+    with pytest.raises(KeyboardInterrupt), put_folder_in_place(tmp_path / "film", "frame_*.png"):
+        raise KeyboardInterrupt
+    assert content(tmp_path) == {"film/frame_000001.png": b"old"}
+    with put_folder_in_place(tmp_path / "film", "frame_*.png") as partial:
+        (partial / "frame_000002.png").write_text("new")
+    assert content(tmp_path) == {"film/frame_000002.png": b"new"}
+
+
+def test_a_run_is_refused_with_exit_status_two_while_its_folder_is_written(inputs: Inputs, call: Call, tmp_path):
+    inputs.data["scene"] |= {"poses": CIRCULAR, "steps": 3, "time_step_s": 0.5}
+    with locked_folder(tmp_path / "run"):
+        status, said = call("run", inputs.write(), "--out", tmp_path / "run")
+    assert status == 2
+    assert "is being written by" in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_output_that_is_a_link_in_a_circle_is_no_traceback(run, call: Call, tmp_path) -> None:
+    (tmp_path / "link").symlink_to("link")
+    out = ("--out", tmp_path / "link")
+    for line in (("report", run, *out), ("export", run, "--format", "coco", *out)):
+        status, said = call(*line)
+        assert "Traceback" not in said
+        assert status == 2
+        assert str(tmp_path / "link") in said
+
+
+def test_a_page_that_is_the_detector_file_by_another_path_is_refused_as_such(run, call: Call, tmp_path) -> None:
+    (tmp_path / "link.html").symlink_to("d.yaml")
+    status, said = call("learn", "--run", run, "--out", tmp_path / "d.yaml", "--page", tmp_path / "link.html")
+    assert status == 2
+    assert "the page would be written over the detector file" in said
+    assert content(tmp_path) == {}

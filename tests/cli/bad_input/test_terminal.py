@@ -1,0 +1,134 @@
+"""What inputs hold reaches a terminal as plain text, whatever the terminal's encoding, and whatever memory is left."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from modsim3d.cli import terminal
+from modsim3d.cli.shared import print_line, print_rows
+from tests.cli.bad_input.builders import Call, Inputs
+
+HOSTILE = "a\x1b[2J\r\x07\x9b1m\u202eb[/bold] :smile: [red]c"
+SHOWN = r"a\x1b[2J\r\x07\x9b1m\u202eb[/bold] :smile: [red]c"
+CONTROL = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202a-\u202e]")
+
+
+def test_control_characters_of_names_and_values_are_shown_and_not_obeyed(inputs: Inputs, call: Call) -> None:
+    for file, path, value in [
+        ("scene", "vessels", f"{HOSTILE}.json"),
+        ("poses", "2.0/vehicle2/heading_rad", HOSTILE),
+        ("scene", "poses/file", f"{HOSTILE}\nx.json"),
+        ("scene", "detector", f"{HOSTILE}.yaml"),
+    ]:
+        inputs.set(file, path, value)
+    inputs.data["scene"][HOSTILE] = 1
+    status, said = call("check", inputs.write())
+    assert status == 2
+    assert not CONTROL.search(said)
+    for part in (f"{SHOWN}: unknown key", f"{SHOWN}.json: no such file", f"{SHOWN}.yaml: no such", rf"{SHOWN}\nx.json"):
+        assert part in said
+
+
+def test_control_characters_of_arguments_are_not_obeyed(call: Call) -> None:
+    for arguments in (("check", HOSTILE), ("check", "x", HOSTILE), ("run", "x", f"--{HOSTILE}")):
+        status, said = call(*arguments)
+        assert status == 2
+        assert not CONTROL.search(said)
+
+
+def test_an_argument_that_is_not_utf_8_is_refused(call: Call, tmp_path: Path) -> None:
+    name = os.fsdecode(b"x\xff")
+    for line in (("check", tmp_path / f"{name}.yaml"), ("run", "harbour", "--steps", 2, "--out", tmp_path / name)):
+        status, said = call(*line)
+        assert status == 2
+        assert r"x\udcff" in said and "is not UTF-8" in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_lines_and_tables_show_text_as_it_is() -> None:
+    file = io.StringIO()
+    console = terminal.open_console(file=file, width=200, force_terminal=False)
+    print_line(console, HOSTILE)
+    print_rows(console, HOSTILE, [(HOSTILE, "1")])
+    said = file.getvalue()
+    assert not CONTROL.search(said)
+    assert said.count(SHOWN) == 3
+
+
+def test_colours_of_the_commands_stay_on_a_terminal() -> None:
+    file = io.StringIO()
+    console = terminal.open_console(file=file, width=80, force_terminal=True, color_system="standard")
+    print_line(console, "a\x1b[2Jb", "bold red")
+    assert file.getvalue().startswith("\x1b[1;31ma\\x1b[2Jb\x1b[0m")
+
+
+def test_a_bar_shows_its_description_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    from modsim3d.cli.shared import progress
+
+    err = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", err)
+    with progress(HOSTILE, 1) as advance:
+        advance(1)
+    assert not CONTROL.search(err.getvalue())
+    assert "[/bold]" in err.getvalue()
+
+
+# ---- as its own process -----------------------------------------------------------------------------------------
+
+
+def process(*arguments: object, prefix: str = "", **environment: str) -> subprocess.CompletedProcess[bytes]:
+    command = [sys.executable, "-m", "modsim3d.cli.main", *map(str, arguments)]
+    shell = ["sh", "-c", f'{prefix} exec "$@"', "sh", *command]
+    return subprocess.run(shell, capture_output=True, timeout=120, env={**os.environ, **environment}, check=False)
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "ascii", "cp437"])
+def test_any_encoding_of_the_output_will_do(
+    inputs: Inputs, call: Call, prepared: Path, tmp_path: Path, encoding: str
+) -> None:
+    run = tmp_path / "rün"
+    assert call("run", inputs.write(), "--out", run, "--no-sheet")[0] == 0
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    done = subprocess.run([prepared, "verify", run], capture_output=True, timeout=120, env=environment, check=False)
+    assert done.returncode in (0, 1)
+    assert b"Traceback" not in done.stderr
+    assert b"performance state" in done.stdout
+    assert process("scenes", PYTHONIOENCODING=encoding).returncode == 0
+
+
+@pytest.mark.parametrize("megabytes", [50, 400])
+def test_too_little_address_space_is_one_line(megabytes: int) -> None:
+    done = process("check", "simulation_1", prefix=f"ulimit -v {megabytes * 1024};")
+    said = done.stderr.decode()
+    assert done.returncode == 2
+    assert said == (
+        f"modsim3d: the address space is limited to {megabytes} MB (ulimit -v): "
+        "at least 1024 MB are needed to load the libraries\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "part"),
+    [
+        (MemoryError(), "modsim3d: there is not enough memory"),
+        (ImportError("libx.so: failed to map segment"), "modsim3d: a library cannot be loaded: libx.so: failed to map"),
+    ],
+)
+def test_lack_of_memory_and_of_libraries_is_one_line(
+    call: Call, monkeypatch: pytest.MonkeyPatch, error: Exception, part: str
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("modsim3d.scene.reading.load_scene", fail)
+    status, said = call("check", "simulation_1")
+    assert status == 2
+    assert said.startswith(part)
+    assert said.count("\n") == 1

@@ -1,0 +1,112 @@
+import subprocess
+import sys
+
+import pytest
+from PIL import Image
+
+from modsim3d.cli import main
+
+
+def call(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        main.main()
+    return stopped.value.code
+
+
+def test_run_writes_a_contact_sheet_and_says_what_happened(monkeypatch, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert call(monkeypatch, "run", "simulation_1", "--mode", 2, "--steps", 300, "--out", out) == 0
+    said = capsys.readouterr().out
+    for word in (
+        "frames",
+        "vessels seen",
+        "partly hidden",
+        "detections",
+        "missed",
+        "false alarms",
+        "time per frame",
+        str(out),
+    ):
+        assert word in said
+    with Image.open(out / "contact_sheet.png") as sheet:
+        assert sheet.size[0] > 1000
+        assert len(sheet.convert("RGB").getcolors(maxcolors=2**24)) > 20
+
+
+def test_contact_sheet_is_the_same_bytes_again(monkeypatch, tmp_path):
+    for name in ("a", "b"):
+        call(monkeypatch, "run", "simulation_1", "--mode", 2, "--steps", 160, "--out", tmp_path / name)
+    assert (tmp_path / "a/contact_sheet.png").read_bytes() == (tmp_path / "b/contact_sheet.png").read_bytes()
+
+
+def test_run_in_mode_zero_needs_no_renderer_with_the_analytic_source(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "modsim3d.cli.main",
+        "run",
+        "simulation_1",
+        "--steps",
+        "20",
+        "--source",
+        "analytic",
+    ]
+    script = (
+        "import sys; sys.modules['OpenGL'] = None\n"
+        f"sys.argv = {command[2:]!r} + ['--out', {str(tmp_path / 'run')!r}]\n"
+        "from modsim3d.cli.main import main\nmain()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "truth.parquet").exists()
+
+
+def test_check_and_scenes(monkeypatch, capsys):
+    assert call(monkeypatch, "check", "simulation_1") == 0
+    said = capsys.readouterr().out
+    assert "no problems found" in said
+    assert "in the long run excellent 17.8%, good 32.2%, bad 32.2%, terrible 17.8%\n" in said
+    forced = ("--set", "detector.performance.schedule=[[10, bad]]")
+    assert call(monkeypatch, "check", "simulation_1", *forced) == 0
+    assert "terrible 17.8%, while no schedule forces one\n" in capsys.readouterr().out
+    assert call(monkeypatch, "scenes") == 0
+    assert "simulation_1" in capsys.readouterr().out
+
+
+def test_version_and_help(monkeypatch, capsys):
+    assert call(monkeypatch, "--version") == 0
+    assert capsys.readouterr().out.startswith("modsim3d 0.")
+    assert call(monkeypatch, "run", "--help") == 0
+    assert "Example" in capsys.readouterr().out
+
+
+def test_run_is_not_overwritten_unasked(monkeypatch, tmp_path, capsys):
+    arguments = ("run", "simulation_1", "--steps", 5, "--no-sheet", "--out", tmp_path / "run")
+    assert call(monkeypatch, *arguments) == 0
+    assert call(monkeypatch, *arguments) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert call(monkeypatch, *arguments, "--overwrite") == 0
+
+
+def test_a_run_without_json_can_be_read(monkeypatch, tmp_path):
+    run = tmp_path / "run"
+    arguments = ("--source", "analytic", "--steps", 20, "--no-sheet", "--no-json")
+    assert call(monkeypatch, "run", "strait", *arguments, "--out", run) == 0
+    assert [path.name for path in run.glob("*.json")] == ["run.json"]
+    for command in (
+        ("export", run, "--format", "coco", "--out", tmp_path / "coco"),
+        ("detect", run, "--seed", 7, "--out", tmp_path / "again"),
+        ("track", run, "--out", tmp_path / "tracks"),
+        ("score", run, tmp_path / "tracks"),
+    ):
+        assert call(monkeypatch, *command) in (0, 1), command
+
+
+def test_ctrl_c_before_a_command_begins_is_one_message(monkeypatch, capsys):
+    def press_ctrl_c(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(main, "_asked", press_ctrl_c)
+    assert call(monkeypatch, "run", "simulation_1") == 130
+    assert capsys.readouterr().err == "modsim3d: interrupted\n"

@@ -1,0 +1,145 @@
+"""Shells complete commands, options, values and scenes; everything else they complete as files."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_help import HEAVY
+
+SCRIPT = f"""import json, os, sys; sys.argv = ['modsim3d']
+from modsim3d.cli.main import main
+for environment in json.load(sys.stdin):
+    print(end='', flush=True)
+    if os.fork() == 0:
+        os.environ.update(environment)
+        try: main()
+        except SystemExit: pass
+        print(*(name for name in {HEAVY!r} if name in sys.modules), end='', file=sys.stderr)
+        print(end='\\0', flush=True)
+        os._exit(0)
+    os.wait()"""
+"""Answers each completion in a fork of a process that has imported the command line and nothing else."""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("strange.yaml", "simple.json", "sea.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "scenes").mkdir()
+    return tmp_path
+
+
+def completions(folder: Path, *asked: tuple[str, ...]) -> list[list[str]]:
+    """What shells are told to offer, each for the last of some words, through the protocol of its script.
+
+    Args:
+        folder: Where the shells are.
+        *asked: A shell and the words after `modsim3d`.
+    """
+    environments = [
+        {
+            "_MODSIM3D_COMPLETE": f"complete_{shell}",
+            "COMP_WORDS": "\n".join(["modsim3d", *words]),
+            "COMP_CWORD": str(len(words)),
+            "_TYPER_COMPLETE_ARGS": " ".join(["modsim3d", *words]),
+            "_TYPER_COMPLETE_FISH_ACTION": "get-args",
+        }
+        for shell, *words in asked
+    ]
+    command = [sys.executable, "-c", SCRIPT]
+    done = subprocess.run(
+        command, input=json.dumps(environments), capture_output=True, text=True, timeout=120, check=True, cwd=folder
+    )
+    assert done.stderr.strip() == "", "loaded for a completion"
+    *answers, rest = done.stdout.split("\0")
+    assert rest == "" and len(answers) == len(asked)
+    return [answer.split("\n") if answer.strip() else [] for answer in answers]
+
+
+def test_scene_completes_shipped_names_and_scene_files(folder: Path) -> None:
+    (offered,) = completions(folder, ("bash", "run", "s"))
+    assert [word for word in offered if word] == [
+        "simulation_1",
+        "simulation_2",
+        "simulation_3",
+        "strait",
+        "simple.json",
+        "strange.yaml",
+    ]
+
+
+def test_the_shell_itself_completes_files_and_folders(folder: Path) -> None:
+    words = [("run", "sc"), ("run", "scenes/"), ("verify", ""), ("run", "x", "--out", "")]
+    asked = [(shell, *each) for shell in ("bash", "zsh", "fish") for each in words]
+    offered = completions(folder, *asked)
+    assert [first[:1] for first in offered] == [[]] * 4 + [["_files"]] * 4 + [[]] * 4
+
+
+def test_commands_options_and_values_are_completed(folder: Path) -> None:
+    commands, options, values, zsh, fish = completions(
+        folder,
+        ("bash", ""),
+        ("bash", "run", "strait", "--det"),
+        ("bash", "run", "strait", "--source", "r"),
+        ("zsh", "run", "st"),
+        ("fish", "run", "st"),
+    )
+    assert {"run", "learn", "scenes"} <= set(commands)
+    assert "--detector-seed" in options
+    assert "rectangles" in values
+    assert any("strait" in line for line in zsh)
+    assert "strait" in fish
+
+
+def test_names_of_trackers_are_completed(folder: Path) -> None:
+    (offered,) = completions(folder, ("bash", "track", "run", "--tracker", "s"))
+    assert [word for word in offered if word] == ["sort", "stonesoup_gnn", "stonesoup_jpda"]
+
+
+SHELL_IS_NAMED = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1", "PYTHONPATH": str(Path(__file__).parents[2])}
+"""Options that show and install completion take the shell's name, in place of the shell that they were started from."""
+
+
+def test_bash_completes_with_the_script_that_is_shown(folder: Path) -> None:
+    program = folder / "modsim3d"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m modsim3d "$@"\n')
+    program.chmod(0o755)
+    lines = """
+        source <("$0" --show-completion bash)
+        COMP_WORDS=(modsim3d run simulation) COMP_CWORD=2
+        _modsim3d_completion "$0"
+        echo "${COMPREPLY[@]}"
+        complete -p modsim3d
+    """
+    done = subprocess.run(
+        ["bash", "--norc", "-c", lines, str(program)],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=True,
+        cwd=folder,
+        env={**os.environ, **SHELL_IS_NAMED},
+    )
+    offered, registered = done.stdout.strip().split("\n")
+    assert offered == "simulation_1 simulation_2 simulation_3"
+    assert registered == "complete -o default -F _modsim3d_completion modsim3d"
+
+
+@pytest.mark.parametrize(("shell", "file"), [("bash", ".bashrc"), ("zsh", ".zshrc"), ("fish", ".config/fish")])
+def test_completion_is_installed_for_each_shell(tmp_path: Path, shell: str, file: str) -> None:
+    subprocess.run(
+        [sys.executable, "-m", "modsim3d", "--install-completion", shell],
+        capture_output=True,
+        timeout=120,
+        check=True,
+        env={**os.environ, **SHELL_IS_NAMED, "HOME": str(tmp_path)},
+    )
+    assert (tmp_path / file).exists()
+    script = next(path for path in tmp_path.rglob("*modsim3d*") if path.is_file()).read_text()
+    assert f"_MODSIM3D_COMPLETE=complete_{shell}" in script

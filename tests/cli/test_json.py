@@ -1,0 +1,172 @@
+"""`--json`: one object on standard output and nothing else, with the keys that docs/json.md has."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.cli import terminal
+from modsim3d.detector.file.reading import shipped_detectors
+from modsim3d.runs.counts import Counts
+from modsim3d.runs.run import RunResult
+from tests.cli.bad_input.writers import TRACKS
+from tests.cli.conftest import Modsim3d, Said
+
+COMMANDS = ("run", "detect", "check", "scenes", "verify", "repeat", "compare", "learn", "track", "score")
+PAGE = Path(__file__).parents[2] / "docs" / "json.md"
+
+
+@pytest.fixture
+def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...]]:
+    """A command line for each command that has `--json`."""
+    (tmp_path / "tracks.csv").write_text(TRACKS)
+    return {
+        "run": ("run", scene, "--source", "analytic", "--out", tmp_path / "run"),
+        "detect": ("detect", run, "--seed", 3, "--out", tmp_path / "detect"),
+        "check": ("check", scene),
+        "scenes": ("scenes",),
+        "verify": ("verify", run, "--out", tmp_path / "verify"),
+        "repeat": ("repeat", run),
+        "compare": ("compare", scene, "--steps", 2, "--out", tmp_path / "compare"),
+        "track": ("track", run, "--out", tmp_path / "tracks"),
+        "score": ("score", run, tmp_path / "tracks.csv"),
+        "learn": ("learn", "--run", run, "--replicates", 20, "--out", tmp_path / "learned.yaml"),
+    }
+
+
+def parsed(said: Said) -> dict[str, Any]:
+    assert said.out.count("\n") == 1 and said.out.endswith("\n")
+    found = json.loads(said.out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert isinstance(found, dict)
+    return found
+
+
+def numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        for each in value:
+            yield from numbers(each)
+    elif isinstance(value, int | float):
+        yield value
+
+
+def documented(command: str) -> set[str]:
+    """The first column of a command's table in docs/json.md."""
+    text = PAGE.read_text(encoding="utf-8")
+    section = text.split(f"## {command}\n")[1].split("\n## ")[0]
+    return {key for row in re.findall(r"^\| (`.*?`) \|", section, re.M) for key in re.findall(r"`(\w+)`", row)}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_standard_output_is_one_object_with_the_documented_keys(
+    modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], command: str
+) -> None:
+    plain = modsim3d(*lines[command])
+    overwrite = () if command in ("check", "scenes", "repeat") else ("--overwrite",)
+    said = modsim3d(*lines[command], *overwrite, "--json")
+    found = parsed(said)
+    assert said.status == plain.status
+    assert found["command"] == command
+    assert found["format"] == 1
+    assert set(found) == documented(command)
+    assert all(math.isfinite(number) for number in numbers(found))
+    quiet = modsim3d(*lines[command], *overwrite, "--json", *(() if command == "scenes" else ("-q",)))
+    assert set(parsed(quiet)) == set(found)
+    assert quiet.err == "" or found.get("warnings")
+
+
+@pytest.mark.parametrize("command", [command for command in COMMANDS if command != "scenes"])
+def test_an_error_is_text_on_standard_error(modsim3d: Modsim3d, tmp_path: Path, command: str) -> None:
+    nowhere = tmp_path / "nowhere"
+    out = {"run": nowhere, "detect": nowhere, "learn": nowhere, "track": tmp_path / "out"}
+    said = modsim3d(
+        command,
+        *(("--run", nowhere) if command == "learn" else (nowhere,)),
+        *((nowhere,) if command == "score" else ()),
+        *(("--out", out[command]) if command in out else ()),
+        "--json",
+    )
+    assert (said.status, said.out) == (2, "")
+    assert said.err.startswith("modsim3d: ")
+
+
+def test_what_a_run_counts_is_in_its_object_by_itself(
+    modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], tmp_path: Path
+) -> None:
+    found = parsed(modsim3d(*lines["run"], "--json"))
+    assert {field.name for field in fields(RunResult)} <= set(found)
+    assert {field.name for field in fields(Counts)} == set(found["counts"])
+    assert all(set(counts) == set(found["counts"]) for counts in found["camera_counts"].values())
+    stored = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert found["counts"] == stored["counts"]
+    assert found["contact_sheet"] == str(tmp_path / "run" / "contact_sheet.png")
+
+
+def test_a_line_of_a_detector_file_that_nothing_reads_is_warned_of(modsim3d: Modsim3d, tmp_path: Path) -> None:
+    text = shipped_detectors()["coastal"].read_text(encoding="utf-8")
+    file = tmp_path / "detector.yaml"
+    file.write_text(text.replace("    box_error:", "    false_discovery_rate: 0.1\n    box_error:", 1))
+    key, reason = "states.clear.false_discovery_rate", "model per_image does not read it"
+    wanted = f"nothing reads {key} in the detector file: {reason}: set detector.false_positives.rate"
+    for line in (
+        ("check", "strait", "--set", f"detector={file}"),
+        ("run", "strait", "--detector", file, "--steps", 2, "--source", "analytic", "--out", tmp_path / "run"),
+    ):
+        said = modsim3d(*line, "--json")
+        assert said.status == 0
+        assert wanted in parsed(said)["warnings"]
+        assert "warning: nothing reads states.clear.false_discovery_rate" in said.err
+
+
+def test_warnings_are_in_the_object_and_on_standard_error(
+    modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch, lines: dict[str, tuple[object, ...]]
+) -> None:
+    monkeypatch.setattr("modsim3d.runs.counts.WORTH_A_WARNING_PX", 1e-9)
+    said = modsim3d(*lines["run"], "--json", "-q")
+    assert any("the sea is flat" in warning for warning in parsed(said)["warnings"])
+    assert "warning: the sea is flat" in said.err
+
+
+def test_the_objects_say_what_the_text_says(
+    modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], run: Path, tmp_path: Path
+) -> None:
+    verified = parsed(modsim3d(*lines["verify"], "--json"))
+    stored = json.loads((tmp_path / "verify" / "verify.json").read_text())
+    assert {key: verified[key] for key in stored} == stored
+    assert verified["written"] == [str(tmp_path / "verify" / name) for name in ("verify.json", "verify.html")]
+    repeated = parsed(modsim3d(*lines["repeat"], "--json"))
+    assert repeated["same"] and all(not file["stored"] and not file["repeated"] for file in repeated["files"])
+    compared = parsed(modsim3d(*lines["compare"], "--json"))
+    assert compared["frames"] == 2 and compared["unexplained"] == 0
+    checked = parsed(modsim3d(*lines["check"], "--json"))
+    assert checked["steps"] == 40
+    assert sum(checked["stationary_shares"].values()) == pytest.approx(1)
+    scenes = {entry["name"]: entry["path"] for entry in parsed(modsim3d("scenes", "--json"))["scenes"]}
+    assert Path(scenes["harbour"]).is_file()
+
+
+def test_text_of_an_input_cannot_command_the_terminal(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+    hostile = "a\x1b[2J\x9b1m\u202eb\x7fø\U000e0041"
+    terminal.ask_json(True)
+    terminal.say_json({"name": hostile})
+    terminal.start_afresh()
+    line = capsysbinary.readouterr().out.decode("utf-8")
+    assert json.loads(line) == {"name": hostile}
+    assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202a-\u202e\U000e0000-\U000e007f]", line)
+    assert "ø" in line
+
+
+def test_what_is_no_number_is_null(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+    terminal.ask_json(True)
+    terminal.say_json({"a": math.nan, "b": -math.inf, "c": np.float64(1.5), "d": Path("x/y")})
+    terminal.start_afresh()
+    assert json.loads(capsysbinary.readouterr().out) == {"a": None, "b": None, "c": 1.5, "d": "x/y"}

@@ -1,0 +1,88 @@
+"""`modsim3d score` prints trackers beside references, the rules, and where vessels are lost."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from modsim3d.tracking.track_run import track_run
+from tests.cli.conftest import Modsim3d
+
+
+@pytest.fixture
+def tracks(run: Path, tmp_path: Path) -> Path:
+    return track_run(run, tmp_path / "tracks").folder
+
+
+def test_a_score_prints_trackers_beside_references_and_the_rules(modsim3d: Modsim3d, run: Path, tracks: Path) -> None:
+    said = modsim3d("score", run, tracks, "--similarity", "centre", "--scale", 150, "--gospa-c", 70, "--seeds", 2)
+    assert said.status == 0
+    for part in (
+        *("reference  ", "oracle association, smoothed", "oracle association, raw boxes", "occlusions survived"),
+        *("1 - distance of centres / 150 px; a track follows a vessel from 0.5 on", "c = 70 px, p = 1, α = 2"),
+        *("where reference loses vessels", "2 seeds of the detector, 0 to 1", "says nothing about other traffic"),
+        "reference follows vessels for ",
+    ):
+        assert part in said.out
+    assert not (run / "score.json").exists()
+
+
+def test_a_score_is_written_where_it_is_told_and_is_that_of_standard_output(
+    modsim3d: Modsim3d, run: Path, tracks: Path, tmp_path: Path
+) -> None:
+    said = modsim3d("score", run, tracks, "--by-class", "--out", tmp_path / "out", "--json")
+    found = json.loads(said.out)
+    assert found.pop("written") == [str(tmp_path / "out" / name) for name in ("score.json", "score.html")]
+    assert found.pop("command") == "score"
+    assert found == json.loads((tmp_path / "out" / "score.json").read_text())
+    assert set(found["trackers"][0]) > {"hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "by_class"}
+
+
+def test_where_vessels_are_lost_is_a_table_at_80_columns(
+    modsim3d: Modsim3d, run: Path, tracks: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = modsim3d("score", run, tracks).out.splitlines()
+    first = lines.index("where reference loses vessels")
+    names, more = lines[first + 1 : first + 3]
+    assert names.split() == ["by", "vessel-", "recall", "association", "survived"] and more.split() == ["frames"]
+    table = lines[first + 3 : lines.index("", first)]
+    assert table[0].split()[:3] == ["visible", "fraction", "1"] and all(len(line) <= 80 for line in table)
+
+
+def test_detector_seeds_are_a_table_at_80_columns(
+    modsim3d: Modsim3d, run: Path, tracks: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = modsim3d("score", run, tracks, "--seeds", 2).out.splitlines()
+    first = lines.index("detector seeds")
+    assert lines[first + 1].split()[:4] == ["tracker", "score", "mean", "standard"]
+    assert lines[first + 2].split()[0] == "deviation"
+
+
+def test_tracks_are_named_once_in_the_help(modsim3d: Modsim3d) -> None:
+    usage = modsim3d("score", "-h").out.split("Example")[0]
+    assert usage.count("RUN") == usage.count("TRACKS") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--similarity", "centre"), "--similarity centre needs --scale"),
+        (("--scale", 10), "--scale is for --similarity centre"),
+        (("--threshold", 0), "--threshold must be above 0 and at most 1 (got 0)"),
+        (("--gap", -1), "--gap must be 0 or more seconds (got -1)"),
+        (("--gospa-c", "nan"), "--gospa-c must be above 0"),
+        (("--gospa-p", 0.5), "--gospa-p must be from 1 to 10 (got 0.5)"),
+        (("--gate", 5), "--gate is for tracks in the world, and none are given"),
+        (("--seeds", 1), "--seeds must be from 2 to 1000 (got 1)"),
+    ],
+)
+def test_a_rule_out_of_range_is_one_line(
+    modsim3d: Modsim3d, run: Path, tracks: Path, options: tuple[object, ...], said: str
+) -> None:
+    found = modsim3d("score", run, tracks, *options)
+    assert (found.status, found.out) == (2, "")
+    assert said in found.err and found.err.count("\n") == 1

@@ -1,0 +1,254 @@
+"""`modsim3d stream` as a process: poses in, lines out, over a pipe or the loopback, whatever its readers do."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import IO, Any
+
+import pytest
+
+from modsim3d.cli import terminal
+from modsim3d.core.errors import ModsimError
+from modsim3d.runs.streaming.lines import header_line, step_lines
+from modsim3d.scene.reading import load_scene
+from tests.cli.conftest import Modsim3d
+from tests.runs.test_stream import line, lines, scene_of
+
+LONG_S = 120.0
+Start = Callable[..., subprocess.Popen[bytes]]
+
+
+@pytest.fixture
+def start(prepared: Path) -> Iterator[Start]:
+    """A function that starts the command; what still runs at the end of a test is killed."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def begin(*arguments: object) -> subprocess.Popen[bytes]:
+        command = [prepared, "stream", *map(str, arguments)]
+        pipe = subprocess.PIPE
+        started.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True))
+        return started[-1]
+
+    yield begin
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def output(process: subprocess.Popen[bytes]) -> IO[bytes]:
+    assert process.stdout is not None
+    return process.stdout
+
+
+def give(process: subprocess.Popen[bytes], text: str) -> None:
+    assert process.stdin is not None
+    process.stdin.write(text.encode())
+    process.stdin.flush()
+
+
+def end_of(process: subprocess.Popen[bytes]) -> tuple[int, bytes, str]:
+    """Close standard input; exit status, what was left on standard output, and standard error."""
+    out, err = process.communicate(timeout=LONG_S)
+    return process.returncode, out, err.decode()
+
+
+def listening(process: subprocess.Popen[bytes]) -> tuple[str, int]:
+    """The address that a process listens on."""
+    said = output(process).readline().decode()
+    assert said.startswith("listening on tcp://127.0.0.1:"), said
+    return "127.0.0.1", int(said.rpartition(":")[2])
+
+
+def connected(address: tuple[str, int]) -> socket.socket:
+    reader = socket.socket()
+    reader.settimeout(LONG_S)
+    reader.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    reader.connect(address)
+    return reader
+
+
+def entries(text: bytes) -> list[dict[str, Any]]:
+    return [json.loads(each) for each in text.splitlines()]
+
+
+def expected(scene: Path, **options: Any) -> bytes:
+    """What a scene without live poses streams."""
+    loaded = load_scene(scene, **options)
+    return header_line(loaded) + b"".join(each for step in step_lines(loaded, one_by_one=False) for each in step.lines)
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> Path:
+    """A scene whose poses come in on standard input, with two cameras."""
+    return scene_of(tmp_path, {"stream": "-"})
+
+
+@pytest.fixture
+def stored(tmp_path: Path) -> Path:
+    """The same vessels for 9 steps in a file."""
+    (tmp_path / "poses.jsonl").write_text("".join(lines(9)))
+    return scene_of(tmp_path, {"file": "poses.jsonl"})
+
+
+def test_one_step_in_one_step_out_and_a_garbled_line_ends_it_after_the_lines_before(
+    live: Path, tmp_path: Path, start: Start
+) -> None:
+    process = start(live, "-q")
+    stdout = output(process)
+    assert json.loads(stdout.readline())["steps"] is None
+    answers = b""
+    for text in lines(3):
+        give(process, text)
+        answers += stdout.readline() + stdout.readline()
+    give(process, '{"0.3": {"own": garbled\n' + line(4, "own"))
+    status, rest, said = end_of(process)
+    assert (status, rest) == (2, b"")
+    assert "poses from standard input:\n  line 4, column 17:" in said and "Traceback" not in said
+    (tmp_path / "poses.jsonl").write_text("".join(lines(3)))
+    assert answers == expected(scene_of(tmp_path, {"file": "poses.jsonl"})).partition(b"\n")[2]
+
+
+def test_a_stream_ends_with_a_word_when_its_readers_are_gone(stored: Path, start: Start) -> None:
+    process = start(stored, "--to", "tcp://127.0.0.1:0", "--wait", "3")
+    with closing(connected(listening(process))) as crashing:
+        assert crashing.recv(1)
+    status, _, said = end_of(process)
+    assert (status, said) == (
+        0,
+        "warning: the stream ends: its readers went away before they had all lines, and none has come back\n",
+    )
+
+
+def test_ctrl_c_ends_it_while_it_waits_for_poses(live: Path, start: Start) -> None:
+    process = start(live, "--to", "tcp://127.0.0.1:0")
+    with closing(connected(listening(process))) as reader, reader.makefile("rb") as received:
+        give(process, line(0, "own"))
+        assert [json.loads(received.readline()).get("step") for _ in range(3)] == [None, 0, 0]
+        process.send_signal(signal.SIGINT)
+        assert received.read() == b""
+    assert end_of(process)[::2] == (130, "\nmodsim3d: interrupted\n")
+
+
+def test_it_can_be_told_to_stop_while_its_pipe_is_full(start: Start) -> None:
+    process = start("strait", "--set", "annotation.source=analytic")
+    stdout = output(process)
+    assert stdout.read(1) == b"{"
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(LONG_S) == 143, "standard output is still open, and full"
+    assert end_of(process)[2] == "\nmodsim3d: interrupted\n"
+
+
+def test_in_real_time_the_same_lines_take_the_scenes_time(modsim3d: Modsim3d, stored: Path) -> None:
+    before = time.monotonic()
+    said = modsim3d("stream", stored, "--realtime", "--steps", 4)
+    assert time.monotonic() - before >= 0.3
+    assert (said.status, said.out.encode()) == (0, expected(stored, steps=4))
+    assert re.fullmatch(r"latest: step \d left \d+\.\d{3} s after its time\n", said.err)
+    assert modsim3d("stream", stored, "--realtime", "--steps", 2, "-q").err == ""
+
+
+def test_a_detector_that_needs_all_targets_cannot_have_live_poses(modsim3d: Modsim3d, live: Path) -> None:
+    dropout = "{model: logistic, anchor: state_rate, distance_m: {per_doubling: 1, reference: 50}}"
+    said = modsim3d("stream", live, "--set", f"detector.dropout={dropout}")
+    assert (said.status, said.out) == (2, "")
+    assert "detector: holds rates over the whole scene (anchor: state_rate)" in said.err
+
+
+def test_live_poses_go_to_readers_step_by_step_who_may_leave_come_back_and_send(live: Path, start: Start) -> None:
+    process = start(live, "--to", "tcp://127.0.0.1:0")
+    address = listening(process)
+    give(process, line(0, "own", "a"))
+    stays, leaves = connected(address), connected(address)
+    with stays.makefile("rb") as first:
+        with closing(leaves), leaves.makefile("rb") as second:
+            assert [second.readline() for _ in range(3)] == [first.readline() for _ in range(3)]
+        stays.sendall(b"GET / HTTP/1.1\r\n\r\n" + bytes(1000))
+        give(process, line(1, "own", "a"))
+        assert json.loads(first.readline())["step"] == 1
+        with closing(connected(address)) as back, back.makefile("rb") as again:
+            give(process, line(2, "own", "a") + "[]\n")
+            known = [json.loads(each) for each in again]
+            rest = [json.loads(each) for each in first]
+    stays.close()
+    assert [entry["step"] for entry in known[1:]] == [0, 0, 1, 1, 2, 2]
+    assert rest == known[4:]
+    status, _, said = end_of(process)
+    assert status == 2
+    assert "line 4: one time step is needed" in said
+
+
+def test_a_reader_of_standard_output_that_goes_away_ends_it_quietly(live: Path, start: Start) -> None:
+    process = start(live)
+    give(process, line(0, "own"))
+    stdout = output(process)
+    assert json.loads(stdout.readline())["steps"] is None
+    stdout.close()
+    process.stdout = None
+    with suppress(BrokenPipeError):  # it may have noticed at the first step
+        give(process, line(1, "own"))
+        give(process, line(2, "own"))
+    assert process.wait(LONG_S) == 0, "standard input is still open"
+    assert end_of(process)[2] == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        (("--to", "lines.jsonl"), "--to 'lines.jsonl': is neither - (standard output) nor tcp://ADDRESS:PORT"),
+        (("--to", "tcp://127.0.0.1:70000"), "a port is a number from 0 to 65535 (got 70000)"),
+        (("--to", "tcp://192.0.2.1:5000"), "--to tcp://192.0.2.1:5000: cannot listen there"),
+        (("--to", "tcp://127.0.0.1:0", "--wait", "0"), "--wait 0: give a number of seconds above 0"),
+        (("--to", "tcp://127.0.0.1:0", "--wait", "nan"), "--wait nan: give a number of seconds above 0"),
+        (("--wait", "5"), "--wait is for readers that connect"),
+        (("--to", "tcp://127.0.0.1:0", "--wait", "0.01"), "nobody has connected for 0.01 s"),
+        (("--state", "nowhere"), "nowhere"),
+    ],
+)
+def test_wrong_options_are_told(modsim3d: Modsim3d, stored: Path, arguments: tuple[str, ...], part: str) -> None:
+    said = modsim3d("stream", stored, *arguments)
+    assert said.status == 2
+    assert part in said.err and said.err.startswith("modsim3d: ") and said.err.count("modsim3d: ") == 1
+
+
+def test_a_port_that_is_taken_is_told(modsim3d: Modsim3d, stored: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        said = modsim3d("stream", stored, "--to", f"tcp://127.0.0.1:{taken.getsockname()[1]}")
+    assert (said.status, said.out) == (2, "")
+    assert "cannot listen there: Address already in use; port 0 takes any free port" in said.err
+
+
+def test_other_computers_get_it_only_when_asked_for_and_that_is_said(modsim3d: Modsim3d, stored: Path) -> None:
+    said = modsim3d("stream", stored, "--to", "tcp://0.0.0.0:0", "--wait", "0.01")
+    assert said.err.startswith("warning: whoever reaches this computer at tcp://0.0.0.0:")
+
+
+def test_standard_output_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    with pytest.raises(ModsimError, match="there is no standard output"):
+        terminal.write_at_once(b"x")
+
+
+def test_a_pipe_that_does_not_block_gets_every_byte(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a shell or a parent in Node.js may leave it."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    given, received = bytes(range(256)) * 4096, b""
+    with os.fdopen(reading, "rb") as reader, os.fdopen(writing, "w", encoding="utf-8") as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        sending = threading.Thread(target=terminal.write_at_once, args=(given,))
+        sending.start()
+        received = reader.read(len(given))
+        sending.join(LONG_S)
+        monkeypatch.undo()
+    assert received == given

@@ -1,0 +1,215 @@
+from __future__ import annotations
+
+import ast
+import itertools
+import tracemalloc
+from collections import defaultdict
+from enum import Enum, unique
+from pathlib import Path
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import modsim3d
+from modsim3d.core import random_streams
+from modsim3d.core.random_streams import Purpose, Streams, normals
+
+UNIFORM = [purpose for purpose in Purpose if purpose.width is not None]
+
+
+def uses() -> dict[Purpose, set[str]]:
+    """The modules of the package that name each purpose."""
+    package, found = Path(modsim3d.__file__).parent, defaultdict(set)
+    texts = {path: path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
+    for path, text in texts.items():
+        for node in ast.walk(ast.parse(text)) if "Purpose" in text else ():  # to parse the others takes seconds
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "Purpose":
+                found[Purpose[node.attr]].add(path.relative_to(package).as_posix())
+    return found
+
+
+def test_every_purpose_is_used_in_exactly_one_module() -> None:
+    modules = uses()
+    modules[Purpose.PLUGIN].add("a plug-in's")
+    assert {purpose.name: sorted(modules[purpose]) for purpose in Purpose if len(modules[purpose]) != 1} == {}
+
+
+def test_two_purposes_cannot_share_a_text() -> None:
+    texts = [purpose.value for purpose in Purpose]
+    assert len(set(texts)) == len(texts) == len(Purpose.__members__)
+    with pytest.raises(ValueError, match="duplicate"):
+
+        @unique
+        class Twice(Enum):
+            __new__ = Purpose.__new_member__
+            ONE = "text", 1, "this"
+            TWO = "text", 2, "that"
+
+
+def test_every_purpose_says_what_it_is_for() -> None:
+    assert all(purpose.meaning and purpose.meaning != purpose.value for purpose in Purpose)
+    assert len({purpose.meaning for purpose in Purpose}) == len(Purpose)
+
+
+def test_a_purpose_has_one_width() -> None:
+    assert Streams(3).uniforms(Purpose.BOX_ERROR, "C0", "a", first=0, count=1).shape == (1, 4)
+    with pytest.raises(ValueError, match="AGENTS has a generator for each step and no uniform numbers"):
+        Streams(3).uniforms(Purpose.AGENTS, first=0, count=1)
+    with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step and no generator"):
+        Streams(3).generator(Purpose.BOX_ERROR, "C0", "a", step=0)
+    with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step and no generator"):
+        Streams(3).generated(
+            Purpose.BOX_ERROR, owners=("a",), owner=np.zeros(1, int), steps=np.zeros(1, int), first=0, count=1
+        )
+
+
+@given(
+    borders=st.lists(st.integers(0, 60), max_size=6),
+    purpose=st.sampled_from(UNIFORM),
+    first=st.integers(0, 2**40),
+)
+def test_a_step_has_the_same_numbers_however_steps_are_split(borders: list[int], purpose: Purpose, first: int) -> None:
+    whole = Streams(3).uniforms(purpose, "C0", first=first, count=60)
+    streams, edges = Streams(3), [0, *sorted(borders), 60]
+    parts = [streams.uniforms(purpose, "C0", first=first + a, count=b - a) for a, b in itertools.pairwise(edges)]
+    assert np.array_equal(np.concatenate(parts), whole)
+
+
+def test_a_row_starts_at_its_steps_blocks_of_philox() -> None:
+    streams = Streams(3)
+    numbers = streams.uniforms(Purpose.CLUTTER, "C0", first=7, count=2)
+    key = streams._key(0, Purpose.CLUTTER, ("C0",))
+    slow = [np.random.Generator(np.random.Philox(key=key, counter=2 * step)).random(5) for step in (7, 8)]
+    assert np.array_equal(numbers, slow)
+
+
+def test_numbers_do_not_depend_on_earlier_calls() -> None:
+    streams = Streams(3)
+    first = streams.uniforms(Purpose.CLASS, "a", first=0, count=10)
+    streams.uniforms(Purpose.CLASS, "b", first=0, count=3)
+    streams.generator(Purpose.AGENTS, "a", step=0).random(7)
+    assert np.array_equal(streams.uniforms(Purpose.CLASS, "a", first=0, count=10), first)
+
+
+@pytest.mark.parametrize(
+    ("seed", "purpose", "names"),
+    [
+        (4, Purpose.CLASS, ("a", "b")),
+        (3, Purpose.CLASS_KEPT, ("a", "b")),
+        (3, Purpose.CLASS, ("a",)),
+        (3, Purpose.CLASS, ("b", "a")),
+        (3, Purpose.CLASS, ("ab",)),
+        (3, Purpose.CLASS, ("a", "b", "")),
+    ],
+)
+def test_another_seed_purpose_or_name_gives_other_numbers(seed: int, purpose: Purpose, names: tuple[str, ...]) -> None:
+    ours = Streams(3).uniforms(Purpose.CLASS, "a", "b", first=0, count=100)
+    theirs = Streams(seed).uniforms(purpose, *names, first=0, count=100)
+    assert not np.intersect1d(ours, theirs).size
+
+
+def test_generators_of_different_steps_do_not_overlap() -> None:
+    streams = Streams(3)
+    draws = [streams.generator(Purpose.AGENTS, "a", step=step).random(1000) for step in range(5)]
+    assert len(np.unique(np.concatenate(draws))) == 5000
+
+
+def test_generators_are_repeatable_and_independent_of_each_other() -> None:
+    streams = Streams(3)
+    one, two = streams.generator(Purpose.AGENTS, "a", step=1), streams.generator(Purpose.AGENTS, "a", step=1)
+    two.random(5)
+    assert np.array_equal(one.random(3), Streams(3).generator(Purpose.AGENTS, "a", step=1).random(3))
+
+
+@pytest.mark.parametrize(
+    ("owners", "span", "at_once"),
+    [(1, 7, False), (3, 9, False), (3, 50_000, True), (200, 2, True)],
+    ids=["one", "few", "few far apart", "many"],
+)
+@pytest.mark.parametrize("purpose", [Purpose.CLASS, Purpose.CLUTTER], ids=["a block a step", "two blocks a step"])
+def test_numbers_of_many_streams_are_those_of_each(
+    owners: int, span: int, at_once: bool, purpose: Purpose, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random, names = np.random.default_rng(owners), [f"vessel{index}" for index in range(owners)]
+    owner, steps = random.integers(0, owners, 2 * owners + 5), 2**40 + random.integers(0, span, 2 * owners + 5)
+    vectorised = Mock(wraps=random_streams.uniforms)
+    monkeypatch.setattr(random_streams, "uniforms", vectorised)
+    ours = Streams(3).uniforms_of(purpose, "C0", owners=names, owner=owner, steps=steps)
+    assert vectorised.called == at_once
+    rows = zip(owner.tolist(), steps.tolist(), strict=True)
+    each = [Streams(3).uniforms(purpose, "C0", names[index], first=step, count=1)[0] for index, step in rows]
+    assert np.array_equal(ours, each)
+
+
+def test_few_numbers_are_drawn_beside_those_of_short_tracks_in_a_long_sequence() -> None:
+    tracks, frames, long = 150, 2_000, 130
+    random, names = np.random.default_rng(3), [f"vessel{index}" for index in range(tracks)]
+    owner = np.repeat(np.arange(tracks), long)
+    steps = (random.integers(0, frames - long, tracks)[:, None] + np.arange(long)).ravel()
+    tracemalloc.start()
+    numbers = Streams(3).uniforms_of(Purpose.BOX_ERROR, "C0", owners=names, owner=owner, steps=steps)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 10 * numbers.nbytes
+
+
+def test_streams_of_one_step_are_drawn_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As those of the few vessels of a live step: for so few numbers many at once take ten times as long."""
+    monkeypatch.setattr(random_streams, "uniforms", Mock(side_effect=AssertionError))
+    names = [f"vessel{index}" for index in range(9)]
+    for owner in (np.arange(9), np.array([4])):
+        steps = np.full(len(owner), 2**40)
+        assert len(Streams(3).uniforms_of(Purpose.CLASS, owners=names, owner=owner, steps=steps)) == len(owner)
+
+
+def test_no_rows_of_streams_give_no_numbers() -> None:
+    nothing = np.empty(0, dtype=np.int64)
+    assert Streams(3).uniforms_of(Purpose.CLASS, owners=["a"], owner=nothing, steps=nothing).shape == (0, 1)
+
+
+@pytest.mark.parametrize("times", [1, 9], ids=["mostly in turn", "mostly at once"])
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2**40)), max_size=6), st.integers(0, 9), st.integers(0, 9))
+def test_numbers_of_many_generators_are_those_of_each(
+    times: int, some: list[tuple[int, int]], first: int, count: int
+) -> None:
+    streams, owners, purpose = Streams(3), ("a", "b", "c"), Purpose.BOX_ERROR_REDRAW
+    rows = some * times
+    owner, steps = np.array(rows, dtype=np.int64).reshape(-1, 2).T
+    ours = streams.generated(purpose, "C0", owners=owners, owner=owner, steps=steps, first=first, count=count)
+    each = [streams.generator(purpose, "C0", owners[index], step=step).random(first + count) for index, step in rows]
+    assert np.array_equal(ours, np.reshape(each, (len(rows), first + count))[:, first:])
+
+
+def test_numbers_are_the_same_in_every_process() -> None:
+    numbers = Streams(2023).uniforms(Purpose.CONFIDENCE, "C0", "vessel1", first=12, count=1)
+    assert numbers.tolist() == REFERENCE
+    generator = Streams(2023).generator(Purpose.BOX_ERROR_REDRAW, "C0", "vessel1", step=12)
+    assert generator.random(2).tolist() == REFERENCE_OF_GENERATOR
+
+
+REFERENCE = [[0.18153337862538155, 0.694646420313789]]
+REFERENCE_OF_GENERATOR = [0.10250895715086494, 0.07279324687871547]
+
+
+def test_uniforms_lie_in_the_unit_interval_and_have_its_mean() -> None:
+    numbers = Streams(1).uniforms(Purpose.SEA, first=0, count=50_000)
+    assert numbers.shape == (50_000, 2)
+    assert numbers.min() >= 0
+    assert numbers.max() < 1
+    assert abs(numbers.mean() - 0.5) < 4 / np.sqrt(12 * numbers.size)
+
+
+def test_the_normal_of_zero_is_finite() -> None:
+    assert normals(np.array([0.0, 0.5])).tolist() == pytest.approx([-8.2924, 0.0], abs=1e-4)
+
+
+def test_no_steps_give_no_numbers() -> None:
+    assert Streams(1).uniforms(Purpose.WAVE_ANGLES, first=5, count=0).shape == (0, 3)
+
+
+def test_a_negative_seed_is_refused() -> None:
+    with pytest.raises(ValueError, match="non-negative"):
+        Streams(-1)

@@ -1,0 +1,49 @@
+"""What is visible of boxes, from the boxes alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modsim3d.formats.labelled_video.targets import visible_fractions
+
+SIDE = 12
+CORNER = st.integers(0, SIDE - 1)
+BOX = st.tuples(CORNER, CORNER, st.integers(1, 8), st.integers(1, 8))
+
+
+def painted(boxes: np.ndarray) -> list[float]:
+    """The same by painting pixels, one box after the other."""
+    fractions = []
+    for one in boxes:
+        image = np.zeros((40, 40), dtype=bool)
+        for x_min, y_min, x_max, y_max in boxes[boxes[:, 3] > one[3]]:
+            image[y_min:y_max, x_min:x_max] = True
+        part = image[one[1] : one[3], one[0] : one[2]]
+        fractions.append(1 - part.mean())
+    return fractions
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.lists(BOX, min_size=1, max_size=7))
+def test_a_box_is_hidden_by_all_boxes_with_a_lower_foot_as_painting_shows(given_boxes: list[tuple[int, ...]]) -> None:
+    boxes = np.array([[x, y, x + width, y + height] for x, y, width, height in given_boxes])
+    found = visible_fractions(np.zeros(len(boxes), dtype=np.int64), boxes.astype(float), boxes[:, 3].astype(float))
+    assert np.allclose(found, painted(boxes), atol=1e-12)
+    order = np.random.default_rng(len(boxes)).permutation(len(boxes))
+    again = visible_fractions(
+        np.zeros(len(boxes), dtype=np.int64), boxes[order].astype(float), boxes[order, 3].astype(float)
+    )
+    assert np.allclose(again, found[order], atol=1e-12)
+
+
+def test_boxes_of_other_images_and_of_the_same_foot_hide_nothing() -> None:
+    boxes = np.tile([[0.0, 0.0, 10.0, 10.0]], (3, 1))
+    assert visible_fractions(np.array([0, 0, 1]), boxes, boxes[:, 3]).tolist() == [1, 1, 1]
+    assert visible_fractions(np.array([0, 0, 1]), boxes, np.array([9.0, 10.0, 99.0])).tolist() == [0, 1, 1]
+
+
+def test_the_foot_counts_where_it_was_before_the_box_was_cut() -> None:
+    boxes = np.array([[0.0, 0, 10, 10], [5, 0, 15, 10]])
+    assert visible_fractions(np.zeros(2, dtype=np.int64), boxes, np.array([14.0, 11.0])).tolist() == [1, 0.5]

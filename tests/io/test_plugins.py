@@ -1,0 +1,439 @@
+"""Plug-ins as packages on the path, with their metadata; tests/packaging installs one."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.io.plugins import POSE_SOURCES, SHAPES, WAVE_LEVELS, load_plugin, plugin_names
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.world.second_order_waves import LEVELS, Axis, find_level, level_axes
+from modsim3d.world.vessels import find_shape, shape_problem, shoebox, signed_volume
+from tests.scenes import crossing, write_scene
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "tests" / "plugin_example"
+DOCUMENT = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8").split("\n## A tracker\n")[0]
+"""The sections before that of trackers, whose package tests/tracking/test_plugged_in.py tests."""
+
+
+def blocks(language):
+    return re.findall(rf"```{language}\n(.*?)```", DOCUMENT, flags=re.DOTALL)
+
+
+class Site:
+    """A folder on the path, into which packages are put as an installer would."""
+
+    def __init__(self, folder, monkeypatch):
+        self.folder = folder
+        self.monkeypatch = monkeypatch
+        monkeypatch.syspath_prepend(str(folder))
+
+    def add(self, package, version, module, source, points):
+        """points: group → {name: object reference}."""
+        (self.folder / f"{module}.py").write_text(source, encoding="utf-8")
+        info = self.folder / f"{package.replace('-', '_')}-{version}.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n")
+        (info / "entry_points.txt").write_text(
+            "".join(f"[{group}]\n" + "".join(f"{n} = {o}\n" for n, o in each.items()) for group, each in points.items())
+        )
+        self.monkeypatch.delitem(sys.modules, module, raising=False)
+
+    def add_example(self):
+        project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
+        source = (EXAMPLE / "modsim3d_drift.py").read_text()
+        self.add(project["name"], project["version"], "modsim3d_drift", source, project["entry-points"])
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    folder = tmp_path / "site"
+    folder.mkdir()
+    yield Site(folder, monkeypatch)
+    for name in [name for name, module in sys.modules.items() if _inside(folder, module)]:
+        del sys.modules[name]
+
+
+def _inside(folder, module):
+    return str(getattr(module, "__file__", None) or "").startswith(str(folder))
+
+
+def scene_with(folder, poses=None, waves=None, steps=5):
+    path = write_scene(folder, {"a": ([8, 4, 2], [[0, 100, 0], [9, 100, 9]]), "b": ([8, 4, 2], [])}, steps)
+    data = json.loads(path.read_text())
+    data["poses"] = poses or data["poses"]
+    data["annotation"]["source"] = "analytic"
+    if waves:
+        data["waves"] = waves
+        data["cameras"]["C0"]["mount"] = {"vessel": "a", "position_m": [4, 0, 2]}
+        del data["cameras"]["C0"]["pose"]
+    path.write_text(json.dumps(data))
+    return path
+
+
+DRIFT = {"drift": {"current_m_s": [0.5, 0.1], "gap_m": 30}}
+
+
+def test_the_document_quotes_the_package_that_is_tested():
+    project, module = ((EXAMPLE / name).read_text(encoding="utf-8") for name in ("pyproject.toml", "modsim3d_drift.py"))
+    assert blocks("toml") == [project]
+    assert blocks("python") == [module]
+
+
+def test_each_part_of_the_example_is_ten_lines_or_fewer():
+    parts = (EXAMPLE / "modsim3d_drift.py").read_text(encoding="utf-8").split("\n\n\n")[1:]
+    assert [part.split("(")[0] for part in parts] == ["class Drift", "SWELL = ", "def barge"]
+    assert max(len(part.strip().splitlines()) for part in parts) <= 10
+
+
+def test_poses_of_a_plugged_in_source_are_what_it_says(site, tmp_path):
+    site.add_example()
+    scene = load_scene(scene_with(tmp_path, DRIFT))
+    poses = scene.poses.poses(0, 5)
+    assert poses.present.all()
+    np.testing.assert_allclose(poses.positions_m[:, 0], [[0.5 * t, 0.1 * t, 0] for t in range(5)])
+    np.testing.assert_allclose(poses.positions_m[:, 1], [[0.5 * t, 0.1 * t + 30, 0] for t in range(5)])
+    assert scene.timestamps(0, 3) == ("0.0", "1.0", "2.0")
+
+
+def test_a_real_process_runs_it_with_workers_and_records_its_version(site, tmp_path):
+    site.add_example()
+    path = scene_with(tmp_path, DRIFT, steps=600)
+    runs = []
+    for workers in ("1", "2"):
+        out = tmp_path / f"out{workers}"
+        command = ["-m", "modsim3d.cli.main", "run", str(path), "--out", str(out), "--no-sheet", "--workers", workers]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site.folder), str(ROOT)])}
+        done = subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+        files = [file for file in out.rglob("*") if file.is_file() and file.name != "run.log"]
+        runs.append({file.name: file.read_bytes() for file in files})
+    assert runs[0] == runs[1]
+    assert json.loads(runs[0]["run.json"])["plugins"] == {"modsim3d.pose_sources:drift": "modsim3d-drift 1.0"}
+
+
+def test_another_version_does_not_continue_a_run(site, tmp_path):
+    site.add_example()
+    path = scene_with(tmp_path, DRIFT)
+
+    def stop(steps):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(load_scene(path), tmp_path / "out", progress=stop)
+    metadata = next(site.folder.glob("*.dist-info")) / "METADATA"
+    metadata.write_text(metadata.read_text().replace("1.0", "1.1"))
+    with pytest.raises(ModsimError, match="another scene, seed, settings or version"):
+        run_scene(load_scene(path), tmp_path / "out", resume=True)
+
+
+def test_another_file_of_the_same_version_does_not_continue_a_run(site, tmp_path):
+    site.add_example()
+    path = scene_with(tmp_path, DRIFT)
+
+    def stop(steps):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(load_scene(path), tmp_path / "out", progress=stop)
+    module = site.folder / "modsim3d_drift.py"
+    module.write_text(module.read_text() + "# edited\n")
+    del sys.modules["modsim3d_drift"]  # as in a new process
+    with pytest.raises(ModsimError, match="another scene, seed, settings or version"):
+        run_scene(load_scene(path), tmp_path / "out", resume=True)
+    scene = load_scene(path)
+    run_scene(scene, tmp_path / "out", overwrite=True)
+    (digest,) = json.loads((tmp_path / "out" / "run.json").read_text())["plugins_sha256"].values()
+    assert digest == scene.plugins[0].sha256
+
+
+def problems_of(path):
+    with pytest.raises(InputError) as caught:
+        load_scene(path)
+    return caught.value.problems
+
+
+def test_wrong_keys_of_a_plugin_are_told_with_their_path(site, tmp_path):
+    site.add_example()
+    (first, second) = problems_of(scene_with(tmp_path, {"drift": {"gap": 3}}))
+    assert first == "poses.drift.current_m_s: missing"
+    assert second == "poses.drift.gap: unknown key (did you mean 'gap_m'?)"
+
+
+def test_unknown_name_lists_what_there_is(site, tmp_path):
+    site.add_example()
+    assert plugin_names(POSE_SOURCES) == ("drift",)
+    (problem,) = problems_of(scene_with(tmp_path, {"drft": {}}))
+    assert problem.startswith("poses.drft: nothing is called 'drft' here") and "did you mean 'drift'?" in problem
+    (problem,) = problems_of(scene_with(tmp_path, {"zzz": {}}))
+    assert "known: file, circular" in problem and "drift" in problem
+    (problem,) = problems_of(scene_with(tmp_path, waves={"level": "hugely"}))
+    assert problem.startswith("waves.level: ") and "did you mean 'huge'?" in problem
+
+
+def test_two_packages_with_one_name_are_an_error_that_names_both(site, tmp_path):
+    site.add_example()
+    site.add("other", "2.0", "other", "class Drift: ...", {POSE_SOURCES: {"drift": "other:Drift"}})
+    (problem,) = problems_of(scene_with(tmp_path, DRIFT))
+    assert problem.startswith("poses.drift: modsim3d-drift 1.0 and other 2.0 both bring a plug-in 'drift'")
+
+
+HEAD = "from modsim3d.motion.poses import PosesByTime, SourceKeys\nfrom modsim3d.io.validation import Strict\n"
+BROKEN = {
+    "missing_import": ("import no_such_module_here", "ModuleNotFoundError: No module named 'no_such_module_here'"),
+    "syntax": ("class Drift(:\n", "SyntaxError"),
+    "exit": ("import sys; sys.exit()", "cannot be loaded from broken_drift:Drift: SystemExit"),
+    "nothing_there": ("Other = 1", "has no attribute 'Drift'"),
+    "a_number": ("Drift = 3", "must be a class made from modsim3d.motion.poses.PosesByTime"),
+    "another_class": ("class Drift: ...", "must be a class made from modsim3d.motion.poses.PosesByTime"),
+    "a_model": ("from pydantic import BaseModel\nclass Drift(BaseModel): ...", "must be a class made from"),
+    "no_build": (HEAD + "class Drift(SourceKeys, Strict): ...", "failed: NotImplementedError"),
+    "bad_validator": (
+        HEAD + "from pydantic import model_validator\nclass Drift(PosesByTime):\n  @model_validator(mode='after')\n"
+        "  def look(self): return self.nothing",
+        "'drift' of drift 0.1 failed: AttributeError",
+    ),
+    "builds_nothing": (
+        HEAD + "class Drift(SourceKeys, Strict):\n  def build(self, request): pass",
+        "must return a pose",
+    ),
+    "raises": (HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return 1 / 0", "ZeroDivisionError: division"),
+    "not_a_mapping": (
+        HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return 5",
+        "'drift' of drift 0.1 failed",
+    ),
+    "unknown_vessel": (
+        HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return {'zebra': ([0, 0, 0], 0)}",
+        "at time 0.0 s: no vessel 'zebra'",
+    ),
+    "two_coordinates": (
+        HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return {'a': ([0, 0], 0)}",
+        "ValueError: could not broadcast",
+    ),
+    "nan": (
+        HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return {'a': ([9, 0, float('nan')], 0)}",
+        "positions_m must be finite",
+    ),
+    "wrong_shape": (
+        HEAD + "import numpy as np\nfrom modsim3d.motion.poses import Poses\n"
+        "class P:\n  timestamps = ['0', '1', '2', '3', '4']\n"
+        "  def poses(self, f, s):\n    n = s - f\n"
+        "    return Poses(np.ones((n, 1), bool), np.zeros((n, 1, 3)), np.zeros((n, 1)))\n"
+        "class Drift(SourceKeys, Strict):\n  def build(self, request): return P()",
+        "present must be an array of bool (5, 2), not bool (5, 1)",
+    ),
+    "times": (
+        HEAD + "class P:\n  timestamps = ['0', '0.0']\n  def poses(self, f, s): ...\n"
+        "class Drift(SourceKeys, Strict):\n  def build(self, request): return P()",
+        "timestamps must increase",
+    ),
+    "few_times": (
+        HEAD + "class P:\n  timestamps = ['0', '1']\n  def poses(self, f, s): ...\n"
+        "class Drift(SourceKeys, Strict):\n  def build(self, request): return P()",
+        "steps: 5 asked for, but poses.drift has 2",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_a_plugin_that_does_not_do_what_it_must_is_told_in_one_message(site, tmp_path, kind):
+    source, part = BROKEN[kind]
+    site.add("drift", "0.1", "broken_drift", source, {POSE_SOURCES: {"drift": "broken_drift:Drift"}})
+    with pytest.raises(ModsimError) as caught:
+        load_scene(scene_with(tmp_path, {"drift": {}}))
+    assert part in str(caught.value)
+    assert "drift" in str(caught.value)
+    assert len(str(caught.value).splitlines()) <= 2
+
+
+def test_wave_level_of_a_plugin_gives_its_axes(site, tmp_path):
+    (source,) = blocks("python")
+    site.add("my-sea", "0.3", "my_sea", source, {WAVE_LEVELS: {"swell": "my_sea:SWELL", "wrong": "my_sea:Axis"}})
+    axes, plugin = find_level("swell")
+    assert axes == (Axis(0.99, 0.995, 4e-5), Axis(0.99, 0.995, 6e-5), Axis(sigma_rad=1e-5))
+    assert plugin.package == "my-sea 0.3"
+    scene = load_scene(scene_with(tmp_path, waves={"level": "swell"}))
+    assert scene.plugins == (plugin,)
+    assert np.ptp(scene.waves.motion.angles("a", np.arange(5.0), np.arange(5))[:, 1]) > 0
+    (problem,) = problems_of(scene_with(tmp_path, waves={"level": "wrong"}))
+    assert "must be three modsim3d.motion.waves.Axis, for roll, pitch, yaw" in problem
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_own_wave_levels_need_no_plugin(level):
+    assert find_level(level) == (level_axes(level), None)
+
+
+def test_shape_of_a_plugin_is_a_closed_mesh_in_units_of_the_vessel(site):
+    (source,) = blocks("python")
+    site.add("yard", "1", "yard", source + "\nlaunch = 3\ndef sink(): return 1 / 0\n", {
+        SHAPES: {"barge": "yard:barge", "launch": "yard:launch", "sink": "yard:sink"}
+    })  # fmt: skip
+    solid, plugin = find_shape("barge", "vessels.a.shape")
+    np.testing.assert_array_equal(solid.vertices, shoebox().vertices)
+    assert solid.convex and signed_volume(solid.vertices, solid.faces) == pytest.approx(1)
+    assert not solid.vertices.flags.writeable
+    assert plugin.package == "yard 1"
+    for name, part in (
+        ("launch", "must be a function"),
+        ("sink", "failed: ZeroDivisionError: division by zero (yard.py, line"),
+        ("bargee", "did you mean 'barge'?"),
+        ("ferryy", "did you mean 'ferry'?"),
+    ):
+        with pytest.raises(InputError, match=r"vessels\.a\.shape") as caught:
+            find_shape(name, "vessels.a.shape", ("ferry",))
+        assert part in str(caught.value)
+
+
+def test_scene_with_a_shape_of_a_plugin_has_the_truth_of_that_shape_and_names_its_package(site, tmp_path):
+    (source,) = blocks("python")
+    site.add("yard", "1", "yard", source, {SHAPES: {"barge": "yard:barge"}})
+    path = crossing(tmp_path)
+    plain = load_scene(path)
+    keys = json.loads(path.read_text())
+    keys["vessels"]["boat"]["mesh"] = "barge"
+    path.write_text(json.dumps(keys))
+    scene = load_scene(path)
+    assert [plugin.package for plugin in scene.plugins] == ["yard 1"]
+    assert scene.vessels[0].has_mesh
+    for one, other in zip(simulate_frames(scene), simulate_frames(plain), strict=True):
+        np.testing.assert_array_equal(one.truth.visible_px, other.truth.visible_px)
+        np.testing.assert_array_equal(one.truth.full_boxes_px, other.truth.full_boxes_px)
+    keys["vessels"]["boat"]["mesh"] = "bargee"
+    path.write_text(json.dumps(keys))
+    with pytest.raises(InputError, match=r"vessels\.boat\.mesh: nothing is called 'bargee' here.*barge"):
+        load_scene(path)
+
+
+def spoilt(change):
+    vertices, faces = shoebox().vertices.copy(), shoebox().faces.copy()
+    return change(vertices, faces)
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        (lambda v, f: (v[:, :2], f), "vertices must be finite, of shape (K, 3)"),
+        (lambda v, f: (v * np.nan, f), "vertices must be finite"),
+        (lambda v, f: (v, f[:, :2]), "faces must be vertex indices of shape (F, 3)"),
+        (lambda v, f: (v, f.astype(float)), "faces must be vertex indices"),
+        (lambda v, f: (v, f[:0]), "faces must be vertex indices"),
+        (lambda v, f: (v, f + 1), "faces name vertices 0 to 7 (got 1 to 8)"),
+        (lambda v, f: (2 * v, f), "it must fill the box from [-0.5, -0.5, 0.0] to [0.5, 0.5, 1.0]"),
+        (lambda v, f: (v * [1, 1, 0.5], f), "it must fill the box"),
+        (lambda v, f: (v, f[1:]), "its surface is not closed"),
+        (lambda v, f: (v, np.concatenate([f, f[:1]])), "its surface is not closed"),
+        (lambda v, f: (v, f[:, ::-1]), "its faces point inwards"),
+    ],
+)
+def test_what_is_no_shape_of_a_vessel_is_told(change, part):
+    assert part in shape_problem(*spoilt(change))
+    assert shape_problem(*spoilt(lambda v, f: (v, f))) is None
+
+
+def test_entry_points_of_the_example_can_be_loaded_by_group_and_name(site):
+    site.add_example()
+    found, plugin = load_plugin(POSE_SOURCES, "drift", "poses.drift")
+    assert found.__name__ == "Drift"
+    assert str(plugin) == "the plug-in 'drift' of modsim3d-drift 1.0"
+
+
+LIVE = """
+from typing import ClassVar
+import numpy as np
+from modsim3d.poses import LivePoses, Poses, SourceKeys
+from modsim3d.io.validation import Strict
+
+class Radio(SourceKeys, Strict):
+    generated: ClassVar[bool] = False
+    fault: str = ""
+
+    def build(self, request):
+        return LivePoses(self.steps(len(request.names)), len(request.names), "radio")
+
+    def steps(self, count):
+        for step in range(4):
+            if step == 2 and self.fault == "raises":
+                raise OSError("no signal")
+            wide = count + (step == 2 and self.fault == "shape")
+            positions = np.full((1, wide, 3), 50.0 + step) + 20 * np.arange(wide)[None, :, None]
+            positions[..., 2] = 0
+            time = "0.5" if step == 2 and self.fault == "time" else f"{step}.0"
+            yield time, Poses(np.ones((1, wide), bool), positions, np.zeros((1, wide)))
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "part"),
+    [
+        ("raises", "the plug-in 'radio' of my-radio 2 failed: OSError: no signal (my_radio.py, line"),
+        ("shape", "the plug-in 'radio' of my-radio 2: present must be an array of bool (1, 2), not bool (1, 3)"),
+        ("time", "radio:\n  step 3: 0.5: timestamps must increase"),
+    ],
+)
+def test_live_source_of_a_plugin_runs_and_its_faults_are_told(site, tmp_path, fault, part):
+    site.add("my-radio", "2", "my_radio", LIVE, {POSE_SOURCES: {"radio": "my_radio:Radio"}})
+    scene = load_scene(scene_with(tmp_path, {"radio": {}}, steps=9))
+    assert scene.live
+    assert [frame.timestamp for frame in simulate_frames(scene)] == ["0.0", "1.0", "2.0", "3.0"]
+    frames = simulate_frames(load_scene(scene_with(tmp_path, {"radio": {"fault": fault}}, steps=9)))
+    assert [next(frames).step, next(frames).step] == [0, 1]
+    with pytest.raises(ModsimError) as caught:
+        next(frames)
+    assert part in str(caught.value)
+
+
+LOGGED = """
+from typing import ClassVar
+
+from pydantic import BaseModel
+
+from modsim3d.poses import SourceKeys, load_poses
+
+
+class Logged(SourceKeys, BaseModel):
+    generated: ClassVar[bool] = False
+    log: str
+    notes: list[str] = []
+
+    @property
+    def files(self):
+        return (self.log, *self.notes)
+
+    def build(self, request):
+        return load_poses(request.folder / self.log, request.names)
+"""
+
+
+def test_files_that_a_source_names_are_in_the_scenes_copy_and_checksum(site, tmp_path):
+    site.add("logged", "1.0", "logged", LOGGED, {POSE_SOURCES: {"logged": "logged:Logged"}})
+    source = tmp_path / "source"
+    (source / "logs").mkdir(parents=True)
+    path = scene_with(source, {"logged": {"log": "logs/monday.jsonl"}})
+    step = '{"%d.0": {"a": {"center_position_m": [%d, 0, 0], "heading_rad": 0}}}\n'
+    log = source / "logs" / "monday.jsonl"
+    sums = []
+    for place in (100, 90):
+        log.write_text("".join(step % (i, place) for i in range(5)))
+        sums.append(load_scene(path).sha256)
+    assert sums[0] != sums[1]
+    run_scene(load_scene(path), tmp_path / "run")
+    lying = scene_with(source, {"logged": {"log": "logs/monday.jsonl", "notes": ["notes.txt"]}})
+    with pytest.raises(InputError, match=r"logged 1\.0: files names 'notes\.txt', which is no file"):
+        load_scene(lying)
+    shutil.rmtree(source)
+    again = open_run(tmp_path / "run").scene
+    assert again.sha256 == sums[1]
+    assert again.poses.poses(0, 1).positions_m[0, 0, 0] == 90

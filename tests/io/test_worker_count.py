@@ -1,0 +1,52 @@
+"""`workers`: a number of processes, or `auto` for the CPUs that this process may use."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.core.errors import ModsimError
+from modsim3d.io.processes import MOST_WORKERS, open_workers, parse_workers, worker_count
+from modsim3d.runs.run import detect_run, run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from tests.scenes import crossing
+
+
+def test_auto_is_the_cpus_that_this_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    if hasattr(os, "process_cpu_count"):
+        monkeypatch.setattr(os, "process_cpu_count", lambda: 3)
+    else:
+        monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 4, 5})
+    assert worker_count("auto") == 3
+
+
+def test_numbers_are_taken_as_they_are() -> None:
+    assert [worker_count(n) for n in (1, 7, np.int64(2))] == [1, 7, 2]  # type: ignore[list-item]
+    assert [parse_workers(text) for text in ("1", "16", "auto")] == [1, 16, "auto"]
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 2.0, True, None, "2", "AUTO", "", MOST_WORKERS + 1])
+def test_anything_else_is_one_clear_error(wrong: Any) -> None:
+    with pytest.raises(ModsimError, match="needs a number of processes from 1 to 1024, or 'auto'"):
+        worker_count(wrong)
+    with pytest.raises(ModsimError, match="workers: needs a number"):
+        open_workers(wrong, "", open)
+
+
+def test_functions_take_auto_and_write_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("modsim3d.io.processes._usable_cpus", lambda: 2)
+    scene = load_scene(crossing(tmp_path, 6), source="analytic")
+    for name, workers in (("one", 1), ("auto", "auto")):
+        run_scene(scene, tmp_path / name, workers=workers)  # type: ignore[arg-type]
+        detect_run(open_run(tmp_path / name), tmp_path / f"{name}_again", seed=2, workers=workers)  # type: ignore[arg-type]
+    for table in ("truth.parquet", "detections.parquet"):
+        assert (tmp_path / "one" / table).read_bytes() == (tmp_path / "auto" / table).read_bytes()
+        assert (tmp_path / "one_again" / table).read_bytes() == (tmp_path / "auto_again" / table).read_bytes()
+    with pytest.raises(ModsimError, match="workers: needs a number"):
+        run_scene(scene, tmp_path / "none", workers=0)
+    assert not (tmp_path / "none").exists()

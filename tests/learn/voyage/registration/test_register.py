@@ -1,0 +1,212 @@
+"""A wrong camera and clock come back from the detections, with intervals; what cannot be known is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.stand_in.places import place_scene
+from benchmarks.voyages.cases import REGISTRATION_SETTINGS
+from benchmarks.voyages.reported import AisErrors, as_reported
+from benchmarks.voyages.wrong_camera import WRONG, Voyage
+from modsim3d.core.errors import ModsimError
+from modsim3d.learn.voyage.registration import registering
+from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
+from modsim3d.learn.voyage.registration.initial_guesses import starts
+from modsim3d.learn.voyage.registration.parameters import SHORT, Values
+from modsim3d.learn.voyage.registration.registering import Registration, register
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+
+AIS_ERRORS = AisErrors(position_m=1.0, delay_s=0.5, along_m=3.0, across_m=1.0)
+CLOSE = {"clock_s": 0.2, "pitch_deg": 0.6, "yaw_deg": 0.2, "height_m": 2.0, "focal_share": 0.01, "roll_deg": 0.4}
+"""Half-widths of intervals that are still of use with a minute of five vessels."""
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("strait", settings=REGISTRATION_SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def voyage(scene: Scene) -> Voyage:
+    return Voyage.of(scene, "quay", WRONG)
+
+
+@pytest.fixture(scope="module")
+def found(voyage: Voyage) -> BoxesAtTimes:
+    return voyage.detections(0)
+
+
+@pytest.fixture(scope="module")
+def registered(scene: Scene, found: BoxesAtTimes) -> Registration:
+    return register(scene, "quay", found)
+
+
+def holds(registration: Registration, name: str) -> bool:
+    estimate = registration[name]
+    return estimate.low <= WRONG.get(name, 0.0) <= estimate.high
+
+
+def some(found: BoxesAtTimes, kept: np.ndarray) -> BoxesAtTimes:
+    return BoxesAtTimes(found.times_s, found.frame[kept], found.boxes_px[kept])
+
+
+def test_a_wrong_camera_and_clock_come_back(registered: Registration) -> None:
+    for name, close in CLOSE.items():
+        assert holds(registered, name), registered
+        assert registered[name].high - registered[name].low < 2 * close, registered
+    assert len(registered.sightings) > 0.9 * registered.detections
+    assert registered.rms_before_px > 8 * registered.rms_after_px
+
+
+def test_what_a_rule_settles_is_said_with_its_exchange(registered: Registration) -> None:
+    said = "\n".join(group.words() for group in registered.groups)
+    assert "mean_y_px is held; 1 px of it looks like +0.0" in said
+    assert "mean_x_px is held; 1 px of it looks like -0.0" in said
+    assert "common_delay_s is held; 1 s of it looks like -1 s of clock_s" in said
+    assert registered["mean_x_px"].held == "mean errors are taken to be zero"
+
+
+def test_the_registered_scene_has_the_camera_as_it_really_is(
+    scene: Scene, voyage: Voyage, registered: Registration
+) -> None:
+    (real,), quay = voyage.scene.cameras, registered.scene_of(scene).cameras[1]
+    assert quay.mount.yaw_rad == pytest.approx(real.mount.yaw_rad, abs=np.radians(0.1))
+    assert quay.mount.position_m[2] == pytest.approx(real.mount.position_m[2], abs=1.5)
+    assert quay.intrinsics.focal_px[0] == pytest.approx(real.intrinsics.focal_px[0], rel=0.005)
+    assert registered.scene_of(scene).cameras[0] is scene.cameras[0]
+
+
+def test_antennas_noise_and_silent_vessels_widen_the_intervals_and_do_not_pull(
+    scene: Scene, found: BoxesAtTimes, registered: Registration
+) -> None:
+    reported, _ = as_reported(scene, 1, AIS_ERRORS, ["motorboat"])
+    registration = register(reported, "quay", found, offsets_m=3.0, noise_m=1.0)
+    assert all(holds(registration, name) for name in CLOSE), registration
+    width, exact = (each["yaw_deg"].high - each["yaw_deg"].low for each in (registration, registered))
+    assert width > 2 * exact
+
+
+def test_fixed_parameters_keep_the_scenes_values(scene: Scene) -> None:
+    known = {name: value for name, value in WRONG.items() if name not in ("height_m", "focal_share")}
+    found = Voyage.of(replace(scene, steps=200), "quay", known).detections(0)
+    registration = register(scene, "quay", found, fixed=["height", "focal_share", "k1"])
+    assert registration["height_m"].held == "fixed by the user"
+    assert registration["height_m"].value == 0
+    assert holds(registration, "pitch_deg")
+    assert registration["pitch_deg"].standard_error < 0.03  # against the height it is known less well
+
+
+def test_given_mean_errors_are_taken_off(scene: Scene, found: BoxesAtTimes) -> None:
+    with pytest.raises(ModsimError, match="mean_errors: four numbers"):
+        register(scene, "quay", found, mean_errors=(1.0, 2.0))
+    moved = BoxesAtTimes(found.times_s, found.frame, found.boxes_px + np.array([3.0, -2.0, 3.0, -2.0]))
+    registration = register(scene, "quay", moved, mean_errors=(3.0, -2.0, 0.0, 0.0))
+    assert holds(registration, "yaw_deg")
+    assert holds(registration, "pitch_deg")
+
+
+def test_clocks_hours_apart_are_refused(scene: Scene, found: BoxesAtTimes) -> None:
+    late = BoxesAtTimes(found.times_s + 7200, found.frame, found.boxes_px)
+    with pytest.raises(ModsimError, match=r"the clocks are 2\.0 hours apart.*Check the time zone"):
+        register(scene, "quay", late)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 1.0])
+def test_rivals_that_match_nothing_in_the_end_do_not_end_a_registration(
+    scene: Scene, found: BoxesAtTimes, monkeypatch: pytest.MonkeyPatch, noise_m: float
+) -> None:
+    some = found.some(60)
+    alone = register(scene, "quay", some, searched_s=10, noise_m=noise_m)
+
+    def with_rivals(*arguments: Any) -> tuple[Values, list[Values]]:
+        best, _ = starts(*arguments)
+        return best, [best.changed(clock_s=1e4), best.changed(yaw_deg=90.0)]
+
+    monkeypatch.setattr(registering, "starts", with_rivals)
+    beside = register(scene, "quay", some, searched_s=10, noise_m=noise_m)
+    ends = [[(each.value, each.high) for each in done.estimates] for done in (beside, alone)]
+    np.testing.assert_array_equal(*ends)
+
+
+def test_a_log_of_another_camera_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
+    wrong = r"do not fit the vessels of .*mirrored detections.*another place, camera or time; .*pixels of another size"
+    with pytest.raises(ModsimError, match=wrong):
+        register(scene, "bow", found, searched_s=10)
+
+
+def test_mirrored_images_are_said_to_be(scene: Scene, found: BoxesAtTimes) -> None:
+    boxes = found.boxes_px[:, [2, 1, 0, 3]] * (-1, 1, -1, 1) + np.array([1920, 0] * 2)
+    with pytest.raises(ModsimError, match=r"Mirrored ones fit better: the images may be mirrored, or upside down$"):
+        register(scene, "quay", BoxesAtTimes(found.times_s, found.frame, boxes), searched_s=10)
+
+
+def test_a_camera_that_looks_another_way_is_refused_with_the_yaw_that_fits(scene: Scene) -> None:
+    found = Voyage.of(scene, "quay", {"yaw_deg": 40.0}).detections(0)
+    with pytest.raises(ModsimError, match=r"another way .*turned by \+(39|40|41)° of yaw.*yaw_rad is about 1\.[89]\d$"):
+        register(scene, "quay", found, searched_s=10)
+
+
+def test_too_little_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
+    with pytest.raises(ModsimError, match="there are no detections"):
+        register(scene, "quay", some(found, np.zeros(0, dtype=int)))
+    with pytest.raises(ModsimError, match="too little to go by: 1 detection, and at least 30 matches of 3"):
+        register(scene, "quay", some(found, np.zeros(1, dtype=int)))
+    few = some(found, np.arange(0, len(found.frame), 17))
+    off = np.where(np.arange(len(few.frame)) < 5, 300.0, 0.0)[:, None] * (0, 1, 0, 1)
+    with pytest.raises(ModsimError, match=r"too little to go by: 2\d matches of \d vessels \("):
+        register(scene, "quay", BoxesAtTimes(few.times_s, few.frame, few.boxes_px + off), searched_s=10)
+    two, _ = as_reported(scene, 0, AisErrors(), scene.vessel_names[2:-1])
+    with pytest.raises(ModsimError, match="the scene has 2 vessels for the camera to see"):
+        register(replace(two, cameras=scene.cameras[:1]), "bow", found)
+    with pytest.raises(ModsimError, match="no match is left where positions are off by 30000 m"):
+        register(scene, "quay", found, searched_s=10, noise_m=3e4)
+
+
+def test_one_bearing_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
+    middle = np.flatnonzero(np.abs(found.boxes_px[:, [0, 2]].mean(axis=1) - 960) < 25)
+    with pytest.raises(ModsimError, match=r"all detections lie within \d\.\d° of one bearing"):
+        register(scene, "quay", some(found, np.repeat(middle, 10)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"fixed": [*SHORT, "k1"]}, "all parameters are fixed"),
+        ({"fixed": ["ptch"]}, "no parameter 'ptch' .did you mean 'pitch'"),
+        ({"camera": "quai"}, "no camera 'quai'"),
+    ],
+)
+def test_names_that_do_not_exist_are_refused(
+    scene: Scene, found: BoxesAtTimes, options: dict[str, list[str]], message: str
+) -> None:
+    with pytest.raises(ModsimError, match=message):
+        register(scene, **{"camera": "quay", "found": found, **options})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("times_s", "frame", "boxes", "message"),
+    [
+        ([0.0, 0.0], [0], [[0, 0, 1, 1]], "must ascend, but 0 s follows 0 s"),
+        ([0.0, 1.0], [2], [[0, 0, 1, 1]], "not among the 2 frames"),
+        ([0.0, 1.0], [0, 1], [[0, 0, 1, 1]], "shapes"),
+        ([0.0, np.nan], [0], [[0, 0, 1, 1]], "not a finite number"),
+    ],
+)
+def test_wrong_detections_are_refused(times_s: list, frame: list, boxes: list, message: str) -> None:
+    with pytest.raises(ModsimError, match=message):
+        BoxesAtTimes(np.array(times_s), np.array(frame), np.array(boxes, dtype=float))
+
+
+def test_boats_that_turn_all_the_time_tell_the_clock_by_ais() -> None:
+    """They turn by up to 360° in the half minute: along a straight line they hardly come forward."""
+    basin = place_scene("basin", "shore", "clear", 127)
+    basin = replace(basin, annotation=replace(basin.annotation, source="analytic"))
+    known, _ = as_reported(basin, 1, AisErrors(position_m=1.0, position_s=300.0, delay_s=0.2))
+    registration = register(known, "shore", Voyage.of(basin, "shore", WRONG).detections(1), noise_m=1.0)
+    assert holds(registration, "clock_s"), registration
+    assert registration["clock_s"].value == pytest.approx(WRONG["clock_s"], abs=0.3)

@@ -1,0 +1,206 @@
+"""A detector that is learned from a voyage."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+
+import modsim3d
+from modsim3d.cli.detect import read_options
+from modsim3d.cli.learn_voyage import asked_voyage
+from modsim3d.cli.main import app
+from modsim3d.core.errors import ModsimError
+from modsim3d.learn.voyage.camera_registration import FIXED_NAMES
+from modsim3d.learn.voyage.learn_voyage import Method, learn_voyage
+from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, CameraLog, Correction
+from modsim3d.scene.scene import Scene
+from tests.cli.bad_input.builders import Call
+from tests.learn.voyage.test_logs import LOGS, options
+
+WITHOUT = ("relative", "mixed", "student_t", "effects", "persistence", "vessels", "lasting", "slopes")
+"""Whose estimates take long."""
+
+
+def learned(scene: Scene, voyage: Path, name: str, **others: object) -> dict[str, object]:
+    """The keys of the detector that is learned from a log of the bow camera."""
+    path, given = LOGS[name]
+    found = learn_voyage(
+        scene,
+        voyage / path,
+        camera="bow",
+        log_options=options(voyage, given),
+        replicates=20,
+        without=WITHOUT,
+        **{"registration": NO_CORRECTION, **others},  # type: ignore[arg-type]
+    )
+    return found.content
+
+
+def numbers(content: object) -> list[float]:
+    if isinstance(content, dict):
+        return [number for value in content.values() for number in numbers(value)]
+    if isinstance(content, list | tuple):
+        return [number for value in content for number in numbers(value)]
+    return [float(content)] if isinstance(content, int | float) else []
+
+
+@pytest.fixture(scope="module")
+def from_run(strait: Scene, voyage: Path) -> dict[str, object]:
+    return learned(strait, voyage, "run")
+
+
+@pytest.mark.parametrize("name", ["stream", "COCO", "MCAP", "CSV"])
+def test_all_formats_teach_the_same_detector(strait: Scene, voyage: Path, from_run, name: str) -> None:
+    assert learned(strait, voyage, name) == from_run
+
+
+def test_it_is_near_the_detector_that_is_learned_from_the_run(voyage: Path, from_run) -> None:
+    """They differ only in the rounding of boxes, and in what the other camera adds, which is left out of both."""
+    run = modsim3d.open_run(voyage / "run")
+    theirs = modsim3d.learn_detector(
+        run=run, match="confidence", replicates=20, without=WITHOUT, states={"voyage": ["clear", "haze"]}
+    )
+    mine = learn_voyage(run.scene, voyage / "run", fixed="all", replicates=20, without=WITHOUT)
+    np.testing.assert_allclose(numbers(mine.content), numbers(theirs.content), rtol=2e-3, atol=1e-5)
+
+
+def test_registration_is_applied_to_the_camera_and_to_the_clock(strait: Scene, voyage: Path, from_run) -> None:
+    """With a wrong pitch most boxes are missed; what finds it is asked once for each camera."""
+    asked: list[tuple[str, int, int]] = []
+
+    def registrar(scene: Scene, log: CameraLog) -> Correction:
+        asked.append((scene.name, log.camera, len(log.time_s)))
+        return Correction(pitch_deg=2)
+
+    wrong = learned(strait, voyage, "run", registration=registrar)
+    assert asked == [("strait", 0, 24)]
+    recall = [content["states"]["voyage"]["confusion"][-1][0] for content in (from_run, wrong)]  # type: ignore[index]
+    assert recall[0] < 0.3
+    assert recall[1] > 0.5
+
+
+def test_the_command_learns_from_a_log(call: Call, voyage: Path, tmp_path: Path) -> None:
+    out = tmp_path / "detector.yaml"
+    line = (
+        "learn",
+        "--scene",
+        voyage / "run" / "scene" / "strait.json",
+        "--fixed",
+        "all",
+        "--replicates",
+        20,
+        "--out",
+        out,
+    )
+    given = ("--detections", voyage / "coco" / "dt.json", "--images", voyage / "coco" / "gt.json", "--camera", "bow")
+    status, said = call(*line, *given)
+    assert status == 0, said
+    assert "nothing was registered" in said
+    assert "24 images" in said
+    assert "its frames are known from the images of gt.json" in " ".join(said.split())
+    text = out.read_text()
+    assert "# States: voyage = voyage" in text
+    assert "strait.json" in out.with_suffix(".html").read_text()
+    modsim3d.load_detector(out)
+
+
+WRONG = {
+    "--truth too": (("--truth", "gt.json"), "give it without --truth"),
+    "--run too": (("--run", "run"), "give it without --run"),
+    "no log": ((), "--scene needs --detections"),
+    "another camera": (("--detections", "run", "--camera", "mast"), "has no camera 'mast'"),
+    "no start": (("--detections", "run", "--start", "noon"), "--start"),
+    "conditions": (("--detections", "run", "--condition", "a", "--condition", "b"), "with 1 logs: name each"),
+    "a size": (("--detections", "run", "--image-size", "10,10"), "--image-size is not for --scene"),
+    "another time": (("--detections", "run", "--start", "9000"), "is from 0 s to 4.6 s"),
+}
+
+
+@pytest.mark.parametrize(("given", "said"), WRONG.values(), ids=WRONG)
+def test_what_does_not_go_together_is_refused(call: Call, voyage: Path, tmp_path: Path, given, said: str) -> None:
+    given = [voyage / each if each == "run" else each for each in given]
+    scene = voyage / "run" / "scene" / "strait.json"
+    status, text = call("learn", "--scene", scene, "--fixed", "all", *given, "--out", tmp_path / "d.yaml")
+    assert status == 2
+    assert said in text
+    assert "Traceback" not in text
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "given", [("--camera", "bow"), ("--start", 0), ("--images", "gt.json"), ("--fixed", "all"), ("--empty", "0-9")]
+)
+def test_options_of_a_voyage_need_a_scene(call: Call, tmp_path: Path, given) -> None:
+    status, text = call("learn", *given, "--out", tmp_path / "d.yaml")
+    assert status == 2
+    assert f"{given[0]} is for --scene" in text
+
+
+def test_logs_that_name_no_camera_are_of_those_that_are_given(voyage: Path) -> None:
+    """`--camera` names that of each log, in their order."""
+    folder, scene = voyage / "csv", str(voyage / "run" / "scene" / "strait.json")
+    logs = [folder / "detections_bow.csv", folder / "detections_quay.csv"]
+
+    def views(*cameras: str) -> list[str]:
+        asked = asked_voyage(scene, None, None, cameras, None, None, None, "all", None, None, None, None, None, False)
+        assert asked is not None
+        options = read_options(None, None, False, None, 0, None, None)
+        return [view.camera.name for view in asked.labelled(logs, [], options, None).views]
+
+    assert views("bow", "quay") == ["bow", "quay"]
+    logs[1] = logs[0]
+    with pytest.raises(ModsimError, match=r"--detections .*detections_bow.csv is given twice: its frames would count"):
+        views("bow")
+    with pytest.raises(ModsimError, match=r"--camera is given 3 times, with 2 logs: .* for each in their order"):
+        views("bow", "quay", "bow")
+
+
+def test_fixed_names_are_those_of_the_help() -> None:
+    (said,) = (each.help for each in typer.main.get_command(app).commands["learn"].params if each.name == "fixed")
+    assert said.partition(": ")[2] == f"{', '.join(FIXED_NAMES)}; or all."
+
+
+def test_nothing_can_be_learned_where_no_vessel_is_seen(strait: Scene, voyage: Path) -> None:
+    with pytest.raises(ModsimError, match="nothing can be learned"):
+        learn_voyage(strait, voyage / "run", camera="bow", registration=Correction(yaw_deg=180), replicates=20)
+
+
+def test_what_is_fixed_or_known_is_of_an_estimated_registration(strait: Scene, voyage: Path) -> None:
+    with pytest.raises(ModsimError, match="fixed and known are for a registration that is estimated"):
+        learn_voyage(strait, voyage / "run", registration=NO_CORRECTION, known="delay=2")
+
+
+@pytest.mark.parametrize(("position_m", "mode"), [(0.0, 2), (3.0, 2), (3.0, 1)])
+def test_hidden_parts_leave_box_errors_out_where_positions_are_not_surely_known(
+    strait: Scene, voyage: Path, position_m: float, mode: int
+) -> None:
+    scene = replace(strait, annotation=replace(strait.annotation, mode=mode))
+    given = {"registration": NO_CORRECTION, "position_noise": position_m, "replicates": 2, "without": WITHOUT}
+    found = learn_voyage(scene, voyage / "run", camera="bow", match="confidence", **given)
+    pairs = found.report.learned.observed.pairs
+    hidden = found.told.voyage.labelled.annotations.visible_fraction[pairs.rows] < 0.99
+    assert hidden.any()
+    assert not hidden.all()
+    assert pairs.edges.whole[hidden].any() == (position_m == 0 or mode == 1)
+    assert pairs.edges.whole[~hidden].any()
+
+
+def test_boxes_match_by_centres_where_positions_are_not_surely_known(strait: Scene, voyage: Path) -> None:
+    def matched_by(position_m: float, match: Method | None = None) -> str:
+        found = learn_voyage(
+            strait,
+            voyage / "run",
+            camera="bow",
+            registration=NO_CORRECTION,
+            position_noise=position_m,
+            match=match,
+            replicates=2,
+            without=WITHOUT,
+        )
+        return found.report.matched_by.partition(" at")[0]
+
+    assert [matched_by(0.0), matched_by(3.0), matched_by(3.0, "confidence")] == ["IoU", "centres", "IoU"]

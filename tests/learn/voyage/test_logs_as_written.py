@@ -1,0 +1,216 @@
+"""Logs as other programs write them: marks at their beginning, line ends, accents, units of time, old ROS messages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from modsim3d.core.errors import InputError
+from modsim3d.formats.writing.mcap_messages import DETECTIONS, VISION_MSGS
+from modsim3d.learn.voyage.clock import SceneClock
+from modsim3d.learn.voyage.log_to_scene import on_scene
+from modsim3d.learn.voyage.logs.log import LogOptions
+from modsim3d.learn.voyage.logs.reading import read_log
+from modsim3d.scene.scene import Scene
+
+BOX = [100.0, 500.0, 30.0, 40.0]
+NAME = "b\u00e5t"
+
+
+def csv_text(times: list[float]) -> str:
+    rows = [f"{time:.12g},100,500,30,40,{NAME},0.5\n" for time in times]
+    return "".join(["time_s,left,top,width,height,label,score\n", *rows])
+
+
+def lines_text(times: list[float]) -> str:
+    found = [{"box_px": [100, 500, 130, 540], "label": NAME, "confidence": 0.5}]
+    lines = [json.dumps({"time_s": time, "detections": found}, ensure_ascii=False) for time in times]
+    return "\n".join([*lines, ""])
+
+
+def thesis_text(times: list[float]) -> str:
+    box = {"centre": {"x": 115, "y": 520}, "width": 30, "height": 40}
+    entry = {"a": {"label": NAME, "confidenceScore": 0.5, "bbox": box}}
+    return json.dumps({f"{time:.12g}": entry for time in times}, ensure_ascii=False, indent=1)
+
+
+def coco_text(times: list[float]) -> str:
+    images = [{"id": k, "file_name": f"{k}.png", "time_s": time} for k, time in enumerate(times)]
+    found = [{"image_id": k, "category_id": 1, "bbox": BOX, "score": 0.5} for k in range(len(times))]
+    content = {"images": images, "annotations": found, "categories": [{"id": 1, "name": NAME}]}
+    return json.dumps(content, ensure_ascii=False, indent=1)
+
+
+def mot_text(times: list[float]) -> str:
+    return "".join(f"{k + 1},-1,101,501,30,40,0.5,1\n" for k in range(len(times)))
+
+
+LOGS: dict[str, tuple[str, Callable[[list[float]], str]]] = {
+    "CSV": ("log.csv", csv_text),
+    "lines": ("log.jsonl", lines_text),
+    "thesis JSON": ("log.json", thesis_text),
+    "COCO": ("log.json", coco_text),
+    "MOT": ("log.txt", mot_text),
+}
+MARKS: dict[str, Callable[[str], bytes]] = {
+    "mark": lambda text: b"\xef\xbb\xbf" + text.encode(),
+    "CR LF": lambda text: text.replace("\n", "\r\n").encode(),
+    "CR": lambda text: text.replace("\n", "\r").encode(),
+    "mark and CR": lambda text: b"\xef\xbb\xbf" + text.replace("\n", "\r").encode(),
+    "escaped NFD": lambda text: text.replace("\u00e5", "a\\u030a" if text.startswith("{") else "\u00e5").encode(),
+    "NFD": lambda text: text.replace("\u00e5", "a\u030a").encode(),
+}
+TIMES = [0.0, 0.2, 0.4]
+OPTIONS = LogOptions(frame_rate_hz=5, labels=(NAME,))
+
+
+@pytest.mark.parametrize(("log", "mark"), [(log, mark) for log in LOGS for mark in MARKS])
+def test_marks_line_ends_and_accents_change_nothing(tmp_path: Path, log: str, mark: str) -> None:
+    name, text = LOGS[log]
+    (tmp_path / name).write_bytes(MARKS[mark](text(TIMES)))
+    found = read_log(tmp_path / name, OPTIONS)
+    assert (found.time_s.tolist(), found.labels) == (TIMES, (NAME,))
+    np.testing.assert_array_equal(found.boxes_px, [[100, 500, 130, 540]] * 3)
+
+
+@pytest.mark.parametrize("log", LOGS)
+def test_utf_16_is_named(tmp_path: Path, log: str) -> None:
+    name, text = LOGS[log]
+    for codec in ("utf-16-le", "utf-16-be"):
+        (tmp_path / name).write_bytes(("\ufeff" + text(TIMES)).encode(codec))
+        with pytest.raises(InputError, match="is UTF-16 text, must be UTF-8"):
+            read_log(tmp_path / name, OPTIONS)
+
+
+@pytest.mark.parametrize(("line", "says"), [("sep=,\n", "line 1 is for spreadsheets alone"), ("", "semicolons")])
+def test_what_spreadsheets_write_is_named(tmp_path: Path, line: str, says: str) -> None:
+    text = csv_text(TIMES)
+    (tmp_path / "log.csv").write_text(line + text if line else text.replace(",", ";"))
+    with pytest.raises(InputError, match=says):
+        read_log(tmp_path / "log.csv")
+
+
+UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+
+
+@pytest.mark.parametrize(("log", "unit"), [(log, unit) for log in LOGS if log != "MOT" for unit in UNITS])
+def test_times_in_another_unit_are_refused(tmp_path: Path, strait: Scene, log: str, unit: str) -> None:
+    name, text = LOGS[log]
+    times = [time * UNITS[unit] for time in np.arange(0, 4.6, 0.2).round(1).tolist()]
+    (tmp_path / name).write_text(text(times).replace(NAME, "boat"))
+    seem = f"22 of 23 frames are before or after the scene: they seem to be {unit}, must be seconds"
+    with pytest.raises(InputError, match="are these nanoseconds" if unit == "nanoseconds" else seem):
+        on_scene(read_log(tmp_path / name), strait, "bow")
+
+
+@pytest.mark.parametrize("start_s", [None, 1.7e9])
+def test_nanoseconds_that_would_be_in_the_future_are_named(
+    tmp_path: Path, strait: Scene, monkeypatch: pytest.MonkeyPatch, start_s: float | None
+) -> None:
+    monkeypatch.setattr(SceneClock, "of", lambda scene: SceneClock(10.0, 0.0, start_s))
+    path = tmp_path / "log.csv"
+    for scale, says in ((1e9, "they seem to be nanoseconds, must be seconds"), (1e10, "they are in the future")):
+        path.write_text(csv_text([(time * scale) for time in (5.0, 5.2, 5.4)]).replace(NAME, "boat"))
+        with pytest.raises(InputError, match=says):
+            on_scene(read_log(path), strait, "bow")
+
+
+def test_a_log_of_which_most_is_outside_of_the_scene_is_refused(tmp_path: Path, strait: Scene) -> None:
+    path = tmp_path / "log.csv"
+    for start, stop, says in ((-3.0, 3.2, ""), (-4.0, 3.4, "20 of 38"), (2.0, 9.0, "22 of 36")):
+        times = np.arange(start, stop + 0.1, 0.2).round(1).tolist()
+        path.write_text(csv_text(times).replace(NAME, "boat"))
+        if not says:
+            assert len(on_scene(read_log(path), strait, "bow").time_s) == len(times)
+            continue
+        with pytest.raises(InputError, match=f"{says} frames are before or after the scene; give a part of the log"):
+            on_scene(read_log(path), strait, "bow")
+
+
+# ---- ROS 2 bags ---------------------------------------------------------------------------------------------------
+
+
+def bag(folder: Path, topics: tuple[str, ...], *, old: bool = False, theta: float = 0.0, sqlite: bool = False) -> Path:
+    """A bag of a detection at each time on each topic, with the vision_msgs 4 of Humble or those of Foxy."""
+    types = dict(VISION_MSGS)
+    if old:
+        types["vision_msgs/msg/BoundingBox2D"] = "geometry_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y\n"
+        result = "vision_msgs/msg/ObjectHypothesisWithPose"
+        types[result] = "string id\nfloat64 score\ngeometry_msgs/PoseWithCovariance pose\n"
+        for name in ("ObjectHypothesis", "Pose2D", "Point2D"):
+            del types[f"vision_msgs/msg/{name}"]
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in types.items():
+        store.register(get_types_from_msg(text, name))
+
+    def make(name: str, *values: Any) -> Any:
+        return store.types[name.replace("/", "/msg/")](*values)
+
+    zero = make("geometry_msgs/Point", 0.0, 0.0, 0.0), make("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
+    pose = make("geometry_msgs/PoseWithCovariance", make("geometry_msgs/Pose", *zero), np.zeros(36))
+    if old:
+        centre, kind = make("geometry_msgs/Pose2D", 115.0, 520.0, theta), ("boat", 0.5)
+    else:
+        centre = make("vision_msgs/Pose2D", make("vision_msgs/Point2D", 115.0, 520.0), theta)
+        kind = (make("vision_msgs/ObjectHypothesis", "boat", 0.5),)
+    box = make("vision_msgs/BoundingBox2D", centre, 30.0, 40.0)
+    results = [make("vision_msgs/ObjectHypothesisWithPose", *kind, pose)]
+    plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
+    with Writer(folder, version=8, storage_plugin=plugin) as writer:
+        for topic in topics:
+            connection = writer.add_connection(topic, DETECTIONS, typestore=store)
+            for time in TIMES:
+                stamp = make("builtin_interfaces/Time", 0, round(time * 1e9))
+                header = make("std_msgs/Header", stamp, "bow")
+                message = make(
+                    "vision_msgs/Detection2DArray", header, [make("vision_msgs/Detection2D", header, results, box, "")]
+                )
+                writer.write(connection, round(time * 1e9), store.serialize_cdr(message, DETECTIONS))
+    return folder
+
+
+def test_accents_of_tables_in_parquet_change_nothing(tmp_path: Path) -> None:
+    columns = dict(zip(("left", "top", "width", "height"), BOX, strict=True)) | {"label": "ba\u030at"}
+    pq.write_table(pa.Table.from_pylist([{"time_s": time, **columns} for time in TIMES]), tmp_path / "log.parquet")
+    assert read_log(tmp_path / "log.parquet").labels == (NAME,)
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_results_of_old_and_new_vision_msgs_are_read(tmp_path: Path, old: bool) -> None:
+    found = read_log(bag(tmp_path / "bag", ("/bow/detections",), old=old))
+    assert (found.time_s.tolist(), found.labels, found.confidence.tolist()) == (TIMES, ("boat",), [0.5] * 3)
+    np.testing.assert_array_equal(found.boxes_px, [[100, 500, 130, 540]] * 3)
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_turned_boxes_are_refused(tmp_path: Path, old: bool) -> None:
+    with pytest.raises(InputError, match=r"/bow/detections at 0 s, \[0\]: bbox.center.theta must be 0, .*\(got 0.3\)"):
+        read_log(bag(tmp_path / "bag", ("/bow/detections",), old=old, theta=0.3))
+    assert len(read_log(bag(tmp_path / "half turn", ("/bow/detections",), old=old, theta=np.pi)).frame) == 3
+
+
+@pytest.mark.parametrize(
+    ("topics", "camera"), [(("/bow/detections", "/bow/filtered"), "'bow'"), (("/detections", "/filtered"), "null")]
+)
+def test_two_topics_of_one_camera_are_named(tmp_path: Path, topics: tuple[str, ...], camera: str) -> None:
+    with pytest.raises(
+        InputError, match=f"{topics[0]} and {topics[1]} are both of camera {camera}: give a bag with one"
+    ):
+        read_log(bag(tmp_path / "bag", topics))
+
+
+def test_the_file_of_a_bag_in_sqlite_stands_for_its_folder(tmp_path: Path) -> None:
+    folder = bag(tmp_path / "bag", ("/bow/detections",), sqlite=True)
+    assert len(read_log(folder / "bag.db3").frame) == 3
+    (folder / "metadata.yaml").unlink()
+    with pytest.raises(InputError, match=r"metadata\.yaml is missing beside it: give the whole folder of the bag"):
+        read_log(folder / "bag.db3")

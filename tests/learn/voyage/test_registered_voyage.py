@@ -1,0 +1,256 @@
+"""A voyage with a wrong clock and a wrong camera, from the log to the detector file."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import orjson
+import pytest
+
+import modsim3d
+from modsim3d.core.errors import InputError
+from modsim3d.learn.voyage import labelled_voyage
+from modsim3d.learn.voyage.camera_registration import correction_of
+from modsim3d.learn.voyage.coverage import unmatched_stretches
+from modsim3d.learn.voyage.learn_voyage import VoyageResult, learn_voyage
+from modsim3d.learn.voyage.log_to_scene import Correction
+from modsim3d.learn.voyage.non_ais.classification import classify_unmatched
+from modsim3d.learn.voyage.non_ais.rates import TimeSpan
+from modsim3d.learn.voyage.non_ais.tracklets import Behaviour
+from modsim3d.learn.voyage.report import registration_lead, voyage_json
+from modsim3d.scene.reading import load_scene
+from tests.cli.bad_input.builders import Call
+from tests.learn.voyage.strait_logs import REALLY, strait_log, strait_scene, written
+from tests.learn.voyage.test_learn_voyage import WITHOUT
+
+OPTIONS = ("--camera", "bow", "--replicates", 20, "--without", ",".join(WITHOUT))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scene `strait.json` and the log `bow.csv`."""
+    folder = tmp_path_factory.mktemp("strait")
+    strait_log(load_scene(strait_scene(folder)), folder / "bow.csv")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def learned(folder: Path) -> VoyageResult:
+    return learn_voyage(folder / "strait.json", folder / "bow.csv", camera="bow", replicates=20, without=WITHOUT)
+
+
+def recall(content: dict) -> float:
+    return 1 - content["states"]["voyage"]["confusion"][-1][0]
+
+
+def test_clock_pitch_and_yaw_come_back(learned: VoyageResult) -> None:
+    (registered,) = learned.registered
+    tolerance = {"clock_s": 0.03, "pitch_deg": 0.05, "yaw_deg": 0.1}
+    for name, truth in REALLY.items():
+        assert registered.registration[name].value == pytest.approx(truth, abs=tolerance[name])
+        assert registered.registration[name].high - registered.registration[name].low < 2 * tolerance[name]
+    assert registered.registration.rms_after_px < registered.registration.rms_before_px / 4
+
+
+def test_the_correction_changes_camera_and_clock_as_the_registration_says(learned: VoyageResult) -> None:
+    registration = learned.registered[0].registration
+    correction = correction_of(registration)
+    scene = learned.told.voyage.scene
+    camera = next(each for each in scene.cameras if each.name == "bow")
+    mount, changed = camera.mount, correction.camera(camera)
+    for name in ("roll", "pitch", "yaw"):
+        found = np.radians(registration[f"{name}_deg"].value)
+        assert getattr(changed.mount, f"{name}_rad") == pytest.approx(getattr(mount, f"{name}_rad") + found, abs=1e-12)
+    assert changed.mount.position_m[2] == pytest.approx(mount.position_m[2] + registration["height_m"].value)
+    larger = 1 + registration["focal_share"].value
+    assert changed.intrinsics.focal_px[0] == pytest.approx(camera.intrinsics.focal_px[0] * larger)
+    assert correction.clock_s == registration["clock_s"].value
+    times = learned.told.voyage.labelled.images.time_s
+    assert times[-1] == pytest.approx(299 * 0.2 - REALLY["clock_s"], abs=0.21)  # by the clock of the log
+
+
+def test_empty_stretches_are_by_the_clock_of_the_log(learned: VoyageResult) -> None:
+    """The log ends 3.7 s before the scene, by its own clock; a stretch is what a user reads there."""
+    observed = learned.told.judged.observed
+    last = 59.8 - REALLY["clock_s"]
+    assert classify_unmatched(observed, (TimeSpan(last - 0.9, last + 9),)).empty.sum() == 5
+    with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.7 s to 56"):
+        classify_unmatched(observed, (TimeSpan(last + 0.5, 59.8),))
+
+
+def test_an_empty_stretch_outside_the_log_is_refused_before_registration(
+    folder: Path, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object) -> Correction:
+        raise AssertionError("registered")
+
+    scene, log, stretch = folder / "strait.json", folder / "bow.csv", f"{60 - REALLY['clock_s']}-59.8"
+    with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.7 s to 56"):
+        learn_voyage(scene, log, camera="bow", registration=never, empty=stretch)
+    monkeypatch.setattr(labelled_voyage, "labelled_voyage", never)
+    line = ("learn", "--scene", scene, "--detections", log, "--camera", "bow", "--empty", stretch)
+    status, said = call(*line, "--out", tmp_path / "d.yaml")
+    assert (status, "no frame lies in it" in " ".join(said.split())) == (2, True)
+
+
+def test_json_has_the_registration_with_intervals_and_the_coverage(learned: VoyageResult) -> None:
+    said = json.loads(orjson.dumps(voyage_json(learned.told)))
+    (registration,) = said["registration"]
+    parameters = {each["name"]: each for each in registration["parameters"]}
+    assert parameters["yaw_deg"]["low"] < parameters["yaw_deg"]["value"] < parameters["yaw_deg"]["high"]
+    assert parameters["mean_x_px"]["held"] == "mean errors are taken to be zero"
+    (rates,) = said["false_positives_per_image"]
+    assert rates["by_lifetimes"] is None and rates["like_vessels"] is None  # nothing lasts as vessels do
+    (coverage,) = said["coverage"]
+    matched, whole = np.array(coverage["matched"]), np.array(coverage["to_be_detected"])
+    assert matched.shape == (len(coverage["bearings_deg"]) - 1, len(coverage["ranges_m"]) - 1)
+    assert whole.sum() == learned.told.judged.observed.matched.sought.sum()
+    assert matched.sum() == len(learned.told.judged.observed.matched.pairs[0])
+
+
+def test_the_detector_is_learned_back_and_is_visibly_worse_without_registration(
+    folder: Path, learned: VoyageResult
+) -> None:
+    def with_camera(**others: object) -> dict:
+        given = {"camera": "bow", "replicates": 20, "without": WITHOUT, **others}
+        return learn_voyage(folder / "strait.json", folder / "bow.csv", **given).content
+
+    known, wrong = with_camera(registration=Correction(**REALLY)), with_camera(fixed="all")
+    mine = learned.content
+    assert recall(mine) == pytest.approx(recall(known), abs=0.01)
+    spreads = [np.sqrt(np.diag(each["states"]["voyage"]["box_error"]["covariance"])) for each in (mine, known, wrong)]
+    np.testing.assert_allclose(spreads[0], spreads[1], rtol=0.15)
+    assert recall(wrong) < 0.5 < 0.8 < recall(mine)
+    assert spreads[2][0] > 3 * spreads[1][0]
+
+
+def test_the_command_tells_the_registration_writes_the_page_and_the_scene(
+    call: Call, folder: Path, tmp_path: Path
+) -> None:
+    given = ("--scene", folder / "strait.json", "--detections", folder / "bow.csv", *OPTIONS)
+    out, scene = tmp_path / "detector.yaml", tmp_path / "scene"
+    status, said = call("learn", *given, "--fixed", "roll,k1", "--out", out, "--write-scene", scene, "--empty", "0-9")
+    text = " ".join(said.split())
+    assert status == 0, said
+    assert "Camera 'bow' was registered by" in text
+    assert "fixed by the user" in text
+    assert "What camera 'bow' matched and missed, by range" in text
+    page = out.with_suffix(".html").read_text()
+    sketches = [part.split("</svg>")[0] for part in page.split('aria-label="Frame of camera')[1:]]
+    for sketch in sketches:  # a title may be as wide as the sketch
+        assert len(re.findall(r'<text x="[\d.]+" y="11.0"', sketch)) == 1
+        assert "px wide</text>" in sketch
+    assert sketches
+    for title in ("Registration", "What AIS does not see", "Coverage of the sea", "The longest without a match"):
+        assert f">{title}</h2>" in page
+    modsim3d.load_detector(out)
+    (camera,) = (each for each in load_scene(scene).cameras if each.name == "bow")
+    assert np.degrees(camera.mount.yaw_rad) == pytest.approx(REALLY["yaw_deg"], abs=0.1)
+    assert np.degrees(camera.mount.pitch_rad) == pytest.approx(np.degrees(0.03) + REALLY["pitch_deg"], abs=0.05)
+    noted = json.loads((scene / "registration.json").read_text())["cameras"]["bow"]
+    assert noted["clock_s"] == pytest.approx(REALLY["clock_s"], abs=0.03)
+
+
+def test_a_detector_is_no_file_of_the_written_scene(call: Call, voyage: Path, tmp_path: Path) -> None:
+    scene, out = voyage / "run" / "scene" / "strait.json", tmp_path / "scene" / "scene.yaml"
+    line = ("learn", "--scene", scene, "--detections", voyage / "run", "--fixed", "all", "--out", out)
+    status, said = call(*line, "--write-scene", out.parent)
+    assert status == 2
+    assert "is a file of the scene: give --out another folder or name" in " ".join(said.split())
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call, folder: Path, tmp_path: Path) -> None:
+    rows = np.loadtxt(folder / "bow.csv", delimiter=",", skiprows=1)
+    times, boxes = rows[:, 0], rows[:, 1:]
+    late = written(tmp_path / "late.csv", times + 3 * 3600, boxes)
+    rng = np.random.default_rng(0)
+    width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
+    left, top = rng.uniform(0, 1900 - width), rng.uniform(0, 1000 - height)
+    elsewhere = written(tmp_path / "other.csv", times, np.column_stack([left, top, left + width, top + height]))
+    astern = strait_scene(tmp_path / "astern", **{"cameras.bow.mount.yaw_rad": 1.5})
+    wrong = {
+        late: (folder / "strait.json", "the log is after the scene's last step, by 3.0 hours"),
+        elsewhere: (folder / "strait.json", "The log may be of another place, camera or time"),
+        folder / "bow.csv": (astern, "the camera looks another way than"),
+    }
+    for log, (scene, problem) in wrong.items():
+        line = ("learn", "--scene", scene, "--detections", log, *OPTIONS, "--out", tmp_path / "d.yaml")
+        status, said = call(*line)
+        assert status == 2
+        assert problem in " ".join(said.split())
+        assert "Traceback" not in said
+    assert not (tmp_path / "d.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        (("--fixed", "pitsch"), "no parameter 'pitsch'"),
+        (("--fixed", "all,pitch"), "all stands alone (got 'all,pitch')"),
+        (("--fixed", ""), "no parameter '' (known: clock, roll, pitch, yaw, height, focal, k1, mean_width"),
+        (("--known", "mean_x=1"), "--fixed all leaves out"),
+        (("--known", "mean_width=2"), "mean_width: must be a share above -1 and below 1, such as 0.02 (got '2')"),
+        (("--stale", "90"), "was not made by modsim3d ais"),
+        (("--empty", "soon"), "must be FROM-TO in seconds"),
+        (("--empty", "900-1000"), "no frame lies in it"),
+        (("--empty", "2024-01-04T10:02Z/2024-01-04T10:03Z"), "does not say when it starts"),
+        (("--position-noise", "-1"), "must be metres from 0 to 100 (got -1)"),
+        (("--position-noise", "1e4"), "must be metres from 0 to 100 (got 10000)"),
+        (("--camera", "bow", "--camera", "quay"), "--camera is given 2 times, with 1 log:"),
+        (("--position-noise", "2", "--iou", "0.4"), "not for centre, which AIS is matched by unless --match says"),
+        (("--bias",), "--bias and --correct are not for --scene"),
+        (("--correct",), "--bias and --correct are not for --scene"),
+    ],
+)
+def test_wrong_options_of_a_voyage_are_refused(call: Call, voyage: Path, tmp_path: Path, given, problem: str) -> None:
+    scene = voyage / "run" / "scene" / "strait.json"
+    fixed = () if "--fixed" in given else ("--fixed", "all")
+    line = ("learn", "--scene", scene, "--detections", voyage / "run", "--out", tmp_path / "d.yaml", *fixed, *given)
+    status, said = call(*line)
+    assert status == 2
+    assert problem in " ".join(said.split())
+    assert not any(tmp_path.iterdir())
+
+
+def test_what_cannot_be_registered_is_refused_with_its_log(folder: Path) -> None:
+    """Of several logs of one camera the message says which."""
+    written(folder / "short.csv", np.zeros(1), np.array([[10.0, 500.0, 40.0, 520.0]]))
+    with pytest.raises(InputError, match=r"^detections .*short\.csv, camera 'bow':\n +registration: too little"):
+        learn_voyage(folder / "strait.json", folder / "short.csv", camera="bow")
+
+
+def test_residuals_are_said_with_what_they_rest_on(learned: VoyageResult) -> None:
+    (registered,) = learned.registered
+    found = registered.registration
+    assert "registered ones, with vessels off their reports as fits them best (root" in registration_lead(registered)
+    still = replace(found, values=replace(found.values, vessels=np.zeros_like(found.values.vessels)))
+    assert "registered ones (root" in registration_lead(replace(registered, registration=still))
+    unseen = replace(registered, registration=replace(found, rms_before_px=np.nan))
+    assert "off by more than the lens shows with the scene's" in registration_lead(unseen)
+
+
+def test_a_file_that_exists_is_refused_before_the_log_is_read(call: Call, folder: Path, tmp_path: Path) -> None:
+    """A registration may take minutes."""
+    for taken in ("d.yaml", "d.html", "d.uncertainty.json", "scene/scene.yaml"):
+        there = tmp_path / taken
+        there.parent.mkdir(exist_ok=True)
+        there.write_text("mine")
+        line = ("learn", "--scene", folder / "strait.json", "--detections", folder / "none.csv")
+        status, said = call(*line, "--out", tmp_path / "d.yaml", "--write-scene", tmp_path / "scene")
+        assert status == 2
+        assert f"{there} exists: use --overwrite" in said
+        assert there.read_text() == "mine"
+        there.unlink()
+
+
+def test_things_that_are_false_have_the_reason_beside_them(learned: VoyageResult) -> None:
+    judged = learned.told.judged
+    jumps = np.full_like(judged.things.behaviour, Behaviour.JUMPS)
+    for behaviour, said in ((judged.things.behaviour * 0, "false"), (jumps, "false: moves unsteadily")):
+        other = replace(judged, things=replace(judged.things, behaviour=behaviour))
+        assert {each.what for each in unmatched_stretches(learned.told.voyage, other)} == {said}

@@ -1,0 +1,208 @@
+"""False detections linked over time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule
+from modsim3d.learn.voyage.non_ais.classification import classify_unmatched
+from modsim3d.learn.voyage.non_ais.linking import STEADY, jitter_of, link
+from modsim3d.learn.voyage.non_ais.tracklets import Behaviour, things_of
+from tests.formats.labelled_sets import found, images, truth
+from tests.learn.voyage.unseen.voyages import HEIGHT_PX, HORIZON_PX, SEA, WIDTH_PX, boxes_at, observed
+
+
+def set_of(image, x, y, size=40.0, frames=60, rate_hz=2.0, seas=SEA):
+    size = np.broadcast_to(size, len(image))
+    rows = found(image, 0 * np.asarray(image), boxes_at(np.array(x), np.array(y), size), np.full(len(image), 0.9))
+    seas = np.broadcast_to(seas, (frames, 3))
+    shots = images(frames, (WIDTH_PX, HEIGHT_PX), np.arange(frames) / rate_hz, np.array(seas))
+    return LabelledSet(("boat",), ("all",), shots, truth([], [], np.empty((0, 4))), rows.by_image())
+
+
+def linked(labelled):
+    return link(observed(labelled))
+
+
+def test_what_nears_is_one_thing_though_it_seems_to_go_ever_faster():
+    """At 1 Hz and 12 px, by up to a twentieth of its length a second each second."""
+    frame = np.arange(40)
+    assert linked(set_of(frame, 100 + 0.3 * frame**2.0, np.full(40, 400.0), 12.0, 40, 1.0)).count == 1
+
+
+def test_a_thing_is_followed_over_a_gap_as_long_as_it_was_seen_and_not_over_a_longer_one():
+    image = np.array([0, 1, 2, 3, 8, 9, 10, 20, 21, 50, 51])
+    links = linked(set_of(image, 100 + 4.0 * image, np.full(11, 400.0)))
+    assert links.link.tolist() == [0] * 9 + [1] * 2
+
+
+def test_a_thing_that_comes_into_view_and_leaves_it_is_one_thing():
+    frame = np.arange(120)
+    left = 1300 - 14.0 * frame  # 140 px wide, in an image of 1200 px
+    boxes = np.clip(np.column_stack([left, 0 * left + 400, left + 140, 0 * left + 440]), 0, [[WIDTH_PX, 700] * 2])
+    seen = boxes[:, 2] - boxes[:, 0] > 1
+    rows = found(frame[seen], 0 * frame[seen], boxes[seen], np.full(seen.sum(), 0.9)).by_image()
+    labelled = replace(set_of(frame[:1], [0.0], [0.0], frames=120), results=rows)
+    links = linked(labelled)
+    assert links.count == 1
+    assert things_of(links, labelled.images).cut.tolist() == [True]
+
+
+def test_a_thing_that_a_known_vessel_hides_in_part_is_one_thing():
+    frame = np.arange(60)
+    left = 200 + 6.0 * frame  # 60 px wide; the vessel is 200 px wide, and lower than it
+    low = np.column_stack([left, 0 * left + 370, left + 60, 0 * left + 400])
+    known = np.tile([350.0, 380, 450, 410], (60, 1))
+    behind = (left > 290) & (left + 60 < 510)
+    low[behind, 3] = 380
+    rows = found(frame, 0 * frame, low, np.full(60, 0.9)).by_image()
+    labelled = replace(set_of(frame[:1], [0.0], [0.0]), results=rows, annotations=truth(frame, 0 * frame, known))
+    links = link(observed(labelled))
+    assert behind.sum() > 10
+    assert links.count == 1
+
+
+def test_things_that_cross_keep_their_numbers():
+    frame = np.arange(40)
+    right, left = 100 + 12.0 * frame, 574 - 12.0 * frame
+    links = linked(set_of(np.tile(frame, 2), np.r_[right, left], np.r_[np.full(40, 400.0), np.full(40, 403.0)]))
+    of_right = links.link[np.isclose(links.places_px[:, 1], 400 - HORIZON_PX)]
+    assert links.count == 2
+    assert len(set(of_right.tolist())) == 1
+
+
+def test_a_thing_that_another_one_hides_in_part_is_one_thing():
+    frame = np.arange(60)
+    behind, before = 200 + 6.0 * frame, 700 - 4.0 * frame
+    low = np.column_stack([behind, 0 * behind + 370, behind + 60, 0 * behind + 400])
+    over = (behind + 60 > before) & (behind < before + 200)
+    low[over, 3] = 378
+    near = np.column_stack([before, 0 * before + 380, before + 200, 0 * before + 430])
+    boxes, image = np.concatenate([low, near]), np.tile(frame, 2)
+    rows = found(image, 0 * image, boxes, np.full(120, 0.9)).by_image()
+    assert over.sum() > 10
+    assert linked(replace(set_of(frame[:1], [0.0], [0.0]), results=rows)).count == 2
+
+
+def test_a_stray_detection_does_not_take_the_place_of_a_whole_one():
+    frame = np.arange(60)
+    known = np.tile([590.0, 380, 790, 420], (60, 1))
+    whole = boxes_at(300 + 6.0 * frame, np.full(60, 400.0), np.full(60, 60.0))
+    piece = np.tile([590.0, 395, 610, 400], (4, 1))  # of the known vessel, beside the other one
+    stray = np.array([[490.0, 397, 535, 427]])  # one frame earlier, near where the other one will be
+    boxes, image = np.concatenate([whole, piece, stray]), np.r_[frame, 41:45, 40]
+    rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
+    labelled = replace(set_of(frame[:1], [0.0], [0.0]), results=rows, annotations=truth(frame, 0 * frame, known))
+    links = link(observed(labelled))
+    of_whole = links.link[np.isclose(links.sizes_px[:, 0], 60.0)]
+    assert len(of_whole) > 50
+    assert len(set(of_whole.tolist())) == 1
+
+
+def test_a_detection_of_another_size_is_another_thing():
+    image = np.arange(10)
+    links = linked(set_of(image, np.full(10, 300.0), np.full(10, 400.0), np.where(image < 5, 20.0, 60.0)))
+    assert links.link.tolist() == [0] * 5 + [1] * 5
+
+
+@pytest.mark.parametrize(("seed", "error_px"), [(0, 1.0), (1, 3.0)])
+def test_a_vessel_hardly_larger_than_its_box_errors_is_one_thing_where_known_ones_err_as_much(seed, error_px):
+    """Of 9 px. Known ones are 14 px long; far larger ones, whose boxes err by far more, do not count."""
+    rng, frame = np.random.default_rng(seed), np.arange(300)
+
+    def measured(boxes, error):
+        centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2
+        half = np.maximum(half + rng.normal(0, error / 2, half.shape), 0.5)
+        return np.concatenate([centre - half, centre + half], axis=1) + np.tile(rng.normal(0, error, centre.shape), 2)
+
+    known, large = boxes_at(500 + 0.1 * frame, 0 * frame + 300.0, 14.0), boxes_at(800.0 + frame, 0 * frame + 500.0, 300)
+    silent = measured(boxes_at(100 + 0.5 * frame, 0 * frame + 400.0, 9.0), error_px)
+    image = np.tile(frame, 4)
+    boxes = np.concatenate([measured(known, error_px), measured(large, 30.0), measured(large, 30.0), silent])
+    annotated = truth(np.tile(frame, 2), np.zeros(600), np.concatenate([known, large]), identity=np.repeat([0, 1], 300))
+    rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
+    labelled = replace(set_of(frame[:1], [0.0], [0.0], frames=300), results=rows, annotations=annotated.by_image())
+    links = link(observed(labelled, Rule("centre", most_distance_px=30)))
+    ours = (links.places_px[:, 0] < 300) & (links.places_px[:, 1] < 250)
+    things = things_of(links, labelled.images)
+    of_silent = np.unique(links.link[ours])
+    np.testing.assert_allclose(links.jitter.size_px, np.sqrt(2) * error_px, rtol=0.2)
+    assert len(of_silent) == 1
+    assert things.perhaps_vessel[of_silent].all()
+    alone = replace(labelled, annotations=truth([], [], np.empty((0, 4))))
+    steady = link(observed(alone))
+    assert steady.jitter is STEADY
+    pieces = len(np.unique(steady.link[(steady.places_px[:, 0] < 300) & (steady.places_px[:, 1] < 250)]))
+    assert (pieces > 5) == (error_px > 2)
+
+
+def test_errors_of_large_known_vessels_do_not_link_small_clutter():
+    """A false positive an image of 6 to 24 px, where boxes of 250 px err by 15 px."""
+    rng, frame = np.random.default_rng(0), np.arange(600)
+    known = np.concatenate([boxes_at(200 + 350.0 * k + 0.1 * frame, 0 * frame + 420.0, 250.0) for k in range(3)])
+    single = np.repeat(frame, rng.poisson(1.0, 600))
+    count = len(single)
+    clutter = boxes_at(rng.uniform(400, 800, count), rng.uniform(620, 680, count), rng.uniform(6, 24, count))
+    image = np.r_[np.tile(frame, 3), single]
+    boxes = np.concatenate([known + rng.normal(0, 15, known.shape), clutter])
+    rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
+    labelled = replace(
+        set_of(frame[:1], [0.0], [0.0], frames=600),
+        results=rows,
+        annotations=truth(np.tile(frame, 3), np.zeros(1800), known, identity=np.repeat([0, 1, 2], 600)).by_image(),
+    )
+    judged = classify_unmatched(observed(labelled, Rule("centre")))
+    assert judged.links.jitter.place_px.min() > 10
+    assert judged.things.lasted_s.max() <= 30
+    assert not judged.likely.any()
+
+
+def test_jitter_is_that_of_boxes_in_full_view():
+    """Every other vessel is partly hidden or comes into view, and its boxes jump."""
+    rng, frame = np.random.default_rng(0), np.arange(200)
+    rows = np.tile(frame, 4)
+    whole = np.concatenate([boxes_at(0 * frame + x, 0 * frame + 400.0, 20.0) for x in (300, 500, 700)])
+    cut = np.tile([0.0, 393, 12, 407], (200, 1))
+    known = np.concatenate([whole, cut])
+    wild = np.repeat([False, False, True, True], 200)[:, None]
+    seen = known + np.where(wild, rng.normal(0, 10, known.shape), rng.normal(0, 1, known.shape))
+    unsure = np.repeat([False, False, True, False], 200)
+    annotated = replace(truth(rows, 0 * rows, known, identity=np.repeat(np.arange(4), 200)), unsure_box=unsure)
+    labelled = replace(
+        set_of(frame[:1], [0.0], [0.0], frames=200),
+        results=found(rows, 0 * rows, seen, np.full(800, 0.9)).by_image(),
+        annotations=annotated.by_image(),
+    )
+    jitter = jitter_of(observed(labelled, Rule("centre")), 3.0)
+    np.testing.assert_allclose(jitter.place_px, 1.0, rtol=0.25)  # √2 · 1 px / √2 corners
+    assert jitter_of(observed(labelled, Rule("centre")), 0.4) is STEADY
+
+
+def test_a_camera_that_pitches_does_not_break_links():
+    frame = np.arange(40)
+    pitch = 80 * np.sin(frame)
+    seas = np.column_stack([0 * pitch, 1 + 0 * pitch, -HORIZON_PX - pitch])
+    assert linked(set_of(frame, np.full(40, 500.0), 400 + pitch, frames=40, seas=seas)).count == 1
+    assert linked(set_of(frame, np.full(40, 500.0), 400 + pitch, frames=40)).count > 5
+
+
+def test_frames_without_times_link_nothing():
+    labelled = set_of(np.arange(5), np.full(5, 300.0), np.full(5, 400.0))
+    labelled.images.time_s[:] = np.nan
+    assert linked(labelled).count == 5
+
+
+def test_what_lies_above_the_horizon_or_jumps_is_no_vessel():
+    frame = np.arange(60)
+    side = np.where(frame < 8, 0, 1 - 2 * (frame % 2))
+    for y, jump, behaviour in (
+        (HORIZON_PX - 60, 0.0, Behaviour.ABOVE_THE_HORIZON),
+        (HORIZON_PX + 60, 9.0, Behaviour.JUMPS),
+        (HORIZON_PX + 60, 1.0, Behaviour.LIKE_A_VESSEL),
+    ):
+        x = 400 + 2.0 * frame + jump * side
+        labelled = set_of(frame, x, np.full(60, y))
+        things = things_of(linked(labelled), labelled.images)
+        assert things.behaviour[np.argmax(things.detections)] == behaviour

@@ -1,0 +1,301 @@
+"""Bearing, inverse range and position of boxes: against one-by-one geometry, and against Monte Carlo."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import modsim3d
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.types import Array
+from modsim3d.detector.box_error import BoxErrorSource
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.geometry.camera_poses import heading_of, poses_on_board
+from modsim3d.runs.locating import (
+    FOOT_OF_ERRORS,
+    MOST_RANGE_ERROR,
+    Located,
+    Viewpoints,
+    foot_errors,
+    locate,
+    state_shares,
+)
+from modsim3d.scene.cameras import own_ships_at
+from modsim3d.scene.scene import Scene
+from tests.runs.positions.position_scenes import STEPS, detector, position_scene
+
+BOXES = np.array([[600.0, 380, 660, 430], [100, 420, 180, 470], [900, 350, 1200, 600], [500, 340, 530, 400]])
+NO_ERRORS = detector(mean=[0, 0, 0, 0], covariance=np.zeros((4, 4)).tolist())
+INSIDE = 1.959964  # 95 % of a normal number
+DRAWS, FEW_DRAWS = 20_000, 6_000
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return position_scene()
+
+
+@pytest.fixture(scope="module")
+def sharp() -> Scene:
+    """The scene with a detector without errors and a perfect inertial unit."""
+    return position_scene(detector=NO_ERRORS, imu={})
+
+
+def one_by_one(scene: Scene, camera: str, step: int, box: Array) -> tuple[float, float, Array]:
+    """Bearing of the centre, and inverse range and place of the foot, by solving for the point of the sea."""
+    place = scene.at(step)
+    index = [each.name for each in scene.cameras].index(camera)
+    pose = place.sights[index].camera_poses
+    rotation, centre = pose.camera_R_world[0], pose.positions_m[0]
+    lens = scene.cameras[index].intrinsics
+    middle, foot = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2], [(box[0] + box[2]) / 2, box[3]]
+    ray = rotation.T @ lens.unproject(middle, 1.0)
+    down = rotation.T @ lens.unproject(foot, 1.0)
+    away = -centre[2] / down[2] * down
+    bearing = float(heading_of(ray))
+    inverse = float(np.sign(-down[2]) / np.hypot(*away[:2]))
+    return bearing, inverse, centre[:2] + np.array([np.cos(bearing), np.sin(bearing)]) / inverse
+
+
+@pytest.mark.parametrize("camera", ["bow", "shore"])
+def test_boxes_without_errors_are_where_their_rays_meet_the_sea(sharp: Scene, camera: str) -> None:
+    steps = np.array([3, 17, 0, 29])
+    found = locate(sharp, camera, steps, BOXES)
+    for row, (step, box) in enumerate(zip(steps.tolist(), BOXES, strict=True)):
+        bearing, inverse, place = one_by_one(sharp, camera, step, box)
+        assert found.bearing_rad[row] == pytest.approx(bearing, abs=1e-9)
+        assert found.inverse_range_per_m[row] == pytest.approx(inverse, rel=1e-9)
+        assert found.bearing_std_rad[row] == found.inverse_range_std_per_m[row] == 0
+        if inverse > 0:
+            np.testing.assert_allclose(found.positions_m[row], place)
+            np.testing.assert_allclose(found.position_covariances_m2[row], 0, atol=1e-12)
+        else:
+            assert np.isnan(found.positions_m[row]).all()
+
+
+def test_the_mean_error_is_taken_out() -> None:
+    mean = np.array([4.0, -3, 10, 6])
+    same = detector(mean=mean.tolist(), covariance=np.zeros((4, 4)).tolist())
+    biased, sharp = position_scene(detector=same, imu={}), position_scene(detector=NO_ERRORS, imu={})
+    moved = BOXES + np.concatenate([mean[:2] - mean[2:] / 2, mean[:2] + mean[2:] / 2])
+    expected, found = locate(sharp, "shore", 0, BOXES), locate(biased, "shore", 0, moved)
+    np.testing.assert_allclose(found.bearing_rad, expected.bearing_rad)
+    np.testing.assert_allclose(found.inverse_range_per_m, expected.inverse_range_per_m)
+
+
+def test_relative_errors_are_taken_out_of_the_true_size() -> None:
+    """To first order in the mean: the true size is the detected one less its mean error."""
+    mean = np.array([0.02, -0.01, 0.05, 0.03])
+    model = detector(unit="relative", mean=mean.tolist(), covariance=np.zeros((4, 4)).tolist())
+    biased, sharp = position_scene(detector=model, imu={}), position_scene(detector=NO_ERRORS, imu={})
+    error = mean * np.tile(BOXES[:, 2:] - BOXES[:, :2], 2)
+    moved = BOXES + np.concatenate([error[:, :2] - error[:, 2:] / 2, error[:, :2] + error[:, 2:] / 2], axis=1)
+    expected, found = locate(sharp, "shore", 0, BOXES), locate(biased, "shore", 0, moved)
+    np.testing.assert_allclose(found.bearing_rad, expected.bearing_rad, atol=1e-4)
+    np.testing.assert_allclose(found.inverse_range_per_m, expected.inverse_range_per_m, atol=2e-5)
+
+
+def test_shares_of_states_are_those_of_the_long_run_weighted_by_detections() -> None:
+    model = parse_detector(detector())
+    # 0.1 p = 0.3 (1 − p): three quarters of the time clear, in which 0.8 are seen and not 0.5
+    np.testing.assert_allclose(state_shares(model), np.array([0.75 * 0.8, 0.25 * 0.5]) / (0.75 * 0.8 + 0.25 * 0.5))
+    stuck = parse_detector(detector() | {"transition_matrix": [[1, 0], [0, 1]]})
+    np.testing.assert_allclose(state_shares(stuck), [1, 0])
+    periodic = parse_detector(detector() | {"transition_matrix": [[0, 1], [1, 0]]})
+    np.testing.assert_allclose(state_shares(periodic), [0.8 / 1.3, 0.5 / 1.3])
+
+
+def drawn_errors(scene: Scene, count: int) -> Array:
+    """Box errors of states drawn in their shares, shape (count, 4)."""
+    rng, source = np.random.default_rng(5), BoxErrorSource.from_model(scene.detector)
+    states = rng.choice(len(scene.detector.states), count, p=state_shares(scene.detector))
+    return source.errors_px(states, np.full((count, 2), 50.0), rng.standard_normal((count, 4)))
+
+
+def test_errors_of_centre_and_foot_are_those_of_the_mixture(scene: Scene) -> None:
+    drawn = drawn_errors(scene, DRAWS) @ FOOT_OF_ERRORS.T
+    law = foot_errors(scene.detector, BOXES[:1])
+    std = np.sqrt(np.diag(law.covariances[0]))
+    np.testing.assert_allclose((drawn.mean(axis=0) - law.means[0]) / std, 0, atol=4 / np.sqrt(DRAWS))
+    whitened = (np.cov(drawn.T) - law.covariances[0]) / (std[:, None] * std)
+    np.testing.assert_allclose(whitened, 0, atol=4 * np.sqrt(3 / DRAWS))  # of a kurtosis below 4
+
+
+@pytest.mark.parametrize(("camera", "attitude"), [("bow", "measured"), ("bow", "true"), ("shore", "measured")])
+@pytest.mark.parametrize("sea", ["flat", "curved"])
+def test_covariances_are_those_of_drawn_errors(scene: Scene, sea: str, camera: str, attitude: Any) -> None:
+    """Boxes with drawn errors, seen from poses with drawn errors of the attitude, through a distorted lens."""
+    curved, box = replace(scene, sea=sea), BOXES[0] + [0, 60, 0, 60]
+    errors = drawn_errors(curved, FEW_DRAWS)
+    boxes = box + np.concatenate([errors[:, :2] - errors[:, 2:] / 2, errors[:, :2] + errors[:, 2:] / 2], axis=1)
+    exact = replace(curved, detector=parse_detector(NO_ERRORS))
+    drawn = replace(exact, imu=curved.imu if attitude == "measured" else type(curved.imu)())
+    on_board = attitude == "measured" and camera == "bow"
+    seeds = 30 if on_board else 1  # of the inertial unit: one for every draw would be slow
+    views = [locate(replace(drawn, seed=seed), camera, 7, boxes[seed::seeds]) for seed in range(seeds)]
+    bearing = np.concatenate([view.bearing_rad for view in views])
+    inverse = np.concatenate([view.inverse_range_per_m for view in views])
+    place = locate(curved, camera, 7, box[None], attitude)
+    stated = np.array([place.bearing_std_rad[0], place.inverse_range_std_per_m[0]])
+    seen = np.cov(bearing, inverse)
+    tolerance = 4 * np.sqrt(2 / (seeds if on_board else FEW_DRAWS))
+    np.testing.assert_allclose(np.sqrt(np.diag(seen)) / stated, 1, atol=tolerance / 2 + 0.01)
+    correlation = (seen[0, 1] - place.covariance_rad_per_m[0]) / stated.prod()
+    assert abs(correlation) < tolerance + 0.01
+
+
+def test_a_heading_error_turns_bearings_and_nothing_else(scene: Scene) -> None:
+    """The unit's errors at a step are those in the table of own ship's motion."""
+    calm = position_scene(waves=None, detector=NO_ERRORS, imu={"heading_noise_rad": 0.02, "heading_bias_rad": 0.01})
+    measured, true = (locate(calm, "bow", 5, BOXES, attitude) for attitude in ("measured", "true"))
+    own = own_ships_at(calm, 5, 6)
+    error = own.measured_attitudes_rad[0, 0, 2] - own.headings_rad[0, 0]
+    assert abs(error) > 1e-3
+    np.testing.assert_allclose(measured.bearing_rad - true.bearing_rad, error, atol=1e-9)
+    np.testing.assert_allclose(measured.inverse_range_per_m, true.inverse_range_per_m, rtol=1e-9)
+    np.testing.assert_allclose(measured.bearing_std_rad, np.hypot(0.02, 0.01), rtol=1e-6)
+    np.testing.assert_allclose(measured.inverse_range_std_per_m, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("composition", ["rigid", "additive"])
+def test_poses_from_a_perfect_unit_are_the_true_ones(composition: str) -> None:
+    waves = {"level": "huge", "composition": composition}
+    still = position_scene(waves=waves, imu={})
+    camera, steps = still.cameras[0], np.arange(STEPS)
+    true, measured = (Viewpoints.of(still, camera, steps, measured=known).poses() for known in (False, True))
+    np.testing.assert_array_equal(true.camera_R_world, measured.camera_R_world)
+    np.testing.assert_array_equal(true.positions_m, measured.positions_m)
+    if composition == "rigid":  # a tracker can work the pose out from the table
+        own = own_ships_at(still, 0, STEPS)
+        roll, pitch, heading = own.measured_attitudes_rad[:, 0].T
+        rebuilt = poses_on_board(
+            camera.mount, own.positions_m[:, 0], heading, np.stack([roll, pitch, 0 * roll], axis=-1)
+        )
+        np.testing.assert_allclose(rebuilt.camera_R_world, true.camera_R_world, atol=1e-12)
+        np.testing.assert_allclose(rebuilt.positions_m, true.positions_m, atol=1e-9)
+
+
+def test_bearings_about_half_a_turn_have_the_same_variance(scene: Scene) -> None:
+    """They jump from π to −π there; derivatives must not."""
+    middle = np.array([620.0, 370, 660, 430])
+    across = np.linspace(-0.6, 0.6, 13)[:, None] * [1, 0, 1, 0]
+    boxes = middle + across
+    (shore,) = (camera for camera in scene.cameras if camera.name == "shore")
+    back = replace(scene, cameras=(replace(shore, mount=replace(shore.mount, yaw_rad=np.pi)),))
+    ahead, behind = (locate(each, "shore", 0, boxes) for each in (scene, back))
+    assert (np.abs(behind.bearing_rad) > 3.1).all() and len({*np.sign(behind.bearing_rad)}) == 2
+    np.testing.assert_allclose(behind.bearing_std_rad, ahead.bearing_std_rad, rtol=1e-6)
+    np.testing.assert_allclose(behind.covariance_rad_per_m, ahead.covariance_rad_per_m, rtol=1e-3, atol=1e-12)
+
+
+def test_a_box_that_is_cut_has_no_middle_or_no_foot(scene: Scene) -> None:
+    boxes = np.array([[0.0, 400, 60, 460], [1200, 400, 1280, 460], [600, 700, 700, 800], [600, 0, 700, 450.0]])
+    found = locate(scene, "shore", 0, boxes)
+    np.testing.assert_array_equal(np.isnan(found.bearing_rad), [True, True, False, False])
+    np.testing.assert_array_equal(np.isnan(found.bearing_std_rad), [True, True, False, False])
+    np.testing.assert_array_equal(np.isnan(found.inverse_range_per_m), [False, False, True, False])
+    np.testing.assert_array_equal(np.isnan(found.covariance_rad_per_m), [True, True, True, False])
+    assert np.isnan(found.positions_m[:3]).all()
+
+
+@pytest.mark.parametrize("side", [0, 2, 3])
+def test_the_error_of_the_box_of_a_cut_vessel_does_not_make_it_whole(scene: Scene, side: int) -> None:
+    """The true box ends at the image's edge; detected ones end anywhere around it, and then are cut there."""
+    width, height = scene.cameras[1].intrinsics.image_size_px
+    cut, whole = np.array([600.0, 400, 700, 480]), np.array([600.0, 400, 700, 480])
+    lines = {0: 0.0, 2: float(width), 3: float(height)}
+    cut[side], cut[side - 2] = lines[side], lines[side] - np.sign(side - 1) * 100
+    law, draws = scene.detector.states[0].box_error, np.random.default_rng(5)
+    errors = draws.multivariate_normal(law.mean, law.covariance, FEW_DRAWS)
+    corners = errors[:, [0, 1, 0, 1]] + errors[:, [2, 3, 2, 3]] * [-0.5, -0.5, 0.5, 0.5]
+    given = []
+    for box in (cut, whole):
+        detected = np.clip(box + corners, 0, [width, height, width, height])
+        found = locate(scene, "shore", 0, detected)
+        given.append(np.isfinite(found.inverse_range_per_m if side == 3 else found.bearing_rad).mean())
+    assert given[0] < 0.01 and given[1] == 1
+
+
+@pytest.mark.parametrize(
+    ("roll_deg", "given"), [(0, True), (44, True), (-44, True), (46, False), (-90, False), (180, False)]
+)
+def test_boxes_of_a_camera_on_its_side_have_a_bearing_and_no_foot(scene: Scene, roll_deg: float, given: bool) -> None:
+    (shore,) = (camera for camera in scene.cameras if camera.name == "shore")
+    rolled = replace(shore, mount=replace(shore.mount, roll_rad=np.deg2rad(roll_deg)))
+    found = locate(replace(scene, cameras=(rolled,)), "shore", 0, np.array([[600.0, 420, 660, 480]]))
+    assert np.isfinite(found.bearing_rad).all() and np.isfinite(found.bearing_std_rad).all()
+    assert np.isfinite(found.inverse_range_per_m).all() == np.isfinite(found.inverse_range_std_per_m).all() == given
+    assert given or np.isnan(found.positions_m).all()
+
+
+@pytest.mark.parametrize("sea", ["flat", "curved"])
+def test_a_position_is_given_where_the_share_of_the_error_is_small(scene: Scene, sea: str) -> None:
+    bottom = np.arange(300.0, 790, 2)
+    boxes = np.stack([0 * bottom + 600, bottom - 40, 0 * bottom + 660, bottom], axis=-1)
+    found = locate(replace(scene, sea=sea), "shore", 0, boxes)
+    share = found.inverse_range_std_per_m / found.inverse_range_per_m
+    np.testing.assert_array_equal(np.isfinite(found.positions_m[:, 0]), (share > 0) & (share <= MOST_RANGE_ERROR))
+    given = np.isfinite(found.positions_m[:, 0])
+    assert given.any() and not given.all() and (found.inverse_range_per_m < 0).any()
+    assert (np.linalg.eigvalsh(found.position_covariances_m2[given]) > 0).all()
+    away = found.positions_m[given] - [-50, 30]
+    np.testing.assert_allclose(1 / np.hypot(*away.T), found.inverse_range_per_m[given])
+    np.testing.assert_allclose(heading_of(away), found.bearing_rad[given], atol=1e-12)
+
+
+def test_first_order_ellipses_hold_where_they_are_given_and_not_far_beyond(scene: Scene) -> None:
+    """Normal errors of the foot: what the threshold promises, and what it spares a tracker."""
+    errors = drawn_errors(scene, DRAWS)
+    exact = position_scene(detector=NO_ERRORS)
+    tails = {}
+    for bottom in (760.0, 362.0):  # a position is given, and not
+        box = np.array([600.0, bottom - 40, 660, bottom])
+        boxes = box + np.concatenate([errors[:, :2] - errors[:, 2:] / 2, errors[:, :2] + errors[:, 2:] / 2], axis=1)
+        truth, found = locate(exact, "shore", 0, box[None]), locate(scene, "shore", 0, boxes)
+        inverse, estimate = truth.inverse_range_per_m[0], found.inverse_range_per_m
+        share = found.inverse_range_std_per_m[0] / inverse
+        assert (share < MOST_RANGE_ERROR) == (bottom == 760)
+        error = np.where(
+            estimate > 0, (1 / estimate - 1 / inverse) * estimate**2 / found.inverse_range_std_per_m, np.inf
+        )
+        tails[bottom] = np.mean(error < -INSIDE), np.mean(error > INSIDE)
+    assert abs(sum(tails[760.0]) - 0.05) < 0.01
+    assert tails[362.0][0] > 2 * 0.025 > 0.01 > tails[362.0][1]
+
+
+def test_rows_do_not_depend_on_each_other(scene: Scene) -> None:
+    steps = np.array([3, 17, 3, 29])
+    whole = locate(scene, "bow", steps, BOXES)
+    for row, step in enumerate(steps.tolist()):
+        alone = locate(scene, "bow", step, BOXES[row : row + 1])
+        for each in fields(Located):
+            together, one = getattr(whole, each.name)[row], getattr(alone, each.name)[0]
+            np.testing.assert_allclose(together, one, rtol=1e-9, atol=1e-15, err_msg=each.name)
+    assert len(whole) == 4 and len(locate(scene, "bow", 0, np.empty((0, 4)))) == 0
+    assert locate(scene, "bow", 0, np.empty((0, 4))).position_covariances_m2.shape == (0, 2, 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"camera": "stern"}, "there is no camera 'stern'"),
+        ({"step": STEPS}, f"there is no step {STEPS}; the scene has steps 0 to {STEPS - 1}"),
+        ({"step": -1}, "there is no step -1"),
+        ({"step": 0.5}, "step: one whole number is needed"),
+        ({"step": [0, 1]}, "step: one whole number is needed, or 4"),
+        ({"boxes_px": [1, 2, 3, 4]}, r"boxes_px: boxes of shape \(n, 4\) are needed \(got \(4,\)\)"),
+        ({"attitude": "guessed"}, "attitude: 'guessed' is neither 'true' nor 'measured'"),
+    ],
+)
+def test_what_cannot_be_located_is_said(scene: Scene, change: dict[str, Any], said: str) -> None:
+    arguments: dict[str, Any] = {"camera": "bow", "step": 0, "boxes_px": BOXES} | change
+    with pytest.raises(ModsimError, match=said):
+        modsim3d.locate(scene, **arguments)
+
+
+def test_a_scene_is_needed() -> None:
+    with pytest.raises(TypeError, match="scene: a Scene is needed"):
+        modsim3d.locate("strait", "bow", 0, BOXES)  # type: ignore[arg-type]

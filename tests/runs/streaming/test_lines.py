@@ -1,0 +1,146 @@
+"""The lines of a stream are those of a run's files, and name the camera."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+from modsim3d.detector.records import KINDS
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.streaming.lines import Pace, StepLines, header_line, step_lines
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+
+STEPS = 12
+ROOT = Path(__file__).resolve().parents[3]
+PREFIX = re.compile(rb'\{"camera":("[^"]*"),"frames_in_step":([0-9]+),(?:"attitude_rad":[^]]*],)?')
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    unit = {"imu": {"attitude_noise_rad": 0.01, "heading_bias_rad": 0.1}}
+    return load_scene("strait", steps=STEPS, source="analytic", settings=unit)
+
+
+@pytest.fixture(scope="module")
+def streamed(scene: Scene) -> list[StepLines]:
+    return list(step_lines(scene, one_by_one=False))
+
+
+def by_camera(streamed: list[StepLines]) -> dict[str, bytes]:
+    """The streamed lines of each camera without what a run's file does not have."""
+    files: dict[str, bytes] = defaultdict(bytes)
+    for line in (line for step in streamed for line in step.lines):
+        found = PREFIX.match(line)
+        assert found is not None
+        files[json.loads(found[1])] += b"{" + line[found.end() :]
+    return files
+
+
+@pytest.fixture(scope="module")
+def run(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run_scene(scene, tmp_path_factory.mktemp("lines") / "run").folder
+
+
+def test_they_are_the_lines_of_a_runs_files_byte_for_byte(scene: Scene, streamed: list[StepLines], run: Path) -> None:
+    files = {camera.name: (run / f"tracker_input_{camera.name}.jsonl") for camera in scene.cameras}
+    assert by_camera(streamed) == {name: file.read_bytes() for name, file in files.items()}
+
+
+def test_cameras_on_board_have_the_attitude_that_the_runs_own_ship_measures(
+    streamed: list[StepLines], run: Path
+) -> None:
+    entries = [json.loads(line) for step in streamed for line in step.lines]
+    rows = pq.read_table(run / "ownship.parquet").to_pylist()
+    measured = [[row[f"measured_{angle}_rad"] for angle in ("roll", "pitch", "heading")] for row in rows]
+    assert [entry["attitude_rad"] for entry in entries if entry["camera"] == "bow"] == measured
+    assert all("attitude_rad" not in entry for entry in entries if entry["camera"] == "quay")
+
+
+def test_steps_one_by_one_give_the_same_lines(scene: Scene, streamed: list[StepLines]) -> None:
+    assert list(step_lines(scene, one_by_one=True)) == streamed
+
+
+def test_steps_come_in_order_and_say_how_many_lines_they_have(streamed: list[StepLines]) -> None:
+    assert [step.step for step in streamed] == list(range(STEPS))
+    for step in streamed:
+        entries = [json.loads(line) for line in step.lines]
+        assert {(entry["step"], entry["time_s"]) for entry in entries} == {(step.step, step.time_s)}
+        assert {entry["frames_in_step"] for entry in entries} == {len(entries)}
+    assert {len(step.lines) for step in streamed} == {1, 2}, "the quay's camera is slower"
+
+
+def test_a_step_without_a_frame_has_a_line_that_says_so(tmp_path: Path) -> None:
+    scene = load_scene("strait", steps=3, source="analytic", settings={"cameras.bow.start_offset_s": 0.4})
+    (first, *_) = step_lines(scene, one_by_one=False)
+    assert [json.loads(line) for line in first.lines] == [{"frames_in_step": 0, "time_s": 0.0, "step": 0}]
+
+
+def test_a_detector_that_needs_all_targets_gives_the_lines_of_its_run(tmp_path: Path) -> None:
+    scene = load_scene("strait", steps=4, source="analytic", settings={"detector.dropout.anchor": "state_rate"})
+    assert scene.detector.needs_census
+    run_scene(scene, tmp_path / "run")
+    lines = by_camera(list(step_lines(scene, one_by_one=True)))
+    assert lines["bow"] == (tmp_path / "run" / "tracker_input_bow.jsonl").read_bytes()
+
+
+def test_nothing_of_the_truth_is_in_them(scene: Scene, streamed: list[StepLines]) -> None:
+    text = b"".join(line for step in streamed for line in step.lines).decode()
+    own = {scene.vessel_names[index] for index in scene.own_ships}
+    targets = set(scene.vessel_names) - set(scene.detector.labels)
+    for word in (*targets, *KINDS[1:], "vessel", "kind"):
+        assert f'"{word}' not in text
+    for word in targets - own:
+        assert f'"{word}"' not in header_line(scene).decode()
+
+
+def test_the_header_has_the_scene_files_numbers(scene: Scene) -> None:
+    header = json.loads(header_line(scene))
+    assert (header["scene"], header["steps"], header["labels"]) == ("strait", STEPS, list(scene.detector.labels))
+    file = yaml.safe_load((ROOT / "scenes" / "strait.yaml").read_text())["cameras"]
+    assert list(header["cameras"]) == list(file)
+    for name, given in file.items():
+        told: dict[str, Any] = header["cameras"][name]
+        place = "mount" if "mount" in given else "pose"
+        assert told[place].items() >= given[place].items()
+        assert told["image_size_px"] == given["image_size_px"]
+        assert told["frame_rate_hz"] == given.get("frame_rate_hz")
+        focal = [given["focal_length_m"] / size for size in given["pixel_size_m"]]
+        assert told["focal_px"] == pytest.approx(focal)
+
+
+def test_its_keys_are_documented(scene: Scene, streamed: list[StepLines]) -> None:
+    section = (ROOT / "docs" / "json.md").read_text().split("## stream\n")[1].split("\n## ")[0]
+    documented = {key for row in re.findall(r"^\| (`.*?`) \|", section, re.M) for key in re.findall(r"`(\w+)`", row)}
+    header = json.loads(header_line(scene))
+    keys = {*header, *(key for camera in header["cameras"].values() for key in camera)}
+    assert documented == keys | {key for step in streamed for line in step.lines for key in json.loads(line)}
+
+
+class Clock:
+    """A clock that a test moves, and that sleeping moves too."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds * 0.75  # a sleep may end early
+
+
+def test_no_step_leaves_before_its_time_and_errors_do_not_add_up() -> None:
+    clock = Clock()
+    pace = Pace(lambda: clock.now, clock.sleep)
+    left = []
+    for step in range(5):
+        clock.now += 7.0 if step == 2 else 0.01
+        pace.wait(step, 3.0 + step)
+        left.append(clock.now - 1000.01)
+    assert left == pytest.approx([0, 1, 8.0, 8.01, 8.02], abs=1e-6)
+    assert (pace.latest, pace.late_s) == (2, pytest.approx(6.0))

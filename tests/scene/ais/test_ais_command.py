@@ -1,0 +1,238 @@
+"""`modsim3d ais` as a user types it, and every mistake as one message."""
+
+from __future__ import annotations
+
+import gzip
+import subprocess
+import sys
+
+import pytest
+
+from tests.scene.ais.ais_builders import SAMPLE_NAMES, SAMPLES, TABLES, command, old_file, read_json, row
+
+DANISH = SAMPLES / "danish.csv"
+
+
+def test_scene_folder_is_made_and_said_and_runs_as_typed(monkeypatch, tmp_path, capsys):
+    out = tmp_path / "scene"
+    arguments = ("ais", DANISH, "--out", out, "--max-gap", 120, "--time-step", 2)
+    assert command(monkeypatch, *arguments) == 0
+    said = capsys.readouterr().out
+    for word in ("254", "messages used", "249", "no_position", "jump", "heading_from_course", "air_draft", "10:00:00Z"):
+        assert word in said
+    assert f"modsim3d run {out}" in said
+    assert {path.name for path in out.iterdir()} == {
+        "scene.yaml",
+        "vessels.json",
+        "poses.json.gz",
+        "detector.yaml",
+        "report.json",
+        "report_times.json.gz",
+        "ais.html",
+    }
+    assert read_json(out / "report.json")["vessels"]["245999910"]["steps_present"] < 100
+    assert command(monkeypatch, "check", out / "scene.yaml") == 0
+    run = ("run", out, "--steps", 3, "--no-sheet", "--out", tmp_path / "run")
+    assert command(monkeypatch, *run) == 0
+
+
+def test_folder_with_something_in_it_is_left_alone(monkeypatch, tmp_path, capsys):
+    out = tmp_path / "scene"
+    assert command(monkeypatch, "ais", DANISH, "--out", out, "--duration", 5) == 0
+    before = (out / "poses.json.gz").read_bytes()
+    assert command(monkeypatch, "ais", DANISH, "--out", out, "--duration", 9) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert (out / "poses.json.gz").read_bytes() == before
+    assert command(monkeypatch, "ais", DANISH, "--out", out, "--duration", 9, "--overwrite") == 0
+    assert (out / "poses.json.gz").read_bytes() != before
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "precious").write_text("x")
+    assert command(monkeypatch, "ais", DANISH, "--out", other, "--overwrite") == 2
+    assert "left alone" in capsys.readouterr().err
+    assert command(monkeypatch, "ais", DANISH, "--out", other / "precious", "--overwrite") == 2
+    assert "is not a folder" in capsys.readouterr().err
+
+
+def problem(monkeypatch, tmp_path, capsys, *arguments: object) -> str:
+    """The one message of a command that must fail, and leave nothing behind."""
+    out = tmp_path / "scene"
+    assert command(monkeypatch, "ais", *arguments, "--out", out) == 2
+    assert not out.exists()
+    said = capsys.readouterr()
+    assert said.err.startswith("modsim3d: ")
+    assert "Traceback" not in said.err
+    return said.err
+
+
+COORDINATES = {"latitude", "longitude", "lat", "lon"}
+REGION = ("--region", "55.9,12.5,56.2,12.8")
+
+
+def swapped_copy(path, folder):
+    """A copy of a table with latitude and longitude in each other's columns."""
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    one, other = (place for place, name in enumerate(rows[0]) if name.lower() in COORDINATES)
+    for cells in rows[1:]:
+        cells[one], cells[other] = cells[other], cells[one]
+    copy = folder / path.name
+    copy.write_text("\n".join(",".join(cells) for cells in rows) + "\n")
+    return copy
+
+
+def test_rows_possible_only_the_other_way_round_are_named_with_the_option(monkeypatch, tmp_path, capsys):
+    path = old_file(tmp_path, row(0, 35.0, 110.0), *(row(10 * k, 110.2, 35.0) for k in range(1, 8)))
+    said = problem(monkeypatch, tmp_path, capsys, path)
+    assert "row 3, 4, 5, 6, 7 and more: latitude and longitude look swapped: latitude 110.2, longitude 35" in said
+    assert "--swap-coordinates" in said
+    assert str(path) in said
+
+
+@pytest.mark.parametrize("place", [(181, 91), (-120, 35), (120, 91)])
+def test_each_value_that_can_only_be_a_longitude_is_noticed(monkeypatch, tmp_path, capsys, place):
+    path = old_file(tmp_path, row(0, 35.0, 80.0), row(10, *place))
+    assert "row 3: latitude and longitude look swapped" in problem(monkeypatch, tmp_path, capsys, path)
+
+
+@pytest.mark.parametrize("place", [(91, 181), (91, 35), (95, 200), ("", 12), (12.6, 56.0)])
+def test_a_position_that_is_no_better_the_other_way_round_refuses_no_table(monkeypatch, tmp_path, place):
+    path = old_file(tmp_path, row(0, 35.0, 80.0), row(10, *place), row(20, 35.0, 80.0))
+    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene") == 0
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_swapped_columns_are_exchanged_where_the_user_says_so(monkeypatch, tmp_path, name):
+    swapped = swapped_copy(SAMPLES / name, tmp_path)
+    assert command(monkeypatch, "ais", SAMPLES / name, "--out", tmp_path / "right") == 0
+    assert command(monkeypatch, "ais", swapped, "--swap-coordinates", "--out", tmp_path / "exchanged") == 0
+    for written in (tmp_path / "right").iterdir():
+        if written.name not in ("report.json", "ais.html"):
+            assert written.read_bytes() == (tmp_path / "exchanged" / written.name).read_bytes(), written.name
+    assert read_json(tmp_path / "exchanged" / "report.json")["swap_coordinates"]
+
+
+def test_tables_beside_sentences_are_exchanged_and_sentences_are_not(monkeypatch, tmp_path, capsys):
+    swapped, sentences = swapped_copy(DANISH, tmp_path), SAMPLES / "receiver.nmea"
+    both, apart = ("ais", swapped, sentences, "--swap-coordinates"), ("ais", DANISH, sentences)
+    assert command(monkeypatch, *both, "--out", tmp_path / "both") == 0
+    assert command(monkeypatch, *apart, "--out", tmp_path / "apart") == 0
+    poses = "poses.json.gz"
+    assert (tmp_path / "both" / poses).read_bytes() == (tmp_path / "apart" / poses).read_bytes()
+    capsys.readouterr()
+    said = problem(monkeypatch, tmp_path, capsys, sentences, "--swap-coordinates")
+    assert "--swap-coordinates is for tables" in said
+
+
+def test_an_exchange_that_makes_positions_impossible_is_refused(monkeypatch, tmp_path, capsys):
+    path = old_file(tmp_path, row(0, 35.0, 110.0), row(10, 35.0, 110.0))
+    said = problem(monkeypatch, tmp_path, capsys, path, "--swap-coordinates")
+    assert "--swap-coordinates makes these positions impossible (latitude 110, longitude 35); leave the option" in said
+
+
+def test_a_region_leaves_single_swapped_rows_out(monkeypatch, tmp_path):
+    path = old_file(tmp_path, row(0, 35.0, 110.0), row(10, 110.0, 35.0), row(20, 35.0, 110.0))
+    out = tmp_path / "scene"
+    assert command(monkeypatch, "ais", path, "--out", out, "--region", "34,109,36,111") == 0
+    assert read_json(out / "report.json")["messages"]["dropped"] == {"impossible_position": 1}
+
+
+def test_a_region_with_nothing_in_it_says_what_the_files_cover_and_how_to_exchange(monkeypatch, tmp_path, capsys):
+    said = problem(monkeypatch, tmp_path, capsys, swapped_copy(DANISH, tmp_path), *REGION)
+    assert "no positions of ships in the region 55.9,12.5,56.2,12.8: the files reach from" in said
+    assert "latitude 12.6" in said
+    assert "--swap-coordinates exchanges them" in said
+
+
+def test_missing_columns_are_named(monkeypatch, tmp_path, capsys):
+    text = DANISH.read_text()
+    path = tmp_path / "danish.csv"
+    path.write_text(text.replace("Latitude,Longitude", "Breite,Laenge", 1))
+    said = problem(monkeypatch, tmp_path, capsys, path)
+    assert "Danish Maritime Authority CSV, but has no column Latitude, Longitude (it has: # Timestamp" in said
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "the file is empty"),
+        (b"\n \n", "the file is empty"),
+        (b"a,b,c\n1,2,3\n", "none of the formats"),
+        (b"PK\x03\x04xxxx", "unpack it first (unzip data)"),
+        (b"\x28\xb5\x2f\xfdxxxx", "unpack it first (zstd -d data)"),
+        (gzip.compress(DANISH.read_bytes())[:3000], "is not a complete gzip file"),
+        (DANISH.read_bytes().partition(b"\n")[0] + b"\n", "the files hold no positions at all"),
+        (DANISH.read_bytes().partition(b"\n")[0], "the files hold no positions at all"),
+        (b"!AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4A\n", "has no times"),
+        (b"1423133048 !AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4B\n", "too much of it cannot be read: 1 of 1"),
+    ],
+)
+def test_a_file_that_is_of_no_use_says_why(monkeypatch, tmp_path, capsys, content, says):
+    path = tmp_path / "data"
+    path.write_bytes(content)
+    assert says in problem(monkeypatch, tmp_path, capsys, path)
+
+
+def test_every_file_of_no_use_is_named_at_once(monkeypatch, tmp_path, capsys):
+    (tmp_path / "empty").write_text("")
+    said = problem(monkeypatch, tmp_path, capsys, tmp_path / "none.csv", DANISH, tmp_path / "empty", tmp_path)
+    assert "none.csv: no such file" in said
+    assert "empty: the file is empty" in said
+    assert "this is a folder" in said
+
+
+def test_too_many_cells_that_are_no_numbers_are_an_error(monkeypatch, tmp_path, capsys):
+    rows = [row(second, latitude="56,x" if second % 50 == 0 else 56.0) for second in range(0, 300, 10)]
+    said = problem(monkeypatch, tmp_path, capsys, old_file(tmp_path, *(text.replace("56,x", "x56") for text in rows)))
+    assert "row 2: LAT is not a number (got 'x56')" in said
+    assert "too much of it cannot be read: 6 of 30 messages" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--start", "2024-01-05T10:00:00"), "no positions of ships from 2024-01-05T10:00:00Z to …: the files reach"),
+        (("--end", "2024-01-03T10:00:00Z"), "from … to 2024-01-03T10:00:00Z"),
+        (("--region", "10,10,11,11"), "in the region 10,10,11,11: the files reach"),
+        (("--start", "yesterday"), "--start: a time such as"),
+        (("--origin", "56"), "--origin: LAT,LON in degrees is needed (got '56')"),
+        (("--origin", "112,56"), "latitude 112 is beyond ±90: latitude comes first"),
+        (("--region", "1,2,3"), "--region: LAT1,LON1,LAT2,LON2 in degrees"),
+        (("--time-step", 0), "--time-step: must be above 0"),
+        (("--max-gap", -1), "--max-gap: must be above 0"),
+        (("--time-step", 1e-5), "more than 1,000,000"),
+        (("--duration", 5, "--end", "2024-01-05"), "only one of them"),
+        (("--label", "ferry=Ferry"), "no group 'ferry'"),
+        (("--label", "passenger"), "GROUP=LABEL is needed"),
+    ],
+)
+def test_options_that_cannot_be_met_say_why(monkeypatch, tmp_path, capsys, arguments, says):
+    assert says in problem(monkeypatch, tmp_path, capsys, DANISH, *arguments)
+
+
+def test_negative_degrees_can_be_given(monkeypatch, tmp_path):
+    path = old_file(tmp_path, *(row(10 * k, -33.8, -151.2, speed=0) for k in range(4)))
+    options = ("--origin", "-33.8,-151.2", "--region", "-33,-151,-34,-152")
+    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene", *options) == 0
+
+
+@pytest.mark.parametrize("name", SAMPLE_NAMES)
+def test_same_files_give_the_same_bytes(monkeypatch, tmp_path, name):
+    for out in ("a", "b"):
+        assert command(monkeypatch, "ais", SAMPLES / name, "--out", tmp_path / out, "--labels", "type") == 0
+    for path in (tmp_path / "a").iterdir():
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+
+
+def test_readers_are_imported_only_where_they_are_used():
+    script = (
+        "import sys, modsim3d, modsim3d.cli.main\n"
+        "assert not {'pyais', 'pymap3d', 'modsim3d.scene.ais.traffic'} & set(sys.modules)\n"
+        "sys.argv = ['modsim3d', 'ais', '--help']\n"
+        "try:\n    modsim3d.cli.main.main()\n"
+        "except SystemExit:\n    pass\n"
+        "assert not {'pyais', 'pymap3d', 'pyarrow', 'numpy'} & set(sys.modules) - set(before)\n"
+    )
+    script = "import sys, modsim3d\nbefore = list(sys.modules)\n" + script
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Example: modsim3d ais" in done.stdout

@@ -1,0 +1,246 @@
+"""Each format is recognised by its content and read as published."""
+
+from __future__ import annotations
+
+import gzip
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d.core.errors import InputError
+from modsim3d.scene.ais.read_csv import MOTION, NEEDED, PARTICULARS, layouts, read_csv, recognise
+from modsim3d.scene.ais.read_nmea import read_nmea
+from tests.scene.ais.ais_builders import FORMATS, SAMPLES, TABLES, old_file, row, traffic_of
+
+# "AIVDM/AIVDO protocol decoding" (E. S. Raymond, gpsd) and gpsd's test/sample.aivdm, where the decoded values stand
+# beside the sentences, checked there with two other decoders.
+TYPE_1 = "!AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4A"
+TYPE_5 = (
+    "!AIVDM,2,1,1,A,55?MbV02;H;s<HtKR20EHE:0@T4@Dn2222222216L961O5Gf0NSQEp6ClRp8,0*1C",
+    "!AIVDM,2,2,1,A,88888888880,2*25",
+)
+
+
+def log(folder: Path, *lines: str) -> Path:
+    path = folder / "log.txt"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def tagged(content: str, sentence: str, checksum: int | None = None) -> str:
+    total = 0
+    for character in content.encode():
+        total ^= character
+    return f"\\{content}*{total if checksum is None else checksum:02X}\\{sentence}"
+
+
+def test_published_position_report_is_decoded(tmp_path):
+    (chunk,) = read_nmea(log(tmp_path, tagged("c:1423133048", TYPE_1)))
+    positions = chunk.positions
+    assert positions.mmsi.tolist() == [371798000]
+    assert positions.time_s.tolist() == [1423133048]
+    np.testing.assert_allclose(positions.latitude_deg, [48.381633333], atol=1e-6)
+    np.testing.assert_allclose(positions.longitude_deg, [-123.395383333], atol=1e-6)
+    assert (positions.speed_kn[0], positions.course_deg[0], positions.heading_deg[0]) == (12.3, 224.0, 215.0)
+
+
+def test_published_message_in_two_parts_is_decoded(tmp_path):
+    (chunk,) = read_nmea(log(tmp_path, f"1423133048 {TYPE_5[0]}", TYPE_5[1]))
+    said = chunk.particulars
+    assert (said.mmsi[0], said.name[0], said.ship_type[0]) == (351759000, "EVER DIADEM", "70")
+    assert (said.to_bow_m[0], said.to_stern_m[0], said.to_port_m[0], said.to_starboard_m[0]) == (225, 70, 1, 31)
+    assert (len(chunk.positions), chunk.messages, dict(chunk.dropped)) == (0, 1, {})
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        tagged("s:station,c:1423133048", TYPE_1),
+        f"1423133048 {TYPE_1}",
+        f"1423133048,{TYPE_1}",
+        f"1423133048.0\t{TYPE_1}",
+        f"{TYPE_1},1423133048",
+        f"{TYPE_1},s30327,d-120,T10.2,r003669945,1423133048",
+        f"1423133048000 {TYPE_1}",
+    ],
+)
+def test_time_is_found_wherever_logs_have_it(tmp_path, line):
+    (chunk,) = read_nmea(log(tmp_path, line))
+    assert chunk.positions.time_s.tolist() == [1423133048]
+
+
+def test_log_without_any_time_says_what_is_needed(tmp_path):
+    with pytest.raises(InputError, match=r"no times.*tag block.*Unix time"):
+        list(read_nmea(log(tmp_path, TYPE_1, *TYPE_5)))
+
+
+def test_broken_sentences_are_counted_and_named(tmp_path):
+    lines = (
+        f"1423133048 {TYPE_1}",
+        f"1423133049 {TYPE_1[:-1]}B",  # checksum of the sentence
+        tagged("c:1423133050", TYPE_1, checksum=0),  # of the tag block
+        TYPE_1,  # no time
+        f"1423133051 {TYPE_5[1]}",  # the other part is missing
+        "# a comment",
+        "$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47",
+    )
+    (chunk,) = read_nmea(log(tmp_path, *lines))
+    assert len(chunk.positions) == 1
+    assert dict(chunk.dropped) == {"checksum": 2, "no_time": 1, "incomplete": 1}
+    assert chunk.messages == 5
+    assert "line 2: does not match its checksum" in chunk.problems
+
+
+@pytest.mark.parametrize(("name", "expected"), FORMATS.items())
+def test_format_is_recognised_by_content(tmp_path, name, expected):
+    path = tmp_path / "data"
+    for content in ((SAMPLES / name).read_bytes(), gzip.compress((SAMPLES / name).read_bytes())):
+        path.write_bytes(content)
+        layout = recognise(path)
+        assert (layout and layout.name) == expected
+
+
+def test_every_layout_has_a_sample_and_names_only_columns_that_are_read():
+    assert {layout.name for layout in layouts()} == set(FORMATS.values()) - {None}
+    for layout in layouts():
+        assert set(NEEDED) <= set(layout.columns) <= {*NEEDED, *MOTION, *PARTICULARS, "station"}
+        assert ("station" in layout.columns) == bool(layout.ships)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_columns_are_found_by_name_in_any_order_and_case(tmp_path, name):
+    lines = [line.split(",") for line in (SAMPLES / name).read_text().splitlines()]
+    order = list(range(len(lines[0])))
+    random.Random(3).shuffle(order)
+    lines[0] = [cell.upper() if name != "marinecadastre.csv" else cell for cell in lines[0]]
+    path = tmp_path / "shuffled.csv"
+    path.write_text("\n".join(",".join(line[place] for place in order) for line in lines) + "\n")
+    layout, original = recognise(path), recognise(SAMPLES / name)
+    assert layout is original
+    (chunk,), (expected,) = read_csv(path, layout), read_csv(SAMPLES / name, original)
+    for column in ("mmsi", "time_s", "latitude_deg", "longitude_deg", "speed_kn", "course_deg", "heading_deg"):
+        np.testing.assert_array_equal(getattr(chunk.positions, column), getattr(expected.positions, column))
+
+
+def test_a_ships_name_in_another_encoding_or_with_a_comma_is_no_obstacle(tmp_path):
+    path = tmp_path / "names.csv"
+    text = (SAMPLES / "danish.csv").read_bytes()
+    path.write_bytes(text.replace(b"OSTFAERGEN", b"\xd8STF\xc6RGEN").replace(b"KUTTER", b'"KUTTER, ""X"""'))
+    names = {vessel.mmsi: vessel.hull.name for vessel in traffic_of(path).vessels}
+    assert names[219999906] == 'KUTTER, "X"'
+    assert names[219999901] == "�STF�RGEN"
+
+
+def test_a_decimal_comma_is_read(tmp_path):
+    path = old_file(tmp_path, row(0), row(10).replace("56.0,", '"56,0",'))
+    (chunk,) = read_csv(path, recognise(path))
+    assert chunk.positions.latitude_deg.tolist() == [56.0, 56.0]
+
+
+def test_unreadable_cells_are_named_by_row_and_column(tmp_path):
+    rows = [row(second) for second in range(0, 400, 10)]
+    rows[3] = row(30, latitude="north")
+    rows[7] = row(70).replace("2024-01-04T", "04.01.2024 ")
+    rows[9] = row(90, mmsi="21900000A")
+    rows[11] = rows[11] + ",one too many"
+    path = old_file(tmp_path, *rows)
+    (chunk,) = read_csv(path, recognise(path))
+    assert chunk.dropped == {"unreadable": 4}
+    assert chunk.messages == 40
+    said = "\n".join(chunk.problems)
+    assert "row 5: LAT is not a number (got 'north')" in said
+    assert "row 9: BaseDateTime is not a time like 2024-12-31 23:59:59" in said
+    assert "row 11: MMSI is not a number (got '21900000A')" in said
+    assert "row 13: does not have the 17 cells of the header" in said
+    assert 13 not in chunk.positions.row
+    assert {12, 14, 41} <= set(chunk.positions.row.tolist())
+
+
+def test_blank_lines_count_as_rows(tmp_path):
+    path = old_file(tmp_path, row(0), "", "", row(10), "too,few", "", row(20), row(30, speed="fast"))
+    (chunk,) = read_csv(path, recognise(path))
+    assert chunk.positions.row.tolist() == [2, 5, 8]
+    assert chunk.problems[0].startswith("row 6: does not have the 17 cells")
+    assert chunk.problems[1].startswith("row 9: SOG is not a number")
+
+
+@pytest.mark.parametrize("size", [60, 500, 1 << 24])
+def test_a_table_reads_the_same_in_blocks_of_any_size(monkeypatch, tmp_path, size):
+    rows = [row(second) for second in range(0, 400, 10)]
+    rows[7], rows[12], rows[13] = "", "too,few", row(130, latitude="north")
+    path = old_file(tmp_path, *rows)
+    monkeypatch.setattr("modsim3d.scene.ais.read_csv.BLOCK_BYTES", size)
+    chunks = list(read_csv(path, recognise(path)))
+    assert (len(chunks) > 1) == (size < 1000)
+    found = [number for chunk in chunks for number in chunk.positions.row.tolist()]
+    assert found == [number for number in range(2, 42) if number not in (9, 14, 15)]
+    told = [problem for chunk in chunks for problem in chunk.problems]
+    assert [problem.partition(":")[0] for problem in told] == ["row 14", "row 15"]
+
+
+def test_a_name_of_two_lines_is_read(tmp_path):
+    path = old_file(tmp_path, row(0).replace(",X,", ',"X\nY",'), row(10))
+    (chunk,) = read_csv(path, recognise(path))
+    assert (len(chunk.positions), sorted(chunk.particulars.name)) == (2, ["X", "X\nY"])
+
+
+def test_infinite_numbers_are_unreadable_and_nan_is_as_good_as_empty(tmp_path):
+    path = old_file(tmp_path, row(0), row(10, latitude="inf"), row(20, speed="-Infinity"), row(30, speed="nan"))
+    (chunk,) = read_csv(path, recognise(path))
+    assert chunk.positions.row.tolist() == [2, 5]
+    assert np.isnan(chunk.positions.speed_kn[1])
+    assert "row 3: LAT is not a number (got 'inf')" in chunk.problems
+
+
+@pytest.mark.parametrize(
+    ("content", "level", "says"),
+    [
+        (b"a" * 3_000_000, 1, "is none of the formats"),
+        ((SAMPLES / "danish.csv").read_bytes() + b"a" * 40_000_000, 0, "has a row of more than 1048576 bytes"),
+        ((SAMPLES / "danish.csv").read_bytes() + b"a" * 40_000_000, 1, "unpacks to more than 100 times its own size"),
+    ],
+    ids=["no line", "endless row", "bomb"],
+)
+def test_what_unpacks_to_endless_lines_is_one_error(prepared, tmp_path, content, level, says):
+    (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(content, level))
+    done = subprocess.run(
+        [prepared, "ais", "bomb.csv.gz", "--out", "scene"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert says in done.stderr
+    assert len(done.stderr.splitlines()) == 2
+
+
+def test_a_log_is_counted_the_same_in_chunks_of_any_size(monkeypatch, tmp_path):
+    sentences = [tagged(f"c:{1423133048 + k}", TYPE_1, checksum=0 if k % 3 else None) for k in range(12)]
+    path = log(tmp_path, *sentences)
+    (whole,) = read_nmea(path)
+    monkeypatch.setattr("modsim3d.scene.ais.read_nmea.CHUNK_MESSAGES", 2)
+    chunks = list(read_nmea(path))
+    assert len(chunks) > 2
+    assert sum(chunk.messages for chunk in chunks) == whole.messages == 12
+    assert sum(chunk.dropped.get("checksum", 0) for chunk in chunks) == whole.dropped["checksum"] == 8
+
+
+def test_garbage_between_sentences_is_passed_over_quickly(tmp_path):
+    sentences = [tagged(f"c:{1423133048 + k}", TYPE_1) for k in range(3)]
+    path = log(tmp_path, sentences[0], "x" * 300_000, sentences[1], "VD" * 150_000, sentences[2], "y" * 3_000_000)
+    (chunk,) = read_nmea(path)
+    assert chunk.positions.row.tolist() == [1, 3, 5]
+
+
+def test_samples_are_what_their_script_writes(tmp_path):
+    script = SAMPLES.parents[2] / "script" / "make_ais_samples"
+    subprocess.run([sys.executable, script, tmp_path], check=True)
+    for written in sorted(tmp_path.iterdir()):
+        assert written.read_bytes() == (SAMPLES / written.name).read_bytes(), written.name
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in SAMPLES.iterdir()}

@@ -1,0 +1,157 @@
+"""Meshes whose axes or parts do not go with the vessel's length, beam and air draft: a warning with what would fit."""
+
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from modsim3d.cli import main
+from modsim3d.cli.run_summary import scene_warnings
+from modsim3d.scene.reading import load_scene
+from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
+from modsim3d.world.vessels import misfit
+from tests.world.test_meshes import NAMES
+
+SIZE_M = (90.0, 15.0, 22.0)
+Z_UP_TO_Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""Bow at +x still, and up from +z to +y, as Blender exports a ship along x by default."""
+TO_GLTF = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+"""Bow from +x to +z, port from +y to +x, up from +z to +y."""
+GOOD_VESSEL = {"length_m": 90, "beam_m": 15, "air_draft_m": 22, "label": "ship"}
+SCENE = {
+    "steps": 2,
+    "time_step_s": 0.5,
+    "vessels": {"own": {"length_m": 10, "beam_m": 4, "air_draft_m": 3, "label": "boat"}},
+    "poses": {"tracks": {"own": [[0, 0, 0], [30, 30, 0]], "v": [[0, 250, 60], [30, 250, -60]]}},
+    "cameras": {
+        "bow": {
+            "focal_length_m": 0.008,
+            "pixel_size_m": [5.0e-6, 5.0e-6],
+            "principal_point_px": [960, 540],
+            "image_size_px": [1920, 1080],
+            "mount": {"vessel": "own", "position_m": [3, 0, 2.2], "pitch_rad": 0.02},
+        }
+    },
+    "annotation": {"mode": 2, "source": "rendered"},
+    "detector": "coastal",
+}
+
+
+def ship(scale: float = 1.0) -> trimesh.Trimesh:
+    """A hull with a house and a mast, bow along x, 90 × 15 × 22."""
+    parts = [((90, 15, 8), (0, 0, 4)), ((18, 12, 8), (-30, 0, 12)), ((1, 1, 6), (-30, 0, 19))]
+    boxes = [trimesh.creation.box(size).apply_translation(at) for size, at in parts]
+    return trimesh.util.concatenate(boxes).apply_scale(scale)
+
+
+def plane(side: float) -> trimesh.Trimesh:
+    corners = [(x * side / 2, y * side / 2, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+
+
+def warned(mesh: trimesh.Trimesh, file: str, folder: Path, **axes: str) -> str | None:
+    """What is said of a mesh in a file, for a ship of 90 × 15 × 22 m."""
+    mesh.export(folder / file)
+    return misfit(load_mesh({"file": file, **axes}, folder), np.array(SIZE_M))
+
+
+def test_an_obj_with_y_up_is_warned_of_with_its_extents_and_the_axes_that_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ship().apply_transform(Z_UP_TO_Y_UP).export(tmp_path / "blender.obj")
+    scene = {**SCENE, "vessels": {**SCENE["vessels"], "v": {**GOOD_VESSEL, "mesh": "blender.obj"}}}  # type: ignore[dict-item]
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
+    monkeypatch.setattr(sys, "argv", ["modsim3d", "check", str(tmp_path / "scene.yaml")])
+    with pytest.raises(SystemExit) as stopped:
+        main.main()
+    assert not stopped.value.code
+    out, said = capsys.readouterr()
+    assert "no errors, 1 warning" in out
+    words = " ".join(said.split())
+    assert "vessel 'v': the mesh blender measures 90 × 22 × 15 along x, y and z of its file" in words
+    assert 'forward: "+x" or "-x", up: "+y" would fit' in words
+    assert "length × beam × air draft of 90 × 15 × 22 m" in words
+
+
+def test_the_right_axes_are_not_warned_of(tmp_path: Path) -> None:
+    assert warned(ship().apply_transform(Z_UP_TO_Y_UP), "ship.obj", tmp_path, forward="+x", up="+y") is None
+    for file in ("ship.obj", "ship.stl", "ship.ply"):
+        assert warned(ship(1000), file, tmp_path) is None
+    assert warned(ship().apply_transform(TO_GLTF), "ship.glb", tmp_path) is None
+
+
+def test_a_bow_along_x_in_a_glb_is_warned_of(tmp_path: Path) -> None:
+    said = warned(ship().apply_transform(Z_UP_TO_Y_UP), "ship.glb", tmp_path)
+    assert said is not None
+    assert "measures 90 × 22 × 15 along x, y and z" in said
+    assert 'with forward "+z" and up "+y" it is stretched 36 times as much along one axis as along another' in said
+    assert 'forward: "+x" or "-x", up: "+y" would fit' in said
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        plane(4000.0),
+        trimesh.creation.icosphere(1, 3000.0),
+        trimesh.creation.box((1, 1, 1)).apply_translation([900, 0, 3]),
+    ],
+    ids=["sea", "sky", "marker"],
+)
+def test_a_part_that_makes_a_speck_of_the_ship_is_warned_of(extra: trimesh.Trimesh, tmp_path: Path) -> None:
+    whole = trimesh.util.concatenate([ship(), extra]).apply_transform(TO_GLTF)
+    said = warned(whole, "sea.glb", tmp_path)
+    assert said is not None
+    assert f"without one part of {len(extra.faces)} faces it would measure 15 × 22 × 90" in said
+    assert "take that part out of the file" in said
+
+
+def test_other_proportions_are_warned_of_from_a_stretch_of_three_on(tmp_path: Path) -> None:
+    for stretch, is_told in ((2.9, False), (3.1, True)):
+        longer = ship().apply_transform(np.diag([stretch, 1, 1, 1]))
+        assert (warned(longer, "ship.stl", tmp_path) is not None) == is_told
+
+
+@pytest.mark.parametrize("size_m", [SIZE_M, (10.0, 4.0, 3.0), (28.0, 10.0, 14.0), (5.0, 0.7, 1.3), (11.0, 3.5, 16.0)])
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_meshes_and_others_that_fill_the_unit_box_are_not_warned_of(
+    name: str, size_m: tuple[float, float, float]
+) -> None:
+    path = shipped_meshes()[name]
+    for entry in (name, path.name):
+        assert misfit(load_mesh(entry, path.parent), np.array(size_m)) is None
+
+
+def test_meshes_of_obstacles_are_held_against_their_size(tmp_path: Path) -> None:
+    ship().export(tmp_path / "wreck.stl")
+    sizes = {"right": [90, 15, 22], "wrong": [15, 90, 22]}
+    place = {"mesh": "wreck.stl", "position_m": [300, 0, 0], "heading_rad": 0.7}
+    obstacles = {name: {**place, "size_m": size} for name, size in sizes.items()}
+    poses = {"tracks": {"own": [[0, 0, 0], [30, 30, 0]]}}
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump({**SCENE, "poses": poses, "obstacles": obstacles}))
+    (said,) = scene_warnings(load_scene(tmp_path / "scene.yaml"))
+    assert said.startswith("obstacle 'wrong': the mesh measures 90 × 15 × 22 along x, y and z of its file")
+
+
+def test_a_mesh_of_many_vessels_is_warned_of_once(tmp_path: Path) -> None:
+    ship().apply_transform(Z_UP_TO_Y_UP).export(tmp_path / "blender.obj")
+    entry = {**GOOD_VESSEL, "mesh": "blender.obj"}
+    tracks = {**SCENE["poses"]["tracks"], "w": [[0, 250, 160], [30, 250, 60]]}  # type: ignore[index]
+    vessels = {**SCENE["vessels"], "v": entry, "w": entry}  # type: ignore[dict-item]
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump({**SCENE, "vessels": vessels, "poses": {"tracks": tracks}}))
+    (said,) = scene_warnings(load_scene(tmp_path / "scene.yaml"))
+    assert said.startswith("vessel 'v' and 1 more: the mesh blender measures")
+
+
+def test_bytes_behind_the_facets_of_a_binary_stl_are_passed_over(tmp_path: Path) -> None:
+    content = bytes(80) + ship().export(file_type="stl")[80:]
+    for number, behind in enumerate((b"", b"\r\n", bytes(49))):
+        (tmp_path / f"{number}.stl").write_bytes(content + behind)
+    plain, *others = (load_mesh(f"{number}.stl", tmp_path) for number in range(3))
+    for other in others:
+        np.testing.assert_array_equal(other.vertices, plain.vertices)
+        np.testing.assert_array_equal(other.faces, plain.faces)
+    assert struct.unpack("<I", content[80:84]) == (36,)

@@ -1,0 +1,630 @@
+"""The shipped vessel shapes, and reading the user's own."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import os
+import runpy
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from modsim3d.core.errors import InputError
+from modsim3d.world.mesh_glb import glb_parts, joined, read_glb
+from modsim3d.world.mesh_limits import MAX_FACES, MAX_VERTICES, Refused, leads_outside, read_obj
+from modsim3d.world.mesh_reading import Axis, load_mesh, shipped_meshes
+from modsim3d.world.vessels import Solid, axis, is_closed, shoebox, signed_volume, vehicle_R_file
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = ("container_ship", "ferry", "fishing_vessel", "kayak", "motorboat", "sailboat")
+
+
+def triangles(solid: Solid, digits: int = 5) -> set[tuple[tuple[float, ...], ...]]:
+    """The triangles of a solid, whatever the order of its vertices and faces; each begins at its least corner."""
+    corners = np.round(solid.vertices[solid.faces], digits) + 0.0
+    turned = (tuple(map(tuple, face)) for face in corners.tolist())
+    return {face[k:] + face[:k] for face in turned for k in [face.index(min(face))]}
+
+
+def problem(entry: object, folder: Path) -> str:
+    """The one problem that an entry has, without its path."""
+    with pytest.raises(InputError) as raised:
+        load_mesh(entry, folder, "scene.yaml", "vessels", "boat", "mesh")
+    (line,) = raised.value.problems
+    assert raised.value.source == "scene.yaml"
+    assert line.startswith("vessels.boat.mesh")
+    return line.removeprefix("vessels.boat.mesh")
+
+
+def glb(description: dict[str, object], data: bytes = b"", size: int | None = None) -> bytes:
+    text = json.dumps(description).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    if data:
+        chunks += struct.pack("<I4s", len(data), b"BIN\0") + data
+    return struct.pack("<4sII", b"glTF", 2, size or 12 + len(chunks)) + chunks
+
+
+def wedge_description() -> tuple[dict[str, object], bytes]:
+    """A tetrahedron with its bow at +z and its top at +y, in glTF's axes, and its data."""
+    positions = np.array([(-1, 0, -1), (1, 0, -1), (0, 0, 3), (0, 2, -1)], dtype="<f4")
+    indices = np.array([(0, 1, 2), (0, 3, 1), (1, 3, 2), (0, 2, 3)], dtype="<u2")
+    data = positions.tobytes() + indices.tobytes()
+    description = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [-1, 0, -1], "max": [1, 2, 3]},
+            {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
+        ],
+        "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 24}],
+        "buffers": [{"byteLength": len(data)}],
+    }
+    return description, data
+
+
+@pytest.fixture(scope="module")
+def make_meshes() -> dict[str, object]:
+    return runpy.run_path(str(ROOT / "script" / "make_meshes"))
+
+
+# ---- the shipped meshes ------------------------------------------------------------------------
+
+
+def test_the_shipped_meshes_are_those_of_the_table() -> None:
+    table = yaml.safe_load((ROOT / "meshes" / "meshes.yaml").read_text())
+    assert sorted(table) == sorted(shipped_meshes()) == sorted(NAMES)
+    assert all(table[name]["faces"] == len(load_mesh(name, ROOT).faces) for name in NAMES)
+
+
+def test_make_meshes_writes_the_committed_bytes(make_meshes: dict[str, Callable[[Path], None]], tmp_path: Path) -> None:
+    make_meshes["main"](tmp_path)
+    for written in sorted(tmp_path.iterdir()):
+        assert written.read_bytes() == (ROOT / "meshes" / written.name).read_bytes(), written.name
+    assert len(list(tmp_path.iterdir())) == len(NAMES) + 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_mesh_is_a_solid_that_fills_the_unit_box(name: str) -> None:
+    solid = load_mesh(name, ROOT)
+    assert np.array_equal(solid.vertices.min(axis=0), [-0.5, -0.5, 0.0])
+    assert np.array_equal(solid.vertices.max(axis=0), [0.5, 0.5, 1.0])
+    assert solid.closed and not solid.convex
+    assert 60 <= len(solid.faces) <= 400
+    witness = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
+    assert witness.is_watertight and witness.is_winding_consistent
+    assert 0.02 < witness.volume < 0.6
+    assert witness.body_count == 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_ray_enters_a_shipped_mesh_through_a_front_face_and_leaves_it_again(name: str) -> None:
+    """Signed crossings of parallel rays, nearest first, against each face: in, out, in, out."""
+    solid = load_mesh(name, ROOT)
+    rng = np.random.default_rng(0)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    a, b, c = np.moveaxis((solid.vertices @ turn.T)[solid.faces], 1, 0)
+    area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    rays = rng.uniform(-0.6, 0.6, size=(2000, 2)) + (turn @ [0.0, 0.0, 0.4])[:2]
+    hits = 0
+    for x, y in rays:
+        u = ((b[:, 0] - x) * (c[:, 1] - y) - (c[:, 0] - x) * (b[:, 1] - y)) / area
+        v = ((c[:, 0] - x) * (a[:, 1] - y) - (a[:, 0] - x) * (c[:, 1] - y)) / area
+        met = (u > 0) & (v > 0) & (u + v < 1)
+        height = (u * a[:, 2] + v * b[:, 2] + (1 - u - v) * c[:, 2])[met]
+        signs = np.sign(area[met])[np.argsort(-height)]  # from above: counter-clockwise faces are front faces
+        assert np.array_equal(signs, np.resize([1, -1], len(signs))) and len(signs) % 2 == 0
+        hits += bool(len(signs))
+    assert hits > 100
+
+
+def test_a_shipped_mesh_has_its_bow_forward_and_its_mast_up() -> None:
+    ferry = load_mesh("ferry", ROOT).vertices
+    bow, stern = ferry[ferry[:, 0] > 0.49], ferry[ferry[:, 0] < -0.49]
+    assert np.ptp(bow[:, 1]) < 0.2 < np.ptp(stern[:, 1])
+    sails = load_mesh("sailboat", ROOT).vertices
+    assert np.abs(sails[sails[:, 2] > 0.9, 1]).max() < 0.2
+
+
+def test_the_hand_written_glb_is_what_trimesh_reads_in_any_viewer() -> None:
+    seen = trimesh.load_scene(shipped_meshes()["ferry"]).to_mesh()
+    assert np.allclose(seen.bounds, [[-0.5, 0.0, -0.5], [0.5, 1.0, 0.5]])  # y up
+    assert np.allclose(seen.volume, signed_volume(*(lambda s: (s.vertices, s.faces))(load_mesh("ferry", ROOT))))
+
+
+# ---- formats and axes --------------------------------------------------------------------------
+
+
+def test_the_shape_is_the_same_through_every_format(tmp_path: Path) -> None:
+    want = load_mesh("motorboat", ROOT)
+    mesh = trimesh.Trimesh(want.vertices * [8.5, 2.8, 2.6] + [100, -20, 3], want.faces, process=False)
+    for ending in ("obj", "stl", "ply", "glb"):
+        mesh.export(tmp_path / f"boat.{ending}")
+    mesh.export(tmp_path / "text.stl", file_type="stl_ascii")
+    mesh.export(tmp_path / "text.ply", encoding="ascii")
+    for file in sorted(tmp_path.iterdir()):
+        entry = {"file": file.name, "forward": "+x", "up": "+z"}
+        got = load_mesh(entry, tmp_path)
+        assert triangles(got, 4) == triangles(want, 4), file.name
+        assert got.closed and len(got.vertices) == len(want.vertices), file.name
+
+
+def test_axes_map_the_file_to_forward_port_up() -> None:
+    for forward in get_args(Axis):
+        for up in get_args(Axis):
+            if forward[1] != up[1]:
+                rotation = vehicle_R_file(forward, up)
+                assert np.allclose(rotation @ axis(forward), [1, 0, 0])
+                assert np.allclose(rotation @ axis(up), [0, 0, 1])
+                assert np.isclose(np.linalg.det(rotation), 1.0)
+
+
+@pytest.mark.parametrize(("forward", "up"), [("-x", "+z"), ("+y", "-z"), ("+z", "+y")])
+def test_a_file_in_other_axes_gives_the_same_solid(forward: str, up: str, tmp_path: Path) -> None:
+    want = load_mesh("fishing_vessel", ROOT)
+    in_file = want.vertices @ vehicle_R_file(forward, up)  # the transpose undoes a rotation
+    trimesh.Trimesh(in_file, want.faces, process=False).export(tmp_path / "hull.ply")
+    got = load_mesh({"file": "hull.ply", "forward": forward, "up": up}, tmp_path)
+    assert triangles(got, 4) == triangles(want, 4)
+
+
+def test_glb_is_read_in_gltf_axes_unless_told_otherwise(tmp_path: Path) -> None:
+    (tmp_path / "wedge.glb").write_bytes(glb(*wedge_description()))
+    solid = load_mesh("wedge.glb", tmp_path)
+    bow = solid.vertices[np.argmax(solid.vertices[:, 0])]
+    top = solid.vertices[np.argmax(solid.vertices[:, 2])]
+    assert bow.tolist() == [0.5, 0.0, 0.0] and top.tolist() == [-0.5, 0.0, 1.0]
+    assert solid.closed and solid.convex
+    turned = load_mesh({"file": "wedge.glb", "forward": "-z"}, tmp_path)
+    assert turned.vertices[np.argmax(turned.vertices[:, 2])].tolist() == [0.5, 0.0, 1.0]
+
+
+def test_nodes_are_placed_by_their_transforms_and_a_mirrored_one_is_not_inside_out(tmp_path: Path) -> None:
+    description, data = wedge_description()
+    description["nodes"] = [
+        {"children": [1, 2], "translation": [0, 0, 5]},
+        {"mesh": 0, "scale": [-1, 1, 1], "translation": [3, 0, 0]},
+        {"mesh": 0, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, -3, 0, 0, 1]},
+    ]
+    (tmp_path / "two.glb").write_bytes(glb(description, data))
+    solid = load_mesh("two.glb", tmp_path)
+    assert len(solid.faces) == 8 and solid.closed and not solid.convex
+    # Each wedge has a sixth of its box, which is a quarter of the whole one's breadth (2 of 8).
+    assert signed_volume(solid.vertices, solid.faces) == pytest.approx(2 * 0.25 / 6)
+
+
+def by_trimesh(content: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of all parts of a GLB file, as trimesh reads them; parts that mirror are not reversed."""
+    scene = trimesh.load_scene(io.BytesIO(content), file_type="glb", skip_materials=True, process=False)
+    vertices, faces = [], []
+    for name in scene.graph.nodes_geometry:
+        transform, geometry = scene.graph[name]
+        if isinstance(part := scene.geometry[geometry], trimesh.Trimesh):  # lines and points are other objects
+            faces.append(part.faces + sum(map(len, vertices)))
+            vertices.append(trimesh.transform_points(part.vertices, transform))
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def assert_read_as_by_trimesh(content: bytes) -> None:
+    for got, want in zip(
+        joined(glb_parts(read_glb(io.BytesIO(content), len(content)))), by_trimesh(content), strict=True
+    ):
+        np.testing.assert_array_equal(got, want)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_mesh_is_read_as_by_trimesh(name: str) -> None:
+    assert_read_as_by_trimesh(shipped_meshes()[name].read_bytes())
+
+
+def test_parts_have_the_order_and_the_place_that_trimesh_gives_them() -> None:
+    description, data = wedge_description()
+    one = description["meshes"][0]["primitives"][0]
+    shapes = ({**one, "mode": mode} for mode in (4, 5, 1))
+    description["meshes"] = [
+        *({"primitives": [shape]} for shape in shapes),
+        {"primitives": [{"attributes": {"POSITION": 2}}]},
+    ]
+    description["accessors"].append(
+        {"bufferView": 2, "byteOffset": 4, "componentType": 5122, "count": 3, "type": "VEC3"}
+    )
+    description["bufferViews"].append({"buffer": 1, "byteLength": 40, "byteStride": 10})
+    numbers = base64.b64encode(np.arange(20, dtype="<i2").tobytes()).decode()
+    description["buffers"].append({"byteLength": 40, "uri": f"data:application/octet-stream;base64,{numbers}"})
+    description["scenes"] = [{"nodes": [7, 0]}]
+    description["nodes"] = [
+        {"children": [1, 2, 3], "translation": [0.1, 0.2, 5.3], "rotation": [0.1, -0.4, 0.2, 0.7]},
+        {"mesh": 0, "scale": [1.1, 1.3, 0.7], "rotation": [0.0, 0.6, 0.0, 0.8], "children": [4, 5]},
+        {"mesh": 1, "rotation": [0.0, 0.0, 0.0, 0.0]},
+        {"mesh": 2},
+        {"mesh": 0, "matrix": [1, 0, 0, 0, 0, 0.8, 0.6, 0, 0, -0.6, 0.8, 0, -3, 0.3, 0.1, 1]},
+        {"children": [6], "scale": [3, 1, 2]},
+        {"mesh": 3, "translation": [1, 2, 3]},
+        {"mesh": 3, "scale": [2, 2, 2]},
+    ]
+    assert_read_as_by_trimesh(glb(description, data))
+
+
+def test_any_transforms_give_the_bits_that_trimesh_gives() -> None:
+    description, data = wedge_description()
+    rng = np.random.default_rng(0)
+    sizes = {"rotation": 4, "translation": 3, "scale": 3}
+    some = [{name: rng.uniform(0.1, 2, size).tolist() for name, size in sizes.items()} for _ in range(300)]
+    # Each chain has three nodes, and the last two show the mesh.
+    description["nodes"] = [
+        {**node, **({"mesh": 0} if number % 3 else {}), **({"children": [number + 1]} if number % 3 < 2 else {})}
+        for number, node in enumerate(some)
+    ]
+    description["scenes"] = [{"nodes": list(range(0, 300, 3))}]
+    assert_read_as_by_trimesh(glb(description, data))
+
+
+def test_every_primitive_of_a_mesh_is_read(tmp_path: Path) -> None:
+    """Trimesh loses primitives of one mesh whose random names coincide, of 12 000 a dozen."""
+    description, data = wedge_description()
+    description["meshes"][0]["primitives"] *= 100
+    description["nodes"][0]["scale"] = [2, 1, 1]
+    (tmp_path / "parts.glb").write_bytes(glb(description, data))
+    got = load_mesh("parts.glb", tmp_path)
+    assert len(got.faces) == 400 and len(got.vertices) == 4
+
+
+def test_an_inside_out_mesh_is_turned(tmp_path: Path) -> None:
+    box = shoebox()
+    trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False).export(tmp_path / "box.stl")
+    solid = load_mesh("box.stl", tmp_path)
+    assert signed_volume(solid.vertices, solid.faces) == pytest.approx(1.0)
+    assert solid.closed and solid.convex and len(solid.vertices) == 8
+
+
+def test_a_mesh_with_a_hole_or_mixed_winding_is_open(tmp_path: Path) -> None:
+    box = shoebox()
+    trimesh.Trimesh(box.vertices, box.faces[1:], process=False).export(tmp_path / "hole.ply")
+    mixed = box.faces.copy()
+    mixed[3] = mixed[3, ::-1]
+    trimesh.Trimesh(box.vertices, mixed, process=False).export(tmp_path / "mixed.ply")
+    assert shoebox().closed and shoebox().convex and is_closed(box.faces)
+    for file in ("hole.ply", "mixed.ply"):
+        solid = load_mesh(file, tmp_path)
+        assert not solid.closed and not solid.convex
+
+
+def test_degenerate_faces_are_dropped_and_unused_points_do_not_count(tmp_path: Path) -> None:
+    box = shoebox()
+    lines = [f"v {x} {y} {z}" for x, y, z in [*box.vertices.tolist(), (50, 50, 50)]]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in [*box.faces.tolist(), (0, 0, 1)]]
+    (tmp_path / "box.obj").write_text("\n".join(lines) + "\n")
+    assert triangles(load_mesh("box.obj", tmp_path)) == triangles(box)
+    header = PLY_FACES.replace("vertex 8", "vertex 9")
+    (tmp_path / "box.ply").write_bytes(ply([*BOX_ROWS, "50 50 50"], header=header))
+    assert triangles(load_mesh("box.ply", tmp_path)) == triangles(box)
+
+
+def test_blank_lines_and_what_follows_the_rows_of_a_text_ply_are_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "box.ply").write_bytes(ply([*BOX_ROWS[:3], "", "  ", *BOX_ROWS[3:]]) + b"\nthe end\n" * 9)
+    assert triangles(load_mesh("box.ply", tmp_path)) == triangles(shoebox())
+
+
+def test_corners_of_obj_may_count_back_and_name_textures_and_normals(tmp_path: Path) -> None:
+    rows = [f"v {row}" for row in BOX_ROWS]
+    faces = [f"f {a - 8}/1/1 {b - 8}//2 \\\n {c - 8}/3" for a, b, c in shoebox().faces.tolist()]
+    (tmp_path / "box.obj").write_text("\n".join([*rows, "vt 0 0", "vn 0 0 1", *faces, ""]))
+    assert triangles(load_mesh("box.obj", tmp_path)) == triangles(shoebox())
+
+
+def test_lines_of_obj_may_be_indented_and_have_tabs(tmp_path: Path) -> None:
+    (tmp_path / "box.obj").write_bytes(obj().replace(b"f ", b"  f\t").replace(b"v ", b"\tv\t"))
+    assert triangles(load_mesh("box.obj", tmp_path)) == triangles(shoebox())
+
+
+def test_comments_need_not_be_utf_8(tmp_path: Path) -> None:
+    box = trimesh.Trimesh(shoebox().vertices, shoebox().faces, process=False)
+    stl = box.export(file_type="stl_ascii").encode().replace(b"solid ", b"solid Fj\xf8rd ", 1)
+    (tmp_path / "box.stl").write_bytes(stl)
+    (tmp_path / "box.obj").write_bytes(b"# B\xe5t\n" + obj())
+    (tmp_path / "text.ply").write_bytes(ply(BOX_ROWS).replace(b"1.0\n", b"1.0\ncomment B\xe5t\n", 1))
+    binary = box.export(file_type="ply").replace(b"1.0\n", b"1.0\ncomment B\xe5t\n", 1)
+    (tmp_path / "binary.ply").write_bytes(binary)
+    for file in sorted(tmp_path.iterdir()):
+        assert triangles(load_mesh(file.name, tmp_path)) == triangles(shoebox()), file.name
+
+
+def test_corners_of_obj_faces_are_counted_before_they_are_parsed() -> None:
+    content = obj(*["f" + " 1" * 30_000] * 2)
+    with pytest.raises(Refused, match="has 60008 faces"):
+        read_obj(io.BytesIO(content), len(content))
+
+
+def test_faces_of_many_corners_are_split(tmp_path: Path) -> None:
+    corners = [f"v {x} {y} {z}" for x, y, z in shoebox().vertices.tolist()]
+    quads = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    (tmp_path / "box.obj").write_text("\n".join([*corners, *(f"f {a} {b} {c} {d}" for a, b, c, d in quads)]))
+    solid = load_mesh("box.obj", tmp_path)
+    assert len(solid.faces) == 12 and solid.closed and solid.convex
+
+
+# ---- what is refused ---------------------------------------------------------------------------
+
+FIVE_MILLION = 5_000_000
+
+
+def test_five_million_faces_are_refused_by_the_header_of_stl(tmp_path: Path) -> None:
+    with (tmp_path / "big.stl").open("wb") as file:
+        file.write(b"\0" * 80 + struct.pack("<I", FIVE_MILLION))
+        file.truncate(84 + 50 * FIVE_MILLION)  # sparse: takes no room
+    assert problem("big.stl", tmp_path) == (
+        f": 'big.stl' has 5000000 faces; a mesh may have at most {MAX_FACES}: simplify it"
+    )
+
+
+def test_five_million_faces_are_refused_by_the_header_of_ply(tmp_path: Path) -> None:
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex 9\nelement face {FIVE_MILLION}\nend_header\n"
+    with (tmp_path / "big.ply").open("wb") as file:
+        file.write(header.encode())
+        file.truncate(13 * FIVE_MILLION)
+    assert "has 5000000 faces" in problem("big.ply", tmp_path)
+
+
+def test_five_million_faces_are_refused_by_the_accessors_of_glb(tmp_path: Path) -> None:
+    description, data = wedge_description()
+    description["accessors"][1]["count"] = 3 * FIVE_MILLION
+    (tmp_path / "big.glb").write_bytes(glb(description, data))
+    assert "has 5000000 faces" in problem("big.glb", tmp_path)
+
+
+def test_five_million_faces_are_counted_in_obj_and_in_text_stl(tmp_path: Path) -> None:
+    (tmp_path / "big.obj").write_bytes(b"v 0 0 0\n" + b"f 1 1 1\n" * FIVE_MILLION)
+    assert "has 5000000 faces" in problem("big.obj", tmp_path)
+    (tmp_path / "big.obj").unlink()
+    (tmp_path / "big.stl").write_bytes(b"solid\n" * 20 + b"endfacet\n" * 60_000)
+    assert "has 60000 faces" in problem("big.stl", tmp_path)
+
+
+def test_a_mesh_shown_too_often_counts_each_time(tmp_path: Path) -> None:
+    description, data = wedge_description()
+    description["accessors"][1]["count"] = 3000
+    description["nodes"] = [{"mesh": 0}] * 100
+    description["scenes"] = [{"nodes": list(range(100))}]
+    (tmp_path / "many.glb").write_bytes(glb(description, data))
+    assert "has 100000 faces" in problem("many.glb", tmp_path)
+
+
+def test_as_many_faces_as_allowed_are_read(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    corners = rng.uniform(size=(MAX_FACES + 1, 3, 3))
+    soup = np.arange(3 * MAX_FACES + 3).reshape(-1, 3)
+    trimesh.Trimesh(corners.reshape(-1, 3), soup, process=False).export(tmp_path / "more.stl")
+    trimesh.Trimesh(corners[:-1].reshape(-1, 3), soup[:-1], process=False).export(tmp_path / "most.stl")
+    assert len(load_mesh("most.stl", tmp_path).faces) == MAX_FACES
+    assert f"has {MAX_FACES + 1} faces" in problem("more.stl", tmp_path)
+
+
+BOX_ROWS = [" ".join(map(str, row)) for row in shoebox().vertices.tolist()]
+BOX_FACES = [f"3 {a} {b} {c}" for a, b, c in shoebox().faces.tolist()]
+PLY = "ply\nformat ascii 1.0\nelement vertex 8\nproperty double x\nproperty double y\nproperty double z\n"
+PLY_FACES = PLY + "element face 12\nproperty list uchar int vertex_indices\nend_header\n"
+
+
+def ply(rows: list[str], faces: list[str] | None = None, header: str = PLY_FACES) -> bytes:
+    return (header + "\n".join([*rows, *(BOX_FACES if faces is None else faces)]) + "\n").encode()
+
+
+def obj(*extra: str) -> bytes:
+    rows = [f"v {row}" for row in BOX_ROWS]
+    faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in shoebox().faces.tolist()]
+    return "\n".join([*extra, *rows, *faces, ""]).encode()
+
+
+def changed(**parts: object) -> bytes:
+    description, data = wedge_description()
+    return glb({**description, **parts}, data)
+
+
+def wedge_with(part: str, index: int, **keys: object) -> bytes:
+    description, data = wedge_description()
+    description[part][index].update(keys)
+    return glb(description, data)
+
+
+PNG = b"\x89PNG\r\n\x1a\n" + bytes(200)
+GARBAGE = b"Lorem ipsum dolor sit amet, consectetur adipiscing elit. " * 20
+REFUSED = {
+    "picture.glb": (PNG, "is not a GLB file"),
+    "picture.stl": (PNG, "is not an STL file"),
+    "picture.ply": (PNG, "is not a PLY file"),
+    "picture.obj": (PNG, "holds no faces"),
+    "empty.glb": (b"", "is empty"),
+    "empty.obj": (b"", "is empty"),
+    "garbage.glb": (GARBAGE, "is not a GLB file"),
+    "garbage.stl": (GARBAGE, "is not an STL file"),
+    "garbage.ply": (GARBAGE, "is not a PLY file"),
+    "garbage.obj": (GARBAGE, "holds no faces"),
+    "solid.stl": (b"solid garbage\n" * 9, "holds no faces"),
+    "short.stl": (bytes(80) + struct.pack("<I", 9) + bytes(100), "neither text that begins with 'solid'"),
+    "points.ply": (ply(BOX_ROWS, [], PLY + "end_header\n"), "holds no faces, only points"),
+    "points.obj": (b"\n".join(b"v " + row.encode() for row in BOX_ROWS), "holds no faces, only points"),
+    "points.glb": (wedge_with("meshes", 0, primitives=[{"attributes": {"POSITION": 0}, "mode": 0}]), "holds no faces"),
+    "nan.ply": (ply([*BOX_ROWS[:3], "nan 0 0", *BOX_ROWS[4:]]), "has 1 of 8 vertices that are NaN, infinite"),
+    "inf.ply": (ply([*BOX_ROWS[:3], "0 -inf 0", *BOX_ROWS[4:]]), "the first is number 3, [0.0, -inf, 0.0]"),
+    "huge.ply": (ply([*BOX_ROWS[:3], "1e300 0 0", *BOX_ROWS[4:]]), "beyond 1e+09"),
+    "flat.ply": (ply([f"{row.rsplit(' ', 1)[0]} 4" for row in BOX_ROWS]), "has no height: a solid is needed"),
+    "line.ply": (ply([f"{row.split()[0]} 7 4" for row in BOX_ROWS]), "has no beam and no height"),
+    "cut.ply": (ply(BOX_ROWS[:5]), "has 17 rows of the 20 that its header announces"),
+    "index.ply": (ply(BOX_ROWS, ["3 0 1 900", *BOX_FACES[1:]]), "cannot be read as PLY|that use vertex 900"),
+    "index.obj": (obj() + b"f 1 2 900\n", "has the corner '900' in line 21: there is no such vertex, of 8"),
+    "words.ply": (ply(["a b c", *BOX_ROWS[1:]]), "cannot be read as PLY"),
+    "count.ply": (ply(BOX_ROWS, header=PLY_FACES.replace("vertex 8", "vertex eight")), "'element vertex eight'"),
+    "points.stl": (b"solid\nfacet\nendfacet\n" + b"vertex 0 0 0\n" * (MAX_VERTICES + 1), "has 150001 vertices"),
+    "long.obj": (obj("f" + " 1" * 40_000), "line of 80001 characters (line 1)"),
+    "corners.obj": (obj(*["f" + " 1" * 30_000] * 2), "has 60008 faces"),
+    "word.obj": (obj() + b"f 1 2 x\n", "has the corner 'x' in line 21; a number is needed"),
+    "zero.obj": (obj() + b"f 1 2 -9\n", "has the corner '-9' in line 21: there is no such vertex"),
+    "parts.stl": (b"solid\nendsolid\n" * 1001 + b"endfacet", "has 1001 solids"),
+    "image.glb": (
+        changed(images=[{"uri": "http://example.org/x.png"}]),
+        "refers to 'http://example.org/x.png' (image)",
+    ),
+    "parent.glb": (wedge_with("buffers", 0, uri="%2e%2e/x.bin"), "refers to '%2e%2e/x.bin' (buffer)"),
+    "beside.glb": (wedge_with("buffers", 0, uri="x.bin"), "keeps its geometry in another file, 'x.bin'"),
+    "draco.glb": (changed(extensionsRequired=["KHR_draco_mesh_compression"]), "needs the glTF extension"),
+    "sparse.glb": (wedge_with("accessors", 0, sparse={"count": 1}), "has accessor 0 stored sparsely"),
+    "vertices.glb": (wedge_with("accessors", 0, count=200_000), "has 200000 vertices"),
+    "plane.ply": (ply(BOX_ROWS, header=PLY_FACES.replace("property double z\n", "")), "'z' is missing"),
+    "plane.obj": (obj().replace(b"0.0\n", b"\n").replace(b" 1.0\n", b"\n"), "has vertices of 2 coordinates"),
+    "range.glb": (wedge_with("accessors", 0, count=400), "has accessor 0 with 400 items in 48 bytes"),
+    "stride.glb": (wedge_with("bufferViews", 0, byteStride=252), "has accessor 0 with 4 items"),
+    "view.glb": (wedge_with("bufferViews", 1, byteLength=4000), "has buffer view 1 reaching beyond its data"),
+    "claims.glb": (
+        changed(buffers=[{"byteLength": 9000}], bufferViews=[{"buffer": 0, "byteLength": 8000}] * 2),
+        "reaching beyond its data of 72 bytes",
+    ),
+    "nodata.glb": (changed(accessors=[{"componentType": 5126, "count": 4, "type": "VEC3"}] * 2), "of a type"),
+    "loop.glb": (changed(nodes=[{"mesh": 0, "children": [0]}]), "has node 0 in two places"),
+    "twice.glb": (changed(scenes=[{"nodes": [0, 0]}]), "has node 0 in two places"),
+    "noscene.glb": (changed(scenes=[]), "has no scene 0"),
+    "nomesh.glb": (changed(nodes=[{"mesh": 7}]), "has no mesh 7"),
+    "nonode.glb": (changed(scenes=[{"nodes": [5]}]), "has no node 5"),
+    "corners.glb": (wedge_with("accessors", 1, count=11), "has triangles with 11 corners"),
+    "nobase64.glb": (wedge_with("buffers", 0, uri="data:,abc"), "has data in buffer 0 that is not base64"),
+    "padding.glb": (wedge_with("buffers", 0, uri="data:;base64,A"), "has data in buffer 0 that is not base64"),
+    "shortdata.glb": (wedge_with("buffers", 0, uri="data:;base64,AAAA"), "has only 3 bytes of data in buffer 0"),
+    "chunk.glb": (
+        changed().replace(struct.pack("<I4s", 72, b"BIN\0"), struct.pack("<I4s", 73, b"BIN\0")),
+        "has 72 bytes",
+    ),
+    "fan.glb": (wedge_with("meshes", 0, primitives=[{"attributes": {"POSITION": 0}, "mode": 6}]), "triangle fans"),
+    "type.glb": (wedge_with("accessors", 0, count="many"), "accessors[0].count: Input should be a valid integer"),
+    "json.glb": (glb({}).replace(b"{}", b"{x"), "is not JSON"),
+    "deep.glb": (glb({}).replace(b"{}  ", b"[" * 4), "is not JSON"),
+    "cut.glb": (changed()[:-20], "is it cut off?"),
+    "version.glb": (changed()[:4] + struct.pack("<I", 1) + changed()[8:], "is glTF version 1"),
+}
+
+
+@pytest.mark.parametrize("file", REFUSED)
+def test_a_bad_file_is_refused_in_one_clear_line(file: str, tmp_path: Path) -> None:
+    content, words = REFUSED[file]
+    (tmp_path / file).write_bytes(content)
+    line = problem(file, tmp_path)
+    assert line.startswith(f": '{file}' ")
+    assert any(part in line for part in words.split("|")), line
+    assert len(line) < 300 and "\n" not in line
+
+
+def test_an_indexless_glb_with_nan_is_refused(tmp_path: Path) -> None:
+    description, data = wedge_description()
+    for nan in (struct.pack("<f", np.nan), struct.pack("<I", 0x7F800001)):  # quiet, and signalling
+        (tmp_path / "nan.glb").write_bytes(glb(description, nan + data[4:]))
+        assert "has 1 of 4 vertices that are NaN" in problem("nan.glb", tmp_path)
+
+
+def test_a_glb_that_is_placed_beyond_all_numbers_is_refused(tmp_path: Path) -> None:
+    description, data = wedge_description()
+    description["nodes"] = [{"children": [number + 1], "scale": [1e9] * 3} for number in range(40)] + [{"mesh": 0}]
+    (tmp_path / "far.glb").write_bytes(glb(description, data))
+    assert "vertices that are NaN, infinite or beyond" in problem("far.glb", tmp_path)
+
+
+def test_harmless_references_are_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "box.obj").write_bytes(obj("mtllib box.mtl", "usemtl paint"))
+    texture = PLY_FACES.replace("ascii 1.0\n", "ascii 1.0\ncomment TextureFile /etc/passwd\n")
+    (tmp_path / "box.ply").write_bytes(ply(BOX_ROWS, header=texture))
+    assert load_mesh("box.ply", tmp_path).closed
+    for library in ("../../secret.mtl", "https://example.org/a.mtl", "C:\\Users\\me\\ship.mtl"):
+        content = obj(f"mtllib {library}")
+        (tmp_path / "far.obj").write_bytes(content)
+        assert load_mesh("far.obj", tmp_path).closed
+        assert b"mtl" not in read_obj(io.BytesIO(content), len(content))
+    (tmp_path / "box.glb").write_bytes(changed(images=[{"uri": "paint.png"}, {"uri": "data:image/png;base64,AAAA"}]))
+    assert load_mesh("box.obj", tmp_path).closed
+    assert load_mesh("box.glb", tmp_path).closed
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("fery", "'fery' is no shipped mesh (did you mean 'ferry'?), and no file that ends in one of .glb, .obj"),
+        ("hull.blend", "no file that ends in one of .glb, .obj, .stl, .ply"),
+        ("hull.stl", "'hull.stl' does not exist"),
+        ("folder.stl", "is a folder"),
+        ("pipe.stl", "is no ordinary file"),
+        ("link.stl", "is a link that leads out of the scene's folder"),
+        ("../hull.stl", "'../hull.stl' is remote or outside the scene's folder"),
+        ("a/../../hull.stl", "outside the scene's folder"),
+        ("/etc/hull.stl", "outside the scene's folder"),
+        ("https://example.org/hull.glb", "is remote or outside"),
+        ("data:model/gltf-binary;base64,AAAA.glb", "is remote or outside"),
+        ("C:\\hull.stl", "is remote or outside"),
+        ("", "cannot be a file's name"),
+        ("a\0.stl", "cannot be a file's name"),
+        (7, "the name of a shipped mesh, a file, or a mapping of file, forward and up is needed (got 7)"),
+        (None, "(got null)"),
+        ({"forward": "+x"}, ".file: missing"),
+        ({"file": "a.stl", "upp": "+z"}, ".upp: unknown key (did you mean 'up'?)"),
+        ({"file": "a.stl", "up": "z"}, ".up: Input should be '+x', '-x'"),
+        ({"file": "there.stl", "up": "-x"}, "has forward +x and up -x; two different axes are needed"),
+    ],
+)
+def test_a_bad_entry_is_refused_in_one_clear_line(entry: object, words: str, tmp_path: Path) -> None:
+    outside = tmp_path / "outside.stl"
+    outside.write_bytes(trimesh.creation.box().export(file_type="stl"))
+    scene = tmp_path / "scene"
+    (scene / "folder.stl").mkdir(parents=True)
+    (scene / "there.stl").write_bytes(outside.read_bytes())
+    (scene / "link.stl").symlink_to(outside)
+    os.mkfifo(scene / "pipe.stl")
+    assert words in problem(entry, scene)
+
+
+@pytest.mark.parametrize("inside", ["hull.bin", "a/b.png", "a..b.png", "..a/b"])
+def test_references_inside_the_folder_are_told_from_others(inside: str) -> None:
+    assert not leads_outside(inside)
+    assert all(
+        leads_outside(f"{way}{inside}") for way in ("/", "../", "x/../", "..\\", "\\\\host\\", "file:", "~/", " /")
+    )
+
+
+def test_any_damaged_file_is_refused_or_a_solid(tmp_path: Path) -> None:
+    """Bytes changed and cut at random: nothing but InputError may come of it."""
+    rng = np.random.default_rng(5)
+    mesh = trimesh.Trimesh(shoebox().vertices, shoebox().faces, process=False)
+    for ending in ("glb", "stl", "ply", "obj"):
+        whole = np.frombuffer(
+            mesh.export(file_type=ending, **({"encoding": "ascii"} if ending == "ply" else {}))
+            if ending != "obj"
+            else obj(),
+            dtype=np.uint8,
+        )
+        for _ in range(40):
+            damaged = whole.copy()
+            where = rng.integers(0, len(damaged), size=rng.integers(1, 6))
+            damaged[where] = rng.integers(0, 256, size=len(where))
+            file = tmp_path / f"damaged.{ending}"
+            file.write_bytes(damaged[: rng.integers(1, 2 * len(damaged))].tobytes())
+            try:
+                solid = load_mesh(file.name, tmp_path)
+            except InputError as error:
+                assert len(error.problems) == 1
+            else:
+                assert np.isfinite(solid.vertices).all() and solid.faces.max() < len(solid.vertices)
+
+
+def test_reading_a_scene_of_shipped_meshes_and_a_sea_loads_no_package_that_it_does_not_need() -> None:
+    code = (
+        "import modsim3d, modsim3d.vessels.meshes, sys; modsim3d.load_scene('strait'); "
+        "sys.exit(bool({'trimesh', 'scipy.spatial'} & set(sys.modules)))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

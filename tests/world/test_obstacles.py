@@ -1,0 +1,225 @@
+"""Obstacles hide vessels, get no box, and are named; pixels and geometry agree about them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from modsim3d.core.errors import InputError
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
+from modsim3d.runs.pipeline import open_renderer, simulate_frames, truth_block
+from modsim3d.scene.reading import load_scene
+from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.full_frame import full_frame_occlusion
+from modsim3d.truth.occlusion_order import order_of
+from modsim3d.truth.outlines import first_body_around, outline
+from modsim3d.truth.record import COLUMNS, concatenate
+from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
+from modsim3d.world.bodies import Obstacle, extruded, obstacle_bodies, vessel_bodies
+from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, pixel_masks, random_scene, vessel, write_scene
+
+SQUARE = [[-10.0, -10.0], [10.0, -10.0], [10.0, 10.0], [-10.0, 10.0]]
+
+
+def before(places, obstacles, intrinsics: Intrinsics = INTRINSICS, mount: Mount | None = None):
+    """Outlines of vessels given as (vessel, (w1, w2), heading), and of obstacles, at one step."""
+    vessels = [place[0] for place in places]
+    positions = np.array([[[*place, 0.0] for _, place, _ in places]]).reshape(1, -1, 3)
+    headings = np.array([[heading for _, _, heading in places]])
+    present = np.ones((1, len(places)), dtype=bool)
+    bodies = vessel_bodies(vessels, present, positions, world_R_vehicle(headings))
+    camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
+    return outline(intrinsics, camera, bodies + obstacle_bodies(obstacles, len(vessels), 1))
+
+
+def random_polygon(rng, centre, radius):
+    """A star-shaped polygon of 3 to 12 corners, as often convex as not."""
+    corners = int(rng.integers(3, 13))
+    angles = 2 * np.pi * (np.arange(corners) + rng.uniform(0.1, 0.9, corners)) / corners
+    reach = radius * rng.uniform(0.2, 1.0, corners)
+    polygon = np.asarray(centre) + reach[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    if rng.random() < 0.5:
+        polygon = shapely.get_coordinates(shapely.convex_hull(shapely.multipoints(polygon)))[:-1]
+    return polygon
+
+
+def random_harbour(seed):
+    """Vessels and obstacles that don't touch, before a camera of any kind."""
+    rng = np.random.default_rng(seed)
+    places, intrinsics, mount = random_scene(rng)
+    hulls = shapely.union_all(
+        [shapely.Point(place).buffer(np.hypot(ship.length_m, ship.beam_m) / 2) for ship, place, _ in places]
+    )
+    obstacles, taken = [], hulls
+    for i in range(60):
+        distance, bearing = np.exp(rng.uniform(np.log(5), np.log(300))), rng.uniform(-np.pi, np.pi)
+        centre = distance * np.array([np.cos(bearing), np.sin(bearing)])
+        polygon = random_polygon(rng, centre, distance * rng.uniform(0.05, 0.6))
+        shape = shapely.Polygon(polygon)
+        if shape.is_valid and not shape.intersects(taken) and shape.distance(shapely.Point(0, 0)) > 0.5:
+            taken = taken.union(shape)
+            base = float(rng.choice([0.0, rng.uniform(0, 20)]))
+            obstacles.append(Obstacle(f"o{i}", extruded(polygon, base, float(rng.uniform(0.5, 30)))))
+    return places, obstacles, intrinsics, mount
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_pixels_and_geometry_agree_behind_obstacles(renderer, seed):
+    places, obstacles, intrinsics, mount = random_harbour(seed)
+    outlines = before(places, obstacles, intrinsics, mount)
+    rendered = rendered_occlusion(outlines, intrinsics, renderer)
+    found = compare_with_analytic(
+        outlines, intrinsics, rendered, lambda row: pixel_masks(outlines, intrinsics, renderer, row)
+    )
+    assert len(found.full) == outlines.boxed.sum()
+    assert (found.worst < Agreement.INTERSECTING).all()
+    exact = analytic_occlusion(outlines, intrinsics)
+    for row in np.flatnonzero(outlines.boxed):
+        drawn, cut = dict(rendered.occluders[row]), dict(exact.occluders[row])
+        for occluder in drawn.keys() | cut.keys():
+            # Of a part with perimeter p, pixels differ from the area by less than a few times p.
+            area = cut.get(occluder, 0.0)
+            assert abs(drawn.get(occluder, 0.0) - area) < 40 + 20 * np.sqrt(area) + 0.05 * area
+
+
+@pytest.mark.parametrize(("seed", "supersample"), [*((seed, 1) for seed in range(40, 56)), (5063, 3), (5069, 3)])
+def test_drawing_regions_gives_the_truth_of_drawing_everything(renderer, seed, supersample):
+    places, obstacles, intrinsics, mount = random_harbour(seed)
+    outlines = before(places, obstacles, intrinsics, mount)
+    boxed = np.flatnonzero(outlines.boxed)
+    fast = rendered_occlusion(outlines, intrinsics, renderer, supersample).take(boxed)
+    plain = full_frame_occlusion(outlines, intrinsics, renderer, supersample).take(boxed)
+    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
+        np.testing.assert_array_equal(getattr(fast, name), getattr(plain, name), err_msg=name)
+    assert fast.occluders == plain.occluders
+
+
+def test_prisms_of_a_concave_polygon_fill_it_and_no_more():
+    star = np.array([[0, 0], [10, 1], [12, 9], [6, 4], [1, 8]], dtype=float)
+    for ring in (star, star[::-1]):
+        solids = extruded(ring, 2.0, 3.0)
+        footprints = [shapely.convex_hull(shapely.multipoints(vertices[:, :2])) for _, vertices in solids]
+        together = shapely.union_all(footprints, grid_size=1e-9)
+        assert shapely.symmetric_difference(together, shapely.Polygon(star)).area < 1e-6
+        assert sum(shapely.area(footprints)) == pytest.approx(shapely.Polygon(star).area)
+        for solid, vertices in solids:
+            assert {vertices[:, 2].min(), vertices[:, 2].max()} == {2.0, 5.0}
+            a, b, c = np.moveaxis(vertices[solid.faces], 1, 0)
+            volume = np.einsum("ti,ti->t", a, np.cross(b, c)).sum() / 6  # positive: faces run outwards
+            assert volume == pytest.approx(3.0 * shapely.convex_hull(shapely.multipoints(vertices[:, :2])).area)
+
+
+def test_vessel_under_a_bridge_is_seen_below_it(renderer):
+    ship = vessel("ship", 10, 10, 30)  # as wide as the pillars are apart; 30 m high
+    bridge = Obstacle("bridge", extruded(np.array([[90, -200], [95, -200], [95, 200], [90, 200.0]]), 15, 5))
+    outlines = before([(ship, (120.0, 0.0), 0.0)], [bridge])
+    seen = rendered_occlusion(outlines, INTRINSICS, renderer)
+    row = int(np.flatnonzero(outlines.boxed)[0])
+    assert 0 < seen.visible_px[row] < seen.silhouette_px[row]
+    ((hider, pixels),) = seen.occluders[row]
+    assert hider == 1
+    assert pixels == seen.silhouette_px[row] - seen.visible_px[row]
+    # The deck hides a stripe: above and below it the ship is seen, so its visible box is its full box.
+    np.testing.assert_array_equal(seen.visible_boxes_px[row], seen.full_boxes_px[row])
+
+
+def test_what_overlapping_obstacles_hide_is_counted_once():
+    ship = vessel("ship", 10, 40, 12)
+    quays = [
+        Obstacle("quay", extruded(np.array([[80, -15], [90, -15], [90, 5], [80, 5.0]]), 0, 6)),
+        Obstacle("pier", extruded(np.array([[85, -5], [95, -5], [95, 15], [85, 15.0]]), 0, 6)),
+    ]
+    outlines = before([(ship, (120.0, 0.0), 0.0)], quays)
+    seen = analytic_occlusion(outlines, INTRINSICS)
+    row = int(np.flatnonzero(outlines.boxed)[0])
+    assert {hider for hider, _ in seen.occluders[row]} == {1, 2}
+    hidden = sum(px for _, px in seen.occluders[row])
+    assert hidden == pytest.approx(seen.silhouette_px[row] - seen.visible_px[row])
+
+
+def test_coast_of_many_corners_is_put_in_order_with_vessels_and_not_with_itself(renderer):
+    angles = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    reach = 30 + 5 * np.cos(40 * angles)
+    coast = np.array([150, 0]) + reach[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    island = Obstacle("island", extruded(coast, 0, 8))
+    assert len(island.solids) > 300
+    outlines = before([(vessel("ship", 100, 15, 20), (220.0, 30.0), 1.5)], [island])
+    order = order_of(outlines)
+    assert outlines.boxed[np.stack([order.first, order.second])].any(axis=0).all()
+    row = int(np.flatnonzero(outlines.boxed)[0])
+    exact, drawn = (
+        truth.take(np.array([row]))
+        for truth in (
+            analytic_occlusion(outlines, INTRINSICS),
+            rendered_occlusion(outlines, INTRINSICS, renderer),
+        )
+    )
+    assert 0.1 < drawn.visible_px[0] / drawn.silhouette_px[0] < 0.9
+    ((hider, px),) = exact.occluders[0]
+    assert hider == 1
+    assert px == pytest.approx(exact.silhouette_px[0] - exact.visible_px[0])
+    assert px == pytest.approx(drawn.occluders[0][0][1], rel=0.02)
+
+
+def scene_with(folder, obstacles):
+    boats = {"boat": ([10, 4, 3], [[0, 200, -20], [10, 200, 20]])}
+    return write_scene(folder, boats, 6, obstacles=obstacles)
+
+
+def test_hidden_vessel_names_the_obstacle_and_obstacle_gets_no_row(tmp_path):
+    wall = {"polygon_m": [[100, -50], [110, -50], [110, 50], [100, 50]], "height_m": 40}
+    scene = load_scene(scene_with(tmp_path, {"quay": wall}))
+    frame = next(simulate_frames(scene))
+    assert frame.truth.vessels == ("boat",)
+    assert frame.truth.visible_px.tolist() == [0]
+    assert list(frame.truth.occluded_by[0]) == ["obstacle:quay"]
+    analytic = next(simulate_frames(replace(scene, annotation=replace(scene.annotation, source="analytic"))))
+    assert list(analytic.truth.occluded_by[0]) == ["obstacle:quay"]
+    ruled = next(simulate_frames(replace(scene, annotation=replace(scene.annotation, source="rectangles"))))
+    assert ruled.truth.visible_fraction.tolist() == [1.0]  # the thesis's rule knows of vessels only
+
+
+def test_camera_inside_an_obstacle_is_refused_and_one_on_top_is_not(tmp_path):
+    around = {"polygon_m": SQUARE, "height_m": 12}
+    with pytest.raises(InputError, match=r"cameras\.C0: is inside obstacle 'quay' at time 0\.0 s"):
+        load_scene(scene_with(tmp_path, {"quay": around}))
+    load_scene(scene_with(tmp_path, {"quay": {**around, "height_m": 9.9}}))
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"height_m": 3}, "give either polygon_m with height_m, or mesh with size_m"),
+        ({"polygon_m": SQUARE}, "height_m: missing"),
+        ({"polygon_m": SQUARE[:2], "height_m": 3}, r"a polygon needs three corners or more \(got 2\)"),
+        ({"polygon_m": [SQUARE[i] for i in (0, 2, 1, 3)], "height_m": 3}, "must not cross"),
+        ({"polygon_m": [[0, 50], [1, 50], [2, 50]], "height_m": 3}, "must not cross or lie on each other"),
+        ({"polygon_m": SQUARE, "height_m": 0}, "greater than 0"),
+        ({"polygon_m": SQUARE, "height_m": 3, "heading_rad": 1}, "heading_rad: not for a polygon"),
+    ],
+)
+def test_wrong_obstacle_is_one_clear_error(tmp_path, keys, said):
+    with pytest.raises(InputError, match=rf"obstacles\.quay.*{said}"):
+        load_scene(scene_with(tmp_path, {"quay": keys}))
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 1.0), (3.9, 1.0, 0.5), (-3.9, -0.9, 1.9)])
+def test_camera_in_a_shoebox_is_inside_and_one_beside_it_is_not(place):
+    boat = vessel("boat", 8, 2.1, 2)
+    bodies = vessel_bodies([boat], np.ones((1, 1), bool), np.zeros((1, 1, 3)), world_R_vehicle(np.zeros((1, 1))))
+    assert first_body_around(np.array([place]), bodies) == (0, 0)
+    assert first_body_around(np.add([place], (0, 0, 2)), bodies) is None
+
+
+def test_blocks_of_any_length_give_the_same_truth_behind_obstacles(tmp_path):
+    wall = {"polygon_m": [[100, -50], [110, -50], [110, 5], [105, 0]], "height_m": 6}
+    scene = load_scene(scene_with(tmp_path, {"quay": wall}))
+    with open_renderer(scene) as renderer:
+        together = truth_block(scene, 0, 6, renderer)
+        single = concatenate([truth_block(scene, step, step + 1, renderer) for step in range(6)])
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(together, name), getattr(single, name), err_msg=name)
+    assert together.visible_fraction.min() < together.visible_fraction.max()

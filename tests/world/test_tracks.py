@@ -1,0 +1,108 @@
+"""Vessels along waypoints."""
+
+import json
+
+import numpy as np
+import pytest
+
+from modsim3d.core.errors import InputError
+from modsim3d.scene.reading import load_scene
+from modsim3d.world.poses.base import waypoint_tracks
+from tests.scenes import write_scene
+
+CORNER = {"a": [(2.0, 0.0, 0.0), (6.0, 8.0, 0.0), (8.0, 8.0, -6.0)]}
+
+
+def test_vessel_is_at_each_waypoint_at_its_time():
+    poses = waypoint_tracks(CORNER, ["a"], 11, 1.0).poses(0, 11)
+    np.testing.assert_array_equal(poses.positions_m[2, 0], [0, 0, 0])
+    np.testing.assert_array_equal(poses.positions_m[6, 0], [8, 0, 0])
+    np.testing.assert_array_equal(poses.positions_m[8, 0], [8, -6, 0])
+
+
+def test_speed_is_constant_between_two_waypoints():
+    poses = waypoint_tracks(CORNER, ["a"], 17, 0.5).poses(0, 17)
+    steps = np.linalg.norm(np.diff(poses.positions_m[4:17, 0], axis=0), axis=1)
+    np.testing.assert_allclose(steps[:8], 1.0)  # 8 m in 4 s
+    np.testing.assert_allclose(steps[8:], 1.5)  # 6 m in 2 s
+
+
+def test_vessel_heads_along_its_leg_and_turns_at_the_waypoint():
+    headings = waypoint_tracks(CORNER, ["a"], 11, 1.0).poses(0, 11).headings_rad[:, 0]
+    np.testing.assert_allclose(headings[2:6], 0.0)
+    np.testing.assert_allclose(headings[6:9], -np.pi / 2)  # at the last one it keeps its last leg's
+
+
+@pytest.mark.parametrize(
+    ("end", "heading"), [((1, 0), 0), ((1, 1), np.pi / 4), ((0, 1), np.pi / 2), ((-1, 0), np.pi), ((-1, -1), -2.356194)]
+)
+def test_heading_is_counter_clockwise_from_w1_in_every_quadrant(end, heading):
+    poses = waypoint_tracks({"a": [(0.0, 5.0, 5.0), (1.0, 5.0 + end[0], 5.0 + end[1])]}, ["a"], 1, 1.0).poses(0, 1)
+    assert poses.headings_rad[0, 0] == pytest.approx(heading, abs=1e-6)
+
+
+def test_vessel_is_there_from_its_first_waypoint_to_its_last_and_at_no_other_time():
+    poses = waypoint_tracks(CORNER, ["a", "trackless"], 11, 1.0).poses(0, 11)
+    assert poses.present[:, 0].tolist() == [False] * 2 + [True] * 7 + [False] * 2
+    assert not poses.present[:, 1].any()
+    assert not poses.positions_m[~poses.present].any()
+    assert not poses.headings_rad[~poses.present].any()
+
+
+def test_tracks_stand_in_the_order_of_the_scenes_vessels():
+    both = {"b": [(0.0, 1.0, 1.0), (1.0, 2.0, 2.0)], "a": [(0.0, -1.0, 0.0), (1.0, -2.0, 0.0)]}
+    poses = waypoint_tracks(both, ["a", "b"], 1, 1.0).poses(0, 1)
+    np.testing.assert_array_equal(poses.positions_m[0], [[-1, 0, 0], [1, 1, 0]])
+
+
+def test_any_run_of_steps_gives_the_same_poses():
+    tracks = waypoint_tracks(CORNER, ["a"], 30, 0.3)
+    whole = tracks.poses(0, 30)
+    for first, stop in ((0, 1), (7, 19), (29, 30), (5, 5)):
+        part = tracks.poses(first, stop)
+        for name in ("present", "positions_m", "headings_rad"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[first:stop])
+
+
+def test_times_are_exact_decimals():
+    assert list(waypoint_tracks(CORNER, ["a"], 4, 0.1).timestamps) == ["0.0", "0.1", "0.2", "0.3"]
+
+
+def scene_with(folder, tracks):
+    path = write_scene(folder, {"a": ([5, 2, 2], [[0, 100, 0], [9, 100, 9]])}, 5)
+    data = json.loads(path.read_text())
+    data["poses"]["tracks"] = tracks
+    path.write_text(json.dumps(data))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("tracks", "problem"),
+    [
+        ({"a": [[0, 100, 0]]}, "poses.tracks.a: at least two waypoints"),
+        ({"a": [[0, 100, 0], [0, 101, 0]]}, "poses.tracks.a[1]: times must increase, but 0 s follows 0 s"),
+        ({"a": [[0, 100, 0], [5, 101, 0], [4, 102, 0]]}, "poses.tracks.a[2]: times must increase, but 4 s follows 5 s"),
+        ({"a": [[0, 100, 0], [5, 100, 0]]}, "poses.tracks.a[1]: same place as the waypoint before"),
+        ({"b": [[0, 100, 0], [5, 101, 0]]}, "poses.tracks.b: no vessel 'b'"),
+        ({"a": [[0, 100], [5, 101]]}, "poses.tracks.a"),
+        ({"a": [[0, 100, "x"], [5, 101, 0]]}, "poses.tracks.a[0][2]"),
+        ({"a": [[0, 100, float("nan")], [5, 101, 0]]}, "poses.tracks.a[0][2]"),
+    ],
+)
+def test_what_is_wrong_with_a_track_is_told_with_its_path(tmp_path, tracks, problem):
+    with pytest.raises(InputError) as caught:
+        load_scene(scene_with(tmp_path, tracks))
+    assert any(told.startswith(problem) for told in caught.value.problems), caught.value.problems
+
+
+def test_all_that_is_wrong_with_tracks_is_told_at_once(tmp_path):
+    with pytest.raises(InputError) as caught:
+        load_scene(scene_with(tmp_path, {"a": [[3, 100, 0], [2, 100, 0]], "c": [[0, 0, 0]]}))
+    assert len(caught.value.problems) == 4
+
+
+def test_scene_of_tracks_loads_and_says_when_a_vessel_appears_and_leaves(tmp_path):
+    path = write_scene(tmp_path, {"a": ([5, 2, 2], [[1, 100, 0], [3, 100, 9]]), "idle": ([5, 2, 2], [])}, 5)
+    scene = load_scene(path)
+    poses = scene.poses.poses(0, scene.steps)
+    assert poses.present.tolist() == [[False, False], [True, False], [True, False], [True, False], [False, False]]

@@ -1,0 +1,185 @@
+"""Waves: the source's second-order process, and cameras on vessels that they turn."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from modsim3d.geometry.camera_poses import Mount, camera_R_parent, poses_on_board, vehicle_R_nominal
+from modsim3d.scene.reading import load_scene
+from modsim3d.world import second_order_waves
+from modsim3d.world.second_order_waves import LEVELS, SMALL_SIGMA_RAD, Axis, SecondOrderWaves, level_axes
+from tests.scenes import write_scene
+
+FIGURE_7_13 = Axis(a=0.99, b=0.99, sigma_rad=1e-4)
+
+
+def second_order_variance(axis, steps):
+    """Variance of x'(t) from a zero start, for a = b: σ² Σ_{k=0}^{t−1} ((k + 1) aᵏ)².
+
+    Each e reaches x' through the convolution of the two processes' impulse responses, Σ aʲ bᵏ⁻ʲ = (k + 1) aᵏ.
+    """
+    k = np.arange(steps)
+    return float(axis.sigma_rad**2 * np.sum(((k + 1) * axis.a**k) ** 2))
+
+
+def long_run_deviation(axis):
+    """Standard deviation of x' in the long run, for a = b: σ √((1 + a²) / (1 − a²)³)."""
+    a2 = axis.a**2
+    return axis.sigma_rad * np.sqrt((1 + a2) / (1 - a2) ** 3)
+
+
+def waves(axis=FIGURE_7_13, seed=0, interval_s=None):
+    return SecondOrderWaves((axis, axis, axis), seed, interval_s)
+
+
+def angles(motion, steps, vessel="own", step_s=0.1):
+    number = np.arange(steps)
+    return motion.angles(vessel, step_s * number, number)
+
+
+def test_process_is_the_recursion_of_the_source():
+    """Jessen & Mohr (2023), eq. 7.23, 7.24, written out as a loop."""
+    noise, axis = np.random.default_rng(1).normal(size=50), Axis(0.97, 0.9, 1.0)
+    x, y = 0.3, -0.2
+    expected = []
+    for e in noise:
+        x = axis.a * x + e
+        y = axis.b * y + x
+        expected.append(y)
+    found, state = second_order_waves(noise, axis, (0.3, -0.2))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_allclose(state, (x, y), rtol=1e-12)
+
+
+def test_process_is_that_of_scipys_filter():
+    noise, axis = np.random.default_rng(1).normal(size=500), Axis(0.97, 0.9, 1.0)
+    first, _ = lfilter([1.0], [1.0, -axis.a], noise, zi=[axis.a * 0.3])
+    second, _ = lfilter([1.0], [1.0, -axis.b], first, zi=[axis.b * -0.2])
+    found, state = second_order_waves(noise, axis, (0.3, -0.2))
+    np.testing.assert_array_equal(found, second)
+    assert state == (first[-1], second[-1])
+
+
+def test_variance_from_zero_start_is_that_of_figure_7_13():
+    """Var x'(t) = σ² Σ ((k + 1) aᵏ)²: 1.65° at t = 100 and 2.87° in the long run; 1500 independent vessels."""
+    assert np.degrees(np.sqrt(second_order_variance(FIGURE_7_13, 100))) == pytest.approx(1.65, abs=0.005)
+    assert np.degrees(long_run_deviation(FIGURE_7_13)) == pytest.approx(2.87, abs=0.005)
+    motion = waves()
+    both = [motion.angles(f"v{i}", np.zeros(2), np.array([100, 2000])) for i in range(500)]
+    at_100, long_run = np.concatenate(both, axis=1)
+    for sample, variance in (
+        (at_100, second_order_variance(FIGURE_7_13, 100)),
+        (long_run, long_run_deviation(FIGURE_7_13) ** 2),
+    ):
+        standard_error = variance * np.sqrt(2 / len(sample))
+        assert abs(np.mean(sample**2) - variance) < 4 * standard_error
+        assert abs(sample.mean()) < 4 * np.sqrt(variance / len(sample))
+
+
+def test_start_values_are_kept():
+    axis = Axis(start_rad=(0.001, 0.02))
+    found = angles(waves(axis), 3)[:, 0]
+    np.testing.assert_allclose(found, [0.02, 0.99 * 0.02 + 0.99 * 0.001, 0.99**2 * 0.02 + 2 * 0.99**2 * 0.001])
+
+
+def test_angles_do_not_depend_on_what_was_asked_before():
+    whole = angles(waves(), 9000)
+    motion = waves()
+    for steps in (np.arange(5000, 5100), np.arange(10), np.arange(8990, 9000)):
+        np.testing.assert_array_equal(motion.angles("own", 0.1 * steps, steps), whole[steps])
+
+
+def test_vessels_axes_and_seeds_move_apart_from_each_other():
+    motion = waves()
+    own, other = angles(motion, 500), angles(motion, 500, "other")
+    assert abs(np.corrcoef(np.diff(own[:, 0]), np.diff(other[:, 0]))[0, 1]) < 0.9
+    assert (own != other)[1:].all()
+    assert (own[1:, 0] != own[1:, 1]).all()
+    assert (angles(waves(seed=1), 500) != own)[1:].all()
+    np.testing.assert_array_equal(angles(waves(), 500), own)
+
+
+def test_interval_sets_the_pace_and_angles_are_linear_between():
+    every_step = angles(waves(), 20)
+    stretched = waves(interval_s=0.3)
+    times = np.arange(0, 58) * 0.1
+    found = stretched.angles("own", times, np.arange(58))
+    np.testing.assert_allclose(found[::3], every_step[:20], atol=1e-12)
+    np.testing.assert_allclose(found[1], (2 * every_step[0] + every_step[1]) / 3, atol=1e-12)
+
+
+def test_levels_are_multiples_of_the_small_one():
+    assert [axis.sigma_rad for axis in level_axes("small")] == list(SMALL_SIGMA_RAD)  # Table 9.8
+    np.testing.assert_allclose([axis.sigma_rad for axis in level_axes("large")], [2e-4, 1.2e-4, 6e-5])  # Table 9.12
+    assert sorted(LEVELS.values()) == list(LEVELS.values())
+
+
+def test_positive_roll_lowers_port_positive_pitch_the_bow_and_positive_yaw_turns_to_port():
+    port, bow = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    rolled, pitched, yawed = (vehicle_R_nominal(0.1 * np.eye(3)[i]).T for i in range(3))
+    assert (rolled @ port)[2] < -0.09
+    assert (pitched @ bow)[2] < -0.09
+    assert (yawed @ bow)[1] > 0.09
+
+
+def board(mount, waves_rad, composition="rigid", heading=0.7):
+    return poses_on_board(
+        mount, np.array([[100.0, 50.0, 0.0]]), np.array([heading]), np.array([waves_rad]), composition
+    )
+
+
+def test_roll_is_pitch_for_a_camera_that_looks_to_port():
+    """Port sinks, so the camera looks down: its optical axis dips by the roll. The additive rule rolls it instead."""
+    abeam = Mount((0.0, 0.0, 3.0), yaw_rad=np.pi / 2, vessel="own")
+    rolled = board(abeam, (0.1, 0.0, 0.0))
+    np.testing.assert_allclose(rolled.camera_R_world[0], camera_R_parent(0, 0.1, np.pi / 2 + 0.7), atol=1e-12)
+    added = board(abeam, (0.1, 0.0, 0.0), "additive")
+    np.testing.assert_allclose(added.camera_R_world[0], camera_R_parent(0.1, 0, np.pi / 2 + 0.7), atol=1e-12)
+
+
+@settings(max_examples=50)
+@given(st.lists(st.floats(-0.02, 0.02), min_size=3, max_size=3), st.floats(-0.03, 0.03))
+def test_rules_agree_for_a_forward_camera_at_small_angles(small, pitch):
+    forward = Mount((0.0, 0.0, 0.0), pitch_rad=pitch, vessel="own")
+    rigid, added = board(forward, small), board(forward, small, "additive")
+    between = rigid.camera_R_world[0] @ added.camera_R_world[0].T
+    angle = np.arccos(np.clip((np.trace(between) - 1) / 2, -1, 1))
+    assert angle <= 4 * max(map(abs, (*small, pitch))) ** 2 + 1e-7  # of second order
+
+
+def test_lever_arm_moves_the_camera_and_the_additive_rule_leaves_that_out():
+    mast = Mount((0.0, 0.0, 10.0), vessel="own")
+    rigid, added = board(mast, (0.1, 0.0, 0.0), heading=0.0), board(mast, (0.1, 0.0, 0.0), "additive", heading=0.0)
+    np.testing.assert_allclose(rigid.positions_m[0], [100, 50 + 10 * np.sin(0.1), 10 * np.cos(0.1)])
+    np.testing.assert_allclose(added.positions_m[0], [100, 50, 10])
+
+
+def test_without_waves_both_rules_are_the_heading():
+    mount = Mount((4.0, 2.0, 1.0), 0.01, 0.02, 0.3, "own")
+    rigid, added = board(mount, (0, 0, 0)), board(mount, (0, 0, 0), "additive")
+    np.testing.assert_allclose(rigid.camera_R_world, added.camera_R_world, atol=1e-12)
+    np.testing.assert_allclose(rigid.positions_m, added.positions_m, atol=1e-12)
+    np.testing.assert_allclose(rigid.camera_R_world[0], camera_R_parent(0.01, 0.02, 0.3 + 0.7), atol=1e-12)
+
+
+def watched_own_ship(folder, waves):
+    """Own ship before a camera ashore, and with one of its own."""
+    path = write_scene(folder, {"own": ([20, 6, 5], [[0, 100, -5], [20, 100, 5]]), "idle": ([9, 3, 2], [])}, 12)
+    data = json.loads(path.read_text())
+    mounted = {key: value for key, value in data["cameras"]["C0"].items() if key != "pose"}
+    data["cameras"]["bow"] = {**mounted, "mount": {"vessel": "own", "position_m": [10, 0, 5]}}
+    path.write_text(json.dumps({**data, "waves": waves}))
+    return load_scene(path)
+
+
+def test_vessel_that_carries_a_camera_rolls_in_everybody_s_pictures(tmp_path):
+    scene = watched_own_ship(tmp_path, {"roll": {"sigma_rad": 0, "start_rad": [0, 0.3]}})
+    ashore, bow = scene.cameras
+    steps = np.arange(3)
+    up = scene.sight(ashore, steps).world_R_vessel[:, 0, :, 2]
+    np.testing.assert_allclose(up[0], [-np.sin(0.3), 0, np.cos(0.3)], atol=1e-12)  # it drives along w2: port is −w1
+    np.testing.assert_array_equal(scene.sight(bow, steps).world_R_vessel[:, 0, :, 2], up)
