@@ -34,7 +34,7 @@ from modsim3d.verify.evidence import Evidence, ManyDetections
 from modsim3d.verify.false_positive_checks import clutter_checks
 from modsim3d.verify.parameters import Parameter, judge
 from modsim3d.verify.state_checks import state_checks
-from modsim3d.verify.verification import verify
+from modsim3d.verify.verification import verify_evidence
 from tests.detector_changes import Change, single_changes
 from tests.detector_variants import variant
 
@@ -120,7 +120,7 @@ def make_runs(many: ManyDetections, model: DetectorModel, seeds: int, table: Mom
     runs = []
     for seed in range(FIRST_SEED, FIRST_SEED + seeds):
         evidence = many.detect(model, seed)
-        runs.append(Run(evidence, [verdict.parameter for verdict in verify(model, evidence, table).verdicts]))
+        runs.append(Run(evidence, [verdict.parameter for verdict in verify_evidence(model, evidence, table).verdicts]))
     return runs
 
 

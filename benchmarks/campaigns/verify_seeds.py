@@ -27,7 +27,7 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.independence_checks import GROUP as INDEPENDENCE
-from modsim3d.verify.verification import verify
+from modsim3d.verify.verification import verify_evidence
 from tests.detector_variants import CHANGES, variant
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
@@ -63,7 +63,7 @@ def look_at(scene_name: str, name: str, seeds: int) -> dict[str, Any]:
     patterns: dict[str, list[float]] = {}
     tests = 0
     for seed in range(seeds):
-        found = verify(model, many.detect(model, seed), table)
+        found = verify_evidence(model, many.detect(model, seed), table)
         tests = sum(verdict.p_value is not None for verdict in found.verdicts)
         untested |= {verdict.parameter.name for verdict in found.verdicts if verdict.p_value is None}
         p_values += [verdict.p_value for verdict in found.verdicts if verdict.p_value is not None]

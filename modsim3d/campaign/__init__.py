@@ -1,1 +1,1 @@
-"""Campaigns: a plan of many runs, their scores, the verdicts on requirements, and the runs that went worst."""
+"""Many runs: their plan, the rows of their scores, verdicts on requirements, searches, pages."""

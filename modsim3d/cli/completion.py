@@ -32,6 +32,6 @@ def _completed(incomplete: str, folder: Path, endings: tuple[str, ...]) -> list[
 
 def complete_tracker(incomplete: str) -> list[str]:
     """Names of trackers that begin so."""
-    from modsim3d.tracking.trackers.registry import tracker_names
+    from modsim3d.tracking.trackers.names import tracker_names
 
     return [name for name in tracker_names() if name.startswith(incomplete)]

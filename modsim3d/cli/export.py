@@ -41,7 +41,7 @@ def export_command(
 
     Example: modsim3d export runs/first --format coco --out exported
     """
-    from modsim3d.formats.writing.registry import ExportRequest
+    from modsim3d.formats.writing.request import ExportRequest
     from modsim3d.io.overwrite_guard import claimed, claimed_folders
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.selection import select_cameras

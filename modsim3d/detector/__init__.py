@@ -1,1 +1,1 @@
-"""The statistical detector: state, dropout and class, box error, false positives, confidence."""
+"""The statistical detector, which knows boxes and their attributes, nothing of cameras or OpenGL."""

@@ -1,1 +1,1 @@
-"""Other people's files, in and out, through labelled sets."""
+"""Other programs' files, in and out, through one labelled set."""

@@ -1,1 +1,1 @@
-"""The mathematics of places and views: rotations, cameras, lenses, clipping, the curved sea, kinematics."""
+"""The mathematics of views: rotations, cameras, lenses, clipping, the curved sea, rates from poses."""

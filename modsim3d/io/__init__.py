@@ -1,1 +1,3 @@
-"""Input and output: strict YAML and JSON, files put in place whole, one writer at a time, processes, plug-ins."""
+"""Files and processes: strict YAML and JSON within budgets, files put in place whole, one writer at a time, worker
+processes, plug-ins, what ships with the package.
+"""

@@ -10,8 +10,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from modsim3d.core.errors import OutputError
 
 if TYPE_CHECKING:
@@ -161,6 +159,7 @@ def sync_folder(folder: Path) -> None:
 def encoded(picture: Image | ArrayLike, ending: str = ".png", **options: Any) -> bytes:
     """The content of a PNG or JPEG file of a picture without a palette or an array; options are of the format."""
     import imageio.v3 as iio
+    import numpy as np
 
     content: bytes = iio.imwrite("<bytes>", np.asarray(picture), extension=ending, **options)
     return content

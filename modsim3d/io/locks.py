@@ -128,7 +128,11 @@ def _holder(descriptor: int) -> str:
 
 def _this_process() -> str:
     program = Path(sys.argv[0]).name
-    command = f"modsim3d {' '.join(sys.argv[1:2])}" if program in ("modsim3d", "cli.py") else program or "Python"
+    command = (
+        f"modsim3d {' '.join(sys.argv[1:2])}"
+        if program in ("modsim3d", "__main__.py", "main.py")
+        else program or "Python"
+    )
     return f"{command}, process {os.getpid()} on {platform.node()}"
 
 

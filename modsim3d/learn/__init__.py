@@ -1,1 +1,1 @@
-"""Learning: a detector file out of a detector's results on a labelled set."""
+"""A detector file out of a detector's results."""

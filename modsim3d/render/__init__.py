@@ -1,1 +1,1 @@
-"""OpenGL, for which there is no other room: the context, ID buffers, shaded pictures."""
+"""OpenGL, which no other room knows: its context, ID buffers, shaded pictures."""

@@ -1,1 +1,1 @@
-"""A run: the pipeline from a scene to truth and detections, its blocks and frames, and its directory on the disk."""
+"""The pipeline from a scene to detections, its workers, and runs: into a directory and out of it."""

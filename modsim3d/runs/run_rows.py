@@ -177,5 +177,5 @@ class RunRows:
         return flags(self.truth, "detected")
 
     def occluders(self) -> Occluders:
-        """Who hides whom."""
+        """Occluders of each row of the truth."""
         return Occluders.of(self.truth, self.scene.occluder_names)

@@ -1,1 +1,1 @@
-"""A scene: the keys of its file, reading and checking it, and what is where at a step."""
+"""Scenes: the keys of a scene file, reading and checking it, what is where at a step."""

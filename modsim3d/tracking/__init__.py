@@ -1,1 +1,1 @@
-"""Trackers behind a run, and their scores."""
+"""Trackers, our own and adapters to others, and their scores in the images and in metres."""

@@ -1,1 +1,1 @@
-"""Tracks of a tracker in the images of a run: files, and which vessel each follows."""
+"""Tracks in the images of a run and in the world: files in and out, and which vessel each follows in the images."""

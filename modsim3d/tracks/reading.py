@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from pydantic import Field, ValidationError
 
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.types import Array, Indices, StrPath, as_path
 from modsim3d.io import input_files
 from modsim3d.io.atomic_write import write_files
 from modsim3d.io.input_files import open_input
@@ -229,7 +229,7 @@ def _damage_named(source: str) -> Iterator[None]:
 _FORMS = "a folder of `modsim3d track`, a .csv file, a MOT .txt file or a folder of such"
 
 
-def read_tracks(path: Path, run: StoredRun, rows: RunRows, cameras: Sequence[int] = ()) -> TrackSet:
+def read_tracks(path: StrPath, run: StoredRun, rows: RunRows, cameras: Sequence[int] = ()) -> TrackSet:
     """Read the tracks of a tracker in a run.
 
     Args:
@@ -241,7 +241,9 @@ def read_tracks(path: Path, run: StoredRun, rows: RunRows, cameras: Sequence[int
 
     Raises:
         InputError: There are no such tracks, or they are wrong; each problem names its line.
+        TypeError: The path is neither text nor a path.
     """
+    path = as_path(path, "path")
     try:
         path.stat()
     except (OSError, ValueError) as error:  # a ValueError is a null character

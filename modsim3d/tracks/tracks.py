@@ -89,7 +89,7 @@ class Tracks:
         return np.asarray(identity, dtype=np.int64).reshape(-1)
 
     def take(self, chosen: Mask | Indices) -> Self:
-        """The chosen rows."""
+        """The chosen rows, as tracks of the same cameras."""
         columns = (getattr(self, field.name) for field in fields(self)[1:])
         return type(self)(self.cameras, *(column[chosen] for column in columns))
 

@@ -1,1 +1,1 @@
-"""Checks: does a run obey its detector file, and do the sources of truth agree."""
+"""Whether a run obeys its detector file, and whether the sources of truth agree."""

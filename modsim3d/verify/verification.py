@@ -30,7 +30,7 @@ CHECKED: Mapping[DetectorPart, Collection[str]] = {
 """The models of each part that have checks, by the names in `detector.parts.MODELS`."""
 
 
-def verify(model: DetectorModel, evidence: Evidence, table: MomentTable | None = None) -> Verification:
+def verify_evidence(model: DetectorModel, evidence: Evidence, table: MomentTable | None = None) -> Verification:
     """Hold what a run shows against a detector's parameters.
 
     The table keeps expectations of box errors: give it to further calls over the same truth to save most of their work.

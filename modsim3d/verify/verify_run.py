@@ -15,7 +15,7 @@ from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.report import FILES, HEADER, conclusion, row_of, write_report
-from modsim3d.verify.verification import CheckedRun, verify
+from modsim3d.verify.verification import CheckedRun, verify_evidence
 
 
 class VerifiedRun(CheckedRun):
@@ -81,4 +81,4 @@ def verify_run(run: StoredRun | StrPath, detector: StrPath | None = None) -> Ver
             for part in detector_inputs(scene, truth_of(tables["truth"], scene), 0, run.steps)
         ]
     )
-    return VerifiedRun(run, path, model, evidence, verify(model, evidence))
+    return VerifiedRun(run, path, model, evidence, verify_evidence(model, evidence))

@@ -1,1 +1,1 @@
-"""Pictures, films, maps and pages of runs, for people."""
+"""What people look at: pictures, films, maps and pages."""

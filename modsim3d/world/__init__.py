@@ -1,1 +1,1 @@
-"""Vessels and obstacles as solids, and how they move: poses, traffic, waves, inertial units."""
+"""What is where and how it moves: vessels and obstacles as solids, meshes, waves, inertial units."""

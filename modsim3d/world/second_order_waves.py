@@ -161,5 +161,5 @@ def find_level(name: str) -> tuple[Axes, Plugin | None]:
         roll, pitch, yaw = found
         return (roll, pitch, yaw), plugin
     raise InputError(
-        "waves.level", [f"{plugin} must be three modsim3d.motion.waves.Axis, for {', '.join(AXES)}, not {found!r}"]
+        "waves.level", [f"{plugin} must be three modsim3d.plugins.Axis, for {', '.join(AXES)}, not {found!r}"]
     )

@@ -6,6 +6,7 @@ import ast
 import doctest
 import inspect
 import pkgutil
+import re
 import subprocess
 import sys
 from importlib import import_module
@@ -15,7 +16,9 @@ from textwrap import dedent
 import pytest
 
 import modsim3d
+from modsim3d import plugins
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 NAMES = {
     "ModsimError",
     "Scene",
@@ -36,6 +39,20 @@ NAMES = {
     "track_run",
     "verify_run",
 }
+ELSEWHERE = {
+    "closest_approach",
+    "frame_picture",
+    "hull_tracks",
+    "open_id_renderer",
+    "plot_frame",
+    "read_tracks",
+    "read_world_tracks",
+    "scene_from_dict",
+    "score_world",
+    "truncated_errors",
+    "verify_evidence",
+}
+"""Functions that pages beside docs/python.md show."""
 HEAVY = ("OpenGL", "matplotlib", "PIL", "pyarrow", "trimesh", "typer", "rich", "supervision")
 
 
@@ -113,6 +130,20 @@ def test_what_is_reached_from_the_top_has_a_docstring(name: str) -> None:
     assert len(inspect.getdoc(PARTS[name]) or "") > 20
 
 
+def test_what_other_pages_show_is_in_them() -> None:
+    pages = "".join(path.read_text(encoding="utf-8") for path in DOCS.glob("*.md") if path.name != "api.md")
+    assert [name for name in ELSEWHERE if f"{name}(" not in pages and f"modsim3d.{name}`" not in pages] == []
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    rows = set(re.findall(r"^\| `(modsim3d[\w.]*)` \|", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE))
+    assert rows >= {f"modsim3d.{name}" for name in modsim3d.__all__}
+    assert rows - {f"modsim3d.{name}" for name in modsim3d.__all__} >= {
+        f"modsim3d.plugins.{name}" for name in set(plugins.__all__) - set(modsim3d.__all__)
+    }
+    assert all(getattr(plugins, name) is not None for name in plugins.__all__)
+
+
 @pytest.mark.parametrize("name", [name for name, part in PARTS.items() if inspect.isfunction(part)])
 def test_a_path_is_taken_as_text_or_as_any_path_object(name: str) -> None:
     """No parameter is a `Path` alone."""
@@ -122,7 +153,7 @@ def test_a_path_is_taken_as_text_or_as_any_path_object(name: str) -> None:
     } == {}
 
 
-@pytest.mark.parametrize("name", [name for name in modsim3d.__all__ if name[0].islower()])
+@pytest.mark.parametrize("name", [name for name in modsim3d.__all__ if name[0].islower() and name not in ELSEWHERE])
 def test_a_functions_docstring_has_an_example_and_says_what_it_raises(name: str) -> None:
     text = inspect.getdoc(getattr(modsim3d, name)) or ""
     assert "\nRaises:\n" in text and "TypeError:" in text

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.tracking.trackers.registry import BUILT_IN
+from modsim3d.tracking.trackers.names import BUILT_IN
 from tests.cli.conftest import Modsim3d
 
 

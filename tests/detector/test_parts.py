@@ -9,17 +9,17 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from modsim3d import detector
 from modsim3d.core.types import Array
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.false_positives import CLUTTER_MODELS, FalsePositiveRates, FrameCounts, PerImage
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.parts import MODELS, DetectorPart, model_name, used_models
+from modsim3d.detector.records import KINDS
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.learn.learned import LEARNERS, models_and_learners
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import UNCHECKED
-from modsim3d.verify.verification import CHECKED, unchecked, verify
+from modsim3d.verify.verification import CHECKED, unchecked, verify_evidence
 from tests.detector.detector_builders import clock, make_frames, make_targets, one_state_data, same_boxes
 from tests.detector_variants import CHANGES, variant
 
@@ -84,7 +84,7 @@ def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: py
     model = parse_detector(data)
     evidence = seen(model)
     assert evidence.frames.n_false[::2].sum() == 0 < evidence.frames.n_false[1::2].sum()
-    verdicts = verify(model, evidence).verdicts
+    verdicts = verify_evidence(model, evidence).verdicts
     (verdict,) = [each for each in verdicts if each.verdict == UNCHECKED]
     assert verdict.parameter.name == "false_positives.model"
     assert verdict.parameter.group == DetectorPart.FALSE_POSITIVES
@@ -104,10 +104,6 @@ def test_parts_of_a_state_without_checks_are_listed_state_by_state(
     assert {parameter.group for parameter in found} == {part}
 
 
-def test_names_that_the_room_offers_exist() -> None:
-    assert [name for name in detector.__all__ if not hasattr(detector, name)] == []
-
-
 def test_kinds_of_detections_are_those_of_the_page() -> None:
     text = (Path(__file__).resolve().parents[2] / "docs" / "detector.md").read_text(encoding="utf-8")
-    assert [kind for kind in detector.KINDS if f"`{kind}`" not in text] == []
+    assert [kind for kind in KINDS if f"`{kind}`" not in text] == []

@@ -21,7 +21,7 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step
 from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.evidence import ManyDetections
-from modsim3d.verify.verification import verify
+from modsim3d.verify.verification import verify_evidence
 from tests.detector.detector_builders import (
     COVARIANCE_PX2,
     IMAGE_PX,
@@ -253,7 +253,7 @@ def test_honest_seeds_obey_and_their_statistics_have_the_spread_of_a_normal_numb
     """Standard errors that are a quarter too small are found by their spread, and hardly by whether seeds obey."""
     model, z = parse_detector(t_data()), []
     for seed in range(6):
-        found = verify(model, many.detect(model, seed), table)
+        found = verify_evidence(model, many.detect(model, seed), table)
         assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
         of_law = (v.parameter.measure for v in found.verdicts if ".box_error." in v.parameter.name)
         z += [measure.z for measure in of_law if measure is not None]
@@ -266,7 +266,7 @@ def test_honest_errors_that_persist_obey(many: ManyDetections, table: MomentTabl
     model = parse_detector(t_data(persistence={"box_s": 0.5}))
     measured = []
     for seed in range(2):
-        found = verify(model, many.detect(model, seed), table)
+        found = verify_evidence(model, many.detect(model, seed), table)
         assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
         measured += [v.measured for v in found.verdicts if v.parameter.name == "persistence.box_s"]
     standard_error = 0.045 / np.sqrt(2)
@@ -280,11 +280,11 @@ def test_a_wrong_law_is_noticed_and_named(
     many: ManyDetections, table: MomentTable, changes: dict[str, float], named: str
 ) -> None:
     asked, made_with = parse_detector(t_data()), parse_detector(t_data(**changes))
-    found = verify(asked, many.detect(made_with, 1), table)
+    found = verify_evidence(asked, many.detect(made_with, 1), table)
     assert found.failed
     assert any(f"box_error.{named}" in verdict.parameter.name for verdict in found.failed)
 
 
 def test_heavy_tails_are_noticed_by_a_file_with_normal_errors(many: ManyDetections) -> None:
-    found = verify(parse_detector(variant("plain")), many.detect(parse_detector(t_data(nu=2.5)), 1))
+    found = verify_evidence(parse_detector(variant("plain")), many.detect(parse_detector(t_data(nu=2.5)), 1))
     assert any("box_error" in verdict.parameter.name for verdict in found.failed)

@@ -13,7 +13,7 @@ from supervision.metrics import MeanAveragePrecision
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.formats.writing import yolo
-from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.runs.stored_run import StoredRun
 from tests.formats.exported import LABELS, STEPS, exported_run
 

@@ -13,7 +13,7 @@ import modsim3d
 from modsim3d.core.errors import InputError
 from modsim3d.formats.writing.mcap import FILES, write
 from modsim3d.formats.writing.mcap_messages import stamps_ns
-from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.runs import pipeline
 from tests.formats import bags
 

@@ -190,14 +190,14 @@ def test_two_packages_with_one_name_are_an_error_that_names_both(site, tmp_path)
     assert problem.startswith("poses.drift: modsim3d-drift 1.0 and other 2.0 both bring a plug-in 'drift'")
 
 
-HEAD = "from modsim3d.motion.poses import PosesByTime, SourceKeys\nfrom modsim3d.io.validation import Strict\n"
+HEAD = "from modsim3d.plugins import PosesByTime, SourceKeys\nfrom modsim3d.plugins import Strict\n"
 BROKEN = {
     "missing_import": ("import no_such_module_here", "ModuleNotFoundError: No module named 'no_such_module_here'"),
     "syntax": ("class Drift(:\n", "SyntaxError"),
     "exit": ("import sys; sys.exit()", "cannot be loaded from broken_drift:Drift: SystemExit"),
     "nothing_there": ("Other = 1", "has no attribute 'Drift'"),
-    "a_number": ("Drift = 3", "must be a class made from modsim3d.motion.poses.PosesByTime"),
-    "another_class": ("class Drift: ...", "must be a class made from modsim3d.motion.poses.PosesByTime"),
+    "a_number": ("Drift = 3", "must be a class made from modsim3d.plugins.PosesByTime"),
+    "another_class": ("class Drift: ...", "must be a class made from modsim3d.plugins.PosesByTime"),
     "a_model": ("from pydantic import BaseModel\nclass Drift(BaseModel): ...", "must be a class made from"),
     "no_build": (HEAD + "class Drift(SourceKeys, Strict): ...", "failed: NotImplementedError"),
     "bad_validator": (
@@ -227,7 +227,7 @@ BROKEN = {
         "positions_m must be finite",
     ),
     "wrong_shape": (
-        HEAD + "import numpy as np\nfrom modsim3d.motion.poses import Poses\n"
+        HEAD + "import numpy as np\nfrom modsim3d.plugins import Poses\n"
         "class P:\n  timestamps = ['0', '1', '2', '3', '4']\n"
         "  def poses(self, f, s):\n    n = s - f\n"
         "    return Poses(np.ones((n, 1), bool), np.zeros((n, 1, 3)), np.zeros((n, 1)))\n"
@@ -268,7 +268,7 @@ def test_wave_level_of_a_plugin_gives_its_axes(site, tmp_path):
     assert scene.plugins == (plugin,)
     assert np.ptp(scene.waves.motion.angles("a", np.arange(5.0), np.arange(5))[:, 1]) > 0
     (problem,) = problems_of(scene_with(tmp_path, waves={"level": "wrong"}))
-    assert "must be three modsim3d.motion.waves.Axis, for roll, pitch, yaw" in problem
+    assert "must be three modsim3d.plugins.Axis, for roll, pitch, yaw" in problem
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -354,7 +354,7 @@ LIVE = """
 from typing import ClassVar
 import numpy as np
 from modsim3d.poses import LivePoses, Poses, SourceKeys
-from modsim3d.io.validation import Strict
+from modsim3d.plugins import Strict
 
 class Radio(SourceKeys, Strict):
     generated: ClassVar[bool] = False

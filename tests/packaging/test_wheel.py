@@ -91,7 +91,7 @@ def test_wheel_says_that_it_is_typed(wheel: Path) -> None:
 
 
 def test_wheel_carries_the_table_of_ship_types(wheel: Path) -> None:
-    assert {"modsim3d/ais/ship_types.yaml", "modsim3d/ais/layouts.yaml"} <= set(files_of(wheel))
+    assert {"modsim3d/scene/ais/ship_types.yaml", "modsim3d/scene/ais/layouts.yaml"} <= set(files_of(wheel))
 
 
 def test_wheel_carries_no_tests_and_no_build_leftovers(wheel: Path) -> None:

@@ -1,7 +1,6 @@
 """Barges that drift with the current in a swell: a pose source, a wave level and a shape for modsim3d."""
 
-from modsim3d.world.poses.base import PosesByTime
-from modsim3d.world.second_order_waves import Axis
+from modsim3d.plugins import Axis, PosesByTime
 
 
 class Drift(PosesByTime):

@@ -479,7 +479,7 @@ def test_view_writes_an_id_buffer_as_png_or_npy(scene: Scene, tmp_path: Path) ->
 
 
 def test_unknown_names_are_refused(scene: Scene) -> None:
-    with pytest.raises(modsim3d.errors.ModsimError, match="no camera 'C9'"):
+    with pytest.raises(modsim3d.ModsimError, match="no camera 'C9'"):
         scene.at(0).render_ids("C9")
-    with pytest.raises(modsim3d.errors.ModsimError, match="no vessel 'neer'"):
+    with pytest.raises(modsim3d.ModsimError, match="no vessel 'neer'"):
         next(iter(simulate_frames(scene))).silhouette("neer")

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from modsim3d import TrackedFrame, Tracker
-from modsim3d.core.boxes import iou
+from modsim3d.plugins import iou
 
 
 class Overlap(Tracker):

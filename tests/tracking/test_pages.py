@@ -13,7 +13,7 @@ import pytest
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import OcclusionEpisode
 from modsim3d.tracking.scores.scoring import Part, SubsetScores
-from modsim3d.tracking.trackers.registry import BUILT_IN
+from modsim3d.tracking.trackers.names import BUILT_IN
 from modsim3d.tracking.world.encounters import MetVessel
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -15,7 +15,8 @@ from modsim3d.io.plugins import TRACKERS, Plugin
 from modsim3d.tracking.trackers import registry
 from modsim3d.tracking.trackers import registry as files
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
-from modsim3d.tracking.trackers.registry import BUILT_IN, BuiltIn, named_tracker, tracker_names
+from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn, tracker_names
+from modsim3d.tracking.trackers.registry import named_tracker
 
 
 class Toy(Tracker):

@@ -18,7 +18,7 @@ from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.trackers import registry
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
-from modsim3d.tracking.trackers.registry import BUILT_IN, BuiltIn
+from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn
 from tests.scenes import crossing
 
 STEPS = 40

@@ -12,7 +12,7 @@ import yaml
 import modsim3d
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.formats.writing.mot import files as mot_files
-from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.reading import read_tracks

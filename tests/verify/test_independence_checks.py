@@ -17,7 +17,7 @@ from modsim3d.verify.error_fit import Draw, MomentTable, capped_poisson, miss_re
 from modsim3d.verify.evidence import Evidence, ManyDetections
 from modsim3d.verify.independence_checks import GROUP, independence_checks
 from modsim3d.verify.parameters import Parameter
-from modsim3d.verify.verification import verify
+from modsim3d.verify.verification import verify_evidence
 from tests.detector_variants import Data, thesis_data
 from tests.verify.lies import LIES, Lie, same_errors_in_both_cameras, told
 
@@ -48,7 +48,7 @@ def honest(many: ManyDetections) -> Evidence:
 
 
 def test_an_honest_run_obeys_and_each_pattern_is_tested(honest: Evidence, table: MomentTable) -> None:
-    found = verify(one_state(), honest, table)
+    found = verify_evidence(one_state(), honest, table)
     assert found.obeys, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed]
     tested = {verdict.parameter.name for verdict in found.verdicts if verdict.p_value is not None}
     assert tested >= set().union(*LIES.values())
@@ -56,7 +56,7 @@ def test_an_honest_run_obeys_and_each_pattern_is_tested(honest: Evidence, table:
 
 @pytest.mark.parametrize("lie", LIES, ids=lambda lie: lie.__name__)
 def test_a_lie_that_leaves_single_numbers_intact_is_found(honest: Evidence, table: MomentTable, lie: Lie) -> None:
-    failed = verify(one_state(), told(lie, honest), table).failed
+    failed = verify_evidence(one_state(), told(lie, honest), table).failed
     assert LIES[lie] <= {verdict.parameter.name for verdict in failed}
     others = {verdict.parameter.name for verdict in failed if verdict.parameter.group != GROUP}
     in_order = {"persistence.confidence_s"} if "confidence_in_order" in lie.__name__ else set()

@@ -19,7 +19,7 @@ from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.parameters import FALLS_SHORT
 from modsim3d.verify.report import write_report
-from modsim3d.verify.verification import verify
+from modsim3d.verify.verification import verify_evidence
 from modsim3d.verify.verify_run import verify_run
 from tests.detector_changes import single_changes
 from tests.detector_variants import CHANGES, thesis_data, variant
@@ -101,7 +101,7 @@ def test_cameras_with_states_of_their_own_have_a_timeline_each(tmp_path):
 
 def test_in_memory_and_from_files_the_verdicts_are_the_same(finished, many, table):
     run = open_run(finished)
-    in_memory = verify(run.scene.detector, many.detect(run.scene.detector, run.scene.detector_seed), table)
+    in_memory = verify_evidence(run.scene.detector, many.detect(run.scene.detector, run.scene.detector_seed), table)
     from_files = verify_run(run).verification
     for a, b in zip(from_files.verdicts, in_memory.verdicts, strict=True):
         assert (a.parameter.name, a.verdict) == (b.parameter.name, b.verdict)
@@ -111,7 +111,7 @@ def test_in_memory_and_from_files_the_verdicts_are_the_same(finished, many, tabl
 
 def test_the_thesiss_rule_falls_short_of_the_asked_false_discovery_rate(many):
     model = load_detector(DETECTORS / "thesis_original.yaml")
-    verification = verify(model, many.detect(model, 0))
+    verification = verify_evidence(model, many.detect(model, 0))
     assert verification.obeys
     rate = next(v for v in verification.verdicts if v.parameter.name == "states.excellent.false_discovery_rate")
     # Five vessels: round(0.089 · 5 − 0.2) is 0 trials, Jessen & Mohr (2023), eq. 7.35.
@@ -121,7 +121,7 @@ def test_the_thesiss_rule_falls_short_of_the_asked_false_discovery_rate(many):
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_run_of_every_model_obeys_its_file(many, table, name):
     model = parse_detector(variant(name))
-    verification = verify(model, many.detect(model, 3), table)
+    verification = verify_evidence(model, many.detect(model, 3), table)
     assert verification.obeys, [verdict.parameter.name for verdict in verification.failed]
 
 
@@ -136,7 +136,9 @@ def test_a_run_of_every_model_obeys_its_file(many, table, name):
     ],
 )
 def test_a_model_that_the_file_does_not_have_is_named(many, table, made_with, cause):
-    verification = verify(parse_detector(thesis_data()), many.detect(parse_detector(variant(made_with)), 3), table)
+    verification = verify_evidence(
+        parse_detector(thesis_data()), many.detect(parse_detector(variant(made_with)), 3), table
+    )
     assert cause in [verdict.parameter.name for verdict in verification.failed]
     if cause.startswith("persistence"):
         assert verification.cause.parameter.name == cause
@@ -146,17 +148,17 @@ def test_a_slope_that_is_another_is_named(many, table):
     name = "dropout by size and distance, anchored"
     data = variant(name)
     data["dropout"]["size_px"]["per_doubling"] = 1.0
-    verification = verify(parse_detector(data), many.detect(parse_detector(variant(name)), 3), table)
+    verification = verify_evidence(parse_detector(data), many.detect(parse_detector(variant(name)), 3), table)
     assert verification.cause.parameter.name == "dropout.size_px.per_doubling"
 
 
 def test_changes_that_are_noticeable_are_caught_and_named(many, table):
     model = parse_detector(thesis_data())
     evidence = many.detect(model, 5)
-    verify(model, evidence, table)
+    verify_evidence(model, evidence, table)
     noticeable = named = 0
     for change in list(single_changes(model, 0.2))[::9]:
-        verification = verify(change.model, evidence, table.branch())
+        verification = verify_evidence(change.model, evidence, table.branch())
         verdict = next(v for v in verification.verdicts if v.parameter.name == change.name)
         reach = verdict.noticed[0 if change.up else 1]
         if reach is not None and reach <= change.size:

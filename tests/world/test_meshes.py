@@ -624,7 +624,7 @@ def test_any_damaged_file_is_refused_or_a_solid(tmp_path: Path) -> None:
 
 def test_reading_a_scene_of_shipped_meshes_and_a_sea_loads_no_package_that_it_does_not_need() -> None:
     code = (
-        "import modsim3d, modsim3d.vessels.meshes, sys; modsim3d.load_scene('strait'); "
+        "import modsim3d, modsim3d.world.mesh_reading, sys; modsim3d.load_scene('strait'); "
         "sys.exit(bool({'trimesh', 'scipy.spatial'} & set(sys.modules)))"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -10,8 +10,7 @@ from scipy.signal import lfilter
 
 from modsim3d.geometry.camera_poses import Mount, camera_R_parent, poses_on_board, vehicle_R_nominal
 from modsim3d.scene.reading import load_scene
-from modsim3d.world import second_order_waves
-from modsim3d.world.second_order_waves import LEVELS, SMALL_SIGMA_RAD, Axis, SecondOrderWaves, level_axes
+from modsim3d.world.second_order_waves import LEVELS, SMALL_SIGMA_RAD, Axis, SecondOrderWaves, level_axes, second_order
 from tests.scenes import write_scene
 
 FIGURE_7_13 = Axis(a=0.99, b=0.99, sigma_rad=1e-4)
@@ -50,7 +49,7 @@ def test_process_is_the_recursion_of_the_source():
         x = axis.a * x + e
         y = axis.b * y + x
         expected.append(y)
-    found, state = second_order_waves(noise, axis, (0.3, -0.2))
+    found, state = second_order(noise, axis, (0.3, -0.2))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
     np.testing.assert_allclose(state, (x, y), rtol=1e-12)
 
@@ -59,7 +58,7 @@ def test_process_is_that_of_scipys_filter():
     noise, axis = np.random.default_rng(1).normal(size=500), Axis(0.97, 0.9, 1.0)
     first, _ = lfilter([1.0], [1.0, -axis.a], noise, zi=[axis.a * 0.3])
     second, _ = lfilter([1.0], [1.0, -axis.b], first, zi=[axis.b * -0.2])
-    found, state = second_order_waves(noise, axis, (0.3, -0.2))
+    found, state = second_order(noise, axis, (0.3, -0.2))
     np.testing.assert_array_equal(found, second)
     assert state == (first[-1], second[-1])
 

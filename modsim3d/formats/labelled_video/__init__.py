@@ -1,1 +1,1 @@
-"""A detector over the truth of somebody's labelled video."""
+"""The detector over other people's labelled videos."""

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
-from modsim3d.runs.camera_sequences import CameraSequence, camera_sequences
-from modsim3d.runs.locating import Attitude
-from modsim3d.runs.stored_run import StoredRun
-
-# ---- Formats by the name that `modsim3d export --format` takes ----
+if TYPE_CHECKING:
+    from modsim3d.formats.writing.request import ExportRequest
 
 
 @dataclass(frozen=True)
@@ -66,33 +63,3 @@ FORMATS = {
     "mcap": Format("mcap", "ROS 2 bags: detections, and truth apart"),
     "ais": Format("ais.log", "the log of an AIS receiver, ais.nmea, and ais_truth.csv"),
 }
-
-
-# ---- What is to be exported ----
-
-
-@dataclass(frozen=True, eq=False)
-class ExportRequest:
-    """A finished run, and which of its cameras are exported.
-
-    Attributes:
-        run: The run.
-        cameras: Indices into the scene's cameras, ascending.
-        masks: Whether the pixels of the vessels are written too.
-        attitude: Of cameras on board: as the inertial unit measures it, or the true one.
-    """
-
-    run: StoredRun
-    cameras: tuple[int, ...]
-    masks: bool = False
-    attitude: Attitude = "measured"
-
-    @cached_property
-    def sequences(self) -> tuple[CameraSequence, ...]:
-        """The frames of the cameras, with what is true in them and what a tracker may read of them."""
-        return camera_sequences(self.run, self.cameras)
-
-    @property
-    def camera_names(self) -> tuple[str, ...]:
-        """Names of the cameras."""
-        return tuple(self.run.scene.cameras[index].name for index in self.cameras)

@@ -1,1 +1,3 @@
-"""A detector file from a voyage without labels: AIS and own ship's log are the truth."""
+"""Learning from a voyage without labels: AIS and the scene are the truth, against which cameras and clocks are
+registered.
+"""

@@ -1,1 +1,1 @@
-"""Detections line by line, while a scene is simulated."""
+"""Detections line by line while a scene runs, onto standard output or to readers over TCP."""

@@ -6,46 +6,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 from pydantic_core import PydanticSerializationError
 
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.io.input_files import data_folder
-from modsim3d.io.plugins import TRACKERS, Plugin, failed, load_plugin, plugin_names
+from modsim3d.io.plugins import TRACKERS, Plugin, failed, load_plugin
 from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.io.validation import Strict, describe
 from modsim3d.scene.settings import plain
 from modsim3d.tracking.trackers.interface import Tracker
+from modsim3d.tracking.trackers.names import BUILT_IN
 from modsim3d.tracks.tracks import Origin
-
-# ---- Names of trackers, found without loading one ----
-
-
-class BuiltIn(NamedTuple):
-    """Module and class of a built-in tracker, and the packages beside NumPy and SciPy that decide its tracks."""
-
-    module: str
-    class_name: str
-    packages: tuple[str, ...] = ()
-
-
-_HERE = "modsim3d.tracking.trackers"
-BUILT_IN = {
-    "reference": BuiltIn(f"{_HERE}.reference", "ReferenceTracker"),
-    "sort": BuiltIn(f"{_HERE}.detection_trackers", "SortTracker", ("trackers",)),
-    "bytetrack": BuiltIn(f"{_HERE}.detection_trackers", "ByteTracker", ("trackers",)),
-    "ocsort": BuiltIn(f"{_HERE}.detection_trackers", "OcSortTracker", ("trackers",)),
-    "stonesoup_gnn": BuiltIn(f"{_HERE}.stone_soup", "StoneSoupGnn", ("stonesoup",)),
-    "stonesoup_jpda": BuiltIn(f"{_HERE}.stone_soup", "StoneSoupJpda", ("stonesoup",)),
-}
-
-
-def tracker_names() -> tuple[str, ...]:
-    """Names of the built-in trackers, and of the installed plug-ins."""
-    return tuple(dict.fromkeys((*BUILT_IN, *plugin_names(TRACKERS))))
-
 
 # ---- Settings of the built-in trackers that were chosen for the shipped scenes ----
 

@@ -192,7 +192,7 @@ def _model(name: str) -> tuple[type[BaseModel], Plugin | None]:
     if isinstance(found, type) and issubclass(found, BaseModel) and issubclass(found, SourceKeys):
         return found, plugin
     problem = (
-        f"{plugin} must be a class made from modsim3d.motion.poses.PosesByTime, or from SourceKeys and a pydantic "
+        f"{plugin} must be a class made from modsim3d.plugins.PosesByTime, or from SourceKeys and a pydantic "
         f"model, not {found!r}"
     )
     raise InputError(f"poses.{name}", [problem])

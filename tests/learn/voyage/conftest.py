@@ -8,7 +8,8 @@ import pytest
 
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
-from modsim3d.formats.writing.registry import FORMATS, ExportRequest
+from modsim3d.formats.writing.registry import FORMATS
+from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.runs.streaming.lines import header_line, step_lines

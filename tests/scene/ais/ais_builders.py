@@ -1,4 +1,4 @@
-"""Small AIS files and options for the tests of modsim3d.ais."""
+"""Small AIS files and options for the tests of modsim3d.scene.ais."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ from modsim3d.formats.writing.ais.sensors import (
     stations,
     stays,
 )
-from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.io.atomic_write import write_files
 from modsim3d.scene.scene import Scene
 

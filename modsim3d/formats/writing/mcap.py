@@ -35,7 +35,7 @@ from modsim3d.formats.writing.mcap_messages import (
     stamps_ns,
     true_boxes,
 )
-from modsim3d.formats.writing.registry import ExportRequest
+from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.geometry.camera_poses import camera_R_parent, vehicle_R_nominal, world_R_vehicle
 from modsim3d.geometry.kinematics import first_derivative, slopes
 from modsim3d.io.atomic_write import make_folder, put_in_place
