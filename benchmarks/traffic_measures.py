@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.geometry.kinematics import HullTracks, closest_approach, least_hull_distance
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.core.types import read_only
+from modsim3d.core.arrays import read_only
 from modsim3d.detector.confidence import NormalScores
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import TRUE
 from modsim3d.geometry.camera import Camera

@@ -19,8 +19,8 @@ from scipy.stats import norm, rankdata, t
 
 from benchmarks.stand_in.features import Table, frame_features, stacked, track_features
 from benchmarks.stand_in.sighted import Sighted
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.labelled import LabelledSet
 
 GOAL_AUC = 0.6

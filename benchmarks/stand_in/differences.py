@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy import special
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 
 LEVEL = 0.95
 Verdict = Literal["agrees", "differs", "not enough films to say"]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.stand_in.scores import OpenFilm, found_vessels, track_lengths_s
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.tracking.scores.continuity import false_track_lengths_s
 from modsim3d.tracking.scores.scored import stretches
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from benchmarks.stand_in.sighted import Sighted, pairs_of_images
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, sizes
-from modsim3d.core.types import Array, Indices, Mask
 
 LEAST_IMAGES = 8
 """A vessel that is annotated in fewer images has no track to speak of."""

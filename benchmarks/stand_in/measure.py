@@ -38,8 +38,8 @@ from benchmarks.stand_in.scores import (
     scores_of,
     simulated_detections,
 )
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Mask
 from modsim3d.runs.tracker_view import TrackerDetections
 from modsim3d.tracking.trackers.registry import named_tracker
 

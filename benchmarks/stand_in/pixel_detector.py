@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.boxes import intersections
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Mask
 
 INPUT_PX = 640
 """Side of the network's square input."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 
 DRAWS = 4000
 _SEED = 20

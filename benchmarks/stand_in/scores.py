@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.stand_in.margins import SCORES
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.runs.camera_sequences import CameraSequence, sequences_of
 from modsim3d.runs.files.stored_tables import truth_of
 from modsim3d.runs.pipeline import Simulation, block_ranges, block_steps, scene_census

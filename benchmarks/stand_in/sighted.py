@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, clip, errors_between, intersections, iou, sizes
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.labelled import LabelledSet, Results
 from modsim3d.formats.matching import Rule, match
 from modsim3d.runs.tracker_view import TrackerDetections

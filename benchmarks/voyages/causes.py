@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.stand_in.films import Film
 from benchmarks.voyages.pixels import STD, VARIANTS, by_tracks, numbers_of
 from benchmarks.voyages.reported import AisErrors
-from modsim3d.core.types import Mask
+from modsim3d.core.arrays import Mask
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched, match
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.voyages.reported import lasting
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.learn.voyage.reference_error import TruthNoise
 from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.base import Poses

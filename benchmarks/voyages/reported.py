@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import RecordedPoses

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.detector.records import Detections
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block

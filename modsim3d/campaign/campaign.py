@@ -19,8 +19,8 @@ from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.task import changes
 from modsim3d.campaign.workers import Engine
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import column_table, counted
-from modsim3d.core.types import StrPath, as_path
 from modsim3d.io.processes import WorkerCount, worker_count
 
 # ---- Campaigns from Python ----

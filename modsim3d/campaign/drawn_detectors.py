@@ -19,8 +19,8 @@ import numpy as np
 from pydantic import Field, ValidationError
 from scipy import special
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Array
 from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, LEAST_DEGREES, MOST_DEGREES
 from modsim3d.io.strict_json import load_json
 from modsim3d.io.validation import Strict, describe

@@ -23,8 +23,8 @@ from modsim3d.campaign.work.scenes import differing_files, plan_digest
 from modsim3d.campaign.work.task import DONE_FOLDER, PLAN, ROWS_PATTERN, Work
 from modsim3d.campaign.workers import Death
 from modsim3d.core.errors import ModsimError, OutputError
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted, listed
-from modsim3d.core.types import StrPath, as_path
 from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder
 from modsim3d.io.locks import locked_folder
 from modsim3d.io.plugins import differing

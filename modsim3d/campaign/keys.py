@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import StrPath, as_path
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.io.validation import Number, Positive, Strict, describe, kind_of, nearest

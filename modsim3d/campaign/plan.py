@@ -21,7 +21,7 @@ from modsim3d.campaign.keys import (
     Requirement,
     TrackerKeys,
 )
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.tracking.scores.breakdown import BINS
 
 # ---- The conditions of a campaign ----

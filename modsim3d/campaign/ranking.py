@@ -14,7 +14,7 @@ from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.row import CRASHED
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 
 RUNS_FOLDER = "runs"
 """Where the commands put runs that are made again, in the folder of the campaign."""

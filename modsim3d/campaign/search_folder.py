@@ -27,7 +27,7 @@ from modsim3d.campaign.work.row import CRASHED, DONE, table_of
 from modsim3d.campaign.work.scenes import Scenes, digest
 from modsim3d.campaign.work.task import PLAN, Task, read_rows
 from modsim3d.core.errors import ModsimError, OutputError
-from modsim3d.core.types import StrPath
+from modsim3d.core.paths import StrPath
 from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder, write_files
 from modsim3d.tracking.trackers.registry import named_tracker
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.core.types import Array, Mask
+from modsim3d.core.arrays import Array, Mask
 
 
 def sizes(boxes_px: Array) -> Array:

@@ -12,7 +12,7 @@ from numpy.random import Generator, Philox, SeedSequence
 from numpy.typing import NDArray
 from scipy import special
 
-from modsim3d.core.types import Array, Indices, occurring
+from modsim3d.core.arrays import Array, Indices, occurring
 
 # ---- Philox4x64-10 for many keys and counters at once, and the keys ----
 

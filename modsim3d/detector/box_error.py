@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask, read_only
 from modsim3d.core.boxes import at_least_a_pixel, clip, inside_image, move, sizes
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Streams, grid_normals
-from modsim3d.core.types import Array, Indices, Mask, read_only
 from modsim3d.detector.draws import (
     BOX_ERROR_REDRAW_STREAMS,
     ErrorDistribution,

@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes, unions
 from modsim3d.core.random_streams import Purpose, Streams
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.box_error import BoxErrorSource, MisplacedBoxes, TrueBoxes
 from modsim3d.detector.classification import ConfusionClassifier, PerformanceStates
 from modsim3d.detector.confidence import Confidence

@@ -7,9 +7,9 @@ from itertools import accumulate
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Purpose, Streams
-from modsim3d.core.types import Array, Indices
 from modsim3d.detector.draws import choose, cumulative
 from modsim3d.detector.dropout import Dropout, anchor, shifted_rate
 from modsim3d.detector.model import DetectorModel

@@ -9,8 +9,8 @@ from typing import Literal, Protocol
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.random_streams import grid_normals, on_grid
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.draws import log2
 
 # ---- The confidence of detections, and the distributions of it that a detector file can choose from ----

@@ -15,8 +15,8 @@ from typing import ClassVar, Literal, NamedTuple, Protocol
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices, Mask, read_only
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals, on_grid
-from modsim3d.core.types import Array, Indices, Mask, read_only
 from modsim3d.detector.records import CameraFrames, Targets
 
 # ---- The distribution of box errors in a performance state, and the distributions of standardised errors ----

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
-from modsim3d.core.types import Array, Indices
 from modsim3d.detector.draws import log2
 from modsim3d.detector.records import Targets
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.random_streams import on_grid
-from modsim3d.core.types import Array, Mask
 from modsim3d.detector.draws import choose, cumulative
 
 _NEXT = np.array([1, 2, 3, 0])

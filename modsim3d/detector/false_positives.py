@@ -11,10 +11,10 @@ from typing import Literal, Protocol
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices, Mask, ranges
 from modsim3d.core.boxes import clip, sizes
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals, on_grid
-from modsim3d.core.types import Array, Indices, Mask, ranges
 from modsim3d.detector.draws import choose, cumulative, keyed_uniforms, low_uniforms, poisson_quantile, step_uniforms
 from modsim3d.detector.false_positive_placement import DRAWS, Placement
 from modsim3d.detector.records import CameraFrames, Targets

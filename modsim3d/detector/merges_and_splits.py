@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
 from modsim3d.core.random_streams import Purpose, Streams
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.draws import step_uniforms, target_uniforms
 from modsim3d.detector.persistence import Clock, decay
 from modsim3d.detector.records import CameraFrames, Targets

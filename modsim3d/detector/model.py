@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, read_only
 from modsim3d.core.text import column_table, counted, listed
-from modsim3d.core.types import Array, Indices, read_only
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.draws import BoxErrorLaw
 from modsim3d.detector.dropout import Dropout

@@ -17,8 +17,8 @@ from typing import Protocol
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices, occurring
 from modsim3d.core.random_streams import GRID, Purpose, Streams, grid_normals, on_grid
-from modsim3d.core.types import Array, Indices, occurring
 from modsim3d.detector.draws import BOX_ERROR_STREAMS, ERROR_NORMALS, latent_normals, target_uniforms
 from modsim3d.detector.records import CameraFrames, Targets
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
-from modsim3d.core.types import Array, Indices, Mask
 
 # ---- What the detector is given and what it returns ----
 

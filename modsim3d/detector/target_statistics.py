@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
 from modsim3d.core.random_streams import on_grid
-from modsim3d.core.types import Array, Indices
 from modsim3d.detector.draws import cumulative, log2, low_uniforms
 from modsim3d.detector.dropout import Dropout
 from modsim3d.detector.records import Targets

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices, Mask, read_only
 from modsim3d.core.boxes import at_least_a_pixel, sizes
-from modsim3d.core.types import Array, Indices, Mask, read_only
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.draws import ERROR_NORMALS, ErrorDistribution, Normal
 

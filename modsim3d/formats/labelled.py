@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.io.validation import shown
 
 # ---- A labelled set ----

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import iou, unions
-from modsim3d.core.types import Array, Indices, Mask, StrPath
+from modsim3d.core.paths import StrPath
 from modsim3d.detector.records import FALSE_KINDS, KINDS, MERGED
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
 from modsim3d.formats.matching import image_pairs

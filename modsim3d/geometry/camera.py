@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modsim3d.core.types import Array, read_only
+from modsim3d.core.arrays import Array, read_only
 from modsim3d.geometry.camera_poses import Mount
 
 # ---- Lens distortion by the model of Brown (1971) and Conrady (1919), with OpenCV's names for the ----

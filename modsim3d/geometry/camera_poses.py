@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modsim3d.core.types import Array, read_only
+from modsim3d.core.arrays import Array, read_only
 
 # ---- Rotations and rigid transforms between the world (WCF), vehicle (VCF) and camera (CCF) frames ----
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, read_only
+from modsim3d.core.arrays import Array, Indices, read_only
 from modsim3d.geometry.camera import Intrinsics
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses, heading_of
 

@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from modsim3d.core.types import Array, Mask
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.geometry.camera_poses import rotation_vector
 
 # ---- Velocities, accelerations and angular rates from poses at a sequence of times, by central ----

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import difflib
-import re
 import reprlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, get_args, get_origin
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, StrPath
+from modsim3d.core.paths import StrPath
 from modsim3d.io.input_files import data_folder
 
 # ---- Types and messages that input files share, so that all problems are reported at once and in the ----
@@ -221,39 +219,3 @@ def find_condition(name: str, folder: StrPath = CONDITIONS) -> Path:
         hint = f"known: {', '.join(alike)}" if alike else nearest(name, files)
         raise InputError(f"detectors in {folder}", [f"there is no '{name}' ({hint})"])
     return files[name]
-
-
-# ---- Why a text is not what it is read as ----
-
-SCIENTIFIC = r"^\s*([0-9]+(?:[.,][0-9]*)?)[eE]\+?([0-9]+)\s*$"
-LOST = "is a number in scientific notation that has lost digits: write identities as text, or as whole numbers"
-_MOST_DIGITS = 15
-"""No identity has more; readers refuse larger numbers."""
-_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
-_LEAST_COVERED, _SLACK = 0.1, 1.05
-"""Shares of the span that the last time reaches in the right unit."""
-
-
-def no_commas(first_line: str) -> str:
-    """Why the first line of a table has no commas between its cells, to be added to a message; empty if it has."""
-    if first_line.strip().lower().startswith("sep="):
-        return ": line 1 is for spreadsheets alone, leave it out"
-    marks = {";": "semicolons", "\t": "tabs", "|": "bars"}
-    found = [word for mark, word in marks.items() if first_line.count(mark) > first_line.count(",")]
-    points = ", and points in numbers" * bool(re.search("[0-9],[0-9]", first_line))
-    return f": its cells have {found[0]} between them, must have commas{points}" if found else ""
-
-
-def has_lost_digits(identity: str) -> bool:
-    """Whether an identity is a number with fewer digits than it stands for, such as 2.19E+08 of a spreadsheet."""
-    found = re.match(SCIENTIFIC, identity)
-    return found is not None and sum(map(str.isdigit, found[1])) <= float(found[2]) <= _MOST_DIGITS
-
-
-def other_unit(times_s: Array, length_s: float) -> str:
-    """What to add to a message on times, shape (n,), that leave a span from 0 to a length; empty if no unit fits."""
-    last = float(np.max(times_s, initial=0.0))
-    for name, count in _UNITS.items():
-        if last > _SLACK * length_s and _LEAST_COVERED * length_s <= last / count <= _SLACK * length_s:
-            return f": they seem to be {name}, must be seconds"
-    return ""

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.detector.confidence import clipped_sums, fit_clipped
 from modsim3d.learn.bootstrap import SIGNIFICANT, Entry, Key, Resampling, resample, spread
 from modsim3d.learn.confidence_fit import (

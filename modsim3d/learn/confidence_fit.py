@@ -16,8 +16,8 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.confidence import clipped_score, clipped_sums, fit_clipped
 from modsim3d.learn.bootstrap import Resampling
 from modsim3d.learn.matches import Observed

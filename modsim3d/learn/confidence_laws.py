@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.detector import confidence
 from modsim3d.detector.confidence import LEVELS, SCORES, clipped_sums, fit_clipped, pair_likelihood
 from modsim3d.detector.confidence import ConfidenceLaw as Law

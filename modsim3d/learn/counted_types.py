@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
 from modsim3d.formats.matching import Matched

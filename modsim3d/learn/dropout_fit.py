@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.learn.bootstrap import Resampling
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.persistence import THINGS_NEEDED

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import centres, sizes
-from modsim3d.core.types import Array
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, columns_of_one, digits, nested, ratio, widened
 from modsim3d.learn.matches import FalseSightings, Observed
 from modsim3d.learn.persistent_false_positives import Lasting, NotLasting, find_lasting

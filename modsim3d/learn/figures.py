@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import errors_between
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.bootstrap import Column, Resampling, ratio

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, QuantileScores
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Indices, Mask
 from modsim3d.core.boxes import iou
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Indices, Mask
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import NOT_SCORED, Matched, Rule, fits, image_pairs, match, overlap
 from modsim3d.learn.error_shares import error_shares

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import column_table
-from modsim3d.core.types import StrPath, as_path
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.writing import detector_text
 from modsim3d.detector.model import DetectorModel

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy import optimize
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, errors_between, move, sizes
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.false_positive_placement import depths_px, sea_levels
 from modsim3d.formats.labelled import EVERYWHERE, LabelledSet
 from modsim3d.formats.matching import Matched, Rule

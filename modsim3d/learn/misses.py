@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array, Indices
 from modsim3d.learn.bootstrap import (
     SIGNIFICANT,
     Column,

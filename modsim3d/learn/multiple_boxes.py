@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.types import Indices
+from modsim3d.core.arrays import Indices
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, ratio
 from modsim3d.learn.counted_types import THRESHOLDS, hits_and_trials

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Kind, Resampling, from_scale, to_scale, widened
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.learn.bootstrap import Column, Resampling, widened
 from modsim3d.learn.matches import FalseSightings, Observed
 from modsim3d.learn.persistence import LEVEL

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.text import counted, listed
-from modsim3d.core.types import Array
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.bootstrap import Column

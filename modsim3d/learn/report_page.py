@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, stationary_shares
 from modsim3d.learn.bootstrap import Column
 from modsim3d.learn.box_errors import estimate

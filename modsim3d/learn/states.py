@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices
 from modsim3d.formats.labelled import Images
 from modsim3d.io.validation import nearest
 from modsim3d.learn.bootstrap import Interval, Key, columns_of_one, digits

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import orjson
 
-from modsim3d.core.types import Array, Mask
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.learn.bootstrap import Entry, entries_of, nested, spread, to_scale
 from modsim3d.learn.false_positives import NOT_WRITTEN
 from modsim3d.learn.learned import Learned

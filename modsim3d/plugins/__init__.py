@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from modsim3d.world.poses.base import PoseSource as PoseSource
     from modsim3d.world.poses.base import SourceKeys as SourceKeys
     from modsim3d.world.poses.replay import LivePoses as LivePoses
+    from modsim3d.world.poses.replay import load_poses as load_poses
     from modsim3d.world.second_order_waves import Axis as Axis
 
 _NAMES = LazyNames(
@@ -31,7 +32,7 @@ _NAMES = LazyNames(
         "modsim3d.io.validation": "Strict",
         "modsim3d.tracking.trackers.interface": "CameraFacts SensedFrame TrackedFrame Tracker",
         "modsim3d.world.poses.base": "PoseRequest PoseSource Poses PosesByTime SourceKeys",
-        "modsim3d.world.poses.replay": "LivePoses",
+        "modsim3d.world.poses.replay": "LivePoses load_poses",
         "modsim3d.world.second_order_waves": "Axis",
     },
 )

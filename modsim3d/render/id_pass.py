@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import RendererError
-from modsim3d.core.types import Array
 from modsim3d.render.context import GLContext, make_framebuffer
 
 SUBPIXELS = 256

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.render.id_pass import Ids, Region
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from OpenGL import GL
 from pyrender.renderer import Renderer
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.render.context import make_framebuffer
 
 

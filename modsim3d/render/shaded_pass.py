@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import RendererError
-from modsim3d.core.types import Array, Mask
 from modsim3d.render.context import GLContext, choose_backend, prepare_environment
 from modsim3d.render.id_pass import MAX_REGION_PX
 

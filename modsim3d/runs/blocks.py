@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.frames import Frame, FrameDetections, FrameTruth
 from modsim3d.scene.scene import Scene

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.tables import indices, number_column, positions

@@ -9,8 +9,8 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import iou, sizes
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.records import FALSE_KINDS, KINDS, Detections
 from modsim3d.geometry.curved_sea import shift_px
 from modsim3d.runs.blocks import Block, CameraBlock

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import column_table, counted, listed
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.io.validation import nearest
 from modsim3d.scene.scene import Scene

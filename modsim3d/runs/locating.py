@@ -8,10 +8,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Streams
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import DetectorModel
 from modsim3d.geometry.camera import Camera

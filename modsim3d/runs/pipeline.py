@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from modsim3d.core.arrays import Indices, occurring
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Indices, occurring
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.detector.target_statistics import TargetStatistics

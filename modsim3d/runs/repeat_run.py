@@ -12,8 +12,8 @@ import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from modsim3d.core.arrays import Mask
 from modsim3d.core.errors import RunDirectoryError
-from modsim3d.core.types import Mask
 from modsim3d.io.processes import WorkerCount
 from modsim3d.runs.files.block_files import THESIS_LINES
 from modsim3d.runs.files.overwrite import POSES_FILE, RUN_FILE, SCENE_FOLDER, FileList, file_list

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from modsim3d.core.errors import InputError, ModsimError, RunDirectoryError
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import key_table
-from modsim3d.core.types import StrPath, as_path
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.io.processes import WorkerCount, worker_count
 from modsim3d.runs.counts import Counts

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices
 from modsim3d.runs.frames import Frame
 from modsim3d.runs.stored_run import StoredRun
 

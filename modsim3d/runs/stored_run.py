@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.core.errors import ModsimError, RunDirectoryError
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import key_table, listed
-from modsim3d.core.types import StrPath, as_path
 from modsim3d.io.validation import nearest
 from modsim3d.runs.blocks import Block, frames_of
 from modsim3d.runs.files.block_files import OWN_SHIP, SETTINGS_FILE, TABLES, finished_truth

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 import orjson
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.records import Detections
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.run_file import frame_lines, number_texts

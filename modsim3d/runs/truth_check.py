@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from modsim3d.core.arrays import Indices, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Purpose, Streams
-from modsim3d.core.types import Indices, Mask
 from modsim3d.scene.parts import NO_FILE
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked, Difference, SaidOfFrame, check_frame

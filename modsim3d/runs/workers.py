@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modsim3d.core.types import Array, read_only
+from modsim3d.core.arrays import Array, read_only
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.records import TRUE
 from modsim3d.detector.target_statistics import TargetStatistics

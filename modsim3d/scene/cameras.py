@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError
 from modsim3d.core.random_streams import Streams
-from modsim3d.core.types import Array, Indices
 from modsim3d.geometry.kinematics import first_derivative, second_derivative, slopes, turning
 from modsim3d.scene.scene import Scene
 from modsim3d.world.floating_vessels import GRAVITY_M_S2

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from modsim3d.core.arrays import Indices
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Indices
 from modsim3d.geometry.camera import Camera
 from modsim3d.io.validation import nearest
 from modsim3d.scene.scene import Scene

@@ -12,7 +12,7 @@ from typing import Any
 import orjson
 from pydantic import BaseModel
 
-from modsim3d.core.types import StrPath, as_path
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.file.writing import detector_text
 from modsim3d.scene.keys import AnnotationKeys, SceneKeys
 from modsim3d.scene.parts import SceneParts

@@ -9,7 +9,7 @@ from stat import S_ISDIR
 from typing import Any
 
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import StrPath, as_path
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.file.reading import find_detector
 from modsim3d.geometry.camera import Camera, Distortion, Intrinsics
 from modsim3d.geometry.camera_poses import Mount

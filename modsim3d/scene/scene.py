@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.text import counted, key_table, listed
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.model import DetectorModel
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses, poses_ashore

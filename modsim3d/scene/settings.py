@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import StrPath, as_path
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.file.reading import find_detector, parse_detector
 from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.file.unread import unread_settings

@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 from scipy import special
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array
 from modsim3d.runs.camera_sequences import sequences_of
 from modsim3d.runs.files.block_files import TABLES
 from modsim3d.runs.files.stored_tables import truth_of

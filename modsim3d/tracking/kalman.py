@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 
 _Level = float | Array
 

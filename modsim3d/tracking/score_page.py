@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 import orjson
 
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted
-from modsim3d.core.types import StrPath, as_path
 from modsim3d.io.atomic_write import write_files
 from modsim3d.tracking.oracle import RAW, REFERENCES
 from modsim3d.tracking.run_scores import ScoredTracks, TrackScores

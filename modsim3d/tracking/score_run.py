@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from modsim3d.core.errors import ModsimError
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import column_table
-from modsim3d.core.types import StrPath, as_path
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.io.validation import nearest, shown
 from modsim3d.runs.files.overwrite import read_of_run

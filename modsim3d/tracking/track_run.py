@@ -9,8 +9,8 @@ from time import perf_counter
 
 import numpy as np
 
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import key_table
-from modsim3d.core.types import StrPath, as_path
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.runs.camera_sequences import CameraSequence, camera_sequences
 from modsim3d.runs.files.overwrite import read_of_run

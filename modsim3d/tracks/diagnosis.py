@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask, extents, ranges
 from modsim3d.core.boxes import centre_form, corner_form, from_top_left, sizes
-from modsim3d.core.types import Array, Indices, Mask, extents, ranges
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM
 
 # ---- Forms in which files give boxes ----

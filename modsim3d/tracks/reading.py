@@ -15,8 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import Field, ValidationError
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Array, Indices, StrPath, as_path
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io import input_files
 from modsim3d.io.atomic_write import write_files
 from modsim3d.io.input_files import open_input

@@ -12,10 +12,11 @@ import pyarrow.compute as pc
 from numpy.typing import ArrayLike
 from pyarrow import csv
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array, Indices, Mask
-from modsim3d.io.validation import LOST, SCIENTIFIC, has_lost_digits, nearest, no_commas, shown
+from modsim3d.io.misreadings import LOST, SCIENTIFIC, has_lost_digits, no_commas
+from modsim3d.io.validation import nearest, shown
 from modsim3d.runs.files.tables import NOBODY
 
 # ---- What is wrong with the rows of a file of tracks ----

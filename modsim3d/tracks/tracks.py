@@ -11,9 +11,9 @@ from typing import Any, Literal, Self
 import numpy as np
 import pyarrow as pa
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, iou
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.runs.files.table_columns import BOX_SIDES, TableColumn
 from modsim3d.runs.files.tables import named, numbers
 from modsim3d.scene.scene import Scene

@@ -12,11 +12,13 @@ import pyarrow as pa
 from pyarrow import csv
 from scipy.spatial.transform import Rotation
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Array, StrPath, as_path
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io import input_files
 from modsim3d.io.input_files import open_input, read_text
-from modsim3d.io.validation import nearest, no_commas, shown
+from modsim3d.io.misreadings import no_commas
+from modsim3d.io.validation import nearest, shown
 from modsim3d.runs.files.tables import number_column
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.messages import local_metres, wrapped_deg

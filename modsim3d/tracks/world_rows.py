@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.geometry.kinematics import HullTracks
-from modsim3d.io.validation import LOST, has_lost_digits, other_unit, shown
+from modsim3d.io.misreadings import LOST, has_lost_digits, other_unit
+from modsim3d.io.validation import shown
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.messages import local_metres
 from modsim3d.tracks.tracks import WorldTracks

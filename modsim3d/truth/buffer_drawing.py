@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask, extents, ranges
+from modsim3d.core.arrays import Array, Indices, Mask, extents, ranges
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
 from modsim3d.render.id_pass import IdRenderer, Ids, Region, Sheet

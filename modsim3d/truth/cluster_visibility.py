@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask, distinct, extents, ranges, run_starts
+from modsim3d.core.arrays import Array, Indices, Mask, distinct, extents, ranges, run_starts
 from modsim3d.render.id_pass import Ids, Region, Sheet
 from modsim3d.truth.buffer_drawing import BufferDrawing
 from modsim3d.truth.occlusion_order import overlapping_pairs

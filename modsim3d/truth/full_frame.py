@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.types import Array, Mask
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 from modsim3d.truth.analytic import PixelMasks, mask_box

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask, run_starts
+from modsim3d.core.arrays import Array, Indices, Mask, run_starts
 from modsim3d.truth.outlines import Outlines, new_numbers
 from modsim3d.truth.record import Truth
 

@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask, distinct, ranges, read_only, run_starts
+from modsim3d.core.arrays import Array, Indices, Mask, distinct, ranges, read_only, run_starts
 from modsim3d.truth.outlines import OutlinePart, Outlines
 from modsim3d.world.vessels import Solid, once_a_solid, shoebox
 

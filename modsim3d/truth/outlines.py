@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from modsim3d.core.types import Array, Indices, Mask, run_starts
+from modsim3d.core.arrays import Array, Indices, Mask, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.clipping import clip_triangles, guard_planes

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask, ranges
 from modsim3d.core.boxes import sizes
-from modsim3d.core.types import Array, Indices, Mask, ranges
 
 # ---- The truth record ----
 

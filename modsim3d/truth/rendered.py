@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask, extents, ranges, run_starts
+from modsim3d.core.arrays import Array, Indices, Mask, extents, ranges, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import SUBPIXELS, IdRenderer, Region
 from modsim3d.truth.buffer_drawing import BufferDrawing, fits_a_buffer, tiles_of, within_guard

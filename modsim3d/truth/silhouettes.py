@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from modsim3d.core.types import Array, Indices, Mask, ranges, run_starts
+from modsim3d.core.arrays import Array, Indices, Mask, ranges, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.clipping import clip_triangles, near_plane
 from modsim3d.geometry.kinematics import union_of

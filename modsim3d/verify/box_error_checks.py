@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import clip, inside_image, move, sizes
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.box_error import symmetric_root
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, ERROR_NORMALS, standardised
 from modsim3d.detector.merges_and_splits import LEAST_SPLIT_PX

@@ -9,8 +9,8 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.confidence import (
     LEVELS,
     SCORES,

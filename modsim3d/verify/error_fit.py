@@ -15,7 +15,7 @@ from enum import StrEnum
 import numpy as np
 from scipy import special
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.confidence import LEVELS, SCORES, drawn_levels
 from modsim3d.detector.draws import poisson_quantile
 from modsim3d.detector.model import DetectorModel

@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
-from modsim3d.core.types import Array, Indices
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, BoxErrorLaw, ErrorDistribution, Normal, StudentT, size_factors
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.detector.parts import model_name

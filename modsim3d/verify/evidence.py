@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import at_least_a_pixel
-from modsim3d.core.types import Array, Indices
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Detections, Targets

@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, sizes, unions
 from modsim3d.core.random_streams import Streams
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.chain import clutter_of, clutter_rates
 from modsim3d.detector.draws import select
 from modsim3d.detector.false_positive_placement import DRAWS

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, special
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import NEVER_CHANGES_S
 from modsim3d.verify.error_fit import Draw, Residuals, StateFit, n_transient, residuals_of

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import special
 from scipy.stats import kstwo
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.verify.measures import ANY, POWER, Estimate, Interval, Measure, Noticed, two_sided
 
 # ---- Measured numbers compared with a whole distribution ----

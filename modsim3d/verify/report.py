@@ -10,8 +10,8 @@ from typing import Any
 
 import orjson
 
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted
-from modsim3d.core.types import StrPath, as_path
 from modsim3d.io.atomic_write import write_files
 from modsim3d.verify.figures import error_scatters, miss_lengths, reliability, timelines
 from modsim3d.verify.measures import Exact

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import column_table
-from modsim3d.core.types import StrPath, as_path
 from modsim3d.detector.file.reading import find_detector
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.runs.files.overwrite import read_of_run

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.geometry.kinematics import velocities
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight

@@ -9,7 +9,7 @@ from matplotlib.legend_handler import HandlerBase
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.geometry.kinematics import union_of

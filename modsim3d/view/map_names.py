@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.runs.counts import Outcome, having
 from modsim3d.runs.files.tables import NOBODY, indices, number_column
 from modsim3d.runs.run_rows import RunRows

@@ -13,8 +13,8 @@ import numpy as np
 import shapely
 from PIL import Image, ImageDraw
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError, RunDirectoryError
-from modsim3d.core.types import Array, Indices
 from modsim3d.geometry.camera import Camera
 from modsim3d.io.atomic_write import put_in_place
 from modsim3d.runs.run_rows import RunRows

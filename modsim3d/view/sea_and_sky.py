@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.view.pictures.canvas import Window
 

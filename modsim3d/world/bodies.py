@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
-from modsim3d.core.types import Array, Indices, Mask, read_only
+from modsim3d.core.arrays import Array, Indices, Mask, read_only
 from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.geometry.curved_sea import drop_m
 from modsim3d.world.vessels import Solid, Vessel, misfit, shoebox

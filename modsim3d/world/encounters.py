@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from modsim3d.core.types import Array, Mask
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.geometry.kinematics import HullTracks
 from modsim3d.world.poses.base import PoseSource, times_s
 from modsim3d.world.vessels import Vessel

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.random_streams import Purpose, Streams
-from modsim3d.core.types import Array, Indices
 
 # ---- The interface of every model of waves ----
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.io.validation import Count, Number, describe
 from modsim3d.world.mesh_limits import MAX_GLB_BYTES, Refused, check_faces, check_reference, check_size, check_vertices
 

@@ -18,8 +18,8 @@ from typing import BinaryIO, Literal
 import numpy as np
 from pydantic import ValidationError
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.validation import Strict, describe, join_path, nearest, shown
 from modsim3d.world.mesh_glb import MeshPart, glb_parts, joined, read_glb

@@ -12,9 +12,9 @@ from itertools import accumulate
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError
 from modsim3d.core.random_streams import Purpose, Streams, normals
-from modsim3d.core.types import Array, Indices
 from modsim3d.io.plugins import WAVE_LEVELS, Plugin, load_plugin
 from modsim3d.world.floating_vessels import Motion, Passage
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals, normals
-from modsim3d.core.types import Array, Indices
 from modsim3d.geometry.camera_poses import CameraPoses, Mount, poses_on_board, vehicle_R_nominal, world_R_vehicle
 from modsim3d.geometry.kinematics import velocities
 from modsim3d.world.floating_vessels import Passage, WaveMotion

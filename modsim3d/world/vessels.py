@@ -13,8 +13,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from pydantic import BeforeValidator, ValidationError, field_validator
 
+from modsim3d.core.arrays import Array, Indices, read_only
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices, read_only
 from modsim3d.io.plugins import SHAPES, Plugin, failed, load_plugin
 from modsim3d.io.strict_json import load_json
 from modsim3d.io.validation import MOST_PROBLEMS, Limits, Strict, describe, join_path, kind_of, shown

@@ -18,8 +18,8 @@ from modsim3d.campaign.plan import Condition
 from modsim3d.campaign.running import CampaignResult
 from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.scenes import Scenes
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.learn.bootstrap import Interval
 from modsim3d.learn.learning import LearnResult

@@ -14,7 +14,7 @@ NOT_IN_A_RUN = (
 """What our modules do not import; what NumPy and SciPy import of themselves is their own choice."""
 SCRIPT = f"""
 import atexit, builtins, gc, sys, modsim3d
-from modsim3d import cli
+from modsim3d.cli import main as cli
 atexit.register(lambda: print(gc.get_freeze_count() > 100_000, len(gc.get_objects()) < 1_000))
 print(*[name for name in {NOT_AT_IMPORT} if name in sys.modules])
 ours, real_import = set(), builtins.__import__

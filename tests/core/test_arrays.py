@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modsim3d.core.types import distinct, occurring, run_starts
+from modsim3d.core.arrays import distinct, occurring, run_starts
 
 
 @pytest.mark.parametrize("count", [0, 1, 40])

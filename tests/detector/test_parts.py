@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.false_positives import CLUTTER_MODELS, FalsePositiveRates, FrameCounts, PerImage
 from modsim3d.detector.file.reading import parse_detector

@@ -353,7 +353,7 @@ def test_entry_points_of_the_example_can_be_loaded_by_group_and_name(site):
 LIVE = """
 from typing import ClassVar
 import numpy as np
-from modsim3d.poses import LivePoses, Poses, SourceKeys
+from modsim3d.plugins import LivePoses, Poses, SourceKeys
 from modsim3d.plugins import Strict
 
 class Radio(SourceKeys, Strict):
@@ -400,7 +400,7 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
-from modsim3d.poses import SourceKeys, load_poses
+from modsim3d.plugins import SourceKeys, load_poses
 
 
 class Logged(SourceKeys, BaseModel):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.core.types import Indices
+from modsim3d.core.arrays import Indices
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block

@@ -14,7 +14,7 @@ import pytest
 from benchmarks.campaigns.traffic import RateTest, rates_of, verdict
 from benchmarks.traffic_measures import Drawn, measure
 from modsim3d.cli.run_summary import traffic_in_words
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.scene.reading import draws_traffic, load_scene, shipped_scenes
 from modsim3d.world.encounters import hull_tracks
 

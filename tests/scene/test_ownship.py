@@ -12,8 +12,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array
 from modsim3d.geometry.camera_poses import rotation_vector, world_R_vehicle
 from modsim3d.runs.files.table_columns import MEASURED_ATTITUDE
 from modsim3d.runs.run import run_scene

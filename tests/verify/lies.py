@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import at_least_a_pixel, clip, inside_image, move
-from modsim3d.core.types import Array, Indices
 from modsim3d.detector.records import FALSE_POSITIVE, TRUE, Detections
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 

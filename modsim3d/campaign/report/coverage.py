@@ -22,8 +22,8 @@ from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.coverage import KINDS, OCCLUSIONS, RANGES, SIZES, VESSELS
 from modsim3d.campaign.work.row import DONE
 from modsim3d.campaign.work.task import PLAN
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.view.pages import page
 from modsim3d.view.pages.provenance import shown_path
 

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.work.coverage import COVERED, MET
 from modsim3d.campaign.work.row import DONE
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.view.pages.tables import UNKNOWN
 
 _NEEDED = (COVERED, MET, "condition", "frames", "traffic_seed")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from modsim3d.core.types import Array, Mask
+from modsim3d.core.arrays import Array, Mask
 
 # ---- Intervals and bounds of a mean, for a number of seeds that was fixed beforehand ----
 

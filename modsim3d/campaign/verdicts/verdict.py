@@ -30,7 +30,7 @@ from modsim3d.campaign.verdicts.wording import (
     stepped,
 )
 from modsim3d.campaign.work.row import facts_of, limits_of, without_tracks
-from modsim3d.core.types import Indices
+from modsim3d.core.arrays import Indices
 
 # ---- What a requirement comes to ----
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.kinematics import HullTracks, closest_approach
 from modsim3d.runs.pipeline import block_ranges

@@ -16,8 +16,8 @@ from modsim3d.campaign.plan import CAMERA, GROUPS, STATE, Plan
 from modsim3d.campaign.work.coverage import COVERED, MET, coverage_of, coverage_type
 from modsim3d.campaign.work.layers import Made
 from modsim3d.campaign.work.worst_moment import worst_moment_s
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array
 from modsim3d.io.validation import nearest
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.breakdown import BINS, Group

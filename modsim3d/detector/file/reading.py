@@ -14,8 +14,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from pydantic import ValidationError
 
+from modsim3d.core.arrays import Array, read_only
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, StrPath, as_path, read_only
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, PrecisionRecall, QuantileScores, StateConfidence
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, BoxErrorLaw
 from modsim3d.detector.dropout import ATTRIBUTES, Dropout, Effect, FactorTable, Slope

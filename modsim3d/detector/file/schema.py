@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS
 from modsim3d.detector.false_positives import CLUTTER_MODELS
 from modsim3d.detector.file.schema_models import (

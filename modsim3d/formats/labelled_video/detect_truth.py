@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import orjson
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import InputError, ModsimError, OutputError
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import key_table
-from modsim3d.core.types import Array, Indices, StrPath, as_path
 from modsim3d.detector.file.reading import content_of
 from modsim3d.detector.file.unread import dead_lines
 from modsim3d.detector.model import DetectorModel

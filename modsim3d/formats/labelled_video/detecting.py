@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock

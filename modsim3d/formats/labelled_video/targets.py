@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, clip, intersections, sizes
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.io.validation import shown
 from modsim3d.truth.analytic import NOTHING_PX2, Hiding

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.labelled import FileIds, Images, LabelledSet
 from modsim3d.io.validation import nearest, shown
 

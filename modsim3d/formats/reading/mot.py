@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import from_top_left
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array
 from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading.builder import (
     MOST_NUMBER,
@@ -40,7 +40,8 @@ from modsim3d.formats.reading.builder import (
     valid_box,
 )
 from modsim3d.io.input_files import FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES, MAX_LINE_CHARACTERS, read_text
-from modsim3d.io.validation import LOST, has_lost_digits, no_commas, shown
+from modsim3d.io.misreadings import LOST, has_lost_digits, no_commas
+from modsim3d.io.validation import shown
 
 # ---- Numbers from the lines of a text file ----
 

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import orjson
 
+from modsim3d.core.arrays import Indices, Mask
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Indices, Mask
 from modsim3d.formats.labelled import LabelledSet, written_horizon
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.request import ExportRequest

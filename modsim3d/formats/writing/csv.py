@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import BASE_R_WORLD, CameraPoses

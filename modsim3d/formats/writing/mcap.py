@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.writing.mcap_messages import (
     CAMERA_INFO,
     DETECTIONS,

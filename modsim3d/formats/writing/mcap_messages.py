@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import centre_form
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Array, Indices
 from modsim3d.geometry.camera import Distortion, Intrinsics
 from modsim3d.runs.blocks import CameraBlock
 from modsim3d.runs.tracker_view import TrackerDetections

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import iou, sizes
 from modsim3d.core.errors import OutputError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.io.atomic_write import write_files
 from modsim3d.runs.camera_sequences import CameraSequence, SequenceTruth

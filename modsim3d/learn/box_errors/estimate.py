@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.bootstrap import (
     Entry,

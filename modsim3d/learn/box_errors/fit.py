@@ -9,7 +9,7 @@ from functools import cache, lru_cache
 import numpy as np
 from scipy import special
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.learn.box_errors.matched_edges import ERRORS, OUTWARD, ErrorModel, MatchedEdges
 
 # ---- What the matching rule cuts off ----

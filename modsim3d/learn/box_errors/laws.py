@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.detector.file.schema import covariance_problems
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.learn.bootstrap import (

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy import optimize, special
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.matching import Rule
 

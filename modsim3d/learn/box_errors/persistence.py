@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.learn.box_errors.matched_edges import OUTWARD, ErrorModel
 from modsim3d.learn.matches import Observed, Pairs
 from modsim3d.learn.persistence import Consecutive, steps_between, stretches_of

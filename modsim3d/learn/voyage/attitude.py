@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Mask
 from modsim3d.geometry.camera_poses import vehicle_R_nominal, world_R_vehicle
-from modsim3d.io.validation import nearest, other_unit
+from modsim3d.io.misreadings import other_unit
+from modsim3d.io.validation import nearest
 from modsim3d.learn.voyage.clock import SceneClock, on_scene_clock
 from modsim3d.learn.voyage.logs.tables import read_table, times_of
 from modsim3d.scene.scene import Scene

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Array, Mask
 from modsim3d.io.validation import nearest, shown
 from modsim3d.learn.learn_detector import LEAST_CONFIDENCE
 from modsim3d.learn.voyage.attitude import Attitude

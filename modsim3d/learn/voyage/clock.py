@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Mask
+from modsim3d.io.misreadings import other_unit
 from modsim3d.io.strict_json import load_json
-from modsim3d.io.validation import other_unit, shown
+from modsim3d.io.validation import shown
 from modsim3d.learn.voyage.logs.log import LEAST_UNIX_S, Clock, DetectionLog, utc_s
 from modsim3d.scene.ais.options import time_text
 from modsim3d.scene.ais.scene_folder import REPORT, REPORT_TIMES

@@ -9,9 +9,9 @@ from zlib import crc32
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.report_page import Table

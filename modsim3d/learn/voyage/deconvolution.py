@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.learn.bootstrap import Entry, spread
 from modsim3d.learn.box_errors.laws import LearnedErrors, covariance, moments

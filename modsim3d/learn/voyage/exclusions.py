@@ -8,9 +8,9 @@ from enum import Enum
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses, world_R_vehicle
 from modsim3d.learn.voyage.attitude import NEAR_S

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import orjson
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.file.writing import detector_text as yaml_text
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results, joined
 from modsim3d.geometry.camera import Camera

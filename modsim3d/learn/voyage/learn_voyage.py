@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import StrPath, as_path
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, usual_method
 from modsim3d.io.input_files import inputs_noted

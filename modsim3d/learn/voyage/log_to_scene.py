@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera, Distortion
 from modsim3d.io.validation import nearest, shown
 from modsim3d.learn.voyage.clock import REGISTRATION, SceneClock, check_overlap, noted_clock_s, scene_times

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses, world_R_vehicle
 from modsim3d.geometry.curved_sea import lowered

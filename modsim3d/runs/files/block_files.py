@@ -18,8 +18,8 @@ import orjson
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.io.atomic_write import written_whole
 from modsim3d.runs.blocks import Block, CameraBlock

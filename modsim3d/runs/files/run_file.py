@@ -12,8 +12,8 @@ import numpy as np
 import orjson
 from pydantic import AfterValidator, Field, ValidationError, field_validator
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError, RunDirectoryError
-from modsim3d.core.types import Array, Indices
 from modsim3d.detector.draws import ErrorUnit
 from modsim3d.io.strict_json import load_json
 from modsim3d.io.validation import Count, Number, Strict, describe, shown

@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from modsim3d.core.arrays import Indices
 from modsim3d.core.boxes import corner_form
 from modsim3d.core.errors import RunDirectoryError
-from modsim3d.core.types import Indices
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, MERGED, CameraFrames, Detections, Targets
 from modsim3d.runs.files.block_files import OWN_SHIP, schemas_of

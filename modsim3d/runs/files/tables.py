@@ -14,8 +14,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.blocks import Block, CameraBlock

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices
 from modsim3d.io.input_files import MAX_PROBLEMS
 from modsim3d.scene.ais.messages import Chunk, Particulars, Positions, check_order, exchanged, sift, without_position
 from modsim3d.scene.ais.options import COMMAND_LINE, Options, time_text

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.scene.ais.messages import Particulars
 

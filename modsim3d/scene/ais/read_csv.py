@@ -18,11 +18,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.io.input_files import MAX_BAD_ROWS, open_input
+from modsim3d.io.misreadings import LOST, SCIENTIFIC, has_lost_digits, no_commas
 from modsim3d.io.strict_yaml import load_yaml
-from modsim3d.io.validation import LOST, SCIENTIFIC, has_lost_digits, no_commas, shown
+from modsim3d.io.validation import shown
 from modsim3d.scene.ais.messages import Chunk, Particulars, Positions
 
 # ---- The column layouts of AIS in CSV, from `layouts.yaml`, which says how to add one ----

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Array, Indices
 from modsim3d.scene.ais.gathering import FileTally, Gathered, by_sender, gather
 from modsim3d.scene.ais.hulls import AisHull, hulls
 from modsim3d.scene.ais.messages import Positions, blank_unknown, in_order, local_metres, median_place

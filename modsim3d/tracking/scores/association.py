@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from modsim3d.core.arrays import Array, Indices, extents, ranges
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices, extents, ranges
 from modsim3d.tracking.scores.scored import Scored
 
 # ---- Truth and tracks as TrackEval takes them ----

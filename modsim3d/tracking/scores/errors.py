@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import errors_between
-from modsim3d.core.types import Array
 from modsim3d.tracking.scores.scored import Scored
 
 _LEAST_CONDITION = 1e-12

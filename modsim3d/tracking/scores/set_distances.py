@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from modsim3d.core.arrays import Array, Indices, extents, ranges
 from modsim3d.core.boxes import centres
-from modsim3d.core.types import Array, Indices, extents, ranges
 from modsim3d.tracking.scores.scored import Scored, frame_lengths_s, stretches
 
 # ---- GOSPA and OSPA ----

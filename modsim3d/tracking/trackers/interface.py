@@ -11,9 +11,9 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices
 from modsim3d.io.validation import NotNegative, Probability, Strict
 
 # ---- What a tracker is ----

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form, clip, corner_form, inside_image
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.io.validation import NotNegative, Positive, Probability
 from modsim3d.tracking.kalman import MotionEstimates
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker

@@ -9,8 +9,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.io.plugins import failed
 from modsim3d.runs.camera_sequences import CameraSequence
 from modsim3d.scene.scene import Scene

@@ -31,8 +31,8 @@ from stonesoup.types.state import GaussianState
 from stonesoup.types.update import Update
 from stonesoup.updater.kalman import KalmanUpdater
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import centre_form, corner_form
-from modsim3d.core.types import Array
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame
 
 _START = datetime(2000, 1, 1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.geometry.kinematics import closest_approach
 from modsim3d.tracking.world.following import WorldFollowing, WorldTruth
 from modsim3d.world.encounters import encounter

@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.geometry.kinematics import HullTracks, velocities
 from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows

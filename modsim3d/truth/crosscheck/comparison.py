@@ -15,7 +15,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask, occurring
+from modsim3d.core.arrays import Array, Indices, Mask, occurring
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 from modsim3d.truth.analytic import mask_box
 from modsim3d.truth.crosscheck.drawing import MARGIN_PX, Drawing, tiles_of

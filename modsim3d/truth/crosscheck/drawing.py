@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import shapely
 
-from modsim3d.core.types import Array, Indices, Mask, distinct, occurring
+from modsim3d.core.arrays import Array, Indices, Mask, distinct, occurring
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.curved_sea import drop_m
 from modsim3d.render.id_pass import IdRenderer, Ids, Region

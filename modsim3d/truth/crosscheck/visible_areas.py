@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.truth.analytic import boundary_pixels, occlusion_of_regions, visible_regions
 from modsim3d.truth.occlusion_order import overlapping_pairs

@@ -17,7 +17,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.truth.analytic import (
     PixelMasks,

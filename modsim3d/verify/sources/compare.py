@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import PixelMasks, analytic_occlusion, rectangle_occlusion

@@ -8,8 +8,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import areas
-from modsim3d.core.types import Array, Indices
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.record import SOURCES

@@ -9,9 +9,9 @@ from fractions import Fraction
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import intersections
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices
 from modsim3d.runs.counts import NOTHING_WRONG, Outcome, frame_outcomes
 from modsim3d.runs.selection import Selection
 from modsim3d.scene.scene import Scene

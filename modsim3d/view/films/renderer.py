@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.frames import Frame
 from modsim3d.runs.selection import StepFrames

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.types import Array, Mask
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.scene.ais.messages import local_metres
 from modsim3d.scene.ais.scene_folder import CAMERA_HALF_ANGLE_RAD
 from modsim3d.scene.ais.traffic import AisTraffic

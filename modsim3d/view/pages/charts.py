@@ -13,7 +13,7 @@ from zlib import crc32
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.view import palette
 from modsim3d.view.pages.tables import scrolling
 

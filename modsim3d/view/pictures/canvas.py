@@ -8,8 +8,8 @@ from functools import cache, lru_cache
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import areas
-from modsim3d.core.types import Array
 from modsim3d.view.palette import INK, WHITE, Colour, ink_on
 
 # ---- The part of a camera's image that a picture shows, and how large ----

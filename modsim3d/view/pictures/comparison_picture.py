@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import NDArray
 from PIL import Image
 
-from modsim3d.core.types import Mask
+from modsim3d.core.arrays import Mask
 from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.view import palette
 from modsim3d.view.palette import Colour

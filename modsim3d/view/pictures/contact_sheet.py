@@ -14,8 +14,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from PIL import Image, ImageDraw
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import areas, intersections, unions
-from modsim3d.core.types import Array
 from modsim3d.io.atomic_write import encoded, put_in_place
 from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.counts import NOTHING_WRONG, Outcome, frame_outcomes, having

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from PIL import Image, ImageDraw
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.render.id_pass import Ids, Region
 from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes

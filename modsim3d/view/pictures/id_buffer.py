@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from modsim3d.core.arrays import Mask
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Mask
 from modsim3d.io.atomic_write import encoded, written_whole
 from modsim3d.render.id_pass import Ids
 from modsim3d.render.plain_ids import AnyIdRenderer

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import RendererError
-from modsim3d.core.types import Array, Indices
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.render.id_pass import Ids, Region
 from modsim3d.render.plain_ids import AnyIdRenderer, PlainIds

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.types import Indices, Mask
+from modsim3d.core.arrays import Indices, Mask
 from modsim3d.runs.counts import Outcome, having
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.types import Indices, Mask
+from modsim3d.core.arrays import Indices, Mask
 from modsim3d.runs.counts import Outcome, having
 from modsim3d.runs.files.tables import NOBODY, positions
 from modsim3d.scene.scene import Scene

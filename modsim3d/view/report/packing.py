@@ -17,7 +17,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 
 # ---- Columns of whole numbers in few bytes for the player of a run's page ----
 

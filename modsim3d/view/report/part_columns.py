@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.detector.records import KINDS
 from modsim3d.runs.files.tables import NOBODY, indices, number_column
 from modsim3d.runs.run_rows import RunRows

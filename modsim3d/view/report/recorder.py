@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.records import KINDS
 from modsim3d.geometry.camera import Camera
 from modsim3d.runs.counts import Outcome

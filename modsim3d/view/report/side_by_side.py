@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from modsim3d.core.arrays import Indices, Mask
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.core.text import listed
-from modsim3d.core.types import Indices, Mask
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages.page import heading

@@ -16,9 +16,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, field_validator
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.core.random_streams import Purpose, Streams
-from modsim3d.core.types import Array
 from modsim3d.io.validation import MAX_COORDINATE_M, Strict
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.world.poses.replay import RecordedPoses, check_pose_count

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 import orjson
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array
 from modsim3d.io import input_files
 from modsim3d.io.validation import MAX_COORDINATE_M, nearest, shown
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps

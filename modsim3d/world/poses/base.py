@@ -13,8 +13,8 @@ from typing import ClassVar, Protocol, overload
 import numpy as np
 from pydantic import RootModel
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.geometry.camera_poses import heading_of
 from modsim3d.io.validation import MOST_PROBLEMS, Metres, Number, Strict, join_path, nearest
 from modsim3d.world.bodies import Obstacle

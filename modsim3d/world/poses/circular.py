@@ -10,9 +10,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.core.random_streams import Purpose, Streams
-from modsim3d.core.types import Array
 from modsim3d.io.validation import Metres, Rate, Strict
 from modsim3d.world.poses.base import LongTimes, PoseRequest, Poses, SourceKeys
 from modsim3d.world.vessels import Vessel

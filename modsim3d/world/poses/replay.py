@@ -15,8 +15,8 @@ from typing import IO, Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field, RootModel, model_validator
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.types import Array
 from modsim3d.io import input_files
 from modsim3d.io.input_files import read_text
 from modsim3d.io.strict_json import check_values, load_json, parse_json

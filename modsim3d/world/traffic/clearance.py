@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import shapely
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.geometry.kinematics import union_of
 from modsim3d.world.bodies import Obstacle
 from modsim3d.world.traffic.tracks import Sweep, Track

@@ -10,8 +10,8 @@ from itertools import product
 import numpy as np
 import shapely
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.random_streams import Purpose
-from modsim3d.core.types import Array
 from modsim3d.world.traffic.keys import EncounterKeys
 from modsim3d.world.traffic.lanes import Approach, Chart, Craft, between
 from modsim3d.world.traffic.paths import rounded, turns_rad

@@ -11,9 +11,9 @@ from itertools import product
 import numpy as np
 import shapely
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.core.random_streams import Purpose, Streams, on_grid
-from modsim3d.core.types import Array
 from modsim3d.io.validation import join_path, nearest
 from modsim3d.world.bodies import Obstacle
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps

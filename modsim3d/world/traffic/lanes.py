@@ -10,8 +10,8 @@ from itertools import product
 
 import numpy as np
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.random_streams import Purpose, Streams, on_grid
-from modsim3d.core.types import Array
 from modsim3d.world.traffic.clearance import Waters
 from modsim3d.world.traffic.keys import Drawn, LaneKeys, TrafficSections
 from modsim3d.world.traffic.paths import VesselPath, corner_radii_m, rounded

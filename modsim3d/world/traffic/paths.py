@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from shapely.ops import substring
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.geometry.camera_poses import heading_of
 
 # ---- Paths that vessels follow ----

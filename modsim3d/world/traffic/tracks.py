@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from modsim3d.core.types import Array, Mask
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.io.validation import Strict
 from modsim3d.world.traffic.paths import VesselPath

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.voyages.cases import SHOEBOXES
 from benchmarks.voyages.wrong_camera import Voyage
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import modsim3d
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.geometry.camera_poses import heading_of, poses_on_board

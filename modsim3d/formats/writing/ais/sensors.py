@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals
-from modsim3d.core.types import Array, Indices
 from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.scene.ais.messages import places, wrapped_deg
 from modsim3d.scene.scene import Scene

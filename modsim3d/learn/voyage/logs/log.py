@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import from_top_left
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.reading.builder import NOT_GIVEN, Confidences, Problems, check_whole, valid_box
 from modsim3d.io.input_files import composed
 from modsim3d.scene.ais.options import time_text

@@ -11,12 +11,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array
 from modsim3d.formats.reading.builder import Confidences, Problems
 from modsim3d.io.input_files import MAX_FRAMES, note_input, read_text
-from modsim3d.io.validation import no_commas, shown
+from modsim3d.io.misreadings import no_commas
+from modsim3d.io.validation import shown
 from modsim3d.learn.voyage.logs.log import (
     LEAST_UNIX_S,
     MIXED,

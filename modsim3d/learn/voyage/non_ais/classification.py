@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, intersections, iou
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.labelled import LabelledSet, Results
 from modsim3d.formats.matching import Matched, Rule, image_pairs, match
 from modsim3d.learn.bootstrap import Column, Entry, Resampling, resample, with_entries

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.formats.labelled import Annotations, Images
 from modsim3d.formats.matching import image_pairs
 from modsim3d.learn.matches import FalseSightings, Observed

@@ -10,8 +10,8 @@ from enum import Enum
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.io.validation import shown
 from modsim3d.learn.bootstrap import Column, Resampling, ratio
 from modsim3d.learn.voyage.logs.log import LEAST_UNIX_S, utc_s

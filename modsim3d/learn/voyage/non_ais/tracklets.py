@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.formats.labelled import Images
 from modsim3d.learn.voyage.non_ais.linking import TO_STD, Links
 

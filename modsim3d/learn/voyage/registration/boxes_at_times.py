@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import clip, sizes
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices, Mask
 from modsim3d.learn.voyage.registration.model import BoxModel, Occluders
 from modsim3d.learn.voyage.registration.parameters import Values
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices
 from modsim3d.learn.voyage.registration.icp import SOFT, Aligner, Alignment, SightingResiduals, Unknowns, derivatives
 from modsim3d.learn.voyage.registration.identifiability import COMMON_DELAY, Knowledge, Linear, clusters, wider
 from modsim3d.learn.voyage.registration.parameters import NAMES as OF_A_VESSEL_NAMES

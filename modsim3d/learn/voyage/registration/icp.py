@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
-from modsim3d.core.types import Array, Indices
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes, Predictions, Sightings, match, predict
 from modsim3d.learn.voyage.registration.model import BoxModel, Occluders
 from modsim3d.learn.voyage.registration.parameters import (

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import t as student_t
 
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.learn.voyage.registration.parameters import SHARED, SHARED_NAMES, plausible
 
 # ---- How well the values are known, when errors of one vessel's boxes go together ----

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted
-from modsim3d.core.types import Array, Indices
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.learn.voyage.registration.icp import Aligner, Alignment, Unknowns, usual_px

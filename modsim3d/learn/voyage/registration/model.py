@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera, Distortion, Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses, poses_ashore, poses_on_board, vehicle_R_nominal, world_R_vehicle
 from modsim3d.geometry.curved_sea import lowered

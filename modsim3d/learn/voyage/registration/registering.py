@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import centre_form, corner_form
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array
 from modsim3d.geometry.camera import Camera
 from modsim3d.io.validation import nearest
 from modsim3d.learn.voyage.attitude import Attitude

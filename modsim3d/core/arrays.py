@@ -2,16 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from modsim3d.core.errors import ModsimError
-
-# ---- Names for the types of arrays, and functions on arrays that many rooms use ----
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -64,31 +56,3 @@ def occurring(indices: Indices, count: int) -> tuple[Indices, Indices]:
     occurs = np.zeros(count, dtype=bool)
     occurs[indices] = True
     return occurs.nonzero()[0], (occurs.cumsum() - 1)[indices]
-
-
-# ---- Paths as functions take them ----
-
-StrPath: TypeAlias = str | os.PathLike[str]
-"""What a function takes for a path."""
-
-
-def as_path(value: object, name: str, needed: str = "a path") -> Path:
-    """The path that an argument stands for.
-
-    Args:
-        value: What was given for the argument.
-        name: Name of the argument, for messages.
-        needed: What the argument may be, for messages.
-
-    Raises:
-        TypeError: It is not a path.
-        ModsimError: It cannot be the name of a file.
-    """
-    text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
-    if not isinstance(text, str):  # a path of bytes is no path here
-        raise TypeError(f"{name}: {needed} is needed (got {type(value).__name__})")
-    if not text:
-        raise ModsimError(f"{name}: {needed} is needed (got an empty text)")
-    if "\0" in text:
-        raise ModsimError(f"{name}: a path cannot hold the character NUL (got {text!r:.60})")
-    return Path(text)

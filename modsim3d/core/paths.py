@@ -1,0 +1,34 @@
+"""Paths as functions take them: text or any path object."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TypeAlias
+
+from modsim3d.core.errors import ModsimError
+
+StrPath: TypeAlias = str | os.PathLike[str]
+"""What a function takes for a path."""
+
+
+def as_path(value: object, name: str, needed: str = "a path") -> Path:
+    """The path that an argument stands for.
+
+    Args:
+        value: What was given for the argument.
+        name: Name of the argument, for messages.
+        needed: What the argument may be, for messages.
+
+    Raises:
+        TypeError: It is not a path.
+        ModsimError: It cannot be the name of a file.
+    """
+    text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
+    if not isinstance(text, str):  # a path of bytes is no path here
+        raise TypeError(f"{name}: {needed} is needed (got {type(value).__name__})")
+    if not text:
+        raise ModsimError(f"{name}: {needed} is needed (got an empty text)")
+    if "\0" in text:
+        raise ModsimError(f"{name}: a path cannot hold the character NUL (got {text!r:.60})")
+    return Path(text)
