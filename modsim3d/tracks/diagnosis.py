@@ -334,7 +334,11 @@ def _form_readings(rows: BoxRows) -> Iterator[_Reading]:
     for other in _other_forms(rows.form):
         told = f"the boxes are read as {rows.form.meaning}, but are {other.meaning}"
         yield _Reading(told, other.boxes_px(rows.numbers), rows.frame)
-    yield _Reading(_EXCHANGED, rows.form.boxes_px(rows.numbers[:, [1, 0, 3, 2]]), rows.frame)
+    exchanged = rows.numbers[:, [1, 0, 3, 2]]
+    yield _Reading(_EXCHANGED, rows.form.boxes_px(exchanged), rows.frame)
+    if rows.form is CENTRE:  # of YOLO, as shares of width and height
+        as_shares = exchanged * np.tile(rows.image_px / rows.image_px[:, ::-1], 2)
+        yield _Reading(_EXCHANGED, rows.form.boxes_px(as_shares), rows.frame)
 
 
 def _other_forms(form: BoxForm) -> list[BoxForm]:

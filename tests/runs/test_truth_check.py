@@ -314,12 +314,19 @@ def test_ties_are_looked_for_once_and_only_where_something_is_hidden(tmp_path: P
     content = json.loads(path.read_text())
     content["cameras"]["C0"]["distortion"] = {"k1": -0.05}
     path.write_text(json.dumps(content))
-    looked_at = []
+    looked_at: list[int] = []
+    inside: list[int] = []
     original = comparison.possible_ids
 
     def counted(drawing: Any, x: Any, y: Any) -> Any:
+        if inside:  # it does many pixels in portions
+            return original(drawing, x, y)
         looked_at.append(len(x))
-        return original(drawing, x, y)
+        inside.append(1)
+        try:
+            return original(drawing, x, y)
+        finally:
+            inside.pop()
 
     monkeypatch.setattr(comparison, "possible_ids", counted)
     result = run_scene(load_scene(path), tmp_path / "run")

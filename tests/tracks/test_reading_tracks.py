@@ -299,7 +299,7 @@ def test_a_path_that_is_no_tracks_is_refused(small_run, small_rows, tmp_path):
         "none.parquet": "no such file or folder",
         "none.csv": "no such file or folder",
         "x" * 300: "File name too long",
-        "a\0b": "is no valid name",
+        "a\0b": "a path cannot hold the character NUL",
     }.items():
         with pytest.raises(ModsimError, match=what):
             read_tracks(tmp_path / name, small_run, small_rows)

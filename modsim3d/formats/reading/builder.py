@@ -382,7 +382,7 @@ class Confidences:
         high: What becomes 1.
         given: Whether the file gives confidences.
         example: Place and value of one that is given; of use where others are not.
-        ones: Their number if all are 1, and many; else 0.
+        odd: What they may be instead; empty if nothing speaks for it.
     """
 
     name: str
@@ -390,7 +390,7 @@ class Confidences:
     high: float
     given: bool
     example: str
-    ones: int = 0
+    odd: str = ""
 
     @classmethod
     def of(
@@ -413,14 +413,21 @@ class Confidences:
                 problems.hint = f"whole numbers may be tracks or classes, not {name}s; if not so, {problems.hint}"
         inside = next((f"{where} has {value:g}" for where, value in known if low <= value <= high), "")
         whole = all(low <= value <= high for _, value in known)
-        ones = len(known) if all(value == 1 for _, value in known) and len(known) >= _MANY and scale is None else 0
-        return cls(name, low, high, bool(known) or not rows, inside if whole else "", ones)
+        odd, values_known = "", {value for _, value in known}
+        if len(rows) >= _MANY and scale is None:
+            if values_known == {1}:
+                odd = f"all {len(known):,} {name}s are 1: if that is the number of a track, {name}s are missing"
+            elif values_known == {0, 1}:
+                odd = f"all {len(known):,} {name}s are 0 or 1: if these are flags, {name}s are missing"
+            elif not known:
+                odd = f"all {len(rows):,} {name}s are -1, which means not given"
+        return cls(name, low, high, bool(known) or not rows, inside if whole else "", odd)
 
     @property
     def notes(self) -> list[str]:
         """A remark if they are scaled, or may be something else."""
-        if self.ones:
-            return [f"all {self.ones:,} {self.name}s are 1: if that is the number of a track, {self.name}s are missing"]
+        if self.odd:
+            return [self.odd]
         if (self.low, self.high) == (0, 1):
             return []
         return [f"{self.name}s from {self.low:g} to {self.high:g} were mapped onto 0 to 1 (--confidence-scale)"]

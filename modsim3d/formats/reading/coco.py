@@ -296,7 +296,7 @@ def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) 
 
 
 def _identity(entry: Mapping[str, Any], where: str, problems: Problems) -> ID | None:
-    """Identity of an annotation; None where it is not given or a number below 0, as in MOT.
+    """Identity of an annotation; None where it is not given or -1, as in MOT.
 
     Other programs write whole numbers as 4.0 too. Adds a problem if it is neither a whole number nor a text.
     """
@@ -309,6 +309,8 @@ def _identity(entry: Mapping[str, Any], where: str, problems: Problems) -> ID | 
     if isinstance(identity, bool) or not isinstance(identity, int):
         problems.add(f"{where}: {key} must be a whole number or a text (got {shown(identity)})")
         return None
+    if identity < -1:
+        problems.add(f"{where}: {key} must be 0 or more, or -1 where it is not known (got {identity})")
     return identity if identity >= 0 else None
 
 

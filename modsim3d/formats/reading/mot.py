@@ -27,6 +27,7 @@ from modsim3d.formats.reading.builder import (
     MOST_NUMBER,
     MOST_PX,
     NO_OPTIONS,
+    NOT_GIVEN,
     AnnotationRows,
     Confidences,
     ImageRows,
@@ -253,8 +254,8 @@ def _named(classes: Iterable[int], labels: tuple[str, ...]) -> dict[int, str]:
 def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationRows:
     rows = AnnotationRows(_corners)
     for where, numbers in lines:
-        if not is_number(numbers[1]) or numbers[1] != int(numbers[1]):
-            wanted = "a whole number" if is_number(numbers[1]) else f"at most {MOST_NUMBER:g}"
+        if not is_number(numbers[1], NOT_GIVEN) or numbers[1] != int(numbers[1]):
+            wanted = "a whole number" if is_number(numbers[1], NOT_GIVEN) else f"from -1 to {MOST_NUMBER:g}"
             problems.add(f"{where}: identity must be {wanted} (got {numbers[1]:g})")
             continue
         identity = int(numbers[1]) if numbers[1] >= 0 else None

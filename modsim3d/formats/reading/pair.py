@@ -54,7 +54,7 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
         )
     read = {"COCO": read_coco, "MOT": read_mot, "YOLO": read_yolo}[kinds[0]]
     labelled = _plausible(read(condition, truth, detections, options), _FORMS[kinds[0]], truth, detections)
-    found, annotated = _compared(labelled, _FORMS[kinds[0]])
+    found, annotated = compared(labelled, _FORMS[kinds[0]])
     problem, files = misreading(*found), [f"detections {detections}", f"ground truth {truth}"]
     if problem is None:
         problem, files = misreading(*annotated, only_forms=True), files[::-1]
@@ -108,7 +108,7 @@ def _left_out(labelled: LabelledSet, condition: str) -> Iterator[str]:
             yield f"{condition}: {chosen.sum():,} of {len(rows):,} annotations {why}{also}"
 
 
-def _compared(labelled: LabelledSet, form: BoxForm) -> Iterator[tuple[BoxRows, KnownBoxes]]:
+def compared(labelled: LabelledSet, form: BoxForm) -> Iterator[tuple[BoxRows, KnownBoxes]]:
     """The most confident detections, as many as there are annotations, in the form of their file, with annotations.
 
     Then the annotations that are nearest to these, with them. The size of images that do not say it is taken to be as

@@ -15,6 +15,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.file.writing import detector_text as yaml_text
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results, joined
+from modsim3d.formats.reading.pair import compared
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.learn.voyage.attitude import NEAR_S, Attitude, Sampler
@@ -34,6 +35,7 @@ from modsim3d.runs.pipeline import block_steps, occlusion_by, open_renderer
 from modsim3d.scene.ais.scene_folder import REPORT, REPORT_TIMES
 from modsim3d.scene.parts import SCENE_FILE
 from modsim3d.scene.scene import Scene
+from modsim3d.tracks.diagnosis import misreading
 from modsim3d.truth.record import Truth, annotated_rows, annotation_boxes, concatenate
 
 if TYPE_CHECKING:
@@ -181,7 +183,7 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     Vessels whose AIS is stale, jumps or is off are ignored: detecting them counts neither for nor against a detector.
 
     Raises:
-        InputError: No frame is within the scene.
+        InputError: No frame is within the scene, or boxes fit its vessels in another reading.
         ModsimError: The truth cannot be made.
     """
     known = _known(options)
@@ -198,6 +200,11 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     for part in parts:
         notes += [note for note in part.labelled.notes if note not in notes]
     whole = joined_voyages(parts)
+    problem = misreading(*next(compared(whole.labelled, log.form)))
+    if problem and not problem.slight:
+        raise InputError(log.source, [f"{problem.told}: they are of {log.scene.title}"])
+    if problem:
+        notes.append(f"{log.source}: {problem.told}, or the detector has such a bias, which is learned")
     number = len(whole.labelled.images)
     images = replace(whole.labelled.images, source=np.zeros(number, dtype=np.int64))  # cameras see the same traffic
     return replace(whole, labelled=replace(whole.labelled, images=images, notes=tuple(notes)))

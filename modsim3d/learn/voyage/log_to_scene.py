@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,10 +13,10 @@ from modsim3d.core.errors import InputError
 from modsim3d.geometry.camera import Camera, Distortion
 from modsim3d.io.validation import nearest, shown
 from modsim3d.learn.voyage.clock import REGISTRATION, SceneClock, check_overlap, noted_clock_s, scene_times
-from modsim3d.learn.voyage.logs.log import DetectionLog
+from modsim3d.learn.voyage.logs.log import Clock, DetectionLog
 from modsim3d.learn.voyage.logs.reading import ros_name
 from modsim3d.scene.scene import Scene
-from modsim3d.tracks.diagnosis import BoxRows, implausible
+from modsim3d.tracks.diagnosis import MOT, TOP_LEFT, BoxForm, BoxRows, implausible
 from modsim3d.truth.occlusion_order import hull_vertices
 from modsim3d.world.vessels import Solid
 
@@ -26,6 +26,10 @@ _MOST_OUTSIDE = 0.01
 """Share of the boxes that may lie outside the image."""
 ONE_LABEL = "vessel"
 """What all vessels are called where a log names no classes and the scene has several."""
+
+
+FRAMES_IN_A_ROW = 20
+"""So many whole numbers in a row may be numbers of frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +78,7 @@ class SceneLog:
         vessel_label: Index into the labels of each vessel of the scene, shape (V,).
         cameras: The log of each camera that it has frames of.
         notes: What was taken for granted.
+        form: That of the boxes in the file.
     """
 
     source: str
@@ -83,6 +88,7 @@ class SceneLog:
     vessel_label: Indices
     cameras: tuple[CameraLog, ...]
     notes: tuple[str, ...]
+    form: BoxForm = TOP_LEFT
 
     @property
     def time_s(self) -> Array:
@@ -128,8 +134,22 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
                 f"{log.source}: {clocks_s[index]:+.3f} s are added to its times of camera '{name}', which is clock_s "
                 f"in {REGISTRATION} beside the scene: set that to 0 if the clock has been set right since"
             )
+    said += _said_of_times(log)
     notes = (*log.notes, f"{log.source}: its frames are known from {log.frames_from}", *said, *odd)
-    return SceneLog(log.source, scene, clock.length_s, labels, of_vessel, tuple(cameras), notes)
+    return SceneLog(log.source, scene, clock.length_s, labels, of_vessel, tuple(cameras), notes, log.form)
+
+
+def _said_of_times(log: DetectionLog) -> Iterator[str]:
+    """What is odd in the times of a log."""
+    times_s = np.unique(log.time_s)
+    if (
+        log.clock is not Clock.UTC
+        and log.form is not MOT
+        and not log.of_run
+        and len(times_s) >= FRAMES_IN_A_ROW
+        and (times_s == times_s[0] + np.arange(len(times_s))).all()
+    ):
+        yield f"{log.source}: its times are {len(times_s)} whole numbers in a row: frames, perhaps, must be seconds"
 
 
 def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[DetectionLog, list[int]]:

@@ -122,12 +122,12 @@ def messages_used(traffic: AisTraffic) -> int:
 
 
 def warning(traffic: AisTraffic) -> str | None:
-    """Warning that comes first where more messages were lost to faults of the files than were used."""
+    """Warning that comes first where more messages were lost to faults than were used, or all together are odd."""
     lost = {name: count for name, count in _dropped(traffic).items() if name not in NO_FAULTS}
     lost["duplicate"] = lost.get("duplicate", 0) - traffic.repeated  # of several receivers
     used, count = messages_used(traffic), sum(lost.values())
     if count <= used:
-        return None
+        return traffic.odd or None
     reasons = ", ".join(f"{name} {lost[name]:,}" for name in sorted(lost, key=lambda name: -lost[name]) if lost[name])
     return f"{count:,} of {count + used:,} messages were lost ({reasons}): are their times and identities right?"
 

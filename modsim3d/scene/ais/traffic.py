@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from modsim3d.scene.ais.gathering import FileTally, Gathered, by_sender, gather
 from modsim3d.scene.ais.hulls import AisHull, hulls
 from modsim3d.scene.ais.messages import Positions, blank_unknown, in_order, local_metres, median_place
 from modsim3d.scene.ais.options import Options, time_text
-from modsim3d.scene.ais.vessel_track import TimeGrid, VesselTrack, time_grid, vessel_track
+from modsim3d.scene.ais.vessel_track import KNOT_M_S, TimeGrid, VesselTrack, time_grid, vessel_track
 
 # ---- A place for a camera from which the traffic can be seen, clear of all hulls ----
 
@@ -116,6 +117,12 @@ MAX_POSES = 3_000_000
 EXCHANGE_HINT = "if latitude and longitude are in each other's place: --swap-coordinates exchanges them in all tables"
 
 
+LOST_IDENTITIES, FEW_MOVES = 5, 50
+"""So many identities are not multiples of 16 by chance; so many moves are judged together."""
+DAY_S, SLOWEST = 86_400.0, 0.05
+"""Positions move at more than this share of the speeds that vessels report."""
+
+
 @dataclass(frozen=True, eq=False)
 class AisTraffic:
     """The vessels of a scene, and how they came about.
@@ -128,6 +135,7 @@ class AisTraffic:
         left_out: Reason → number of positions dropped, of each sender of whom no position is left.
         camera: A place to look from.
         repeated: Number of duplicates that say the same as another, as those of several receivers do.
+        odd: What cannot be right in all positions together; empty if nothing is.
     """
 
     options: Options
@@ -140,6 +148,7 @@ class AisTraffic:
     left_out: dict[int, dict[str, int]]
     camera: Viewpoint
     repeated: int
+    odd: str = ""
 
 
 def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
@@ -163,6 +172,7 @@ def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
     positions = blank_unknown(positions.take(near))
     if not len(positions):
         raise _nothing_left(gathered, options)
+    _check_identities(positions)
     origin = options.origin or _origin(positions, grid)
     every_hull = hulls(gathered.particulars, np.unique(positions.mmsi).tolist())
     tracks = _limited(_tracks(positions, origin, every_hull, grid, options))
@@ -172,7 +182,29 @@ def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
         raise _nothing_left(gathered, options)
     elsewhere, camera = [track.mmsi for track in tracks if not len(track.steps)], _camera(vessels)
     left_out = _left_out(senders, {track.mmsi for track in tracks})
-    return AisTraffic(options, gathered.files, dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated)
+    found = dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated, _odd(positions, origin)
+    return AisTraffic(options, gathered.files, *found)
+
+
+def _check_identities(positions: Positions) -> None:
+    """Refuse identities that have lost digits as numbers of single precision, of which neighbours are 16 apart."""
+    mmsi = np.unique(positions.mmsi)
+    if len(mmsi) >= LOST_IDENTITIES and (mmsi % 16 == 0).all():
+        problem = f"all {len(mmsi)} identities are multiples of 16, such as {mmsi[0]}: they have lost their last digits"
+        raise InputError("AIS", [f"{problem} as numbers of single precision; write them as text or as whole numbers"])
+
+
+def _odd(positions: Positions, origin: tuple[float, float]) -> str:
+    """What cannot be right in positions that are ordered by vessel and time."""
+    if (last_s := float(positions.time_s.max())) > time.time() + DAY_S:
+        return f"positions reach to {time_text(last_s)}, which is to come"
+    one = np.flatnonzero((np.diff(positions.mmsi) == 0) & np.isfinite(positions.speed_kn[1:]))
+    places = local_metres(positions.latitude_deg, positions.longitude_deg, origin)
+    moved_m = np.hypot(*(places[one + 1] - places[one]).T).sum()
+    said_m = (positions.speed_kn[one + 1] * KNOT_M_S * np.diff(positions.time_s)[one]).sum()
+    if len(one) >= FEW_MOVES and moved_m < SLOWEST * said_m:
+        return f"vessels move at {moved_m / said_m:.0%} of the speeds that they report: are places in degrees?"
+    return ""
 
 
 def _left_out(senders: Counter[tuple[int, str]], kept: set[int]) -> dict[int, dict[str, int]]:

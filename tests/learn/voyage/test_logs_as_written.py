@@ -14,13 +14,17 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from benchmarks.voyages.wrong_camera import Voyage
 from modsim3d.core.errors import InputError
 from modsim3d.formats.writing.mcap_messages import DETECTIONS, VISION_MSGS
 from modsim3d.learn.voyage.clock import SceneClock
+from modsim3d.learn.voyage.labelled_voyage import labelled_voyage
 from modsim3d.learn.voyage.log_to_scene import on_scene
 from modsim3d.learn.voyage.logs.log import LogOptions
 from modsim3d.learn.voyage.logs.reading import read_log
+from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
+from tests.learn.voyage.strait_logs import strait_scene, written
 
 BOX = [100.0, 500.0, 30.0, 40.0]
 NAME = "b\u00e5t"
@@ -214,3 +218,24 @@ def test_the_file_of_a_bag_in_sqlite_stands_for_its_folder(tmp_path: Path) -> No
     (folder / "metadata.yaml").unlink()
     with pytest.raises(InputError, match=r"metadata\.yaml is missing beside it: give the whole folder of the bag"):
         read_log(folder / "bag.db3")
+
+
+def test_boxes_that_fit_the_vessels_in_another_reading_are_named(tmp_path: Path) -> None:
+    """Centres in place of left and top, and rows that are counted from below."""
+    scene = load_scene(strait_scene(tmp_path / "scene"))
+    found = Voyage.of(scene, "bow", {"clock_s": 0.0, "pitch_deg": 0.0, "yaw_deg": 0.0}).detections(0)
+    times_s, boxes_px = found.times_s[found.frame], found.boxes_px
+    size_px = boxes_px[:, 2:] - boxes_px[:, :2]
+    height = scene.cameras[0].intrinsics.image_size_px[1]
+    x_min, y_min, x_max, y_max = boxes_px.T
+
+    def notes(name: str, boxes: Any, columns: str = "left,top,right,bottom") -> tuple[str, ...]:
+        path = written(tmp_path / f"{name}.csv", times_s, boxes)
+        path.write_text(path.read_text().replace("left,top,right,bottom", columns))
+        return labelled_voyage(on_scene(read_log(path), scene, "bow")).labelled.notes
+
+    assert not [note for note in notes("right", boxes_px) if "half of them lie" in note]
+    with pytest.raises(InputError, match=r"are read as .* but are centre x, centre y"):
+        notes("centres", np.column_stack([boxes_px[:, :2] + size_px / 2, size_px]), "left,top,width,height")
+    with pytest.raises(InputError, match="y is counted from the lower edge"):
+        notes("below", np.column_stack([x_min, height - y_max, x_max, height - y_min]))
