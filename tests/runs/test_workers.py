@@ -37,7 +37,7 @@ SHORT_BLOCKS = f"import modsim3d.runs.pipeline as pipeline; pipeline.MOST_BLOCK_
 STALLING_WORKER = f"""
 import os, time
 import modsim3d.runs.workers as workers
-from modsim3d import cli
+from modsim3d.cli import main as cli
 {SHORT_BLOCKS}
 main, make = os.getpid(), workers.truth_block
 
