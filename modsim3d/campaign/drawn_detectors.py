@@ -20,6 +20,7 @@ from pydantic import Field, ValidationError
 from scipy import special
 
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
 from modsim3d.core.types import Array
 from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, LEAST_DEGREES, MOST_DEGREES
 from modsim3d.io.strict_json import load_json
@@ -214,23 +215,15 @@ def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generat
         return np.clip(drawn, estimate / _MOST_FACTOR, estimate * _MOST_FACTOR) if number.kind == "positive" else drawn
     trials = np.array(number.observations, dtype=np.float64) / widen
     if number.kind == "rate":
-        rate: Array = special.gammaincinv(estimate * trials + 0.5, special.ndtr(z)) / trials
-        return rate
+        return jeffreys_rate(estimate, trials, special.ndtr(z))
     if number.name == "confusion":
-        missed = _share(estimate[-1], trials[-1], z[-1])
+        missed = jeffreys_share(estimate[-1], trials[-1], special.ndtr(z[-1]))
         columns = zip(estimate[:-1].T, trials[-1] * (1 - estimate[-1]), strict=True)
         labels = np.stack([_distribution(found, count, rng) for found, count in columns], axis=1)
         return np.vstack([labels * (1 - missed), missed])
     if number.name in ("false_positive_labels", "density"):
         return _distribution(estimate.ravel(), float(trials.max()), rng).reshape(estimate.shape)
-    return _share(estimate, trials, z)
-
-
-def _share(estimate: Array, trials: Array, z: Array) -> Array:
-    """Shares of a number of trials, of any shape."""
-    hits = estimate * trials
-    drawn: Array = special.betaincinv(hits + 0.5, trials - hits + 0.5, special.ndtr(z))
-    return drawn
+    return jeffreys_share(estimate, trials, special.ndtr(z))
 
 
 def _distribution(estimate: Array, trials: float, rng: np.random.Generator) -> Array:

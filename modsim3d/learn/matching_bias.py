@@ -13,7 +13,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask, run_starts
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel, Performance
@@ -96,7 +96,7 @@ def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel,
     columns: list[Results] = []
     for part in parts:
         times = part.frames.times_s
-        changes = np.flatnonzero(np.diff(part.states, prepend=-1))
+        changes = run_starts(part.states)
         schedule = tuple((float(times[k]), int(part.states[k])) for k in changes)
         held = replace(model, performance=Performance(True, schedule), transition_interval_s=None)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modsim3d.core.boxes import sizes
-from modsim3d.core.types import Array, Indices
+from modsim3d.core.types import Array, Indices, run_starts
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel
 from modsim3d.detector.records import TRUE
@@ -102,7 +102,7 @@ def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
     images = evidence.frames
     ours = images.camera == camera
     times, states = images.time_s[ours], images.state[ours]
-    changes = np.flatnonzero(np.diff(states, prepend=states[0] - 1))
+    changes = run_starts(states)
     stops = np.append(times[changes[1:]], times[-1])
     return charts.timeline(times[changes], stops, states[changes].tolist(), [state.name for state in model.states])
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask, run_starts
 from modsim3d.detector.classification import transitions_before
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import DetectorPart
@@ -152,7 +152,5 @@ def occupancy_law(model: DetectorModel, state: int, transitions: Indices, start:
 
 def _runs(values: Indices) -> tuple[Indices, Indices]:
     """Runs of equal values: the values and the lengths of the runs, shapes (runs,)."""
-    if not len(values):
-        return values, values
-    starts = np.flatnonzero(np.diff(values, prepend=values[0] - 1))
+    starts = run_starts(values)
     return values[starts], np.diff(np.append(starts, len(values)))

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.core.types import Array, Indices, Mask, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.truth.buffer_drawing import LENS_GUARD_PX
 from modsim3d.truth.outlines import OutlinePart, Outlines
@@ -45,7 +45,7 @@ class Edges:
         They may be too large along the image's border.
         """
         boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (rows, 1))
-        first = np.flatnonzero(np.diff(self.row, prepend=-1))
+        first = run_starts(self.row)
         if len(first):
             for axis in (0, 1):
                 starts = np.ascontiguousarray(self.ends_px[:, 0, axis])
