@@ -10,7 +10,6 @@ added to a column (Perks's prior; one of each kind for the transition matrix, as
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,6 +22,7 @@ from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
 from modsim3d.core.types import Array
 from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, LEAST_DEGREES, MOST_DEGREES
+from modsim3d.io.input_files import file_sha256
 from modsim3d.io.strict_json import load_json
 from modsim3d.io.validation import Strict, describe
 from modsim3d.learn.bootstrap import Kind, columns_of_one, from_scale, nested, to_scale
@@ -111,7 +111,7 @@ def read_uncertainty(detector: Path) -> LearnedUncertainty:
         found = LearnedUncertainty.model_validate(load_json(path, "uncertainty"))
     except ValidationError as error:
         raise InputError(f"uncertainty {path}", describe(error, LearnedUncertainty)) from None
-    if found.detector_sha256 != hashlib.sha256(detector.read_bytes()).hexdigest():
+    if found.detector_sha256 != file_sha256(detector):
         problem = f"{path.name} belongs to another detector file, or the file was changed since it was learned"
         raise InputError(source, [f"{problem}: learn it again (set keys with vary in the campaign, not in the file)"])
     few = [

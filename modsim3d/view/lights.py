@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from modsim3d.core.types import Array
-from modsim3d.geometry.kinematics import velocities
+from modsim3d.geometry.kinematics import KNOT_M_S, NAUTICAL_MILE_M, velocities
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
 from modsim3d.view.pictures.plain import Solids
@@ -23,7 +23,6 @@ from modsim3d.world.vessels import Vessel
 
 # ---- A light of a vessel ----
 
-NAUTICAL_MILE_M = 1852.0
 THRESHOLD_LUX = 2e-7
 """The faintest light that an eye sees at sea by night (COLREG, Annex I, section 8)."""
 CLEAR_AIR = 0.8
@@ -128,7 +127,6 @@ def _words(text: str) -> set[str]:
 
 # ---- Which lights a vessel shows ----
 
-KNOT_M_S = 1852 / 3600
 STANDS_M_S = 0.5 * KNOT_M_S
 """A slower vessel is taken to be at anchor, or to make no way if she fishes."""
 SLOW_M_S = 7 * KNOT_M_S

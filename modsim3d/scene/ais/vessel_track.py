@@ -10,6 +10,7 @@ import numpy as np
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.types import Array, Indices, Mask
+from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.scene.ais.hulls import AisHull
 from modsim3d.scene.ais.messages import Positions, reachable
 from modsim3d.scene.ais.options import Options, time_text
@@ -105,7 +106,6 @@ def to_hull_centre(antenna_m: Array, headings_rad: Array, ahead_m: float, to_por
 
 MOVING_KN, MOVING_M = 0.5, 10.0
 """At lower speeds the course of a receiver is mostly noise, and so is the bearing over shorter distances."""
-KNOT_M_S = 1852 / 3600
 
 
 class HeadingSource(IntEnum):

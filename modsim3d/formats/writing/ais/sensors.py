@@ -15,6 +15,7 @@ from scipy import signal
 
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals
 from modsim3d.core.types import Array, Indices
+from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.scene.ais.messages import places, wrapped_deg
 from modsim3d.scene.scene import Scene
@@ -236,7 +237,6 @@ def _stay(times_s: Array, track: Array) -> Stay:
 
 # ---- What a vessel's satellite receiver and compass measure, once a second ----
 
-KNOT_M_S = 1852 / 3600
 POSITION_KEPT = 0.99
 """Share of a position's error that is left after a second: errors of satellite receivers last for minutes, so the mean
 of many reports is not much better than one."""
