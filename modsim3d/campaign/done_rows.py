@@ -33,7 +33,6 @@ from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.verdicts.wording import (
     at_step,
     cases_of_all,
-    counted,
     never_met,
     offered_from,
     requirement_text,
@@ -42,6 +41,7 @@ from modsim3d.campaign.verdicts.wording import (
 from modsim3d.campaign.work.row import DONE, FACTS, SCORES, limits_of, table_of
 from modsim3d.campaign.work.task import PLAN, ROWS_PATTERN, name_of_rows, read_rows
 from modsim3d.core.errors import ModsimError, OutputError
+from modsim3d.core.text import counted
 from modsim3d.core.types import Indices
 from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder, write_files
 from modsim3d.io.validation import nearest

@@ -19,7 +19,6 @@ from modsim3d.campaign.verdicts.seed_values import Runs, SeedRows
 from modsim3d.campaign.verdicts.wording import (
     at_step,
     cases_of_all,
-    counted,
     never_met,
     offered,
     percent,
@@ -30,6 +29,7 @@ from modsim3d.campaign.verdicts.wording import (
     stepped,
 )
 from modsim3d.campaign.work.row import facts_of, limits_of, without_tracks
+from modsim3d.core.text import counted
 from modsim3d.core.types import Indices
 
 # ---- What a requirement comes to ----
