@@ -24,9 +24,10 @@ from scipy import stats
 import modsim3d
 from modsim3d.campaign.keys import ScoreKeys
 from modsim3d.campaign.plan import STATE
-from modsim3d.campaign.verdicts.bounds import corrected_bounds, exact_bounds, half_widths
+from modsim3d.campaign.verdicts.bounds import corrected_bounds
 from modsim3d.campaign.verdicts.wording import DIFFERENCE, HIGH, LOW
 from modsim3d.campaign.work.row import SCORES, SCORES_BY, score_bounds
+from modsim3d.core.statistics import exact_bounds, half_widths
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "campaigns"
 STORED = OUT / "sequences_scores.parquet"

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import yaml
 
+from modsim3d.core.statistics import t_bounds
 from modsim3d.runs.camera_sequences import sequences_of
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.tracking.detector_seeds import detector_runs, half_interval
+from modsim3d.tracking.detector_seeds import LEVEL, detector_runs
 from modsim3d.tracking.oracle import oracle_tracks
 from modsim3d.tracking.scores.association import clear, hota, identity
 from modsim3d.tracking.scores.continuity import continuity
@@ -141,4 +142,6 @@ def perfect_detector(labels: Sequence[str], miss_rate: float = 0.0) -> dict[str,
 def mean_and_interval(values: Sequence[float | None]) -> dict[str, Any]:
     """Number, mean, and half the 95 % interval of the mean by Student's t; None where there is none."""
     known = np.array([value for value in values if value is not None], dtype=float)
-    return {"n": len(known), "mean": float(known.mean()) if len(known) else None, "half": half_interval(known)}
+    ends = t_bounds(known, (1 - LEVEL) / 2)
+    half = (ends[1] - ends[0]) / 2 if ends else None
+    return {"n": len(known), "mean": float(known.mean()) if len(known) else None, "half": half}

@@ -32,12 +32,11 @@ from benchmarks.resampled_means import (
 from modsim3d.campaign.verdicts.bounds import (
     clean_seeds_needed,
     clean_seeds_needed_sequential,
-    exact_bounds,
     log_capital,
     mixture_log_capital,
-    t_bounds,
 )
 from modsim3d.campaign.verdicts.wording import DIFFERENCE, HIGH, LOW, OFFERS
+from modsim3d.core.statistics import exact_bounds, t_bounds
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "campaigns"

@@ -33,7 +33,6 @@ from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.verdicts.wording import (
     at_step,
     cases_of_all,
-    counted,
     never_met,
     offered_from,
     requirement_text,

@@ -10,7 +10,6 @@ added to a column (Perks's prior; one of each kind for the transition matrix, as
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,6 +21,7 @@ from scipy import special
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, LEAST_DEGREES, MOST_DEGREES
+from modsim3d.io.input_files import file_sha256
 from modsim3d.io.strict_json import load_json
 from modsim3d.io.validation import Strict, describe
 from modsim3d.learn.bootstrap import Kind, columns_of_one, from_scale, nested, to_scale
@@ -110,7 +110,7 @@ def read_uncertainty(detector: Path) -> LearnedUncertainty:
         found = LearnedUncertainty.model_validate(load_json(path, "uncertainty"))
     except ValidationError as error:
         raise InputError(f"uncertainty {path}", describe(error, LearnedUncertainty)) from None
-    if found.detector_sha256 != hashlib.sha256(detector.read_bytes()).hexdigest():
+    if found.detector_sha256 != file_sha256(detector):
         problem = f"{path.name} belongs to another detector file, or the file was changed since it was learned"
         raise InputError(source, [f"{problem}: learn it again (set keys with vary in the campaign, not in the file)"])
     few = [
@@ -214,23 +214,15 @@ def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generat
         return np.clip(drawn, estimate / _MOST_FACTOR, estimate * _MOST_FACTOR) if number.kind == "positive" else drawn
     trials = np.array(number.observations, dtype=np.float64) / widen
     if number.kind == "rate":
-        rate: Array = special.gammaincinv(estimate * trials + 0.5, special.ndtr(z)) / trials
-        return rate
+        return jeffreys_rate(estimate, trials, special.ndtr(z))
     if number.name == "confusion":
-        missed = _share(estimate[-1], trials[-1], z[-1])
+        missed = jeffreys_share(estimate[-1], trials[-1], special.ndtr(z[-1]))
         columns = zip(estimate[:-1].T, trials[-1] * (1 - estimate[-1]), strict=True)
         labels = np.stack([_distribution(found, count, rng) for found, count in columns], axis=1)
         return np.vstack([labels * (1 - missed), missed])
     if number.name in ("false_positive_labels", "density"):
         return _distribution(estimate.ravel(), float(trials.max()), rng).reshape(estimate.shape)
-    return _share(estimate, trials, z)
-
-
-def _share(estimate: Array, trials: Array, z: Array) -> Array:
-    """Shares of a number of trials, of any shape."""
-    hits = estimate * trials
-    drawn: Array = special.betaincinv(hits + 0.5, trials - hits + 0.5, special.ndtr(z))
-    return drawn
+    return jeffreys_share(estimate, trials, special.ndtr(z))
 
 
 def _distribution(estimate: Array, trials: float, rng: np.random.Generator) -> Array:

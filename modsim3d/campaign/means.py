@@ -11,11 +11,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from modsim3d.campaign.plan import Condition, Plan
-from modsim3d.campaign.verdicts.bounds import half_widths
 from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.work.row import CRASHED
 from modsim3d.campaign.work.scenes import digest
 from modsim3d.core.errors import ModsimError
+from modsim3d.core.statistics import half_widths
 from modsim3d.core.text import listed
 from modsim3d.io.validation import nearest, shown
 

@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.geometry.camera_poses import rotation_vector
 
+NAUTICAL_MILE_M = 1852.0
+KNOT_M_S = NAUTICAL_MILE_M / 3600
+
 # ---- Velocities, accelerations and angular rates from poses at a sequence of times, by central ----
 
 

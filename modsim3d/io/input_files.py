@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import gzip
+import hashlib
 import io
 import os
 import stat
@@ -184,6 +185,12 @@ class _Budgeted(io.RawIOBase):
 
 
 # ---- The text of an input file, gzipped or not, within a budget ----
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file, as `sha256sum` prints it."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_text(path: Path, what: str, most_bytes: int | None = None) -> str:

@@ -144,13 +144,11 @@ class Column:
     def _counted(self, widen: float, tail: float) -> tuple[Array, Array]:
         """Jeffreys's intervals for as many independent observations as the spread of the replicates implies."""
         value, trials = self.estimate, self.independent / widen
-        hits = value * trials
+        quantile = jeffreys_rate if self.kind == "rate" else jeffreys_share
         with np.errstate(all="ignore"):
-            if self.kind == "rate":
-                low, high = (special.gammaincinv(hits + 0.5, p) / trials for p in (tail, 1 - tail))
-            else:
-                low, high = (special.betaincinv(hits + 0.5, trials - hits + 0.5, p) for p in (tail, 1 - tail))
-                high = np.where(value >= 1, 1.0, high)
+            low, high = (quantile(value, trials, p) for p in (tail, 1 - tail))
+        if self.kind != "rate":
+            high = np.where(value >= 1, 1.0, high)
         return np.where(value <= 0, 0.0, np.minimum(low, value)), np.maximum(high, value)
 
 

@@ -96,7 +96,7 @@ def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel,
     columns: list[Results] = []
     for part in parts:
         times = part.frames.times_s
-        changes = np.flatnonzero(np.diff(part.states, prepend=-1))
+        changes = run_starts(part.states)
         schedule = tuple((float(times[k]), int(part.states[k])) for k in changes)
         held = replace(model, performance=Performance(True, schedule), transition_interval_s=None)
 

@@ -108,7 +108,7 @@ class OrderedFrames:
     @property
     def span_s(self) -> float:
         """Length of the longest sequence."""
-        starts = np.flatnonzero(np.diff(self.sequence, prepend=-1))
+        starts = run_starts(self.sequence)
         ends = np.append(starts[1:], len(self.sequence)) - 1
         return float((self.time_s[ends] - self.time_s[starts]).max())
 

@@ -216,7 +216,7 @@ def locate(scene: Scene, camera: str, step: ArrayLike, boxes_px: ArrayLike, atti
     chosen, steps, boxes = _checked(scene, camera, step, boxes_px, attitude)
     law = foot_errors(scene.detector, boxes)
     parts, order = [], np.argsort(steps, kind="stable")
-    starts = np.flatnonzero(np.diff(steps[order] // _STEPS_AT_ONCE, prepend=-1))
+    starts = run_starts(steps[order] // _STEPS_AT_ONCE)
     for rows in np.split(order, starts[1:]):
         at, frame = np.unique(steps[rows], return_inverse=True)
         if len(at):

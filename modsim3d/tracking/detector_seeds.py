@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from scipy import special
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import ModsimError
@@ -28,29 +27,8 @@ from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.tracks import TrackSet
 from modsim3d.truth.record import Truth
 
-# ---- Intervals of means over few values ----
-
-_LEVEL = 0.95
-_SAME = 1e-12
-"""Values that differ by less than this share of their size are the same."""
-
-
-def half_interval(values: Array) -> float | None:
-    """Half of the 95 % interval of the mean of n values, by Student's t, shape (n,).
-
-    None of fewer than two, if one is infinite, or if all are the same, which says nothing of how far others may be off.
-    """
-    count = len(values)
-    if count < 2 or not np.isfinite(values).all():
-        return None
-    deviation = values.std(ddof=1)
-    if deviation <= _SAME * max(1.0, abs(values.mean())):
-        return None
-    return float(special.stdtrit(count - 1, (1 + _LEVEL) / 2) * deviation / np.sqrt(count))
-
-
-# ---- Scores over detector seeds ----
-
+LEVEL = 0.95
+"""Confidence of the interval of a mean."""
 SPREAD_KEYS = ("hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "anees")
 """The scores whose spread is told."""
 LEAST_SEEDS, MOST_SEEDS = 2, 1000
@@ -84,8 +62,7 @@ class Spread:
     @property
     def interval(self) -> tuple[float, float] | None:
         """The 95 % interval of the mean, by Student's t; None if all values are the same."""
-        mean, half = self.mean, half_interval(self.known)
-        return None if mean is None or half is None else (mean - half, mean + half)
+        return t_bounds(self.known, (1 - LEVEL) / 2)
 
 
 @dataclass(frozen=True)

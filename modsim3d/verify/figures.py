@@ -102,7 +102,7 @@ def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
     images = evidence.frames
     ours = images.camera == camera
     times, states = images.time_s[ours], images.state[ours]
-    changes = np.flatnonzero(np.diff(states, prepend=states[0] - 1))
+    changes = run_starts(states)
     stops = np.append(times[changes[1:]], times[-1])
     return charts.timeline(times[changes], stops, states[changes].tolist(), [state.name for state in model.states])
 

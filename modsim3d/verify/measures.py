@@ -14,6 +14,8 @@ from typing import Protocol
 
 from scipy import optimize, special
 
+from modsim3d.core.statistics import exact_bounds
+
 # ---- Tail probabilities and their inverses ----
 
 LEAST_SKEW = 1e-3
@@ -27,13 +29,6 @@ def binomial_tails(count: float, trials: float, rate: float) -> tuple[float, flo
     below = 1.0 if count >= trials else float(special.betainc(trials - count, count + 1, 1 - rate))
     above = 1.0 if count <= 0 else float(special.betainc(count, trials - count + 1, rate))
     return below, above
-
-
-def binomial_interval(count: float, trials: float, alpha: float) -> tuple[float, float]:
-    """Clopper & Pearson (1934): the rates that a two-sided test at level alpha would not reject."""
-    low = 0.0 if count <= 0 else float(special.betaincinv(count, trials - count + 1, alpha / 2))
-    high = 1.0 if count >= trials else float(special.betaincinv(count + 1, trials - count, 1 - alpha / 2))
-    return low, high
 
 
 def poisson_tails(count: float, mean: float) -> tuple[float, float]:
@@ -259,7 +254,7 @@ class Rate:
 
     def interval(self, alpha: float) -> Interval:
         """Clopper & Pearson's."""
-        return binomial_interval(*self._effective(), alpha)
+        return exact_bounds(*self._effective(), alpha / 2)
 
     def noticed(self, alpha: float) -> Noticed:
         """From the least number of successes that is too many, and the greatest that is too few."""

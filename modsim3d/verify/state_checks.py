@@ -152,7 +152,5 @@ def occupancy_law(model: DetectorModel, state: int, transitions: Indices, start:
 
 def _runs(values: Indices) -> tuple[Indices, Indices]:
     """Runs of equal values: the values and the lengths of the runs, shapes (runs,)."""
-    if not len(values):
-        return values, values
-    starts = np.flatnonzero(np.diff(values, prepend=values[0] - 1))
+    starts = run_starts(values)
     return values[starts], np.diff(np.append(starts, len(values)))

@@ -23,7 +23,6 @@ from modsim3d.world.vessels import Vessel
 
 # ---- A light of a vessel ----
 
-NAUTICAL_MILE_M = 1852.0
 THRESHOLD_LUX = 2e-7
 """The faintest light that an eye sees at sea by night (COLREG, Annex I, section 8)."""
 CLEAR_AIR = 0.8
@@ -128,7 +127,6 @@ def _words(text: str) -> set[str]:
 
 # ---- Which lights a vessel shows ----
 
-KNOT_M_S = 1852 / 3600
 STANDS_M_S = 0.5 * KNOT_M_S
 """A slower vessel is taken to be at anchor, or to make no way if she fishes."""
 SLOW_M_S = 7 * KNOT_M_S

@@ -16,7 +16,6 @@ from modsim3d.campaign.verdicts.bounds import (
     betting_bounds,
     clean_seeds_needed,
     clean_seeds_needed_sequential,
-    exact_bounds,
     log_capital,
     mean_bounds,
     mixture_bounds,
@@ -24,8 +23,8 @@ from modsim3d.campaign.verdicts.bounds import (
     perfect_seeds_needed,
     share_bounds,
     skewed_bounds,
-    t_bounds,
 )
+from modsim3d.core.statistics import exact_bounds, t_bounds
 
 ALPHA = 0.05
 MANY = 100_000

@@ -30,7 +30,6 @@ from modsim3d.formats.writing.ais.reporting import (
 from modsim3d.formats.writing.ais.sensors import (
     COMPASS_NOISE_DEG,
     COMPASS_OFFSET_DEG,
-    KNOT_M_S,
     MADE_UP_MMSI,
     Noise,
     SensorReadings,
@@ -41,6 +40,7 @@ from modsim3d.formats.writing.ais.sensors import (
     mmsi_of,
     usual,
 )
+from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.scene.ais.messages import local_metres, places
 from modsim3d.world.vessels import Vessel
 

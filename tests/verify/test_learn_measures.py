@@ -20,7 +20,6 @@ from modsim3d.verify.measures import (
     ImageRate,
     Measure,
     Rate,
-    binomial_interval,
     poisson_interval,
     skewed_quantile,
     skewed_tails,
@@ -29,9 +28,9 @@ from modsim3d.verify.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, La
 from modsim3d.verify.report import conclusion
 
 
-def test_binomial_interval_is_clopper_and_pearsons():
+def test_the_interval_of_a_rate_is_clopper_and_pearsons():
     # 10 of 100 at 95 %: 0.0490, 0.1762, e.g. Newcombe (1998), Statistics in Medicine 17, 857-872.
-    np.testing.assert_allclose(binomial_interval(10, 100, 0.05), (0.0490, 0.1762), atol=5e-5)
+    np.testing.assert_allclose(Rate(10, 100, 0.1).interval(0.05), (0.0490, 0.1762), atol=5e-5)
 
 
 def test_poisson_interval_is_garwoods():

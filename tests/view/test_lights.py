@@ -6,11 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from modsim3d.geometry.kinematics import KNOT_M_S, NAUTICAL_MILE_M
 from modsim3d.scene.parts import mesh_name
 from modsim3d.scene.reading import load_scene
 from modsim3d.view.lights import (
-    KNOT_M_S,
-    NAUTICAL_MILE_M,
     THRESHOLD_LUX,
     Colour,
     Kind,

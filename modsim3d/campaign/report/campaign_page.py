@@ -6,14 +6,12 @@ import html
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from modsim3d.campaign.done_rows import results_table
 from modsim3d.campaign.folder import CampaignFolder, killed_sentence
 from modsim3d.campaign.means import LEVEL, same_detections
 from modsim3d.campaign.plan import Plan, cases_of
@@ -39,7 +37,7 @@ from modsim3d.campaign.report.words import (
 )
 from modsim3d.campaign.reproduce import remade
 from modsim3d.campaign.verdicts.seed_values import PairedDifference, column_of, paired
-from modsim3d.campaign.verdicts.verdict import Verdict, judged
+from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.verdicts.wording import levels_of
 from modsim3d.campaign.work.row import DONE
 from modsim3d.campaign.worst_film import moment_picture
@@ -302,32 +300,6 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
 # ---- The page of a campaign ----
 
 REPORT_FILE = "report.html"
-
-
-def write_campaign_page(
-    folder: CampaignFolder,
-    path: Path,
-    advance: Callable[[int], None] = lambda done: None,
-    command: str | None = None,
-) -> str:
-    """Write the page of a campaign.
-
-    Args:
-        folder: The campaign, finished or not.
-        path: The file.
-        advance: Called with 1 after each picture.
-        command: What the page says it was made by; the call from Python if None.
-
-    Returns:
-        The verdict in a sentence.
-
-    Raises:
-        ModsimError: The results are damaged, or the page cannot be written.
-    """
-    table = results_table(folder)
-    verdicts = judged(folder.plan, table)
-    write_files({path: campaign_page(folder, table, verdicts, advance, command)})
-    return lead(folder, table, verdicts)
 
 
 def campaign_page(

@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.campaign.done_rows import text_of
+from modsim3d.campaign.done_rows import results_table, text_of
 from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.keys import Range, SearchKeys
-from modsim3d.campaign.report.campaign_page import write_campaign_page
+from modsim3d.campaign.report.campaign_page import campaign_page
+from modsim3d.campaign.report.campaign_page import lead as campaign_lead
 from modsim3d.campaign.report.words import Score, number, rests_on
 from modsim3d.campaign.search_folder import search_table
+from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.work.row import DONE
 from modsim3d.core.text import counted
 from modsim3d.io.atomic_write import write_files
@@ -193,4 +195,7 @@ def write_page(
     """
     if folder.keys.search is not None:
         return write_search_page(folder, path, command)
-    return write_campaign_page(folder, path, advance, command)
+    table = results_table(folder)
+    verdicts = judged(folder.plan, table)
+    write_files({path: campaign_page(folder, table, verdicts, advance, command)})
+    return campaign_lead(folder, table, verdicts)

@@ -14,48 +14,12 @@ from modsim3d.core.arrays import Array, Mask
 
 # ---- Intervals and bounds of a mean, for a number of seeds that was fixed beforehand ----
 
-_SAME = 1e-12
-"""Values that differ by less than this share of their size are the same: the mean of equal numbers may be off by so
-much."""
 SKEWNESS = 1.0
 """The least skewness that values are taken to have: a few of them seldom show the tail that they come from."""
 VARIATION = 1.5
 """How much of h/d a half-width h gains of itself, if the values lack d to the best one."""
 VARIATION_FROM_ZERO = 1.1
 """The same of scores that are 0 at best, as numbers, times and errors are; all three by `script/campaign sequences`."""
-
-
-def half_widths(mean: ArrayLike, deviation: ArrayLike, count: ArrayLike, alpha: float) -> Array:
-    """How far the bounds of means lie from them; NaN with fewer than two values, or if all are the same.
-
-    Values that are all the same say nothing of how far the next one may be off: an interval of no width would claim
-    that none ever differs.
-
-    Args:
-        mean: Means, all of one shape.
-        deviation: Standard deviations of the values, with n − 1.
-        count: Numbers of values.
-        alpha: The probability of error, of each bound; exact for normal values, an approximation for others.
-    """
-    mean, deviation, count = (np.asarray(each, dtype=np.float64) for each in (mean, deviation, count))
-    differ = (count > 1) & (deviation > _SAME * np.maximum(1.0, np.abs(mean)))
-    half = special.stdtrit(np.maximum(count - 1, 1), 1 - alpha) * deviation / np.sqrt(np.maximum(count, 1))
-    widths: Array = np.where(differ, half, np.nan)
-    return widths
-
-
-def t_bounds(values: Array, alpha: float) -> tuple[float, float] | None:
-    """The bounds of the mean; None of fewer than two values, if all are the same, or if one is not finite.
-
-    Args:
-        values: A value for each seed, shape (n,).
-        alpha: The probability of error of each bound, as in `half_widths`.
-    """
-    if len(values) < 2 or not np.all(np.isfinite(values)):
-        return None
-    mean = float(values.mean())
-    half = float(half_widths(mean, values.std(ddof=1), len(values), alpha))
-    return None if np.isnan(half) else (mean - half, mean + half)
 
 
 def skewed_bounds(values: Array, alpha: float, greatest: float = math.inf) -> Array:
@@ -147,20 +111,6 @@ HALF = 0.5
 """Both parameters of the beta distribution that the sequence mixes over (Jeffreys' prior)."""
 _HALVINGS = 52
 """As close to 1 as numbers are."""
-
-
-def exact_bounds(right: int, seeds: int, alpha: float) -> tuple[float, float]:
-    """The lower and the upper bound of Clopper & Pearson (1934) for a number of seeds that was fixed beforehand.
-
-    Args:
-        right: Number of seeds that are right.
-        seeds: Number of all.
-        alpha: The greatest probability of error, of each bound.
-    """
-    wrong = seeds - right
-    low = float(special.betaincinv(right, wrong + 1, alpha)) if right else 0.0
-    high = float(special.betainccinv(right + 1, wrong, alpha)) if wrong else 1.0
-    return low, high
 
 
 def clean_seeds_needed(share: float, confidence: float, failures: int = 0) -> int:

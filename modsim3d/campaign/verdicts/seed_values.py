@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 
 from modsim3d.campaign.keys import Requirement
 from modsim3d.campaign.plan import Case, Plan, cases_of
-from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds, t_bounds
+from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds
 from modsim3d.campaign.work.row import CRASHED, Columns, facts_of, is_bounded, score_bounds
 from modsim3d.core.arrays import Array, Mask
 

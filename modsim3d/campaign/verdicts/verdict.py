@@ -19,7 +19,6 @@ from modsim3d.campaign.verdicts.seed_values import Runs, SeedRows
 from modsim3d.campaign.verdicts.wording import (
     at_step,
     cases_of_all,
-    counted,
     never_met,
     offered,
     percent,

@@ -55,11 +55,6 @@ def rounded(value: float) -> str:
     return _rounded(value, round)
 
 
-def counted(number: int, noun: str) -> str:
-    """A number of things: `1 traffic seed`, `1,200 traffic seeds`."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
-
-
 def _rounded(value: float, whole: object) -> str:
     assert callable(whole)
     if not math.isfinite(value) or value == 0:

@@ -16,7 +16,7 @@ from modsim3d.campaign.plan import Condition
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.file.reading import content_of, find_detector, shipped_detectors
 from modsim3d.detector.model import DetectorModel
-from modsim3d.io.input_files import data_folder
+from modsim3d.io.input_files import data_folder, file_sha256
 from modsim3d.io.strict_json import load_json
 from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.io.validation import shown
@@ -84,7 +84,7 @@ def checksums(paths: Iterable[Path], base: Path) -> dict[str, str]:
     """
     shipped = (data_folder("scenes").resolve(), data_folder("meshes").resolve())
     own = sorted(path for path in set(paths) if not any(path.is_relative_to(folder) for folder in shipped))
-    return {_name(path, base): _sha256(path) for path in own}
+    return {_name(path, base): file_sha256(path) for path in own}
 
 
 def changed_files(files: Mapping[str, str], base: Path) -> list[str]:
@@ -92,7 +92,7 @@ def changed_files(files: Mapping[str, str], base: Path) -> list[str]:
     problems = []
     for name, expected in files.items():
         try:
-            found = _sha256(base / name)
+            found = file_sha256(base / name)
         except OSError as error:
             problems.append(f"{name} cannot be read any more: {error.strerror or error}")
             continue
@@ -108,10 +108,6 @@ def differing_files(before: Mapping[str, str], now: Mapping[str, str]) -> list[s
 
 def _name(path: Path, base: Path) -> str:
     return path.relative_to(base).as_posix() if path.is_relative_to(base) else path.as_posix()
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 # ---- The latest things that were made, kept in memory ----

@@ -30,7 +30,7 @@ from modsim3d.formats.reading.builder import ReadOptions, check_whole
 from modsim3d.formats.reading.pair import read_truth
 from modsim3d.formats.writing.mot import detection_text, sequence_text
 from modsim3d.io.atomic_write import write_files
-from modsim3d.io.input_files import inputs_noted, open_input
+from modsim3d.io.input_files import file_sha256, inputs_noted, open_input
 from modsim3d.io.overwrite_guard import claimed, identities, identity
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.overwrite import RUN_FILE, is_of_a_run, read_json, remove_files, safe_names
@@ -277,7 +277,7 @@ def detect_truth(
             parts = list(detected_parts(work.videos, work.sought, work.ids.identities, model, seed, work.horizon))
             contents = work.contents(truth, parts)
             counts = _counts(work, parts)
-            hashes = {path.name: _hash(path) for path in sorted(set(read))}
+            hashes = {path.name: file_sha256(path) for path in sorted(set(read))}
             contents[SUMMARY] = _dump(
                 {**work.summary(seed, counts), "inputs": hashes, "files": {n: _sha(c) for n, c in contents.items()}}
             )
@@ -417,10 +417,6 @@ def _put(folder: Path, contents: Mapping[str, bytes], read: Sequence[Path]) -> N
 
 def _dump(content: Mapping[str, Any]) -> bytes:
     return orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n"
-
-
-def _hash(path: Path) -> str:
-    return _sha(path.read_bytes())
 
 
 def _sha(content: bytes) -> str:

@@ -21,7 +21,7 @@ from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections
 from modsim3d.learn.voyage.non_ais.tracklets import Behaviour
 from modsim3d.learn.voyage.reference_error import View
 from modsim3d.scene.ais.options import time_text
-from modsim3d.view.pages.charts import svg
+from modsim3d.view.pages.charts import svg, svg_text
 
 # ---- Where on the sea vessels were matched and missed ----
 
@@ -295,10 +295,10 @@ def coverage_drawing(coverage: Coverage) -> str:
         )
     for place, edge in enumerate(bearings.tolist()):
         sign = "−" if edge < 0 else "+" if edge > 0 else ""
-        parts.append(_label(_LEFT + place * wide, foot + 14, f"{sign}{abs(edge):g}°", "middle"))
+        parts.append(svg_text(_LEFT + place * wide, foot + 14, f"{sign}{abs(edge):g}°", "middle"))
     for place, edge in enumerate(ranges.tolist()):
-        parts.append(_label(_LEFT - 6, foot - place * high + 4, f"{edge:,.0f} m", "end"))
-    parts.append(_label(width - 20, foot + 30, "bearing from the camera's axis, to the right", "end"))
+        parts.append(svg_text(_LEFT - 6, foot - place * high + 4, f"{edge:,.0f} m", "end"))
+    parts.append(svg_text(width - 20, foot + 30, "bearing from the camera's axis, to the right", "end"))
     return svg(width, height, f"Coverage of camera {coverage.camera}", "\n".join(parts), "long")
 
 
@@ -325,8 +325,8 @@ def frame_sketch(voyage: LabelledVoyage, judged: ClassifiedDetections, stretch: 
     parts = [
         f'<clipPath id="{clip}"><rect {inner}/></clipPath><rect {inner} fill="none" stroke="var(--line)"/>',
         f'<g clip-path="url(#{clip})">{"".join(content)}</g>',
-        _label(0, 11, title, "start", "var(--ink)"),
-        _label(_SKETCH_WIDTH - 5, part.height + _TITLE - 6, f"{part.width_px:.0f} px wide", "end"),
+        svg_text(0, 11, title, "start", "var(--ink)"),
+        svg_text(_SKETCH_WIDTH - 5, part.height + _TITLE - 6, f"{part.width_px:.0f} px wide", "end"),
     ]
     name = f"Frame of camera {stretch.camera} at {when}"
     return svg(_SKETCH_WIDTH, part.height + _TITLE + 2, name, "\n".join(parts))
@@ -384,7 +384,3 @@ def _horizon(half_plane: Array, part: _Part) -> Iterator[str]:
     ends = part.of(np.array([first, -(a * first + c) / b, last, -(a * last + c) / b]))
     x1, y1, x2, y2 = ends.tolist()
     yield f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="var(--line)"/>'
-
-
-def _label(x: float, y: float, text: str, anchor: str, colour: str = "var(--soft)") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}">{html.escape(text)}</text>'

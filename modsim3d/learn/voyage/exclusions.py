@@ -13,9 +13,9 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses, world_R_vehicle
+from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.learn.voyage.attitude import NEAR_S
 from modsim3d.learn.voyage.clock import Reports, read_reports
-from modsim3d.scene.ais.vessel_track import KNOT_M_S
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import line_of_sight
 from modsim3d.world.poses.base import Poses

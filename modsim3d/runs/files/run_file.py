@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError, RunDirectoryError
 from modsim3d.detector.draws import ErrorUnit
+from modsim3d.io.input_files import file_sha256
 from modsim3d.io.strict_json import load_json
 from modsim3d.io.validation import Count, Number, Strict, describe, shown
 from modsim3d.runs.counts import Counts
@@ -174,14 +175,14 @@ def check_scene_copy(folder: Path, settings: RunSettings, source: Path, listed: 
     if not _is_file(scene_file):
         raise RunDirectoryError(f"{scene_file} is missing: {source} names it as the copy of the run's scene")
     try:
-        digest = hashlib.sha256(_sha256(scene_file))
+        digest = hashlib.sha256(bytes.fromhex(file_sha256(scene_file)))
         paths = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
         if listed:
             paths = {name: path for name, path in paths.items() if f"{folder.name}/{name}" in listed}
         for name, path in sorted(paths.items()):
             if path != scene_file:
                 digest.update(hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest())
-                digest.update(_sha256(path))
+                digest.update(bytes.fromhex(file_sha256(path)))
     except OSError as error:
         raise RunDirectoryError(f"{error.filename or folder} cannot be read: {error.strerror or error}") from None
     if digest.hexdigest() != settings.scene_sha256:
@@ -197,11 +198,6 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
-
-
-def _sha256(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").digest()
 
 
 def check_same_scene(settings: RunSettings, scene: Scene, source: Path) -> None:
@@ -272,7 +268,7 @@ def check_content(path: Path, sha256: str, source: str) -> None:
         RunDirectoryError: It has another, is missing, or cannot be read.
     """
     try:
-        found = _sha256(path).hex()
+        found = file_sha256(path)
     except FileNotFoundError:
         raise RunDirectoryError(f"{path} is missing: {source} lists it") from None
     except OSError as error:

@@ -105,7 +105,6 @@ def to_hull_centre(antenna_m: Array, headings_rad: Array, ahead_m: float, to_por
 
 MOVING_KN, MOVING_M = 0.5, 10.0
 """At lower speeds the course of a receiver is mostly noise, and so is the bearing over shorter distances."""
-KNOT_M_S = 1852 / 3600
 
 
 class HeadingSource(IntEnum):

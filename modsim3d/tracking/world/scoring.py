@@ -13,7 +13,7 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.tracking.detector_seeds import half_interval
+from modsim3d.tracking.detector_seeds import LEVEL
 from modsim3d.tracking.scores.errors import nees_or_infinity
 from modsim3d.tracking.scores.scored import SetDistance
 from modsim3d.tracking.scores.set_distances import GospaParts, mean_gospa
@@ -44,10 +44,8 @@ class OverVessels:
     def of(cls, values: Array) -> Self:
         """The mean of the values of n vessels, shape (n,); NaN for a vessel that has none."""
         values = values[~np.isnan(values)]
-        mean, half = float(values.mean()) if len(values) else None, half_interval(values)
-        if mean is None or half is None:
-            return cls(mean, None, None, len(values))
-        return cls(mean, mean - half, mean + half, len(values))
+        low, high = t_bounds(values, (1 - LEVEL) / 2) or (None, None)
+        return cls(float(values.mean()) if len(values) else None, low, high, len(values))
 
 
 @dataclass(frozen=True)

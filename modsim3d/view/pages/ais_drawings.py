@@ -12,7 +12,7 @@ from modsim3d.scene.ais.messages import local_metres
 from modsim3d.scene.ais.scene_folder import CAMERA_HALF_ANGLE_RAD
 from modsim3d.scene.ais.traffic import AisTraffic
 from modsim3d.scene.ais.vessel_track import VesselTrack
-from modsim3d.view.pages.charts import colour_of, nice_ticks, svg, tick_text
+from modsim3d.view.pages.charts import colour_of, nice_ticks, svg, svg_text, tick_text
 
 WIDTH = 1100.0
 LEFT, RIGHT, TOP, BOTTOM = 56.0, 20.0, 8.0, 30.0
@@ -138,21 +138,16 @@ def _grid(area: _MapArea) -> str:
     clip = f'x="{LEFT}" y="{TOP}" width="{right - LEFT:.1f}" height="{bottom - TOP:.1f}"'
     lines = [f'<clipPath id="map"><rect {clip}/></clipPath><rect {clip} fill="none" stroke="var(--line)"/>']
 
-    def text(x: float, y: float, anchor: str, shown: str) -> None:
-        place = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"'
-        lines.append(f'<text {place} fill="var(--soft)">{shown}</text>')
-
     for metres in nice_ticks(area.west_m, area.east_m, 8):
         x = float(area.place(np.array([[metres, area.south_m]]))[0, 0])
         lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{bottom:.1f}" stroke="var(--line)"/>')
-        text(x, bottom + 14, "middle", tick_text(metres / unit_m))
+        lines.append(svg_text(x, bottom + 14, tick_text(metres / unit_m), "middle"))
     for metres in nice_ticks(area.south_m, area.north_m, 6):
         y = float(area.place(np.array([[area.west_m, metres]]))[0, 1])
         lines.append(f'<line x1="{LEFT}" x2="{right:.1f}" y1="{y:.1f}" y2="{y:.1f}" stroke="var(--line)"/>')
-        text(LEFT - 5, y + 4, "end", tick_text(metres / unit_m))
-    text(right, bottom + 27, "end", f"w1, {unit}")
-    text(LEFT + 4, TOP + 13, "start", f"w2, {unit}")
-    return "\n".join(lines)
+        lines.append(svg_text(LEFT - 5, y + 4, tick_text(metres / unit_m), "end"))
+    axes = svg_text(right, bottom + 27, f"w1, {unit}", "end"), svg_text(LEFT + 4, TOP + 13, f"w2, {unit}", "start")
+    return "\n".join([*lines, *axes])
 
 
 def _region(traffic: AisTraffic, area: _MapArea) -> str:

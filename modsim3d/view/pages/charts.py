@@ -107,6 +107,11 @@ def tick_text(value: float) -> str:
     return f"{value:g}".replace("-", "−")
 
 
+def svg_text(x: float, y: float, text: str, anchor: str, colour: str = "var(--soft)") -> str:
+    """A text in a drawing; `anchor` says which end of it is at x."""
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}">{html.escape(text)}</text>'
+
+
 def svg(width: float, height: float, label: str, content: str, kind: str = "") -> str:
     """A drawing of a width and height in pixels, with a label for those who cannot see it, and a class."""
     mark = f'class="{kind}" ' if kind else ""

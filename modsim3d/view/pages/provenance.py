@@ -11,7 +11,7 @@ from pathlib import Path
 
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
-from modsim3d.io.input_files import data_folder
+from modsim3d.io.input_files import data_folder, file_sha256
 from modsim3d.runs.files.block_files import KEPT_TRUTH, SETTINGS_FILE
 from modsim3d.runs.files.overwrite import RUN_FILE, SCENE_FOLDER, UNFINISHED
 from modsim3d.runs.run import VERSIONED
@@ -90,8 +90,7 @@ def sha256_of(path: Path) -> str:
         InputError: The file cannot be read.
     """
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return file_sha256(path)
     except OSError as error:
         problem = f"cannot be read for its checksum: {error.strerror or error}"
         raise InputError(str(path), [problem]) from None

@@ -45,7 +45,7 @@ class Edges:
         They may be too large along the image's border.
         """
         boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (rows, 1))
-        first = np.flatnonzero(np.diff(self.row, prepend=-1))
+        first = run_starts(self.row)
         if len(first):
             for axis in (0, 1):
                 starts = np.ascontiguousarray(self.ends_px[:, 0, axis])

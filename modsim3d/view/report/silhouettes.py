@@ -411,7 +411,7 @@ def shapes(
     hidden, hider = in_front(outlines, occluder_count, hides)
     order = painting_order(outlines.frame, outlines.depth_m, outlines.occluder, hidden, hider)
     frame, occluder = outlines.frame[order], outlines.occluder[order]
-    begins = np.flatnonzero((np.diff(frame, prepend=-1) != 0) | (np.diff(occluder, prepend=-1) != 0))
+    begins = run_starts(frame, occluder)
     shape_of_row = np.empty(len(order), dtype=np.int64)
     shape_of_row[order] = np.searchsorted(begins, np.arange(len(order)), side="right") - 1
     places = np.clip(np.rint(edges.ends_px / quantum_px), 0, NONE - 1).astype(np.int64)
@@ -419,7 +419,7 @@ def shapes(
     row_of, places = edges.row[~stays], places[~stays]
     column, row = np.rint(np.array(intrinsics.image_size_px) / quantum_px).astype(np.int64).tolist()
     found = contours(*tidy_at_border(shape_of_row[row_of], places, (column, row)))
-    first_line = np.flatnonzero(np.diff(found.shape, prepend=-1))
+    first_line = run_starts(found.shape)
     begin = begins[found.shape[first_line]]
     lines = np.diff(first_line, append=len(found.shape))
     return Shapes(frame[begin], occluder[begin], lines, found.count, found.corners.astype(np.uint16))
@@ -427,7 +427,7 @@ def shapes(
 
 def _seen(outlines: Outlines, edges: Edges) -> tuple[Outlines, Edges]:
     """The outlines that have edges in the image, with the boxes of these, and the edges."""
-    rows = edges.row[np.flatnonzero(np.diff(edges.row, prepend=-1))]
+    rows = edges.row[run_starts(edges.row)]
     boxes_px = edges.boxes_px(len(outlines))[rows]
     numbered = replace(edges, row=new_numbers(rows, len(outlines))[edges.row])
     return replace(outlines.take(rows), boxes_px=boxes_px), numbered
