@@ -42,6 +42,7 @@ from modsim3d.campaign.work.row import DONE, FACTS, SCORES, limits_of, table_of
 from modsim3d.campaign.work.task import PLAN, ROWS_PATTERN, name_of_rows, read_rows
 from modsim3d.core.arrays import Indices
 from modsim3d.core.errors import ModsimError, OutputError
+from modsim3d.core.text import counted
 from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder, write_files
 from modsim3d.io.validation import nearest
 

@@ -20,6 +20,7 @@ from scipy import special
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
 from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, LEAST_DEGREES, MOST_DEGREES
 from modsim3d.io.input_files import file_sha256
 from modsim3d.io.strict_json import load_json

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from modsim3d.core.types import Array
+from modsim3d.core.arrays import Array
 
 _SAME = 1e-12
 """Values that differ by less than this share of their size are the same: the mean of equal numbers may be off by so

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
 from modsim3d.formats.labelled import Images
 
 # ---- Bootstrap over images ----

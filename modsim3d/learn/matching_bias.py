@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask, run_starts
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.file.reading import parse_detector

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask, run_starts
 from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Resampling, widened
 from modsim3d.learn.matches import FalseSightings, Observed
 

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask, run_starts
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Streams

@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import ModsimError
+from modsim3d.core.statistics import t_bounds
 from modsim3d.runs.camera_sequences import sequences_of
 from modsim3d.runs.files.block_files import TABLES
 from modsim3d.runs.files.stored_tables import truth_of

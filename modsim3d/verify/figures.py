@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import Array, Indices, run_starts
 from modsim3d.core.boxes import sizes
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask, run_starts
 from modsim3d.detector.classification import transitions_before
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import DetectorPart

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from modsim3d.core.arrays import Array
-from modsim3d.geometry.kinematics import velocities
+from modsim3d.geometry.kinematics import KNOT_M_S, NAUTICAL_MILE_M, velocities
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
 from modsim3d.view.pictures.plain import Solids

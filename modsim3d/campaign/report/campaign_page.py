@@ -44,7 +44,6 @@ from modsim3d.campaign.worst_film import moment_picture
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted, listed
-from modsim3d.io.atomic_write import write_files
 from modsim3d.view.pages import page
 from modsim3d.view.pages.charts import ChartInterval, span_of, strip
 

@@ -18,8 +18,8 @@ from modsim3d.campaign.keys import Range
 from modsim3d.campaign.means import LEVEL
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.report.words import Score, axis_of, number, required_scores
-from modsim3d.campaign.verdicts.bounds import half_widths
 from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.statistics import half_widths
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.charts import ChartInterval, band, forest, legend, marks, span_of
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from modsim3d.core.arrays import Array, Mask
+from modsim3d.core.statistics import exact_bounds, half_widths
 
 # ---- Intervals and bounds of a mean, for a number of seeds that was fixed beforehand ----
 

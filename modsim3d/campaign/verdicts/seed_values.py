@@ -15,6 +15,7 @@ from modsim3d.campaign.plan import Case, Plan, cases_of
 from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds
 from modsim3d.campaign.work.row import CRASHED, Columns, facts_of, is_bounded, score_bounds
 from modsim3d.core.arrays import Array, Mask
+from modsim3d.core.statistics import t_bounds
 
 # ---- What each traffic seed says of a requirement ----
 

@@ -13,11 +13,12 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.scene.ais.gathering import FileTally, Gathered, by_sender, gather
 from modsim3d.scene.ais.hulls import AisHull, hulls
 from modsim3d.scene.ais.messages import Positions, blank_unknown, in_order, local_metres, median_place
 from modsim3d.scene.ais.options import Options, time_text
-from modsim3d.scene.ais.vessel_track import KNOT_M_S, TimeGrid, VesselTrack, time_grid, vessel_track
+from modsim3d.scene.ais.vessel_track import TimeGrid, VesselTrack, time_grid, vessel_track
 
 # ---- A place for a camera from which the traffic can be seen, clear of all hulls ----
 

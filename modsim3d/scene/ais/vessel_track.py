@@ -10,6 +10,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
+from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.scene.ais.hulls import AisHull
 from modsim3d.scene.ais.messages import Positions, reachable
 from modsim3d.scene.ais.options import Options, time_text

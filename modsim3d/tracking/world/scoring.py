@@ -10,6 +10,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
+from modsim3d.core.statistics import t_bounds
 from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.truth.buffer_drawing import LENS_GUARD_PX
 from modsim3d.truth.outlines import OutlinePart, Outlines

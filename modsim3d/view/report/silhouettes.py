@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Indices, Mask, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene

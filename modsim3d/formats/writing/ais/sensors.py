@@ -15,9 +15,9 @@ from scipy import signal
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals
+from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.scene.ais.messages import places, wrapped_deg
-from modsim3d.scene.ais.vessel_track import KNOT_M_S
 from modsim3d.scene.scene import Scene
 from modsim3d.world.vessels import Vessel
 
