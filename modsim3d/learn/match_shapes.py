@@ -23,8 +23,6 @@ from modsim3d.core.boxes import areas, centres, intersections, iou, sizes, union
 from modsim3d.formats.labelled import NOBODY
 from modsim3d.formats.matching import Rule, image_pairs
 
-# ---- Which boxes look like a second box of a vessel, one of its two parts, or one box around two vessels ----
-
 LEAST_FIT = 0.5
 """Least IoU of two parts together with the vessel, and of a box around two vessels with the one around their truth."""
 LEAST_ASPECT = 1.5
@@ -279,7 +277,7 @@ def common_boxes(sought: SoughtBoxes, loose: Loose, pairs: Overlapping, free: Ma
     return CommonBoxes(pair[kept], row[kept], one_box)
 
 
-# ---- Vessels and pairs of vessels that could have come out as two boxes or as one, and whether they did ----
+# ---- Vessels and pairs of vessels that could have come out as two boxes or as one ----
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,8 +53,6 @@ TOP_LEFT = BoxForm("the corner x, y and width, height", ("x", "y", "width", "hei
 MOT = BoxForm("x, y, width, height with pixels from 1", TOP_LEFT.names, 1, from_top_left)
 
 
-# ---- Files of boxes that are wrong as a whole ----
-
 _LOOKED_AT = 2000
 """Rows, spread over the file."""
 _LEAST_ROWS, _LEAST_CLOSE_ROWS = 8, 30

@@ -63,8 +63,6 @@ class RowProblems:
         raise InputError(self.source, lines)
 
 
-# ---- Columns of a text file with commas, as numbers and names ----
-
 _NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
 _MOST_NUMBER = 1e15
 """A larger number is no identity and no place, and neighbours of it cannot be told apart."""

@@ -80,8 +80,6 @@ def _nearest_m(position_m: Array, vessels_m: Array) -> Array:
     return nearest
 
 
-# ---- What a file of tracks in the world says, before it is known to be plausible ----
-
 FAR_M = 100_000.0
 """Tracks that are all farther than that from where vessels are have another unit or another order."""
 SHOWN_PROBLEMS = 5

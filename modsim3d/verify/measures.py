@@ -85,8 +85,6 @@ def two_sided(below: float, above: float) -> float:
     return min(1.0, 2 * min(below, above))
 
 
-# ---- Measured numbers ----
-
 POWER = 0.9
 Interval = tuple[float, float]
 Noticed = tuple[float | None, float | None]

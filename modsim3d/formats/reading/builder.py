@@ -19,8 +19,6 @@ from modsim3d.formats.labelled import NOBODY, UNKNOWN, Annotations, FileIds, Ima
 from modsim3d.io.input_files import MAX_PROBLEMS
 from modsim3d.io.validation import shown
 
-# ---- What all readers of labelled sets share ----
-
 MOST_PROBLEMS = 20
 MOST_PX = 1e7
 """A larger coordinate is no place in an image, and its square would leave no digits."""

@@ -107,8 +107,6 @@ def _is_number(text: str) -> bool:
     return True
 
 
-# ---- MOT challenge text ----
-
 _MOST_CLASSES = 10_000
 """A larger number is no class but something else."""
 _TINY = 1e-6

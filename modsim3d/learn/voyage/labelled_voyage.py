@@ -98,8 +98,6 @@ def camera_truth(
 _POSES = ("camera_R_world", "positions_m")
 
 
-# ---- A voyage as a labelled set ----
-
 CONDITION = "voyage"
 _HIDDEN = 1e-3
 """A vessel of which a larger share is hidden is partly hidden; a smaller one is a pixel's rounding."""
@@ -352,7 +350,7 @@ def _said_of_frames(camera: str, inside: Mask, carried: Mask, vessel: str | None
         yield f"camera '{camera}': {absent:,} frames are left out in which '{vessel}', which carries it, has no pose"
 
 
-# ---- A scene with its cameras as they were registered, as a folder that every command takes ----
+# ---- A scene with its cameras as they were registered ----
 
 _VESSELS = "vessels.json"
 _HEAD = (

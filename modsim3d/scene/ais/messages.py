@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 
-# ---- What the readers return ----
-
 
 class _Columns:
     """A table whose columns are arrays of equal length."""
@@ -170,7 +168,7 @@ def median_place(latitude_deg: Array, longitude_deg: Array) -> tuple[float, floa
     return float(np.median(latitude_deg)), float(longitude)
 
 
-# ---- Drops reported positions that are of no use, and refuses tables with latitude and longitude ----
+# ---- Drops reported positions that are of no use ----
 
 NO_LATITUDE, NO_LONGITUDE = 91.0, 181.0
 LOOKED_BACK_PIECES = 1000

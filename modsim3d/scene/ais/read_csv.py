@@ -26,7 +26,7 @@ from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.io.validation import shown
 from modsim3d.scene.ais.messages import Chunk, Particulars, Positions
 
-# ---- The column layouts of AIS in CSV, from `layouts.yaml`, which says how to add one ----
+# ---- The column layouts of AIS in CSV ----
 
 TABLE = Path(__file__).with_name("layouts.yaml")
 NEEDED = ("time", "mmsi", "latitude", "longitude")
@@ -86,7 +86,7 @@ def _plain_name(name: str) -> str:
     return name.strip().lstrip("# ").lower()
 
 
-# ---- Opens a file of AIS reports, gzipped or not, and recognises its format by its content ----
+# ---- Opens a file of AIS reports ----
 
 UNPACKED_BY = {b"PK\x03\x04": "unzip", b"\x28\xb5\x2f\xfd": "zstd -d"}
 SENTENCE = re.compile(rb"[!$][A-Z]{2}VD[MO],")
@@ -167,8 +167,6 @@ def header_names(line: bytes) -> list[str]:
     except csv.Error:  # a cell of more than 128 KiB
         return []
 
-
-# ---- Reads AIS reports from CSV, block by block ----
 
 BLOCK_BYTES = 1 << 24
 SHOWN_PROBLEMS = 5

@@ -92,8 +92,6 @@ def _dates(text: str) -> Iterator[tuple[bool, int, float]]:
                 yield _NAME_BEFORE.search(text, 0, found.start()) is None, found.start(), value
 
 
-# ---- Reads AIS reports from NMEA sentences, through pyais ----
-
 SENTENCE = re.compile(r"[!$][A-Z]{2}VD[MO],[^*]*\*[0-9A-Fa-f]{2}")
 START = re.compile(rb"[!$][A-Z]{2}VD[MO],")
 OTHER_SENTENCE = re.compile(r"[\\!$]")

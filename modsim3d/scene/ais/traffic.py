@@ -20,7 +20,7 @@ from modsim3d.scene.ais.messages import Positions, blank_unknown, in_order, loca
 from modsim3d.scene.ais.options import Options, time_text
 from modsim3d.scene.ais.vessel_track import TimeGrid, VesselTrack, time_grid, vessel_track
 
-# ---- A place for a camera from which the traffic can be seen, clear of all hulls ----
+# ---- A place for a camera from ----
 
 CELL_M = 1000.0
 HEIGHT_M = 20.0
@@ -110,8 +110,6 @@ def _busiest(places_m: Array, vessels: Indices) -> Array:
     best = int(np.lexsort((poses, visited))[-1])
     return np.asarray(places_m[cell == best].mean(axis=0))
 
-
-# ---- AIS files in, the traffic of a scene out ----
 
 MAX_POSES = 3_000_000
 """About 250 MB of JSON, which takes minutes and gigabytes to read again."""

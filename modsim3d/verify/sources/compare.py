@@ -38,7 +38,7 @@ from modsim3d.verify.sources.figures import (
 from modsim3d.view.pictures.comparison_picture import SourceBoxes
 from modsim3d.world.vessels import shoebox
 
-# ---- The fast path of the rendered source, held pixel by pixel against what OpenGL draws of every frame ----
+# ---- The fast path of the rendered source ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +97,6 @@ class FastPath:
                     words |= dict.fromkeys(np.flatnonzero(row).tolist(), text)
         return checked, words, missing
 
-
-# ---- Compares the sources of truth on a scene ----
 
 BLOCK_STEPS = 50
 WORST = 10

@@ -21,8 +21,6 @@ from modsim3d.learn.voyage.logs.log import MIXED, TIME_FORM, Clock, DetectionLog
 from modsim3d.scene.ais.options import time_text
 from modsim3d.tracks.diagnosis import CENTRE, CORNERS, BoxForm
 
-# ---- COCO ----
-
 _CAPTURED = "date_captured"
 _TIMES = ("time_s", "utc", _CAPTURED)
 SECTIONS = ("images", "annotations", "categories")

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes, Predictions, Sightings, match, predict
-from modsim3d.learn.voyage.registration.model import BoxModel, Occluders
+from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies
 from modsim3d.learn.voyage.registration.parameters import (
     MEAN_ERRORS,
     OF_A_VESSEL,
@@ -225,8 +225,6 @@ def fit(
     return unknowns.values(found.x, start)
 
 
-# ---- Matches and fits in turn, with ever closer gates, until the matches stay ----
-
 FIRST = ("clock_s", "yaw_deg", "pitch_deg")
 THEN = (*FIRST, "roll_deg", "height_m", "focal_share")
 GATES_DEG = (1.5, 1.0, 0.6)
@@ -262,7 +260,7 @@ class Aligner:
     """
 
     model: BoxModel
-    hiding: Occluders
+    hiding: HidingBodies
     found: BoxesAtTimes
     free: tuple[str, ...]
     use_sizes: bool

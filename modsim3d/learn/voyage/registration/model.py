@@ -18,7 +18,7 @@ from modsim3d.learn.voyage.registration.parameters import Values
 from modsim3d.scene.scene import Scene
 from modsim3d.world.vessels import shoebox
 
-# ---- Where the vessels and the camera of a scene are at any time, between its steps too ----
+# ---- Where the vessels and the camera of a scene are at any time ----
 
 BEYOND_S = 60.0
 """How long before the first step and after the last one vessels go on."""
@@ -168,8 +168,6 @@ def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
     return filled
 
 
-# ---- Where the edges of a vessel's box are in the image, for any values of the parameters ----
-
 AXIS = np.array([0, 1, 0, 1])
 """Whether the left, top, right and bottom edges are columns (0) or rows (1)."""
 
@@ -262,7 +260,7 @@ NEARLY = 0.999
 
 
 @dataclass(frozen=True, eq=False)
-class Occluders:
+class HidingBodies:
     """What can hide vessels from a camera.
 
     Attributes:
@@ -276,7 +274,7 @@ class Occluders:
     extents_m: Array
 
     @classmethod
-    def of(cls, scene: Scene, model: BoxModel) -> Occluders:
+    def of(cls, scene: Scene, model: BoxModel) -> HidingBodies:
         """The vessels and obstacles of a scene; own ship's hull is left out."""
         solids = [planes_of(vertices) for obstacle in scene.obstacles for _, vertices in obstacle.solids]
         extents = np.array([vessel.extents_m for vessel in scene.vessels])
