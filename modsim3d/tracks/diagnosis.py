@@ -310,10 +310,6 @@ def _readings(rows: BoxRows) -> Iterator[_Reading]:
     yield from _close_readings(rows, as_it_is)
     others, plain = _other_forms(form), TOP_LEFT if form is MOT else form
     yield from _form_readings(rows)
-    x_min, y_min, x_max, y_max = as_it_is.T
-    height = rows.image_px[:, 1]
-    below = np.column_stack([x_min, height - y_max, x_max, height - y_min])
-    yield _Reading("y is counted from the lower edge of the image, must be from the upper", below, frame)
     if np.abs(numbers).max() <= _MOST_NORMALISED:
         scaled = numbers * np.tile(rows.image_px, 2)
         for other in (plain, *others):
@@ -328,7 +324,7 @@ def _readings(rows: BoxRows) -> Iterator[_Reading]:
 
 
 def _form_readings(rows: BoxRows) -> Iterator[_Reading]:
-    """Those in which the four numbers are others."""
+    """Those in which the four numbers are others, or are counted from elsewhere."""
     for other in _other_forms(rows.form):
         told = f"the boxes are read as {rows.form.meaning}, but are {other.meaning}"
         yield _Reading(told, other.boxes_px(rows.numbers), rows.frame)
@@ -337,6 +333,10 @@ def _form_readings(rows: BoxRows) -> Iterator[_Reading]:
     if rows.form is CENTRE:  # of YOLO, as shares of width and height
         as_shares = exchanged * np.tile(rows.image_px / rows.image_px[:, ::-1], 2)
         yield _Reading(_EXCHANGED, rows.form.boxes_px(as_shares), rows.frame)
+    x_min, y_min, x_max, y_max = rows.form.boxes_px(rows.numbers).T
+    height = rows.image_px[:, 1]
+    below = np.column_stack([x_min, height - y_max, x_max, height - y_min])
+    yield _Reading("y is counted from the lower edge of the image, must be from the upper", below, rows.frame)
 
 
 def _other_forms(form: BoxForm) -> list[BoxForm]:

@@ -253,7 +253,8 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
     rows = AnnotationRows(_corners)
     for where, numbers in lines:
         if not is_number(numbers[1], NOT_GIVEN) or numbers[1] != int(numbers[1]):
-            wanted = "a whole number" if is_number(numbers[1], NOT_GIVEN) else f"from -1 to {MOST_NUMBER:g}"
+            low = "-1 or more" if numbers[1] < NOT_GIVEN else f"at most {MOST_NUMBER:g}"
+            wanted = "a whole number" if is_number(numbers[1], NOT_GIVEN) else low
             problems.add(f"{where}: identity must be {wanted} (got {numbers[1]:g})")
             continue
         identity = int(numbers[1]) if numbers[1] >= 0 else None

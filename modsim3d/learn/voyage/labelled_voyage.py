@@ -198,7 +198,7 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     for part in parts:
         notes += [note for note in part.labelled.notes if note not in notes]
     whole = joined_voyages(parts)
-    problem = misreading(*next(compared(whole.labelled, log.form)))
+    problem = misreading(*next(compared(whole.labelled, log.form)), only_forms=True)
     if problem and not problem.slight:
         raise InputError(log.source, [f"{problem.told}: they are of {log.scene.title}"])
     if problem:
