@@ -8,7 +8,7 @@ Files do not say what a detection is. These rules read it from the boxes, in thi
   least that IoU, and no other detection matches either of them.
 - A second box: a false detection that the matching rule would let match an annotation which has a match already.
 
-A false positive that lies on a vessel by chance looks like one of these as well: `detection_kinds` counts how many do.
+A false positive that lies on a vessel by chance looks like one of these as well: `match_types` counts how many do.
 """
 
 from __future__ import annotations

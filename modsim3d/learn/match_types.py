@@ -1,6 +1,6 @@
 """What each detection is, and how often vessels could have come out as two boxes or two vessels as one.
 
-A run says it. In files the boxes say it (`detection_shapes`), and what chance does is taken off:
+A run says it. In files the boxes say it (`match_shapes`), and what chance does is taken off:
 
 - False positives lie on vessels by chance. Those that are left as such are put into other frames of their state, half
   of them at another place across the image too, and what looks like a second box or a part there is counted.

@@ -1,7 +1,6 @@
 """Measured numbers: each knows its law under the asked value, its interval and the changes that it could notice.
 
-This module has the protocol and the plain kinds; `rate_measures` has counts and shares, `law_measures` whole
-distributions.
+This module has the protocol, the plain kinds, and counts and shares; `parameters` has whole distributions.
 """
 
 from __future__ import annotations

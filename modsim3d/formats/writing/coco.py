@@ -2,8 +2,6 @@
 
 Beside COCO's own keys an image has `condition`, `sequence`, `time_s` and `horizon`, its rows at the left and the right
 edge, and an annotation `track_id`, `visible_fraction` and `distance_m`, where they are known. Results name nobody.
-
-Masks are in `coco_masks`.
 """
 
 from __future__ import annotations

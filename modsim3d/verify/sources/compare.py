@@ -1,8 +1,8 @@
 """Compares the sources of truth on a scene: the check that an auditor can run.
 
-OpenGL draws every frame, with a projection and an order of its own, and the rendered source must have the same pixels
-(`fast_path`). Every difference between these and the analytic truth is explained. The idealised rectangle rule
-is held against the rendered truth.
+OpenGL draws every frame, with a projection and an order of its own, and the rendered source must have the same pixels.
+Every difference between these and the analytic truth is explained. The idealised rectangle rule is held against the
+rendered truth.
 """
 
 from __future__ import annotations
