@@ -227,7 +227,11 @@ ROWS: dict[str, Spoiled] = {
     "Unix times to come": each_of("unix", lambda text: str(int(text) + 76 * 365 * 86_400)),
     "an identity beside sentences": each_of("unix", lambda text: "219012345"),
     "a station beside sentences": each_of("unix", lambda text: "1234567890"),
-    "a counter beside sentences": each_of("unix", lambda text: str(1_234_567_890 + 11 * int(text) % 3989)),
+    "a counter beside sentences": lambda reader: (
+        tuple(row | {"unix": str(1_234_567_890 + 11 * n)} for n, row in enumerate(reader.rows))
+        if "unix" in reader.roles
+        else None
+    ),
     "local dates beside sentences": each_of("unix", lambda text: f"2024-01-04 10:{int(text) // 60 % 60:02}:00 CET"),
 }  # fmt: skip
 TEXTS: dict[str, Callable[[str, str], bytes | None]] = {
