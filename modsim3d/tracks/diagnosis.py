@@ -80,7 +80,7 @@ _BEYOND_PX, _MOST_BEYOND = 5.0, 0.1
 _FITS_BETTER, _FOLLOWS = 0.2, 0.1
 """Another reading is meant if it leaves at most this share of such boxes; and width and height are corners if at most
 this share of their variance is left when the upper left corner is subtracted."""
-_NEARLY_ALL, _MANY = 0.98, 0.5
+_NEARLY_ALL, _MANY, _TO_THE_EDGE = 0.98, 0.5, 0.9
 _SNUG_PX = 2.0
 """Boxes that an image has cut end so near to its edge."""
 
@@ -274,8 +274,12 @@ def _inside(rows: BoxRows, size: str, alone: bool) -> Misreading | None:
         one = alone and bool(np.median(np.abs(np.diff(x_min))) < _FOLLOWS * np.ptp(x_min))
         also = ", or one vessel comes near as it moves right" * one
         return Misreading(f"{told} (each third and fourth number is above the first and second){also}", one)
-    if np.abs(rows.numbers).max() <= _PER_CENT + rows.form.first_px and rows.image_px.min() >= _MANY_PX:
-        return Misreading(f"all boxes lie within 100 x 100 of {size} px: are they in per cent? must be in pixels", True)
+    most = np.abs(rows.numbers).max()
+    if most <= _PER_CENT + rows.form.first_px and rows.image_px.min() >= _MANY_PX:
+        reach = rows.form.boxes_px(rows.numbers).max()
+        edge = bool(reach > _TO_THE_EDGE * _PER_CENT and len(rows.numbers) >= _LEAST_CLOSE_ROWS)
+        told = f"all boxes lie within 100 x 100 of {size} px: are they in per cent? must be in pixels"
+        return Misreading(told, not edge)
     return None
 
 

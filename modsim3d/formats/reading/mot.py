@@ -64,7 +64,11 @@ def number_lines(
     Raises:
         InputError: The file cannot be read, or its first lines hold no number at all.
     """
-    lines = read_text(path, what).splitlines()
+    text = read_text(path, what)
+    lines = text.splitlines()
+    whole = {line.count(separator) for line in lines[-_LOOKED_AT_LINES:-1] if line.strip()} if separator else set()
+    if not text.endswith("\n") and len(whole) == 1 and lines[-1].count(separator or "") < min(whole):
+        problems.add(f"{path.name} line {len(lines)}: has fewer numbers than the others: is the file cut off here?")
     begin = list(islice(filter(str.strip, lines), _LOOKED_AT_LINES))
     cells = (cell for line in begin for cell in line[:MAX_LINE_CHARACTERS].split(separator))
     if begin and not any(map(_is_number, cells)):

@@ -90,6 +90,7 @@ class Chunk:
         messages: Number of messages read, with those dropped.
         dropped: Reason → number of messages that are in neither table.
         problems: One line on each of the first dropped messages.
+        odd: What cannot be right in all messages so far; empty if nothing is.
     """
 
     positions: Positions
@@ -97,6 +98,7 @@ class Chunk:
     messages: int
     dropped: Mapping[str, int]
     problems: tuple[str, ...] = ()
+    odd: str = ""
 
 
 # ---- Places on the Earth ----
@@ -186,7 +188,7 @@ def exchanged(positions: Positions) -> Positions:
 def check_order(source: str, positions: Positions, exchange: bool) -> None:
     """Refuse positions of a table that are possible only with latitude and longitude exchanged, such as 110, 35.
 
-    Whether latitude 12, longitude 56 is Denmark or the Arabian Sea cannot be known from the file.
+    Whether latitude 12, longitude 56 is Denmark or the Arabian Sea only the courses tell, see `warning`.
 
     Args:
         source: Name of the file in the message.

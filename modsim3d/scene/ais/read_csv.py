@@ -178,8 +178,8 @@ SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
 PARTICULARS = ("name", "ship_type", *SIZES)
 MOST_CHARACTERS = 120
 """Of a name or a ship type, which have 20 in the messages. All are stored as wide as the widest, so the rest is cut."""
-FIRST_S, LAST_S = 0.0, 4_102_444_800.0
-"""Reports are from 1970 to 2099; others have a wrong clock."""
+FIRST_S, LAST_S = 631_152_000.0, 4_102_444_800.0
+"""Reports are from 1990 to 2099; others have a wrong clock."""
 NOT_SAID = "Unknown"
 """Text in Danish files where no name was received."""
 
