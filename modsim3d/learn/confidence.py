@@ -22,7 +22,7 @@ from modsim3d.learn.confidence_fit import (
     likeliest_reference,
 )
 from modsim3d.learn.confidence_laws import (
-    ConfidenceKeys,
+    ConfidenceNames,
     ConsecutiveScores,
     Inflation,
     LatentScores,
@@ -170,7 +170,7 @@ class ConfidenceForm:
                     sloped = {kind: (fit, place) for place, kind in enumerate(samples)}
             slopes.append(LearnedSlopes.of(fit, state, chosen["true"], persistent) if fit is not None else None)
             for kind in KINDS:
-                keys = ConfidenceKeys(
+                keys = ConfidenceNames(
                     ("confidence", kind), state, observed.threshold, persistent if kind == "true" else Inflation()
                 )
                 estimate = quantile_scores if forms[kind] == "quantiles" else normal_scores
@@ -200,7 +200,7 @@ class OneConfidenceForm:
             ours = every.of_state(index)
             ours = ours if len(ours) >= SCORES_NEEDED else every
             learned.append(
-                normal_scores(ours, ConfidenceKeys(("confidence",), state, observed.threshold), None, resampling)
+                normal_scores(ours, ConfidenceNames(("confidence",), state, observed.threshold), None, resampling)
             )
         return LearnedConfidenceOfAll(tuple(learned))
 

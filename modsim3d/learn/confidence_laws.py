@@ -51,7 +51,7 @@ class Inflation:
 
 
 @dataclass(frozen=True)
-class ConfidenceKeys:
+class ConfidenceNames:
     """The keys of the section of a distribution in the file, its state, and the least confidence."""
 
     names: tuple[str, ...]
@@ -179,7 +179,7 @@ class LearnedConfidenceOfAll:
 
 
 def normal_scores(
-    scores: ObservedConfidences, keys: ConfidenceKeys, sloped: Sloped, resampling: Resampling
+    scores: ObservedConfidences, keys: ConfidenceNames, sloped: Sloped, resampling: Resampling
 ) -> LearnedNormal:
     """The normal distribution behind clipped confidences."""
     count = float(len(scores))
@@ -207,7 +207,7 @@ def normal_scores(
 
 
 def quantile_scores(
-    scores: ObservedConfidences, keys: ConfidenceKeys, sloped: Sloped, resampling: Resampling
+    scores: ObservedConfidences, keys: ConfidenceNames, sloped: Sloped, resampling: Resampling
 ) -> LearnedQuantiles:
     """Quantiles of confidences under each row of weights; with slopes, of what they are without them."""
     rows, scores = (

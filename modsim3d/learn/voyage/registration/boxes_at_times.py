@@ -9,7 +9,7 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import clip, sizes
 from modsim3d.core.errors import ModsimError
-from modsim3d.learn.voyage.registration.model import BoxModel, Occluders
+from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies
 from modsim3d.learn.voyage.registration.parameters import Values
 
 # ---- What a detector wrote ----
@@ -115,7 +115,7 @@ class Predictions:
     usable: Mask
 
 
-def predict(model: BoxModel, hiding: Occluders, values: Values, times_s: Array) -> Predictions:
+def predict(model: BoxModel, hiding: HidingBodies, values: Values, times_s: Array) -> Predictions:
     """The boxes of all vessels in frames at times of the detector's clock, shape (F,), with some values."""
     vessels = len(model.hulls_m)
     frame, vessel = np.divmod(np.arange(len(times_s) * vessels), vessels)

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes, Predictions, Sightings, match, predict
-from modsim3d.learn.voyage.registration.model import BoxModel, Occluders
+from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies
 from modsim3d.learn.voyage.registration.parameters import (
     MEAN_ERRORS,
     OF_A_VESSEL,
@@ -262,7 +262,7 @@ class Aligner:
     """
 
     model: BoxModel
-    hiding: Occluders
+    hiding: HidingBodies
     found: BoxesAtTimes
     free: tuple[str, ...]
     use_sizes: bool

@@ -262,7 +262,7 @@ NEARLY = 0.999
 
 
 @dataclass(frozen=True, eq=False)
-class Occluders:
+class HidingBodies:
     """What can hide vessels from a camera.
 
     Attributes:
@@ -276,7 +276,7 @@ class Occluders:
     extents_m: Array
 
     @classmethod
-    def of(cls, scene: Scene, model: BoxModel) -> Occluders:
+    def of(cls, scene: Scene, model: BoxModel) -> HidingBodies:
         """The vessels and obstacles of a scene; own ship's hull is left out."""
         solids = [planes_of(vertices) for obstacle in scene.obstacles for _, vertices in obstacle.solids]
         extents = np.array([vessel.extents_m for vessel in scene.vessels])

@@ -27,7 +27,7 @@ from modsim3d.learn.voyage.registration.identifiability import (
     undetermined,
 )
 from modsim3d.learn.voyage.registration.initial_guesses import check_matches, check_times, explained, rivals_of, starts
-from modsim3d.learn.voyage.registration.model import BoxModel, KnownTraffic, Occluders
+from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies, KnownTraffic
 from modsim3d.learn.voyage.registration.parameters import (
     MEAN_ERRORS,
     SHARED,
@@ -193,7 +193,7 @@ def register(
     free = tuple(name for name, stay in zip(SHARED_NAMES, stays, strict=True) if not stay)
     if not free:
         raise ModsimError("fixed: all parameters are fixed; leave at least one to be estimated")
-    hiding = Occluders.of(scene, model)
+    hiding = HidingBodies.of(scene, model)
     first = Aligner(model, hiding, given.some(FIRST_FRAMES), free, use_sizes)
     best, rivals = starts(first, searched_s, float(np.hypot(offsets_m or 0.0, noise_m)), scene)
     some = given.some(max(int(len(given.times_s) * MOST_BOXES / len(given.frame)), FIRST_FRAMES))

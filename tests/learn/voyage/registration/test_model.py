@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.voyages.wrong_camera import Voyage, really
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes, match, predict
-from modsim3d.learn.voyage.registration.model import BoxModel, KnownTraffic, Occluders, crosses, planes_of
+from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies, KnownTraffic, crosses, planes_of
 from modsim3d.learn.voyage.registration.parameters import Values
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.record import Truth
@@ -42,7 +42,7 @@ def test_boxes_are_those_of_the_truth_where_the_image_does_not_cut_them(quay: Vo
 def test_an_edge_that_the_truth_hides_is_found_hidden(quay: Voyage, model: BoxModel) -> None:
     known = quay.truth.take(np.isfinite(quay.truth.visible_boxes_px).all(axis=1))
     gone = np.abs(known.full_boxes_px - known.visible_boxes_px) > 1
-    predicted = predict(model, Occluders.of(quay.scene, model), none(model), np.unique(times_of(quay, known)))
+    predicted = predict(model, HidingBodies.of(quay.scene, model), none(model), np.unique(times_of(quay, known)))
     frame = np.searchsorted(np.unique(known.step), known.step)
     rows = {pair: row for row, pair in enumerate(zip(predicted.frame.tolist(), predicted.vessel.tolist(), strict=True))}
     pairs = list(zip(frame.tolist(), known.vessel.tolist(), strict=True))
@@ -73,7 +73,7 @@ def test_a_delayed_vessel_is_where_it_reports_to_be_later_and_an_antenna_is_off_
 
 
 def test_two_vessels_that_a_detection_may_be_are_not_matched(model: BoxModel, quay: Voyage) -> None:
-    predicted = predict(model, Occluders.of(quay.scene, model), none(model), np.array([10.0]))
+    predicted = predict(model, HidingBodies.of(quay.scene, model), none(model), np.array([10.0]))
     box = predicted.boxes_px[:1]
     gates = np.full((len(predicted.frame), 2), 50.0)
     found = BoxesAtTimes(np.array([10.0]), np.array([0]), box)

@@ -11,7 +11,7 @@ from benchmarks.voyages.wrong_camera import WRONG, Voyage
 from modsim3d.learn.voyage.registration import initial_guesses as module
 from modsim3d.learn.voyage.registration.icp import Aligner
 from modsim3d.learn.voyage.registration.initial_guesses import Guess, Search, rivals_of, starts
-from modsim3d.learn.voyage.registration.model import BoxModel, KnownTraffic, Occluders
+from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies, KnownTraffic
 from modsim3d.learn.voyage.registration.parameters import SHARED_NAMES, Values
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
@@ -33,7 +33,7 @@ def aligner(scene: Scene) -> Aligner:
     model = BoxModel.of(reported, KnownTraffic.of(reported, reported.cameras[0]))
     found = Voyage.of(scene, "bow", WRONG).detections(10).some(60)
     free = tuple(name for name in SHARED_NAMES if not name.endswith("_px"))
-    return Aligner(model, Occluders.of(reported, model), found, free, True)
+    return Aligner(model, HidingBodies.of(reported, model), found, free, True)
 
 
 def test_the_clock_that_explains_the_detections_is_chosen_whatever_the_votes_and_a_close_rival_is_said(

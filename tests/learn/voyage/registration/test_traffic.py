@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modsim3d.learn.voyage.registration.boxes_at_times import predict
-from modsim3d.learn.voyage.registration.model import BoxModel, KnownTraffic, Occluders
+from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies, KnownTraffic
 from modsim3d.learn.voyage.registration.parameters import Values
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
@@ -97,7 +97,7 @@ def test_a_vessel_that_heads_west_and_is_away_for_a_while_does_not_turn_meanwhil
 def test_a_point_that_k1_folds_into_the_image_is_no_edge_to_go_by(scene: Scene) -> None:
     model = BoxModel.of(scene, KnownTraffic.of(scene, scene.cameras[QUAY]))
     none, times = Values.none(len(model.hulls_m)), np.linspace(0, 59, 60)
-    folded = predict(model, Occluders.of(scene, model), none.changed(k1=-0.25), times)
+    folded = predict(model, HidingBodies.of(scene, model), none.changed(k1=-0.25), times)
     by_lens = model.pixels(none, times[folded.frame], folded.vessel, folded.corners_m)
     far = np.any(np.abs(by_lens / scene.cameras[QUAY].intrinsics.image_size_px - 0.5) > 1, axis=-1)
     assert far.sum() > 10
