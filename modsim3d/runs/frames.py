@@ -33,7 +33,7 @@ Columns = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrameTruth:
-    """What one camera sees at one step: n vessels as arrays. Boxes are x_min, y_min, x_max, y_max in pixels.
+    """Truth of one camera at one step: n vessels as arrays. Boxes are x_min, y_min, x_max, y_max in pixels.
 
     Attributes:
         vessels: IDs of the vessels.
@@ -161,7 +161,7 @@ class Frame:
         return frame_png(self)
 
     def id_image(self) -> IdImage:
-        """What is in front at each pixel: `ids` of shape (height, width), 0 for nothing, and the `names` of IDs.
+        """Draw who is in front at each pixel: `ids` of shape (height, width), 0 for nothing, and the `names` of IDs.
 
         Raises:
             ModsimError: The frame was made without a scene.

@@ -139,6 +139,18 @@ def test_what_other_pages_show_is_in_them() -> None:
     assert [name for name in ELSEWHERE if not re.search(rf"\b{name}(\(|`)", pages)] == []
 
 
+def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
+    """One that begins with `What`, `Which` and the like says little to who does not know already."""
+    asides = re.compile(r"(What|Which|Of|The same|Those)\b")
+    texts = {
+        f"{path.name}: {getattr(node, 'name', 'module')}": ast.get_docstring(node) or ""
+        for path in Path(modsim3d.__file__).parent.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_bytes()))
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+    }
+    assert {name: text for name, text in texts.items() if asides.match(text)} == {}
+
+
 def test_every_public_name_is_in_the_reference() -> None:
     rows = set(re.findall(r"^\| `(modsim3d[\w.]*)` \|", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE))
     own = {f"modsim3d.{name}" for name in modsim3d.__all__}
