@@ -23,7 +23,7 @@ MOST_SHARE = 0.10
 """Of the command's time."""
 COMMAND = """
 import sys, time
-from modsim3d import cli
+from modsim3d.cli import main as cli
 from modsim3d.runs import workers
 
 spent, check = [0.0], workers.check_block

@@ -131,9 +131,9 @@ def _directive(name: str) -> str:
     except (ImportError, AttributeError) as error:
         LOGGER.warning("there is no %s: %s", name, error, location="docs/api")
         return ""
-    kind = "function" if callable(value) else "data"
-    if inspect.isclass(value):
-        kind = "exception" if issubclass(value, Exception) else "class"
+    if not inspect.isclass(value):
+        return f".. auto{'function' if callable(value) else 'data'}:: {name}"
+    kind = "exception" if issubclass(value, Exception) else "class"
     return f".. auto{kind}:: {name}"
 
 

@@ -23,8 +23,6 @@ from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import column_table, counted
 from modsim3d.io.processes import WorkerCount, worker_count
 
-# ---- Campaigns from Python ----
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Campaign:

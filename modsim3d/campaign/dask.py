@@ -119,8 +119,6 @@ def _only_hands() -> _Hands:
     return _Hands()
 
 
-# ---- Workers of a Dask cluster, whoever started it, and of jobs that Slurm starts ----
-
 CONNECT_S = 30.0
 """How long a scheduler is waited for, at the start and when the connection to it is lost."""
 LOOK_S = 2.0

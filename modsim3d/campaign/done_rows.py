@@ -46,8 +46,6 @@ from modsim3d.core.text import counted
 from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder, write_files
 from modsim3d.io.validation import nearest
 
-# ---- The rows that are done so far, from the files of tasks ----
-
 _OF_ALL_PLANS = ("scene", "condition", "traffic_seed", "detector_seed", "tracker")
 _TOGETHER = 200
 """Small tables that are kept before they become one; each costs some 50 kB beside its rows."""
@@ -265,7 +263,7 @@ def results_table(folder: CampaignFolder) -> pa.Table:
     return pa.concat_tables(parts, promote_options="default").sort_by("run")
 
 
-# ---- How many traffic seeds each requirement of a plan needs, said before it runs ----
+# ---- How many traffic seeds each requirement of a plan needs ----
 
 POWER = 0.8
 """How often a mean as expected is to be met."""

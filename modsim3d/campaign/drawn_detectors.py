@@ -125,8 +125,6 @@ def read_uncertainty(detector: Path) -> LearnedUncertainty:
     return found
 
 
-# ---- Draws the numbers of a detector from what its labelled set leaves open ----
-
 _STREAM = 3
 """Keeps these random numbers apart from those of the drawn keys, see `plan.drawn`."""
 _INDEPENDENT = 0.01

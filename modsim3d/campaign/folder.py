@@ -31,7 +31,7 @@ from modsim3d.io.plugins import differing
 from modsim3d.io.validation import join_path, shown
 from modsim3d.runs.files.overwrite import FileList, ListedFile, file_list, listed_file
 
-# ---- The list of the files of a campaign that has ended, with their sizes and checksums, as `run.json` ----
+# ---- The list of the files of a campaign that has ended ----
 
 RESULTS, SEARCH = "results", "search"
 """In the folder of a campaign that has ended: its rows, and the trials of a search."""
@@ -116,8 +116,6 @@ def _between(there: Any, now: Any, path: tuple[int | str, ...]) -> Iterator[str]
     elif there != now:
         yield f"{join_path(*path)} is {shown(there)} there and {shown(now)} now"
 
-
-# ---- The folder of a campaign ----
 
 FORMAT = 1
 FILE, LOG, VERDICTS = "campaign.yaml", "campaign.log", "verdicts.json"

@@ -16,8 +16,6 @@ from modsim3d.io.validation import Number, Positive, Strict, describe, kind_of, 
 from modsim3d.tracks.tracks import SimilarityName
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 
-# ---- The keys of a campaign file ----
-
 MOST_SEEDS = 1_000_000
 MOST_DETECTOR_SEEDS = 1_000
 MOST_BASE = 9_000

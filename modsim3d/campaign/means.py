@@ -19,8 +19,6 @@ from modsim3d.core.statistics import half_widths
 from modsim3d.core.text import listed
 from modsim3d.io.validation import nearest, shown
 
-# ---- Mean scores over traffic seeds with their intervals, by tracker and condition ----
-
 LEVEL = 0.95
 USUAL = ("hota", "deta", "assa", "idf1", "id_switches")
 """Scores of a table unless others are asked for."""

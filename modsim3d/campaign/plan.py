@@ -182,9 +182,6 @@ def detector_seed(traffic: int, index: int) -> int:
     return traffic * MOST_DETECTOR_SEEDS + index
 
 
-# ---- The plan of a campaign ----
-
-
 @dataclass(frozen=True)
 class PlannedRun:
     """One run: a row of the results.

@@ -32,7 +32,7 @@ from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracks.reading import read_stored_tracks, track_paths
 from modsim3d.tracks.tracks import Tracks
 
-# ---- Whether a run of a campaign that is to be made again is there already, with its tracks ----
+# ---- Whether a run of a campaign that is to be made again is there already ----
 
 
 def run_there(folder: Path, scene: Scene) -> StoredRun | None:
@@ -111,8 +111,6 @@ def remade(folder: CampaignFolder, number: int) -> Made:
     with closing(RunLayers(work.keys.model_copy(update={"keep": []}), Path(work.base), work.layers)) as layers:
         return layers.made(run)
 
-
-# ---- A run of a campaign made again as a run directory, and compared with its row ----
 
 _NOT_COMPARED = ("run", "status", "error", "truth_key", "detections_key", "tracks_key")
 

@@ -30,7 +30,7 @@ from modsim3d.campaign.work.task import DONE_FOLDER, Task, TaskReport, store_cra
 from modsim3d.campaign.workers import Death, Engine
 from modsim3d.core.errors import ModsimError, OutputError
 
-# ---- Cuts runs into tasks of about equal time, without making a truth twice if that can be helped ----
+# ---- Cuts runs into tasks of about equal time ----
 
 TASK_S = 30.0
 """Long against what a scheduler spends on a task, short against what a lost worker costs."""
@@ -99,8 +99,6 @@ class Cutter:
         """How long some runs will take at this rate; None while nothing is known."""
         return None if self._run_s is None else runs * self._run_s / self.width
 
-
-# ---- Runs a campaign ----
 
 T = TypeVar("T")
 

@@ -116,9 +116,6 @@ def _finding(folder: CampaignFolder, row: dict[str, Any], score: str) -> Finding
     return Finding(row["run"], row[score], row["error"], row["traffic_seed"], values, again, f"{again} --film")
 
 
-# ---- Runs a search ----
-
-
 @dataclass(frozen=True, eq=False)
 class SearchResult:
     """A search that ended.

@@ -108,7 +108,7 @@ def _value(values: Range, place: float | int) -> Any:
     return place if values.choices is None else values.choices[int(place)]
 
 
-# ---- Proposes the next batch of points, by the tree-structured Parzen estimator of Optuna ----
+# ---- Proposes the next batch of points ----
 
 
 @dataclass(frozen=True)
@@ -232,8 +232,6 @@ def tried(point: Point, row: Mapping[str, Any], search: SearchKeys) -> Tried:
     known = value is not None and math.isfinite(value)
     return Tried(point, value if known else None, row["status"] == CRASHED)
 
-
-# ---- The folder of a search ----
 
 _PART = "part-00000.parquet"
 VALUES = "values"

@@ -78,9 +78,6 @@ def _version(package: str) -> str:
         return "missing"
 
 
-# ---- The process of a worker ----
-
-
 def serve(pipe: Connection) -> None:
     """Do what comes through a pipe; each task is answered with its report, or with an error.
 

@@ -39,9 +39,6 @@ def planned_rows(folder: CampaignFolder) -> int:
     return len(folder.plan) if folder.keys.search is None else folder.keys.search.budget
 
 
-# ---- How far a campaign is, seen from outside ----
-
-
 @dataclass(frozen=True, eq=False)
 class Present:
     """The present state of a campaign.

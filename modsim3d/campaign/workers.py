@@ -60,8 +60,6 @@ LOST = Death(None, "its Dask worker was lost", True)
 """A worker that was lost with all that is known of it."""
 
 
-# ---- A worker in a process of its own, so that a run that ends its process ends nothing else ----
-
 READY = "ready"
 """What a process says when it can take tasks."""
 _END_S = 10.0

@@ -154,8 +154,6 @@ def frame_of(rows: RunRows, number: int) -> Frame:
     return next(frame for frame in frames_of(block, scene, range(step, step + 1)) if frame.camera == cameras[camera])
 
 
-# ---- A film of the moment at which a run went wrong ----
-
 AROUND_S = 5.0
 """What is shown before and after the moment."""
 WIDTH_PX = 1280

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from modsim3d.campaign.means import MeanRow
     from modsim3d.campaign.status import Present
 
-# ---- The command `modsim3d campaign-status` ----
-
 
 def campaign_status_command(
     campaign: CampaignArgument,

@@ -104,9 +104,6 @@ def _size_px(text: str) -> tuple[float, float]:
     return width, height
 
 
-# ---- The command `modsim3d detect` ----
-
-
 def detect_command(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Run directory, or folder with --truth, to write.")],
     run: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Run directory of a finished run.")] = None,

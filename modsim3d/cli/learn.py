@@ -158,9 +158,6 @@ def _numbers(interval: Interval) -> list[dict[str, Any]]:
     ]
 
 
-# ---- The command `modsim3d learn` ----
-
-
 class Match(str, Enum):  # noqa: UP042 (typer shows the plain values)
     """How boxes are matched."""
 

@@ -60,8 +60,6 @@ def _plain(parameters: list[Any]) -> list[Any]:
     return parameters
 
 
-# ---- The command line ----
-
 BAD_INPUT = 2
 """Exit status of a user error."""
 COMPLETE_VARIABLE = "_MODSIM3D_COMPLETE"

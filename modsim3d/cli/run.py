@@ -136,9 +136,6 @@ def tell_backend(folder: Path) -> None:
     tell("OpenGL", str(read_json(folder / RUN_FILE)["backend"]))
 
 
-# ---- The command `modsim3d run` ----
-
-
 class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
     """Where the truth comes from."""
 

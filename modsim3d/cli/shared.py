@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from modsim3d.runs.stored_run import StoredRun
     from modsim3d.view.followed_tracks import FollowedTracks
 
-# ---- Arguments, options and output that several commands share ----
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""

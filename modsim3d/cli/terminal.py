@@ -23,7 +23,6 @@ from modsim3d.core.errors import InputError, ModsimError
 if TYPE_CHECKING:
     from rich.console import Console
 
-# ---- What the commands write to the terminal ----
 
 UNBROKEN = 100_000
 """Columns of a console that breaks no line."""
@@ -232,7 +231,7 @@ def check_arguments(arguments: Iterable[str]) -> None:
             raise ModsimError(f"the argument '{argument[:200]}' is not UTF-8: rename the file")
 
 
-# ---- Standard output and standard error of the command line, whose readers may go away before the ----
+# ---- Standard output and standard error of the command line ----
 
 
 class _Descriptor(io.FileIO):

@@ -18,7 +18,6 @@ from modsim3d.runs.files.overwrite import read_of_run
 if TYPE_CHECKING:
     from modsim3d.runs.stored_run import StoredRun
 
-# ---- The options of `modsim3d view` ----
 
 LEAST_WIDTH_PX, MOST_WIDTH_PX = 160, 8192
 

@@ -118,8 +118,6 @@ def _mixed(words: HalfWords, others: HalfWords) -> HalfWords:
     return mixed ^ mixed >> _MIX_SHIFT
 
 
-# ---- Random numbers keyed by purpose, names and step, so that they do not depend on the order of calls ----
-
 _UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps differently and would overlap
 # Below so many streams, and with so many rows for each, NumPy's own generator of one stream after the other is faster.
 _STREAMS_IN_TURN, _ROWS_AS_A_STREAM = 20, 25

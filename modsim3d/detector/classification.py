@@ -16,8 +16,6 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.detector.target_statistics import TargetStatistics, tallied
 
-# ---- Dropout and class ----
-
 
 @dataclass(frozen=True, eq=False)
 class ConfusionClassifier:

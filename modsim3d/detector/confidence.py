@@ -13,8 +13,6 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.random_streams import grid_normals, on_grid
 from modsim3d.detector.draws import log2
 
-# ---- The confidence of detections, and the distributions of it that a detector file can choose from ----
-
 CURVE_POINTS = 2049
 
 
@@ -164,7 +162,7 @@ class Confidence:
         return np.clip(score, self.threshold, 1.0)
 
 
-# ---- Normal numbers clipped to a range, those outside moved to its ends (Tobin (1958)) ----
+# ---- Normal numbers clipped to a range ----
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _REACH = 9.0  # standard deviations that the integrals go to
@@ -294,7 +292,7 @@ def drawn_levels(levels: Levels, confidence: Array, threshold: float, rng: np.ra
     return drawn
 
 
-# ---- What is known of the correlation between the normal numbers behind a confidence and the one before ----
+# ---- What is known ----
 
 _LEAST_CHANCE, _NEAR = 1e-300, 1e-4
 

@@ -19,7 +19,7 @@ from modsim3d.core.arrays import Array, Indices, Mask, read_only
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals, on_grid
 from modsim3d.detector.records import CameraFrames, Targets
 
-# ---- The distribution of box errors in a performance state, and the distributions of standardised errors ----
+# ---- The distribution of box errors in a performance state ----
 
 ERROR_NORMALS = 4
 """Standard normal numbers that every box error is made from: one for each component."""
@@ -129,8 +129,6 @@ class BoxErrorLaw:
         std: Array = np.sqrt(np.diag(self.covariance))
         return std
 
-
-# ---- From uniform numbers to draws ----
 
 _LN_2 = math.log(2)
 _MOST_COUNTED = 16

@@ -258,8 +258,6 @@ def _births(streams: Streams, camera: str, layer: str, first: int, count: int) -
     return np.concatenate(cells)[order], np.concatenate(draws)[order]
 
 
-# ---- False positives ----
-
 _LN_2 = math.log(2)
 
 

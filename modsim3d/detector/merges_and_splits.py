@@ -65,8 +65,6 @@ class PairNoise:
         return np.array(self._decays)
 
 
-# ---- Detections that are not one box for one vessel ----
-
 _LEAST_CUT, _MOST_CUT = 0.3, 0.7
 LEAST_SPLIT_PX = 4.0
 """Narrower boxes are not split: each part is at least a pixel wide."""

@@ -18,7 +18,7 @@ from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.records import Gates
 
-# ---- Whether cameras share a chain of performance states, and when a schedule forces a state ----
+# ---- Whether cameras share a chain of performance states ----
 
 _EARLY_S = 1e-9  # a time read from text and one worked out may differ by rounding
 
@@ -42,8 +42,6 @@ class Performance:
         schedule = np.array([-1, *(state for _, state in self.schedule)])[entry]
         return np.where(schedule >= 0, schedule, states)
 
-
-# ---- A detector's statistics as the simulation uses them ----
 
 ERROR_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")
 """Order of the box error (Jessen & Mohr (2023), section 5.6.3): centre, width and height."""

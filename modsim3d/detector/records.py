@@ -10,8 +10,6 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
 
-# ---- What the detector is given and what it returns ----
-
 KINDS = ("true", "false_positive", "persistent_false_positive", "duplicate", "merged", "split", "fragment")
 """Where a detection came from; `Detections.kind` indexes this.
 

@@ -22,7 +22,7 @@ from modsim3d.core.boxes import at_least_a_pixel, sizes
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.draws import ERROR_NORMALS, ErrorDistribution, Normal
 
-# ---- Scrambled points of Sobol's sequence, the same as those of `scipy.stats.qmc`, whose import takes ----
+# ---- Scrambled points of Sobol's sequence ----
 
 _BITS = 30
 _POLYNOMIALS = ((1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)))
@@ -65,8 +65,6 @@ def _direction_numbers(dimensions: int) -> NDArray[np.uint32]:
         columns.append(numbers)
     return np.array([[number << (_BITS - 1 - k) for k, number in enumerate(each)] for each in columns], dtype=np.uint32)
 
-
-# ---- Box errors as they come out ----
 
 POINTS = 128
 """Points of Sobol's sequence for each box, shifted for each box by an amount of its own (Cranley & Patterson, 1976),

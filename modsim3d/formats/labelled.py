@@ -14,8 +14,6 @@ from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import InputError
 from modsim3d.io.validation import shown
 
-# ---- A labelled set ----
-
 NOBODY = -1
 """No identity, no annotation."""
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from modsim3d.core.arrays import Array, read_only
 from modsim3d.geometry.camera_poses import Mount
 
-# ---- Lens distortion by the model of Brown (1971) and Conrady (1919), with OpenCV's names for the ----
+# ---- Lens distortion by the model of Brown ----
 
 MOST_ITERATIONS = 100
 
@@ -78,8 +78,6 @@ class Distortion:
         trace = jacobian[..., 0, 0] + jacobian[..., 1, 1]
         return bool(np.all(np.isfinite(ideal)) and np.all(determinant > 0) and np.all(trace > 0))
 
-
-# ---- A camera ----
 
 DEFAULT_NEAR_CLIP_M = 0.1
 BORDER_POINTS = 64

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from modsim3d.core.arrays import Array, read_only
 
-# ---- Rotations and rigid transforms between the world (WCF), vehicle (VCF) and camera (CCF) frames ----
+# ---- Rotations and rigid transforms between the world ----
 
 BASE_R_WORLD: Array = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Camera base pose: c3 along w1, c1 = −w2, c2 = −w3 (Jessen & Mohr (2023), eq. 7.14)."""
@@ -89,9 +89,6 @@ def heading_of(direction: ArrayLike) -> Array:
     """
     vector = np.asarray(direction, dtype=np.float64)
     return np.arctan2(vector[..., 1], vector[..., 0])
-
-
-# ---- Where a camera is ----
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,6 @@ from modsim3d.core.arrays import Array
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses, heading_of
 
-# ---- The curved sea ----
-
 RADIUS_M = 6_371_000.0
 """Mean radius of the Earth (Moritz, 2000, "Geodetic Reference System 1980": R1 = 6 371 008.77 m)."""
 
@@ -46,7 +44,7 @@ def shift_px(depth_m: Array, focal_px: tuple[float, float]) -> Array:
     return max(focal_px) * depth_m / (2 * RADIUS_M)
 
 
-# ---- Where the ray through a pixel meets the sea, as bearing and inverse range ----
+# ---- Where the ray through a pixel meets the sea ----
 
 
 def look(intrinsics: Intrinsics, poses: CameraPoses, pixels: Array) -> Array:

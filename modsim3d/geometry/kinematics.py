@@ -20,8 +20,6 @@ from modsim3d.geometry.camera_poses import rotation_vector
 NAUTICAL_MILE_M = 1852.0
 KNOT_M_S = NAUTICAL_MILE_M / 3600
 
-# ---- Velocities, accelerations and angular rates from poses at a sequence of times, by central ----
-
 
 def slopes(times_s: Array, values: Array) -> Array:
     """Change per second from each of n ascending times, shape (n,), to the next, shape (n, ...) to (n − 1, ...)."""

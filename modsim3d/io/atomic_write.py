@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from PIL.Image import Image
 
-# ---- Files written whole ----
-
 
 @contextmanager
 def put_in_place(path: Path) -> Iterator[Path]:

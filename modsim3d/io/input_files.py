@@ -64,8 +64,6 @@ MAX_IMAGE_BYTES = 1 << 29
 """Of an image whose size is to be known: some kinds are read as a whole for it."""
 
 
-# ---- Opens an input file ----
-
 _GZIP = b"\x1f\x8b"
 _KINDS = {
     stat.S_IFDIR: "a folder",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from modsim3d.core.arrays import Array
 
 SCIENTIFIC = r"^\s*([0-9]+(?:[.,][0-9]*)?)[eE]\+?([0-9]+)\s*$"
 LOST = "is a number in scientific notation that has lost digits: write identities as text, or as whole numbers"
+ROUNDED = "are all numbers that single precision can hold: digits were lost, write identities as whole numbers"
+_FIRST_ROUNDED, _LAST_ROUNDED, _FEW_ROUNDED = 2**24, 2**53, 4
+"""Smaller numbers are exact, larger ones are no MMSI; so many are all held by chance in one of 65,000 files of MMSI."""
 _MOST_DIGITS = 15
 """No identity has more; readers refuse larger numbers."""
 _UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
@@ -31,6 +35,16 @@ def has_lost_digits(identity: str) -> bool:
     """Whether an identity is a number with fewer digits than it stands for, such as 2.19E+08 of a spreadsheet."""
     found = re.match(SCIENTIFIC, identity)
     return found is not None and sum(map(str.isdigit, found[1])) <= float(found[2]) <= _MOST_DIGITS
+
+
+def are_rounded(identities: Iterable[object]) -> bool:
+    """Whether identities, of which others than whole numbers are passed over, went through single precision.
+
+    Many MMSI end in 000, of which it holds every second or all: these tell nothing.
+    """
+    whole = (each for each in identities if isinstance(each, int) and each % 1000)
+    large = {each for each in whole if _FIRST_ROUNDED <= each < _LAST_ROUNDED}
+    return len(large) >= _FEW_ROUNDED and all(int(np.float32(each)) == each for each in large)
 
 
 def other_unit(times_s: Array, length_s: float) -> str:

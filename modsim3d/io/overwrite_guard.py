@@ -11,7 +11,7 @@ from modsim3d.core.errors import OutputError
 from modsim3d.io.atomic_write import partial_of
 from modsim3d.io.locks import lock_of, locked_file
 
-# ---- Which file a path leads to, through links, in any spelling, and where the case of a name means ----
+# ---- Which file a path leads to ----
 
 Identity = tuple[int, int]
 """Device and number of a file or folder, which all its names share."""
@@ -38,9 +38,6 @@ def is_inside(path: Path, folder: Path) -> bool:
         return True
     there = identity(folder)
     return there is not None and any(identity(above) == there for above in (real, *real.parents))
-
-
-# ---- Which files a command may write ----
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from typing import Any, Generic, Literal, NoReturn, Protocol, TypeVar
 
 from modsim3d.core.errors import ModsimError
 
-# ---- A worker in a process of its own, which is handed one piece of work after another through a pipe ----
+# ---- A worker in a process of its own ----
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 IN_HAND = 2
@@ -246,8 +246,6 @@ def may_fork() -> bool:
     tasks = Path("/proc/self/task")
     return (len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()) == 1
 
-
-# ---- Work done in this process or shared between several, with the results in the order of the pieces ----
 
 MOST_WORKERS = 1024
 AHEAD = 3

@@ -15,8 +15,6 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath
 from modsim3d.io.input_files import data_folder
 
-# ---- Types and messages that input files share, so that all problems are reported at once and in the ----
-
 LEAST, MOST = 1e-9, 1e9
 """Of the size of a number that is no place and no time; with them, products and quotients do not overflow."""
 

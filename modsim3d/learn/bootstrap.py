@@ -18,8 +18,6 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
 from modsim3d.formats.labelled import Images
 
-# ---- Bootstrap over images ----
-
 SIGNIFICANT = 3.3
 """Standard errors from zero that an effect needs: one in a thousand reaches them by chance."""
 _LEAST_SPREAD = 1e-12

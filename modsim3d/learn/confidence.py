@@ -22,10 +22,10 @@ from modsim3d.learn.confidence_fit import (
     likeliest_reference,
 )
 from modsim3d.learn.confidence_laws import (
-    ConfidenceNames,
     ConsecutiveScores,
     Inflation,
     LatentScores,
+    LawKeys,
     LearnedConfidence,
     LearnedConfidenceOfAll,
     LearnedScores,
@@ -39,7 +39,7 @@ from modsim3d.learn.matches import Observed, usual_run_s
 from modsim3d.learn.model_selection import LearnedPart
 from modsim3d.learn.persistence import inflation, steps_between
 
-# ---- Whether confidence falls with what is hidden of a vessel and with the size of its box ----
+# ---- Whether confidence falls ----
 
 SCORES_NEEDED = 20
 """Detections that a distribution of a state's own needs, and so many partly hidden ones a slope on visibility."""
@@ -121,8 +121,6 @@ def _significant(
     return form
 
 
-# ---- Confidence ----
-
 QUANTILES_NEEDED = 200
 """Detections that quantiles need."""
 _NORMAL_ENOUGH = 0.06
@@ -170,7 +168,7 @@ class ConfidenceForm:
                     sloped = {kind: (fit, place) for place, kind in enumerate(samples)}
             slopes.append(LearnedSlopes.of(fit, state, chosen["true"], persistent) if fit is not None else None)
             for kind in KINDS:
-                keys = ConfidenceNames(
+                keys = LawKeys(
                     ("confidence", kind), state, observed.threshold, persistent if kind == "true" else Inflation()
                 )
                 estimate = quantile_scores if forms[kind] == "quantiles" else normal_scores
@@ -199,9 +197,7 @@ class OneConfidenceForm:
         for index, state in enumerate(observed.states):
             ours = every.of_state(index)
             ours = ours if len(ours) >= SCORES_NEEDED else every
-            learned.append(
-                normal_scores(ours, ConfidenceNames(("confidence",), state, observed.threshold), None, resampling)
-            )
+            learned.append(normal_scores(ours, LawKeys(("confidence",), state, observed.threshold), None, resampling))
         return LearnedConfidenceOfAll(tuple(learned))
 
 

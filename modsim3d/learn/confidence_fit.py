@@ -22,7 +22,7 @@ from modsim3d.detector.confidence import clipped_score, clipped_sums, fit_clippe
 from modsim3d.learn.bootstrap import Resampling
 from modsim3d.learn.matches import Observed
 
-# ---- Confidences of true and of false detections, with what they may depend on ----
+# ---- Confidences of true and of false detections ----
 
 Kind = Literal["true", "false"]
 KINDS: tuple[Kind, Kind] = ("true", "false")
@@ -77,8 +77,6 @@ class ObservedConfidences:
         """Some of them."""
         return ObservedConfidences(*(column[rows] for column in astuple(self)))
 
-
-# ---- Fit of confidences that fall with what is hidden of a vessel and with the size of its box, then are ----
 
 _ROUNDS = 40
 _SETTLED = 1e-6

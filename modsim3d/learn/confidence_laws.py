@@ -19,8 +19,6 @@ from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeFit, SlopeFo
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.persistence import Consecutive, Steps, steps_between
 
-# ---- What is learned of confidence ----
-
 QUANTILES = 21
 _QUANTILE_REPLICATES = 200
 _PERCENT = tuple(f"{k / (QUANTILES - 1):.0%}" for k in range(QUANTILES))
@@ -51,7 +49,7 @@ class Inflation:
 
 
 @dataclass(frozen=True)
-class ConfidenceNames:
+class LawKeys:
     """The keys of the section of a distribution in the file, its state, and the least confidence."""
 
     names: tuple[str, ...]
@@ -178,9 +176,7 @@ class LearnedConfidenceOfAll:
         return {"confidence": found if "mean" in found else {"mean": 1.0, "std": 0.0}}
 
 
-def normal_scores(
-    scores: ObservedConfidences, keys: ConfidenceNames, sloped: Sloped, resampling: Resampling
-) -> LearnedNormal:
+def normal_scores(scores: ObservedConfidences, keys: LawKeys, sloped: Sloped, resampling: Resampling) -> LearnedNormal:
     """The normal distribution behind clipped confidences."""
     count = float(len(scores))
     if sloped is None:
@@ -207,7 +203,7 @@ def normal_scores(
 
 
 def quantile_scores(
-    scores: ObservedConfidences, keys: ConfidenceNames, sloped: Sloped, resampling: Resampling
+    scores: ObservedConfidences, keys: LawKeys, sloped: Sloped, resampling: Resampling
 ) -> LearnedQuantiles:
     """Quantiles of confidences under each row of weights; with slopes, of what they are without them."""
     rows, scores = (

@@ -14,7 +14,7 @@ from modsim3d.formats.matching import Matched
 from modsim3d.learn.bootstrap import Column, Resampling, ratio
 from modsim3d.learn.box_errors.laws import ErrorMoments
 
-# ---- Precision against recall, and the area under it (Jessen & Mohr (2023), section 5.7) ----
+# ---- Precision against recall ----
 
 COCO_POINTS, FEW_POINTS = 101, 11
 
@@ -102,8 +102,6 @@ def average_precisions(ranking: Ranking, weights: Array) -> Array:
             result[row] = curve.summaries()
     return result
 
-
-# ---- The figures that a paper would print, for a group of images (Jessen & Mohr (2023), chapters 5 and 8) ----
 
 CURVE_REPLICATES = 200
 """Average precision is computed again for each of at most so many replicates."""

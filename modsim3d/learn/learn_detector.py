@@ -29,7 +29,7 @@ from modsim3d.learn.states import (
     transitions_of,
 )
 
-# ---- Whether most true detections are lost because their boxes lie too far off for the matching rule ----
+# ---- True detections that are lost because their boxes lie too far off ----
 
 _MOST = 0.5
 
@@ -78,8 +78,6 @@ def _overlapped(labelled: LabelledSet, annotations: Indices, detections: Indices
         found.append(np.unique(target[touching]))
     return np.unique(np.concatenate(found))
 
-
-# ---- From labelled sets to a report ----
 
 LEAST_CONFIDENCE = 0.2
 """Least confidence of a detection that counts, unless another is asked for."""

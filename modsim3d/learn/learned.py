@@ -29,8 +29,6 @@ from modsim3d.learn.multiple_boxes import (
 )
 from modsim3d.learn.states import Transitions, transitions_of
 
-# ---- A detector out of labelled sets ----
-
 _RUN_TIMES = 12.0
 _LEAST_RUNS = 24
 _SECTIONS = ("dropout", "persistence", "false_positives")
@@ -242,7 +240,7 @@ def _run_s(observed: Observed, form: DetectorForm) -> float:
     return min(_RUN_TIMES * longest, float(np.nansum(spans)) / _LEAST_RUNS)
 
 
-# ---- What learns each model of a detector, registered under the part and name that ----
+# ---- What learns each model of a detector ----
 
 Learner = Callable[..., PartForm | Transitions]
 

@@ -8,7 +8,7 @@ Files do not say what a detection is. These rules read it from the boxes, in thi
   least that IoU, and no other detection matches either of them.
 - A second box: a false detection that the matching rule would let match an annotation which has a match already.
 
-A false positive that lies on a vessel by chance looks like one of these as well: `detection_kinds` counts how many do.
+A false positive that lies on a vessel by chance looks like one of these as well: `match_types` counts how many do.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, intersections, iou, sizes, unions
 from modsim3d.formats.labelled import NOBODY
 from modsim3d.formats.matching import Rule, image_pairs
-
-# ---- Which boxes look like a second box of a vessel, one of its two parts, or one box around two vessels ----
 
 LEAST_FIT = 0.5
 """Least IoU of two parts together with the vessel, and of a box around two vessels with the one around their truth."""
@@ -279,7 +277,7 @@ def common_boxes(sought: SoughtBoxes, loose: Loose, pairs: Overlapping, free: Ma
     return CommonBoxes(pair[kept], row[kept], one_box)
 
 
-# ---- Vessels and pairs of vessels that could have come out as two boxes or as one, and whether they did ----
+# ---- Vessels and pairs of vessels that could have come out as two boxes or as one ----
 
 
 @dataclass(frozen=True, eq=False)

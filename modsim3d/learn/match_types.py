@@ -1,6 +1,6 @@
 """Type of each detection, and how often vessels could have come out as two boxes or two vessels as one.
 
-A run says it. In files the boxes say it (`detection_shapes`), and what chance does is taken off:
+A run says it. In files the boxes say it (`match_shapes`), and what chance does is taken off:
 
 - False positives lie on vessels by chance. Those that are left as such are put into other frames of their state, half
   of them at another place across the image too, and what looks like a second box or a part there is counted.
@@ -35,7 +35,7 @@ from modsim3d.learn.match_shapes import (
     vessel_trials,
 )
 
-# ---- How surely a box says whether it is around one of two overlapping vessels or around both ----
+# ---- How surely a box says whether it is around one ----
 
 _NEIGHBOURS = 60
 _LONELY_NEEDED = 20
@@ -95,7 +95,7 @@ class Recognition:
         return cls(mistaken, share_that_fits(pairs.union_px))
 
 
-# ---- False detections put into other frames, where they meet vessels by chance alone ----
+# ---- False detections put into other frames ----
 
 SHUFFLES = 8
 """How often they are put elsewhere."""
@@ -137,8 +137,6 @@ def shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
         kept = kept[np.argsort(there[kept], kind="stable")]
         yield Loose(loose.row[kept], there[kept], boxes[kept])
 
-
-# ---- What each detection is, and how often vessels could have come out as two boxes or two vessels as one ----
 
 LEAST_OVERLAP = 0.05
 """Least share of the smaller of two vessels inside the larger for which they may come out as one box."""

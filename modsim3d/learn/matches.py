@@ -210,9 +210,6 @@ class Pairs:
         return self.edges[ours & (self.state == state) if source is ErrorSource.OWN_STATE else ours]
 
 
-# ---- What the estimators of a detector's parameters look at ----
-
-
 @dataclass(frozen=True, eq=False)
 class Observed:
     """Annotations that are to be detected, and what became of each at a least confidence.

@@ -28,7 +28,7 @@ from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, EffectTerm, MissFit, att
 from modsim3d.learn.matches import Observed, kept_share, usual_run_s
 from modsim3d.learn.persistence import Consecutive, LagTable, vessel_noise, why_no_steps, why_none
 
-# ---- Effects on misses that performance states have for themselves, where one slope for all of them does ----
+# ---- Effects on misses that performance states have for themselves ----
 
 OWN_ATTRIBUTES = ("size_px", "distance_m")
 
@@ -170,8 +170,6 @@ def crowds(observed: Observed, labels: int) -> Array:
     result: Array = (squares / np.maximum(whole, 1)).reshape(len(observed.states), labels)
     return result
 
-
-# ---- Dropout and class ----
 
 _TRIALS = 200
 

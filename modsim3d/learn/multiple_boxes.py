@@ -63,8 +63,6 @@ def _identities(labelled: LabelledSet, vessels: Indices) -> Indices:
     return np.where(both[:, 0] >= 0, pair.ravel(), -1)
 
 
-# ---- How often a vessel has a second box or comes out in two parts, and two vessels come out as one box ----
-
 NO_ROOM = (
     "false_positives: per_image, for a rate of false detections that counts second boxes and parts of vessels must be "
     "at least what these would make if every vessel were long"

@@ -13,7 +13,7 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Kind, Resampling, from_scale, to_scale, widened
 
-# ---- Noise of which each thing keeps a share for as long as it is seen, from correlations at all times ----
+# ---- Noise of which each thing keeps a share for as long as it is seen ----
 
 THINGS_NEEDED = 20
 """Things that a share which each of them keeps is learned from."""
@@ -196,7 +196,7 @@ def _lags(longest: int) -> list[int]:
     return [lag for lag in sorted(lags) if lag < longest]
 
 
-# ---- What a correlation in time loses because the mean error is taken from the same few sightings ----
+# ---- Correlation in time that is lost to the mean of few sightings ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,8 +253,6 @@ def stretches_of_things(images: Images, image: Indices, identity: Indices, state
     np.maximum.at(high, place.ravel(), time_s[known])
     return SightingStretches(count, (high - low) / np.maximum(count - 1, 1), state[known][first])
 
-
-# ---- How long misses and box errors persist for a thing, from frame to frame ----
 
 LEVEL = 0.999
 """Level of the interval of a correlation that decides whether noise persists."""

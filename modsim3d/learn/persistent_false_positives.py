@@ -114,8 +114,6 @@ def _tracks(count: int, lag: Lag) -> Indices:
     return track
 
 
-# ---- How long false positives stay, and which share of them does ----
-
 _LIFETIMES = 2.5
 _FIRST_LAGS = 4
 _NEWTON_STEPS = 15

@@ -13,8 +13,6 @@ from modsim3d.core.arrays import Array, Indices, Mask, run_starts
 from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Resampling, widened
 from modsim3d.learn.matches import FalseSightings, Observed
 
-# ---- Pairs of false positives in frames some time apart that may be the same one, seen again near its ----
-
 _NEAR = 0.5
 _LEAST_NEAR_PX = 4.0
 _MOST_RATIO = 2.0

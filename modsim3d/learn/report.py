@@ -19,8 +19,6 @@ from modsim3d.learn.learned import Learned
 from modsim3d.learn.matching_bias import Bias
 from modsim3d.learn.states import StateMap
 
-# ---- What is reported of a learned detector ----
-
 
 @dataclass(frozen=True)
 class NearGate:

@@ -357,9 +357,6 @@ class Sources:
         return found, rest
 
 
-# ---- What was learned, as a page ----
-
-
 def page_text(report: LearnReport, out: Path, detector: str, sources: Sources, sections: Sequence[str] = ()) -> str:
     """The page, in one file.
 

@@ -15,7 +15,7 @@ from modsim3d.formats.labelled import Images
 from modsim3d.io.validation import nearest
 from modsim3d.learn.bootstrap import Interval, Key, columns_of_one, digits
 
-# ---- How performance states follow each other (Jessen & Mohr (2023), section 6.2) ----
+# ---- How performance states follow each other ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +83,6 @@ def count_transitions(sequences: Sequence[Indices], states: int, interval_s: flo
     initial = int(sequences[0][0]) if sequences and len(sequences[0]) else 0
     return Transitions(counts, initial, interval_s if total else None, notes)
 
-
-# ---- Which conditions make a performance state, and how states follow each other ----
 
 NAMES = {
     1: ("usual",),

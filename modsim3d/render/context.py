@@ -109,8 +109,6 @@ def _number(devices: list[Any]) -> int:
     )
 
 
-# ---- One headless OpenGL context of a software renderer, OSMesa or EGL, or of a graphics card by EGL ----
-
 BACKENDS = ("osmesa", "egl")
 LIBRARIES = {"osmesa": ("OSMesa", ("libOSMesa.so.8", "libOSMesa.so.6")), "egl": ("EGL", ("libEGL.so.1",))}
 

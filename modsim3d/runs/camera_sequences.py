@@ -20,8 +20,6 @@ from modsim3d.scene.sight import Sight
 from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.outlines import Outlines
 
-# ---- The frames of each camera in order, with what is true in them and what a tracker may read of them ----
-
 
 @dataclass(frozen=True, eq=False)
 class SequenceTruth:

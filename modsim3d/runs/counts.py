@@ -92,8 +92,6 @@ def detected_rows(frame: Frame) -> list[int | None]:
     return [None if kind in FALSE_NAMES or vessel is None else row_of[vessel] for kind, vessel in found]
 
 
-# ---- Counts of what happened in a run ----
-
 WORTH_A_WARNING_PX = 1.0
 """Curvature that moves a box by more than this is reported for a flat sea."""
 

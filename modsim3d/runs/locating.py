@@ -21,7 +21,7 @@ from modsim3d.io.validation import nearest
 from modsim3d.scene.scene import Scene
 from modsim3d.world.vessel_motion import PosesInWaves
 
-# ---- The error of a box's centre and foot, as one who does not know the detector's performance state has ----
+# ---- The error of a box's centre and foot ----
 
 FOOT_OF_ERRORS = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0.5]], dtype=np.float64)
 """Centre column, centre row and row of the foot from centre, width and height."""
@@ -94,7 +94,7 @@ def _mixed(source: BoxErrorSource, shares: Array, sizes_px: Array) -> tuple[Arra
     return mean, covariance
 
 
-# ---- From where a camera looks, with the true attitude of its vessel or the measured one ----
+# ---- From where a camera looks ----
 
 _NO_TURN = (0.0, 0.0, 0.0)
 
@@ -146,8 +146,6 @@ def _turned(vessels: PosesInWaves, carrier: int, by_rad: Array) -> PosesInWaves:
     angles[:, carrier] += by_rad
     return PosesInWaves(vessels.poses, angles, vessels.world_R_vessel)
 
-
-# ---- Bearing, inverse range and position of detected boxes, with their covariances ----
 
 Attitude = Literal["true", "measured"]
 MOST_RANGE_ERROR = 0.05

@@ -105,8 +105,6 @@ def _listed(said: list[str], count: int) -> str:
     return "; ".join([*said, *([f"and {count - len(said)} more"] if count > len(said) else [])])
 
 
-# ---- Repeats a finished run from the copy of its scene, and compares every file with the stored one ----
-
 VERSION_KEYS = ("versions", "truth_versions", "plugins", "plugins_sha256", "backend")
 """What `run.json` says of the programs that made a run."""
 _NOT_REPEATED = frozenset({*VERSION_KEYS, "files"})

@@ -27,8 +27,6 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked
 
-# ---- Runs a scene and writes its run directory ----
-
 FORMAT = 2
 """Format 1 had no counts for each camera, and only the centre form of the detections' boxes."""
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")

@@ -15,8 +15,6 @@ from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.run_file import frame_lines, number_texts
 from modsim3d.scene.scene import Scene
 
-# ---- Detections without what could tell where they came from ----
-
 BOX_DECIMALS = 3
 """Of a box's edges in pixels: the last bits of exact edges tell true detections from false ones."""
 _CONFIDENCE_DECIMALS = 6

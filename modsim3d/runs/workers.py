@@ -30,7 +30,7 @@ from modsim3d.truth.record import Truth, annotation_boxes
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-# ---- A sample of the detected boxes of a run, and how resampling shifts the errors of such boxes ----
+# ---- A sample of the detected boxes of a run ----
 
 BOXES_A_STATE, POINTS_A_BOX = 32, 1024
 """Few enough that a run hardly takes longer; the standard error beside the mean shows how much so few boxes tell."""
@@ -119,8 +119,6 @@ def _rounded(values: Any) -> Any:
     rows = np.asarray(values).tolist()
     return [_rounded(row) for row in rows] if isinstance(rows, list) else float(f"{rows:.6g}")
 
-
-# ---- Workers that make the blocks of a run ----
 
 IF_KILLED = "what was finished is kept: go on with --resume, perhaps with fewer --workers"
 

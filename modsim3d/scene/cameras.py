@@ -14,8 +14,6 @@ from modsim3d.geometry.kinematics import first_derivative, second_derivative, sl
 from modsim3d.scene.scene import Scene
 from modsim3d.world.floating_vessels import GRAVITY_M_S2
 
-# ---- Motion of the vessels that carry cameras, and what an inertial unit on board measures ----
-
 NEIGHBOURS = 2
 """The acceleration at the scene's first step equals that of the second, which needs the third."""
 
@@ -118,7 +116,7 @@ def specific_force(world_R_body: Array, accelerations_m_s2: Array) -> Array:
     return force
 
 
-# ---- Where a camera ashore sees the circles on which vessels move (Jessen & Mohr (2023), Appendix B) ----
+# ---- Where a camera ashore sees the circles on ----
 
 
 def camera_placement(

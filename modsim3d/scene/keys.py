@@ -25,8 +25,6 @@ from modsim3d.io.validation import (
 from modsim3d.world.floating_vessels import GRAVITY_M_S2, STEEPEST
 from modsim3d.world.vessels import MeshName
 
-# ---- The keys of a scene file ----
-
 MAX_PX = 1e9  # far beyond any scene; squares and products do not overflow
 MAX_STEPS = 10_000_000
 MAX_SEED = 2**63 - 1

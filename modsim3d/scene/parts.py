@@ -182,8 +182,6 @@ def _file_problems(entries: Mapping[str, Mapping[str, object]], files: Sequence[
             yield f"draws '{name}' with the mesh {file}, which is none of the files of the source: {list(files)}"
 
 
-# ---- The parts of a scene file and of the files that it names, each read by itself ----
-
 T = TypeVar("T")
 
 SCENE_FILE = "scene.yaml"

@@ -107,8 +107,6 @@ def takes_frame(times_s: Array, rate_hz: float | None, offset_s: float) -> Mask:
     return taken
 
 
-# ---- A scene ----
-
 _SAME_DECIMALS = 4
 """Of metres and radians that are the same traffic: the last bits of exact ones depend on the processor."""
 

@@ -22,8 +22,6 @@ from modsim3d.io.strict_yaml import load_yaml, parse_yaml
 from modsim3d.io.validation import find_condition, join_path, kind_of, model_at, nearest
 from modsim3d.scene.keys import SceneKeys
 
-# ---- Keys of a scene, and of the files that it names, that the caller sets in place of what is written ----
-
 KeyPath = tuple[str | int, ...]
 FILE_SECTIONS = ("vessels", "detector")
 """Sections of a scene that may be the name of a file with what could also stand in their place."""

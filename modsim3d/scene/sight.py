@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from modsim3d.render.id_pass import Ids
 
-# ---- What a camera has in front of it, and from where it looks ----
-
 
 @dataclass(frozen=True, eq=False)
 class Sight:

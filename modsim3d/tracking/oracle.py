@@ -23,7 +23,7 @@ from modsim3d.tracking.scores.scored import Rules
 from modsim3d.tracks.tracks import Tracks
 from modsim3d.tracks.true_tracks import TrueTracks
 
-# ---- What the smoother of the oracle-association reference takes for the noise of boxes and the motion ----
+# ---- What the smoother of the oracle-association reference takes for the noise ----
 
 
 class SmootherNoise(Strict):
@@ -143,9 +143,6 @@ def _filtered(sequences: BoxSequences, noise: SmootherNoise) -> list[_Filtered]:
         motion = predicted.with_rows(there, seen.corrected(measured, variance))
         found.append(_Filtered(motion, predicted, chance))
     return found
-
-
-# ---- Tracks of detections that are associated by where they came from ----
 
 
 @dataclass(frozen=True, eq=False)

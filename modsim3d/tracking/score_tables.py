@@ -27,7 +27,7 @@ from modsim3d.tracking.scores.scoring import Scores, SubsetScores
 from modsim3d.tracking.world.encounters import MetVessel
 from modsim3d.view.pages import page
 
-# ---- Scores of tracks in the world, as sections of the page, rows for the terminal and JSON ----
+# ---- Scores of tracks in the world ----
 
 WORLD_COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("RMSE, m", "rmse_m", 1),
@@ -139,8 +139,6 @@ def world_conclusion(scores: ScoredTracks) -> str:
         )
     return " ".join(said)
 
-
-# ---- Scores as the rows of tables, for the terminal, a notebook and the page ----
 
 HEADER = ("tracker", *(name for name, _, _ in COLUMNS), "occlusions survived")
 SEED_HEADER = ("tracker", "score", "mean", "standard deviation", "95 % of the mean")

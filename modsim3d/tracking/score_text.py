@@ -9,8 +9,6 @@ from modsim3d.core.text import counted
 from modsim3d.tracking.scores.scored import Rules
 from modsim3d.tracking.scores.scoring import Scores
 
-# ---- Numbers of scores as text ----
-
 Keys = dict[str, float | int | None]
 
 UNKNOWN = "–"

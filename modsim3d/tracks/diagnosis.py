@@ -53,8 +53,6 @@ TOP_LEFT = BoxForm("the corner x, y and width, height", ("x", "y", "width", "hei
 MOT = BoxForm("x, y, width, height with pixels from 1", TOP_LEFT.names, 1, from_top_left)
 
 
-# ---- Files of boxes that are wrong as a whole ----
-
 _LOOKED_AT = 2000
 """Rows, spread over the file."""
 _LEAST_ROWS, _LEAST_CLOSE_ROWS = 8, 30
@@ -82,7 +80,7 @@ _BEYOND_PX, _MOST_BEYOND = 5.0, 0.1
 _FITS_BETTER, _FOLLOWS = 0.2, 0.1
 """Another reading is meant if it leaves at most this share of such boxes; and width and height are corners if at most
 this share of their variance is left when the upper left corner is subtracted."""
-_NEARLY_ALL, _MANY = 0.98, 0.5
+_NEARLY_ALL, _MANY, _TO_THE_EDGE = 0.98, 0.5, 0.9
 _SNUG_PX = 2.0
 """Boxes that an image has cut end so near to its edge."""
 
@@ -276,8 +274,12 @@ def _inside(rows: BoxRows, size: str, alone: bool) -> Misreading | None:
         one = alone and bool(np.median(np.abs(np.diff(x_min))) < _FOLLOWS * np.ptp(x_min))
         also = ", or one vessel comes near as it moves right" * one
         return Misreading(f"{told} (each third and fourth number is above the first and second){also}", one)
-    if np.abs(rows.numbers).max() <= _PER_CENT + rows.form.first_px and rows.image_px.min() >= _MANY_PX:
-        return Misreading(f"all boxes lie within 100 x 100 of {size} px: are they in per cent? must be in pixels", True)
+    most = np.abs(rows.numbers).max()
+    if most <= _PER_CENT + rows.form.first_px and rows.image_px.min() >= _MANY_PX:
+        reach = rows.form.boxes_px(rows.numbers).max()
+        edge = bool(reach > _TO_THE_EDGE * _PER_CENT and len(rows.numbers) >= _LEAST_CLOSE_ROWS)
+        told = f"all boxes lie within 100 x 100 of {size} px: are they in per cent? must be in pixels"
+        return Misreading(told, not edge)
     return None
 
 
@@ -312,10 +314,6 @@ def _readings(rows: BoxRows) -> Iterator[_Reading]:
     yield from _close_readings(rows, as_it_is)
     others, plain = _other_forms(form), TOP_LEFT if form is MOT else form
     yield from _form_readings(rows)
-    x_min, y_min, x_max, y_max = as_it_is.T
-    height = rows.image_px[:, 1]
-    below = np.column_stack([x_min, height - y_max, x_max, height - y_min])
-    yield _Reading("y is counted from the lower edge of the image, must be from the upper", below, frame)
     if np.abs(numbers).max() <= _MOST_NORMALISED:
         scaled = numbers * np.tile(rows.image_px, 2)
         for other in (plain, *others):
@@ -330,7 +328,7 @@ def _readings(rows: BoxRows) -> Iterator[_Reading]:
 
 
 def _form_readings(rows: BoxRows) -> Iterator[_Reading]:
-    """Readings in which the four numbers are others."""
+    """Readings in which the four numbers are others, or are counted from elsewhere."""
     for other in _other_forms(rows.form):
         told = f"the boxes are read as {rows.form.meaning}, but are {other.meaning}"
         yield _Reading(told, other.boxes_px(rows.numbers), rows.frame)
@@ -339,6 +337,10 @@ def _form_readings(rows: BoxRows) -> Iterator[_Reading]:
     if rows.form is CENTRE:  # of YOLO, as shares of width and height
         as_shares = exchanged * np.tile(rows.image_px / rows.image_px[:, ::-1], 2)
         yield _Reading(_EXCHANGED, rows.form.boxes_px(as_shares), rows.frame)
+    x_min, y_min, x_max, y_max = rows.form.boxes_px(rows.numbers).T
+    height = rows.image_px[:, 1]
+    below = np.column_stack([x_min, height - y_max, x_max, height - y_min])
+    yield _Reading("y is counted from the lower edge of the image, must be from the upper", below, rows.frame)
 
 
 def _other_forms(form: BoxForm) -> list[BoxForm]:

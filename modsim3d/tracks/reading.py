@@ -225,8 +225,6 @@ def _damage_named(source: str) -> Iterator[None]:
         raise InputError(source, [f"is no table of tracks: {text[0]}"]) from None
 
 
-# ---- Tracks in a run, from a folder that `modsim3d track` has written or from somebody's own files ----
-
 _FORMS = "a folder of `modsim3d track`, a .csv file, a MOT .txt file or a folder of such"
 
 

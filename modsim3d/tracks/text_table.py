@@ -15,7 +15,7 @@ from pyarrow import csv
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
-from modsim3d.io.misreadings import LOST, SCIENTIFIC, has_lost_digits, no_commas
+from modsim3d.io.misreadings import LOST, ROUNDED, SCIENTIFIC, are_rounded, has_lost_digits, no_commas
 from modsim3d.io.validation import nearest, shown
 from modsim3d.runs.files.tables import NOBODY
 
@@ -62,8 +62,6 @@ class RowProblems:
             lines.append(f"… and {len(self._wrong) - len(told):,} more {self.word}s")
         raise InputError(self.source, lines)
 
-
-# ---- Columns of a text file with commas, as numbers and names ----
 
 _NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
 _MOST_NUMBER = 1e15
@@ -160,6 +158,9 @@ class TextTable:
         lost = _mask(pc.match_substring_regex(self.columns[name], SCIENTIFIC))
         lost[lost] = [has_lost_digits(self.columns[name][row].as_py()) for row in np.flatnonzero(lost).tolist()]
         self.problems.refuse(lost, lambda row: f"{name} {LOST} (got {self._shown(name, row)})")
+        self.problems.refuse(
+            np.full(len(self), are_rounded(np.unique(values).tolist())), lambda _: f"{name}: all {ROUNDED}"
+        )
         return values
 
     def names(self, name: str, known: Sequence[str], *, needed: bool = True) -> Indices:

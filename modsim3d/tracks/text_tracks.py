@@ -20,7 +20,7 @@ from modsim3d.tracks.diagnosis import CENTRE, CORNERS, MOT, BoxForm
 from modsim3d.tracks.text_table import RowProblems, TextTable, source_of
 from modsim3d.tracks.tracks import COVARIANCES, FAR, Tracks, camera_sequence_names, covariances, far_tracks, plain_name
 
-# ---- The rows of a file of tracks before it is known whether its boxes are boxes in these images ----
+# ---- The rows of a file ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +142,6 @@ def tracks_of(files: Sequence[FileRows], cameras: int) -> Tracks:
     names = ("frame", "track", "boxes_px", "label", "confidence", "covariance_px2")
     return Tracks.of(cameras, *(np.concatenate([getattr(file, name) for file in files]) for name in names))
 
-
-# ---- Tracks in a CSV file with a line of names ----
 
 TIME_TOLERANCE_S = 0.0005
 """A time may differ so much from that of its frame: half a millisecond, for files with three decimals."""

@@ -18,8 +18,6 @@ from modsim3d.runs.files.table_columns import BOX_SIDES, TableColumn
 from modsim3d.runs.files.tables import named, numbers
 from modsim3d.scene.scene import Scene
 
-# ---- Tracks in the images of a run ----
-
 
 @dataclass(frozen=True, eq=False)
 class Tracks:

@@ -13,8 +13,6 @@ from modsim3d.runs.files.tables import NOBODY, indices
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.tracks import Similarity, Tracks
 
-# ---- What tracks are held against ----
-
 TruthName = Literal["annotated", "full"]
 DEFAULT_GAP_S = 2.0
 """After so long outside the image a vessel that comes back is a new identity."""

@@ -26,8 +26,6 @@ from modsim3d.tracks.text_table import name_of, source_of
 from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.tracks.world_rows import MOST_DEG, WorldRows, checked
 
-# ---- Tracks in the world from CSV, whose columns have the names of a run's export ----
-
 STATE = ("w1", "w2", "v1", "v2")
 IN_SCENE, ON_EARTH = ("w1_m", "w2_m"), ("latitude_deg", "longitude_deg")
 ALONG_AXES, OVER_GROUND, BY_COURSE = (

@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.geometry.kinematics import HullTracks
-from modsim3d.io.misreadings import LOST, has_lost_digits, other_unit
+from modsim3d.io.misreadings import LOST, ROUNDED, are_rounded, has_lost_digits, other_unit
 from modsim3d.io.validation import shown
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.messages import local_metres
@@ -80,8 +80,6 @@ def _nearest_m(position_m: Array, vessels_m: Array) -> Array:
     return nearest
 
 
-# ---- What a file of tracks in the world says, before it is known to be plausible ----
-
 FAR_M = 100_000.0
 """Tracks that are all farther than that from where vessels are have another unit or another order."""
 SHOWN_PROBLEMS = 5
@@ -126,6 +124,8 @@ def checked(rows: WorldRows, run: StoredRun) -> WorldTracks:
     _report(rows, np.array([not name for name in rows.track], dtype=bool), "track is empty")
     lost = [has_lost_digits(name) and any(mark in name for mark in ".,+") for name in rows.track]  # 1e10 may be a name
     _report(rows, np.array(lost, dtype=bool), f"track {LOST}", lambda row: f" (got {shown(rows.track[row])})")
+    if are_rounded(int(name) for name in names.tolist() if name.isdecimal()):
+        raise InputError(rows.source, [f"its tracks {ROUNDED}"])
     _report(rows, ~np.isfinite(rows.time_s), "has no time")
     _report(rows, _in_row(~np.isfinite(rows.position_m)), "has no position")
     _report(rows, _in_row(np.isinf(rows.velocity_m_s)), "the velocity is not finite")

@@ -137,9 +137,6 @@ def boundary_pixels(regions: Polygons, supersample: int) -> Array:
     return crossed
 
 
-# ---- Truth from geometry alone, without a renderer ----
-
-
 @dataclass(frozen=True, eq=False)
 class VisibleRegions:
     """Silhouettes in the image and what is visible of them, as polygons.
@@ -207,7 +204,7 @@ def image_silhouettes(outlines: Outlines, intrinsics: Intrinsics) -> Polygons:
     return silhouettes
 
 
-# ---- Occlusion by rectangles, as the text of the thesis has it (Jessen & Mohr (2023), §7.5.1), kept for ----
+# ---- Occlusion by rectangles, as the text of the thesis has it ----
 
 
 def rectangle_occlusion(outlines: Outlines) -> Occlusion:
@@ -234,7 +231,7 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
     )
 
 
-# ---- The pixels of one vessel as masks, and whether they are what exact geometry and the truth say they ----
+# ---- The pixels of one vessel as masks ----
 
 ROUNDING_PX = 1 / 128
 """Corners are rounded to 1/256 of a buffer pixel on each axis; half of that, along both, moves an edge by less."""

@@ -14,7 +14,7 @@ from modsim3d.render.id_pass import IdRenderer, Ids, Region, Sheet
 from modsim3d.truth.outlines import OutlinePart, Outlines
 from modsim3d.truth.silhouettes import cut_faces, faces_towards
 
-# ---- The triangles that are drawn for outlines, in pixels, clipped where OpenGL would have to cut them ----
+# ---- The triangles that are drawn for outlines ----
 
 GUARD_PX = 2048.0
 """Triangles that reach further beyond the image are clipped there in double precision before they are drawn. It is in
@@ -180,8 +180,6 @@ def _cut(triangles: Array, long: Array, count: int) -> Array:
     }[count]
     return np.concatenate([np.stack(corners, axis=1) for corners in parts])
 
-
-# ---- The outlines of a run of frames in buffer pixels, drawn region by region ----
 
 TILE_PX = (8192, 4096)
 """Width and height of the largest buffer that is drawn at once; larger regions are drawn in tiles."""

@@ -13,7 +13,7 @@ from modsim3d.truth.occlusion_order import overlapping_pairs
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.silhouettes import Spans, joined_spans, runs_of_ids
 
-# ---- Groups of vessels that overlap in the image, and how groups are placed in the buffers that are drawn ----
+# ---- Groups of vessels that overlap in the image ----
 
 SHEET_PX = 1024, 1024
 """Clusters are drawn together in buffers of this size: a buffer costs as much as ten thousand pixels."""
@@ -150,9 +150,6 @@ def batches_of(clusters: list[Cluster]) -> list[Batch]:
         size = max(x + c.shared.width for (x, _), c in zip(places, chosen, strict=True)), y + shelf
         batches.append(Batch(chosen, Sheet([each.shared for each in chosen], np.array(places), size)))
     return batches
-
-
-# ---- What is visible of the vessels of clusters, and who hides the rest ----
 
 
 @dataclass(frozen=True, eq=False)

@@ -198,8 +198,6 @@ def _begins_within(place: Indices, side: Indices, rows: Indices, others: Indices
     return np.repeat(rows, count), others[ranges(first, count)]
 
 
-# ---- Which of two disjoint solids can hide the other, from a plane between their convex hulls ----
-
 TOUCHING_M = 1e-7
 """Solids that overlap by less are taken to touch: rounding must not turn neighbours at a quay into a collision."""
 

@@ -22,8 +22,6 @@ from modsim3d.truth.silhouettes import cut_faces, doubled_face_areas, in_image, 
 from modsim3d.world.bodies import Bodies
 from modsim3d.world.vessels import Solid
 
-# ---- Outlines ----
-
 BESIDE = 1e-6
 """Metres times pixels by which a solid must be outside the image, so that rounding errors bring no corner into it."""
 

@@ -11,8 +11,6 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask, ranges
 from modsim3d.core.boxes import sizes
 
-# ---- The truth record ----
-
 
 @dataclass(frozen=True, eq=False)
 class Truth:
@@ -127,7 +125,7 @@ def concatenate(parts: Sequence[Truth]) -> Truth:
     return truth.take(np.lexsort((truth.vessel, truth.camera, truth.step)))
 
 
-# ---- Which vessels are annotated, and with which box (Jessen & Mohr (2023), §7.5.1) ----
+# ---- Which vessels are annotated ----
 
 SOURCES = ("rendered", "analytic", "rectangles")
 

@@ -39,7 +39,7 @@ from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.scan_conversion import scan_convert
 from modsim3d.truth.silhouettes import Spans, counts_and_boxes, joined_spans, spans_of_ids, winding_spans
 
-# ---- Solids in order from near to far, where geometry leaves no doubt what a depth buffer would show ----
+# ---- Solids in order from near to far ----
 
 DEPTH_ERROR = 1e-4
 """Solids that are apart by less than this share of their distance are left to the depth buffer. Its 24 bits hold depths
@@ -129,8 +129,6 @@ def _ranks(near: Indices, far: Indices, count: int) -> Indices:
         np.maximum.at(ranks, far, behind)
     return ranks
 
-
-# ---- Truth from pixels, drawn only where geometry alone does not tell them ----
 
 MOST_LINES = 32_768
 """Most scan lines of silhouettes that are treated at once: few calls, but arrays that fit a cache."""

@@ -139,8 +139,6 @@ def _sections(clipped: Array, member: Indices, near: float) -> tuple[Array, Indi
     return np.concatenate([corners, np.full((len(corners), 3, 1), near)], axis=-1), members[solid]
 
 
-# ---- Silhouettes as polygons, not yet cut at the image edge ----
-
 NO_AREA_PX2 = 1e-9
 """A face with a smaller area is seen edge-on. It adds nothing to a silhouette, and its polygon would be invalid."""
 Number = TypeVar("Number", np.float64, np.int64)
@@ -337,7 +335,7 @@ def spans_of_ids(ids: NDArray[np.uint32]) -> Spans:
     return Spans(values[filled] - 1, lines, first, first + (stops - starts)[filled])
 
 
-# ---- The pixels of closed solids that need not be convex, found without drawing them ----
+# ---- The pixels of closed solids that need not be convex ----
 
 HALF = SUBPIXELS // 2
 MOST_CROSSINGS = 200_000

@@ -24,7 +24,7 @@ from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact
 from modsim3d.verify.parameters import Parameter
 
-# ---- How long box errors persist, and how far persistent box errors make all other estimates stray ----
+# ---- How long box errors persist ----
 
 LEAST_PAIRS = 100
 _REPLAYS, _REPLAYS_AT_ONCE = 300, 50
@@ -197,8 +197,6 @@ def _root(law: ErrorParameters) -> Array:
     covariance = law.correlation * np.outer(law.std, law.std)
     return symmetric_root(covariance) / law.std[:, None]
 
-
-# ---- Box errors ----
 
 LEAST_DETECTIONS = 150
 """Box errors of a state with fewer true detections are not tested."""

@@ -20,7 +20,7 @@ from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import CORRELATION, SHARE, Estimate, Exact, Measure, Rate
 from modsim3d.verify.parameters import Parameter
 
-# ---- Pairs of rows of one track, and how much the noise that they share adds to a variance ----
+# ---- Pairs of rows of one track ----
 
 _FORGOTTEN = 10.0
 """Correlation times after which a correlation is neglected: 5e-5 of it is left."""
@@ -126,8 +126,6 @@ def variance_of_sum(
             total += 2 * weight * float(kept.sum())
     return total + float((second - first**2).sum())
 
-
-# ---- Checks of dropout and class ----
 
 BACKGROUND = "background"
 LEAST_CHANCES = 30

@@ -29,7 +29,7 @@ from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, 
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact, Measure
 from modsim3d.verify.parameters import Law, Parameter
 
-# ---- What confidence that persists does to its checks, and the check of how long it does ----
+# ---- What confidence that persists does to its checks ----
 
 LEAST_PAIRS = 100
 _STEP, _LEAST_LEVEL = 1e-4, 1e-12
@@ -231,9 +231,6 @@ class Clipped:
         """Probabilities and scores at the nodes of the law of each mean, shapes (n, nodes) and (n, nodes, 2)."""
         places, chances = clipped_laws(means, std, self.threshold)
         return chances, clipped_score(places, means[:, None], std, self.threshold)
-
-
-# ---- Checks of confidence ----
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,6 @@ from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.false_positive_checks import RATE_CHECKS, expected_clutter
 
-# ---- The parameters of box errors, estimated from errors that were truncated box by box ----
-
 _FAR, _STEPS, _SETTLED = 4.5, 6, 1e-3
 _SINGULAR = 1e10
 _SKEWNESS_BOXES = 100  # the skewness is computed from about as many boxes

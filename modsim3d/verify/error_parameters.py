@@ -144,8 +144,6 @@ def directions(correlation: Array) -> Array:
     return weights
 
 
-# ---- The numbers of a box error law that are verified ----
-
 _LEAST_EIGENVALUE, _LEAST_GROWTH = 1e-3, 1e-6
 
 

@@ -19,8 +19,6 @@ from modsim3d.runs.pipeline import DetectorInput, block_ranges, block_steps, det
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth, concatenate
 
-# ---- The truth and the detections of a run, as columns over all cameras ----
-
 Columns = dict[str, NDArray[Any]]
 
 
@@ -235,7 +233,7 @@ def frames_above_max(model: DetectorModel, evidence: Evidence) -> int:
     return 0 if limit is None else int(np.sum(evidence.frames.n_kept + evidence.frames.n_false > limit))
 
 
-# ---- Runs many detectors and seeds over one truth in memory, for campaigns and tests of the detector ----
+# ---- Runs many detectors and seeds over one truth in memory ----
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ from modsim3d.verify.evidence import CameraEvidence, Evidence, frames_above_max,
 from modsim3d.verify.measures import CORRELATION, DiscoveryRate, Estimate, Exact, ImageRate, Rate
 from modsim3d.verify.parameters import Law, Parameter
 
-# ---- Checks of where false positives are, how large they are, and how long persistent ones live ----
+# ---- Checks of where false positives are ----
 
 LEAST_FALSE = 50
 LEAST_LIFETIMES = 20
@@ -156,9 +156,6 @@ def _replayed(evidence: Evidence, persistent: Array, lifetime_s: float, seed: in
         numbers.append(np.bincount(shown.frame, minlength=len(means)))
         first += len(means)
     return np.concatenate(numbers)
-
-
-# ---- False positives ----
 
 
 @dataclass(frozen=True, eq=False)

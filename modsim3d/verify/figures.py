@@ -82,8 +82,6 @@ def expected_run_lengths(miss_probability: Array, again: Array, before: Indices,
     return expected
 
 
-# ---- What a run shows of its detector, as figures of the page that `modsim3d verify` writes ----
-
 _MOST_DOTS = 1200
 _BINS = 10
 

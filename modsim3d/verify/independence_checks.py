@@ -232,8 +232,6 @@ class SumDrift:
         return None, self._reach(alpha / self.trials) + self._reach(1 - POWER)
 
 
-# ---- Whether what the detector file draws independently is independent in the run ----
-
 GROUP = "independence"
 LEAST_PAIRS = 200
 """Independent pairs of residuals below which their correlation is not tested."""

@@ -1,7 +1,6 @@
 """Measured numbers: each knows its law under the asked value, its interval and the changes that it could notice.
 
-This module has the protocol and the plain kinds; `rate_measures` has counts and shares, `law_measures` whole
-distributions.
+This module has the protocol, the plain kinds, and counts and shares; `parameters` has whole distributions.
 """
 
 from __future__ import annotations
@@ -84,8 +83,6 @@ def two_sided(below: float, above: float) -> float:
     """A two-sided p-value from both tails."""
     return min(1.0, 2 * min(below, above))
 
-
-# ---- Measured numbers ----
 
 POWER = 0.9
 Interval = tuple[float, float]

@@ -115,8 +115,6 @@ class Law:
         return None, reach if reach <= 1 else None
 
 
-# ---- A detector's parameters, what a run shows of each, and the verdicts on all of them together ----
-
 OVERALL_ALPHA = 0.01
 """Probability that an honest run has any verdict against it; shared evenly among its tests (Bonferroni)."""
 OBEYS, DIFFERS, FALLS_SHORT, UNTESTED = "obeys", "DIFFERS", "obeys its rule, not the asked rate", "too little seen"

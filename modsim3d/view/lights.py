@@ -83,7 +83,7 @@ class Lantern:
         return self.intensity_cd / distance_m**2 * math.exp(-extinction_per_m * distance_m)
 
 
-# ---- What kind of vessel the rules take a vessel for, by words in its mesh's name, its label and its ID ----
+# ---- What kind of vessel the rules take a vessel for ----
 
 
 class Kind(Enum):
@@ -124,8 +124,6 @@ def _words(text: str) -> set[str]:
     """The words of a text in small letters; `SailingYacht_2` has two."""
     return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", text)}
 
-
-# ---- Which lights a vessel shows ----
 
 STANDS_M_S = 0.5 * KNOT_M_S
 """A slower vessel is taken to be at anchor, or to make no way if she fishes."""

@@ -159,8 +159,6 @@ def ring_step(about_m: float) -> float:
     return float(min(factor * power for factor in (1, 2, 5, 10) if factor * power >= about_m * (1 - 1e-9)))
 
 
-# ---- What is drawn on a map ----
-
 TRAIL_S = 60.0
 """The last part of a track, of this duration, is drawn bold."""
 TRAIL_POINTS = 12

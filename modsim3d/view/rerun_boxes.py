@@ -66,8 +66,6 @@ def image_path(camera: str) -> list[str]:
     return ["world", "cameras", camera, "image"]
 
 
-# ---- Boxes of a run in a recording ----
-
 COUNTS = {
     Outcome.FALSE_POSITIVE: "false",
     Outcome.MISLABELLED: "wrong_class",

@@ -307,8 +307,6 @@ def _image_size(seen: Seen) -> Array:
     return np.array(seen.camera.intrinsics.image_size_px, dtype=np.float64)
 
 
-# ---- A run as a recording for the Rerun viewer ----
-
 STEPS_TOGETHER = 250
 """Steps whose geometry is computed together."""
 

@@ -63,8 +63,6 @@ class RenderStyle:
 PLAIN_STYLE = RenderStyle()
 
 
-# ---- The background of a shaded picture ----
-
 Floats = NDArray[np.float32]
 
 GRID_PX = 16

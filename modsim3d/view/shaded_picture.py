@@ -65,8 +65,6 @@ def _glow(rgb: Floats, place_px: Array, light: SeenLight, unit_px: float) -> Non
     )
 
 
-# ---- A scene in light and shade ----
-
 SAMPLES = 2
 """Solids are drawn this much larger and shrunk, so that their edges have no steps."""
 REFLECTION = 0.8

@@ -18,8 +18,6 @@ from modsim3d.world.vessels import Solid, Vessel, misfit, shoebox
 if TYPE_CHECKING:
     import trimesh
 
-# ---- Bodies ----
-
 
 @dataclass(frozen=True, eq=False)
 class Bodies:

@@ -267,9 +267,6 @@ def _over(side_m: float, numbers_rad_m: Array) -> tuple[Array, Array]:
     return mean, 6 / side_m * slope
 
 
-# ---- Vessels that float on a sea ----
-
-
 class FloatingVessels:
     """Heave, roll and pitch of vessels on one common sea; no yaw."""
 

@@ -22,8 +22,6 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.io.validation import Count, Number, describe
 from modsim3d.world.mesh_limits import MAX_GLB_BYTES, Refused, check_faces, check_reference, check_size, check_vertices
 
-# ---- Binary glTF 2.0 ----
-
 MAX_DESCRIPTION_BYTES = 2**23
 MAX_NODES = 2000
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

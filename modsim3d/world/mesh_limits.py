@@ -7,8 +7,6 @@ import struct
 from typing import BinaryIO
 from urllib.parse import unquote
 
-# ---- Limits of mesh files ----
-
 MAX_FACES = 50_000
 MAX_VERTICES = 3 * MAX_FACES
 """As many as faces without common vertices have."""

@@ -18,8 +18,6 @@ from modsim3d.core.random_streams import Purpose, Streams, normals
 from modsim3d.io.plugins import WAVE_LEVELS, Plugin, load_plugin
 from modsim3d.world.floating_vessels import Motion, Passage
 
-# ---- Slowly varying angles from a second-order process (Jessen & Mohr (2023), §7.4.3) ----
-
 AXES = ("roll", "pitch", "yaw")
 SMALL_SIGMA_RAD = (5e-5, 3e-5, 1.5e-5)
 """Noise of roll, pitch and yaw of the small wave impact (Table 9.8)."""

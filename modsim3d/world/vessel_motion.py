@@ -14,8 +14,6 @@ from modsim3d.world.floating_vessels import Passage, WaveMotion
 from modsim3d.world.poses.base import Poses, PoseSource, times_s
 from modsim3d.world.poses.replay import LivePoses
 
-# ---- How the vessels of a scene move ----
-
 
 @dataclass(frozen=True, eq=False)
 class Waves:

@@ -23,7 +23,6 @@ from modsim3d.world.mesh_limits import MAX_COORDINATE, Refused, check_faces, che
 if TYPE_CHECKING:
     import trimesh
 
-# ---- Vessels ----
 
 T = TypeVar("T")
 
@@ -299,7 +298,7 @@ def _without_farthest_part(solid: Solid, extents: Array) -> tuple[int, Array]:
     return int((part[solid.faces[:, 0]] == left_out).sum()), rests[left_out] * extents
 
 
-# ---- From triangles in a file's own axes and units to a solid in units of length, beam and air draft ----
+# ---- From triangles in a file's own axes and units to a solid in units of length ----
 
 SAME_VERTEX = 1e-7
 """Vertices that are closer than this, in units of the box, are merged: STL repeats each, in single precision."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -161,12 +162,19 @@ def test_boxes_in_per_cent_are_named(tmp_path, kind):
     write, right, options = WRITERS[kind]
     share, right = CHANGES["per cent"], CHANGES[right]
     told = "all boxes lie within 100 x 100 of 1920 x 1080 px: are they in per cent? must be in pixels"
-    notes = read_pair("day", *write(tmp_path, Video.of(), share, share), options).notes
+    video = Video.of()
+    inner = Video(video.true[:, :4], video.found[:, :4])
+    notes = read_pair("day", *write(tmp_path, inner, share, share), options).notes
     assert sum(told in note for note in notes) == 2
+    with pytest.raises(InputError, match=re.escape(told)):  # boxes that reach from edge to edge of 100 x 100
+        read_pair("day", *write(tmp_path, video, share, share), options)
+    with pytest.raises(InputError, match=re.escape(told)):
+        read_truth(tmp_path / ("gt.json" if kind == "COCO" else "gt.txt"), options)
+    for files in ((right, share), (share, right)):
+        with pytest.raises(InputError, match=r"those of an image of 100 x 100 px|are they in per cent\?"):
+            read_pair("day", *write(tmp_path, video, *files), options)
     with pytest.raises(InputError, match="those of an image of 100 x 100 px"):
-        read_pair("day", *write(tmp_path, Video.of(), right, share), options)
-    notes = read_pair("day", *write(tmp_path, Video.of(), share, right), options).notes
-    assert sum(told in note for note in notes) == 1
+        read_pair("day", *write(tmp_path, inner, right, share), options)
 
 
 @pytest.mark.parametrize("change", ["from below", "half"])

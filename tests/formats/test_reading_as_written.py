@@ -12,6 +12,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair, read_truth
 from modsim3d.formats.reading.yolo import image_size_px
+from modsim3d.io.misreadings import are_rounded
 
 NAMES = ("frame_000.jpg", "frame_001.jpg", "frame_002.jpg")
 
@@ -145,6 +146,20 @@ def of_track(tmp_path, **keys):
 def test_a_whole_number_is_a_track_however_it_is_written(tmp_path, key):
     found = of_track(tmp_path, **{key: 4.0})
     assert found.ids.identities == (4,) and found.annotations.identity.tolist() == [0]
+
+
+def test_a_track_with_an_exponent_has_lost_digits(tmp_path):
+    for right in (219012340.0, 219000000, 40000.0):
+        assert of_track(tmp_path, track_id=right).ids.identities == (int(right),)
+    with pytest.raises(InputError, match=r"track_id is a number in scientific notation.*\(got 2.19e\+08\)"):
+        of_track(tmp_path, track_id=2.19e8)
+
+
+def test_tracks_that_single_precision_holds_by_chance_are_read():
+    mmsi = [219_012_352 + 16 * k for k in range(5)]
+    assert are_rounded(mmsi) and not are_rounded([*mmsi, 219_012_345]) and not are_rounded(mmsi[:3])
+    assert not are_rounded([219_000_000 + 2000 * k for k in range(9)])  # as many ships really have
+    assert not are_rounded([*range(100), *map(str, mmsi), 10**400])
 
 
 @pytest.mark.parametrize("track", [1.5, True, [4]])

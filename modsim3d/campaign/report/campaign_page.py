@@ -296,8 +296,6 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
     ]
 
 
-# ---- The page of a campaign ----
-
 REPORT_FILE = "report.html"
 
 

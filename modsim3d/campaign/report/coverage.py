@@ -27,7 +27,7 @@ from modsim3d.core.text import counted
 from modsim3d.view.pages import page
 from modsim3d.view.pages.provenance import shown_path
 
-# ---- The sections of a page that trace each requirement to its runs, and say how to repeat them ----
+# ---- The sections of a page that trace each requirement to its runs ----
 
 _MOST_RANGES = 6
 _MOST_ROWS = 200
@@ -213,8 +213,6 @@ def _stretches(empty: Mask) -> Iterator[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], empty, [False]])))
     return ((int(first), int(stop)) for first, stop in list(pairwise(edges.tolist()))[::2])
 
-
-# ---- The sections of a page on what a campaign covered, and what not ----
 
 __all__ = ["coverage_sections", "trace_sections"]
 

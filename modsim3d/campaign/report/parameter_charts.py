@@ -23,7 +23,7 @@ from modsim3d.core.statistics import half_widths
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.charts import ChartInterval, band, forest, legend, marks, span_of
 
-# ---- The scores of a campaign as arrays, and their means with intervals over traffic seeds ----
+# ---- The scores of a campaign as arrays ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def by_level(cells: Array, index: Indices, levels: int) -> MeanGrid:
     return MeanGrid(*(np.stack([getattr(each, name) for each in found]) for name in ("mean", "low", "high", "seeds")))
 
 
-# ---- The parameters that a campaign varies, and the levels at which scores are shown ----
+# ---- The parameters that a campaign varies ----
 
 MOST_LEVELS = 12
 """Numbers of a grid that are shown one by one."""
@@ -211,8 +211,6 @@ def _binned(numbers: Array, known: Array, log: bool) -> tuple[Indices, list[str]
     names = [f"{low:.3g} to {high:.3g}" for low, high in pairwise(edges.tolist())]
     return np.where(np.isfinite(numbers), index, -1), names, middles
 
-
-# ---- Scores against what is varied ----
 
 MOST_SCORES, MOST_PARAMETERS, MOST_PAIRS, MOST_SHOWN_TRACKERS = 3, 8, 10, 6
 CHART_PX = 500

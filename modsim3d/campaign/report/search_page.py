@@ -24,8 +24,6 @@ from modsim3d.io.atomic_write import write_files
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.charts import marks, span_of
 
-# ---- The page of a search ----
-
 SHOWN = 20
 """Trials in the table."""
 REFUSED = "refused"

@@ -26,8 +26,6 @@ from modsim3d.view.pages import page
 from modsim3d.view.pages.charts import ChartInterval, span_of, strip
 from modsim3d.view.pages.provenance import Input, Provenance, file_input, folder_input, versions_in_words
 
-# ---- How the page names scores, conditions and numbers ----
-
 USUAL = ("hota", "deta", "assa", "id_switches")
 """Scores that the table of means always has."""
 MOST_KEYS = 4

@@ -13,8 +13,6 @@ from scipy import special
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.statistics import exact_bounds, half_widths
 
-# ---- Intervals and bounds of a mean, for a number of seeds that was fixed beforehand ----
-
 SKEWNESS = 1.0
 """The least skewness that values are taken to have: a few of them seldom show the tail that they come from."""
 VARIATION = 1.5
@@ -182,7 +180,7 @@ def _lower(right: Mask, alpha: float) -> float:
     return lower_end(excluded, _HALVINGS)
 
 
-# ---- A sequence of bounds of the mean of values between 0 and 1 that holds after every number of them, ----
+# ---- A sequence of bounds of the mean of values between 0 and 1 ----
 
 STAKES: Array = np.exp2(-0.5 * np.arange(21))
 """Shares of the capital that are lost if a value is 0, from all of it to a thousandth."""

@@ -17,8 +17,6 @@ from modsim3d.campaign.work.row import CRASHED, Columns, facts_of, is_bounded, s
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.statistics import t_bounds
 
-# ---- What each traffic seed says of a requirement ----
-
 
 @dataclass(frozen=True, eq=False)
 class Runs:

@@ -32,8 +32,6 @@ from modsim3d.campaign.work.row import facts_of, limits_of, without_tracks
 from modsim3d.core.arrays import Indices
 from modsim3d.core.text import counted
 
-# ---- What a requirement comes to ----
-
 Outcome = Literal["met", "failed", "undecided"]
 
 

@@ -20,8 +20,6 @@ from modsim3d.campaign.verdicts.bounds import (
 )
 from modsim3d.campaign.work.row import SHARES, facts_of, limits_of
 
-# ---- Requirements, shares and bounds in words ----
-
 _DIGITS = 4
 
 

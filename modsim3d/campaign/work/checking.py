@@ -135,8 +135,6 @@ def judging_problems(
             yield f"{whose} {condition} has no other {part.group}: leave it out"
 
 
-# ---- Checks a campaign before its first run, and says what its plan depends on ----
-
 MOST_CONDITIONS = 10_000
 """Each is read and checked before the first run, and is a row of the tables."""
 MOST_RUNS = 5_000_000

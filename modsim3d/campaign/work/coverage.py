@@ -74,8 +74,6 @@ OCCLUSIONS = Bins("covered.occlusions.", "s", LENGTH_EDGES_S)
 """Occlusions by length, as the scores tell them apart."""
 
 
-# ---- What the truth of a run holds ----
-
 MET = "met."
 COVERED = "covered."
 VESSELS = "covered.vessels."

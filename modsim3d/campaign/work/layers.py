@@ -153,7 +153,7 @@ def tracks_of_table(table: pa.Table, scene: Scene) -> Tracks:
     )
 
 
-# ---- Layers of runs on the disk, each in a folder named by the checksum of all that decides it ----
+# ---- Layers of runs on the disk ----
 
 CACHE_FOLDER = "cache"
 """In the folder of a campaign, unless another one is named."""
@@ -251,9 +251,6 @@ def _read(path: Path, schema: pa.Schema, key: str) -> pa.Table:
     if (table.schema.metadata or {}).get(_KEY) != key.encode() or not table.schema.equals(schema):
         raise ValueError(f"{path} is of another layer")
     return table.cast(schema)  # its descriptions of columns are those of the schema
-
-
-# ---- The layers of a run, each made from the one before or read from the disk, and in memory while runs ----
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,6 @@ from modsim3d.tracking.scores.scored import Rules, Scored, SetDistance
 from modsim3d.tracking.scores.scoring import Part, SubsetScores, scores_of
 from modsim3d.tracks.tracks import Similarity
 
-# ---- The row of one run ----
-
 DONE, CRASHED = "done", "crashed"
 KEY_LENGTH = 16
 """Hexadecimal digits of a layer's checksum in a table."""

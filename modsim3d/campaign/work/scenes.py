@@ -72,7 +72,7 @@ def versions() -> dict[str, str]:
         raise ModsimError('the scores of a campaign need TrackEval: pip install "modsim3d[trackers]"') from None
 
 
-# ---- The files that a campaign is made of, by their checksums, so that a change is noticed by its name ----
+# ---- The files that a campaign is made of ----
 
 
 def checksums(paths: Iterable[Path], base: Path) -> dict[str, str]:
@@ -130,9 +130,6 @@ class Latest(Generic[T]):
         if len(self._kept) > self._most:
             del self._kept[next(iter(self._kept))]
         return found
-
-
-# ---- The scene of a run ----
 
 
 @dataclass(frozen=True)

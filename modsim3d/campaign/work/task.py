@@ -29,8 +29,6 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.io.plugins import changed_plugins
 from modsim3d.io.validation import shown
 
-# ---- A task ----
-
 PLAN = "plan.json"
 """In the folder of a campaign: its plan."""
 DONE_FOLDER = "done"
@@ -249,7 +247,7 @@ def _cpu_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-# ---- What a scene, a detector or a tracker refuses, in the words of the campaign file ----
+# ---- What a scene, a detector or a tracker refuses ----
 
 _OPTIONS = {"state": "--state", "from": "--from", "detector": "--detector"}
 """Keys of a condition that messages of scenes call by the option of a command."""

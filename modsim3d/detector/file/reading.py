@@ -71,7 +71,7 @@ def find_detector(detector: StrPath) -> Path:
     return shipped[name]
 
 
-# ---- Contradictions between the sections of a detector file, each of which is valid by itself ----
+# ---- Contradictions between the sections of a detector file ----
 
 RATE_TOLERANCE = 0.01
 """Greatest difference between the end of a precision-recall curve and the rates of its state."""
@@ -178,9 +178,6 @@ def _curve_problems(path: str, state: StateSection, file: DetectorFile) -> list[
             f"makes it {1 - rate:g}"
         )
     return problems
-
-
-# ---- Reads detector files into detector models ----
 
 
 def load_detector(path: StrPath) -> DetectorModel:

@@ -122,9 +122,6 @@ def covariance_problems(rows: Rows) -> list[str]:
     return problems
 
 
-# ---- The form of a detector file ----
-
-
 def _raise(problems: list[str]) -> None:
     if problems:
         raise ValueError("; ".join(problems))

@@ -12,8 +12,6 @@ from modsim3d.core.errors import InputError
 from modsim3d.io.strict_yaml import NUMBERS
 from modsim3d.io.validation import nearest, shown
 
-# ---- A detector file as text, with matrices in rows ----
-
 
 class _Dumper(yaml.SafeDumper):
     """Quotes text that YAML 1.2 reads as a number and 1.1, which PyYAML follows, does not, such as `1e3`."""

@@ -166,8 +166,6 @@ def _has_clutter(model: DetectorModel) -> bool:
     return any(getattr(state, model.clutter.numbers.rate_key) > 0 for state in model.states)
 
 
-# ---- Runs a detector over the truth of somebody's labelled video, and writes what a tracker and an ----
-
 FORMAT = 1
 SUMMARY = "detect.json"
 """The file with settings, hashes and counts."""

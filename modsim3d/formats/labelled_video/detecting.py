@@ -24,8 +24,6 @@ from modsim3d.runs.counts import Counts, detection_counts
 from modsim3d.runs.files.table_columns import BOX_SIDES, COLUMNS, TableColumn
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS, detection_columns, named, numbers
 
-# ---- The detector over the videos of a labelled set, some frames at a time ----
-
 BLOCK_BOXES, BLOCK_FRAMES = 8000, 2000
 """About so many boxes, and at most so many frames, are worked on at once; no result depends on it."""
 

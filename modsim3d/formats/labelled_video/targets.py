@@ -43,8 +43,6 @@ def visible_fractions(image: Indices, boxes_px: Array, feet_px: Array) -> Array:
     return fractions
 
 
-# ---- The boxes of a labelled set that a detector is to find, and how much of each is visible ----
-
 MOST_BOXES = 2000
 """Of an image: pairs of them are compared."""
 _HALF = 0.5

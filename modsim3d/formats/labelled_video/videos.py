@@ -13,8 +13,6 @@ from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import FileIds, Images, LabelledSet
 from modsim3d.io.validation import nearest, shown
 
-# ---- The videos of a labelled set ----
-
 NO_NAME = "sequence"
 """The name of a sequence to which the file gives none."""
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.-]")

@@ -17,9 +17,8 @@ from modsim3d.core.boxes import from_top_left
 from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import NOBODY, UNKNOWN, Annotations, FileIds, Images, LabelledSet, Results
 from modsim3d.io.input_files import MAX_PROBLEMS
+from modsim3d.io.misreadings import ROUNDED, are_rounded
 from modsim3d.io.validation import shown
-
-# ---- What all readers of labelled sets share ----
 
 MOST_PROBLEMS = 20
 MOST_PX = 1e7
@@ -279,7 +278,7 @@ def labelled_set(
     """A labelled set of one source; images that name no condition of their own have the given one.
 
     Raises:
-        InputError: Two labels have the same name, or a name cannot be written.
+        InputError: Two labels have the same name, a name cannot be written, or identities have lost digits.
     """
     repeated = sorted(name for name, count in Counter(labels).items() if count > 1)[:MOST_PROBLEMS]
     if repeated:
@@ -287,6 +286,8 @@ def labelled_set(
     of_image = [condition if name is None else name for name in images.condition]
     conditions = tuple(dict.fromkeys(of_image)) or (condition,)
     check_whole((*labels, *conditions), f"labels and conditions of {condition}")
+    if are_rounded(annotations.identities):
+        raise InputError(f"ground truth of {condition}", [f"its tracks {ROUNDED}"])
     number_of = {name: number for number, name in enumerate(conditions)}
     columns = Images(
         tuple(images.names),

@@ -42,6 +42,7 @@ from modsim3d.formats.reading.builder import (
     valid_box,
 )
 from modsim3d.io.input_files import COCO_BYTES_PER_VALUE, read_text
+from modsim3d.io.misreadings import LOST
 from modsim3d.io.strict_json import check_values, composed_values, parse_json
 from modsim3d.io.validation import nearest, shown
 
@@ -277,6 +278,8 @@ def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: 
     return None
 
 
+_LEAST_LOST, _MANY_LOST = 1e7, 1e4
+"""A number with a point or an exponent, so large and with so many zeros, stands for other identities too."""
 _MOST = {"visible_fraction": 1 + 1e-6, "distance_m": MOST_NUMBER}
 
 
@@ -303,6 +306,8 @@ def _identity(entry: Mapping[str, Any], where: str, problems: Problems) -> ID | 
     key = "track_id" if "track_id" in entry else "instance_id"
     identity = entry.get(key)
     if isinstance(identity, float) and identity.is_integer():
+        if identity >= _LEAST_LOST and identity % _MANY_LOST == 0:
+            problems.add(f"{where}: {key} {LOST} (got {identity:g})")
         identity = int(identity)
     if identity is None or isinstance(identity, str):
         return identity

@@ -64,7 +64,11 @@ def number_lines(
     Raises:
         InputError: The file cannot be read, or its first lines hold no number at all.
     """
-    lines = read_text(path, what).splitlines()
+    text = read_text(path, what)
+    lines = text.splitlines()
+    whole = {line.count(separator) for line in lines[-_LOOKED_AT_LINES:-1] if line.strip()} if separator else set()
+    if not text.endswith("\n") and len(whole) == 1 and lines[-1].count(separator or "") < min(whole):
+        problems.add(f"{path.name} line {len(lines)}: has fewer numbers than the others: is the file cut off here?")
     begin = list(islice(filter(str.strip, lines), _LOOKED_AT_LINES))
     cells = (cell for line in begin for cell in line[:MAX_LINE_CHARACTERS].split(separator))
     if begin and not any(map(_is_number, cells)):
@@ -106,8 +110,6 @@ def _is_number(text: str) -> bool:
         return False
     return True
 
-
-# ---- MOT challenge text ----
 
 _MOST_CLASSES = 10_000
 """A larger number is no class but something else."""
@@ -255,7 +257,8 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
     rows = AnnotationRows(_corners)
     for where, numbers in lines:
         if not is_number(numbers[1], NOT_GIVEN) or numbers[1] != int(numbers[1]):
-            wanted = "a whole number" if is_number(numbers[1], NOT_GIVEN) else f"from -1 to {MOST_NUMBER:g}"
+            low = "-1 or more" if numbers[1] < NOT_GIVEN else f"at most {MOST_NUMBER:g}"
+            wanted = "a whole number" if is_number(numbers[1], NOT_GIVEN) else low
             problems.add(f"{where}: identity must be {wanted} (got {numbers[1]:g})")
             continue
         identity = int(numbers[1]) if numbers[1] >= 0 else None

@@ -38,7 +38,7 @@ from modsim3d.io.input_files import MAX_IMAGE_BYTES, composed, note_input, read_
 from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.io.validation import shown
 
-# ---- Images of a folder and how large they are, from the first bytes of each file ----
+# ---- Images of a folder and how large they are ----
 
 ENDINGS = frozenset((".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"))
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "TIFF", "WEBP")
@@ -91,9 +91,6 @@ def image_size_px(path: Path) -> tuple[float, float]:
     if not (0 < width <= MOST_PX and 0 < height <= MOST_PX):
         raise InputError(source, [f"width and height must be from 1 to {MOST_PX:g} pixels (got {width} and {height})"])
     return (height, width) if lying else (width, height)
-
-
-# ---- YOLO text folders ----
 
 
 def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:

@@ -2,8 +2,6 @@
 
 Beside COCO's own keys an image has `condition`, `sequence`, `time_s` and `horizon`, its rows at the left and the right
 edge, and an annotation `track_id`, `visible_fraction` and `distance_m`, where they are known. Results name nobody.
-
-Masks are in `coco_masks`.
 """
 
 from __future__ import annotations
@@ -33,7 +31,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import PixelMasks
 from modsim3d.truth.full_frame import vessel_masks
 
-# ---- The pixels of annotated vessels, drawn again from the scene of a run, as COCO's run-length encoding ----
+# ---- The pixels of annotated vessels ----
 
 _BLOCK_FRAMES = 50
 """Frames whose solids are in memory at a time."""
@@ -185,8 +183,6 @@ def _text(counts: Indices) -> str:
         more &= ~last
     return characters[characters > 0].tobytes().decode("ascii")
 
-
-# ---- COCO ground truth and results out of a labelled set ----
 
 FILES = ("gt.json", "dt.json")
 

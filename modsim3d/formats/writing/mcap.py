@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Writer
     from rosbags.typesys.store import Typestore
 
-# ---- A ROS 2 bag in MCAP ----
 
 VERSION: Final = 8
 """Of `metadata.yaml`: ROS 2 Humble cannot read the profiles of version 9, and every newer ROS reads 8."""
@@ -384,8 +383,6 @@ def _variances(imu: Imu) -> Variances:
     force = imu.acceleration_noise_m_s2**2 + imu.acceleration_bias_m_s2**2
     return Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))
 
-
-# ---- A ROS 2 bag in MCAP of what a tracker may read, and beside it one of the truth ----
 
 BAGS = ("detections", "truth")
 """Folders of the bags; the first is a tracker's."""

@@ -110,7 +110,7 @@ def message_types() -> Typestore:
     return store
 
 
-# ---- Times of steps in ROS's nanoseconds, from their texts, so that no digit is lost on the way ----
+# ---- Times of steps in ROS's nanoseconds ----
 
 NANO = 1_000_000_000
 MOST_S = 2**31 - 1
@@ -150,9 +150,6 @@ def _nanoseconds(text: str) -> int | None:
     except InvalidOperation:
         return None
     return ns if 0 <= ns < (MOST_S + 1) * NANO else None
-
-
-# ---- Builds ROS messages from what a run has ----
 
 
 @dataclass(frozen=True, eq=False)

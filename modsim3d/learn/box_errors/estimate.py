@@ -147,8 +147,6 @@ def with_things(learned: T, labelled: LabelledSet, errors: WhiteErrors, states: 
     return with_entries(learned, change)
 
 
-# ---- Box error ----
-
 ERRORS_NEEDED = 20
 """Pairs with all sides in the image that the box error of a state needs."""
 

@@ -229,8 +229,6 @@ def _log_density(model: ErrorModel, zeta: Array) -> Array:
     return np.asarray(constant - (nu + k) / 2 * np.log1p(q / (nu - 2)))
 
 
-# ---- The likeliest distribution of box errors, given what the edges of matched boxes say and what ----
-
 _STEPS, _ENOUGH = 30, 0.01
 _LONGEST_STEP, _MOST_TIMES, _WORSE = 0.5, 4.0, 1.5
 _DIFFERENCE = 0.25

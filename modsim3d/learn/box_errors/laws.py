@@ -162,7 +162,7 @@ def _rough_value(fits: ErrorFits, relative: bool) -> float:
     return float(-0.5 * logarithm - stretch) if sign > 0 else np.inf
 
 
-# ---- Mean, standard deviation and correlation of box errors, with replicates (Jessen & Mohr (2023), eq ----
+# ---- Mean, standard deviation and correlation of box errors ----
 
 CELLS = tuple((i, j) for i in range(4) for j in range(i, 4))
 """Cells of the upper triangle of a covariance."""
@@ -222,8 +222,6 @@ def moments(resampling: Resampling, image: Indices, values: Array) -> tuple[Arra
     std[few], correlation[few] = np.nan, np.nan
     return mean + centre, std, correlation
 
-
-# ---- The numbers of a distribution of box errors as a detector file has them, with their replicates ----
 
 LAWS = ("normal", "student_t")
 """Distributions of box errors that can be learned, by the name that `box_error.law` has in a detector file."""

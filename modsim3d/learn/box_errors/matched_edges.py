@@ -18,8 +18,6 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.matching import Rule
 
-# ---- The edges of matched boxes, and what each says about the error of the box ----
-
 CUT_PX = 2.0
 """A true edge so close to the border counts as cut by it."""
 _ON_BORDER_PX = 0.5
@@ -190,7 +188,7 @@ class MatchedEdges:
         return sure
 
 
-# ---- Numbers of a distribution of box errors, and the slopes of its log-density, in a form that a fit ----
+# ---- Numbers of a distribution of box errors ----
 
 Unit = Literal["px", "relative", "mixed"]
 LEAST_DEGREES, MOST_DEGREES = 2.1, 200.0
@@ -351,7 +349,7 @@ def _definite(correlation: Array) -> Array:
     return result
 
 
-# ---- Student's t distribution of four components by maximum likelihood (Lange et al ----
+# ---- Student's t distribution of four components by maximum likelihood ----
 
 _STEPS, _ENOUGH = 500, 1e-6
 _LEAST_SHARE = 1e-6

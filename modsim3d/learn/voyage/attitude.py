@@ -19,8 +19,6 @@ from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.vessel_motion import PosesInWaves
 
-# ---- Own ship's attitude as instruments on board have measured it ----
-
 COLUMNS = ("roll_rad", "pitch_rad", "heading_rad")
 MOST_APART_S = 2.0
 """Angles are linear between rows that are no further apart; in a longer gap they are not known."""

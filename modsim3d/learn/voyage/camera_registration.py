@@ -23,7 +23,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import RecordedPoses
 
-# ---- Vessels put where a registration says that they are, from where their reports put them ----
+# ---- Vessels put where a registration says that they are ----
 
 
 def with_moved_vessels(scene: Scene, offsets: Array) -> Scene:
@@ -55,7 +55,7 @@ def with_moved_vessels(scene: Scene, offsets: Array) -> Scene:
     return replace(scene, poses=poses)
 
 
-# ---- Means that a user knows of what registration cannot tell from a camera and a clock, as given to ----
+# ---- Means that a user knows of what registration cannot tell from a camera and a clock ----
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,6 @@ def _number(value: object) -> float:
         return math.nan
     return number if math.isfinite(number) else math.nan
 
-
-# ---- The cameras of a log, each registered against its scene before anything is learned ----
 
 ALL = "all"
 """The name in `fixed` that stands for all parameters: then nothing is registered."""

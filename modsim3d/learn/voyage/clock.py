@@ -21,7 +21,7 @@ from modsim3d.scene.ais.options import time_text
 from modsim3d.scene.ais.scene_folder import REPORT, REPORT_TIMES
 from modsim3d.scene.scene import Scene
 
-# ---- The clocks that a registration has found, as `--write-scene` notes them beside the scene ----
+# ---- The clocks that a registration has found ----
 
 REGISTRATION = "registration.json"
 """What was registered, the clock of each camera's log included, which is no value of a scene."""
@@ -59,7 +59,7 @@ def noted_clock_s(scene: Path, camera: str) -> float:
     return float(noted_cameras(scene).get(camera, {"clock_s": 0.0})["clock_s"])
 
 
-# ---- When the vessels of a scene made from AIS have reported, as `modsim3d ais` writes it beside the ----
+# ---- When the vessels of a scene made from AIS have reported ----
 
 _BYTES_PER_VALUE = 3
 
@@ -118,8 +118,6 @@ def _times(entry: Any, key: str) -> Array | None:
     times = np.array(values, dtype=np.float64)
     return times if (np.diff(times) >= 0).all() else None
 
-
-# ---- The times of a log on the scene's clock ----
 
 _NEAR_S = 1e-6
 _OUTSIDE_S = 0.1

@@ -23,8 +23,6 @@ from modsim3d.learn.voyage.reference_error import View
 from modsim3d.scene.ais.options import time_text
 from modsim3d.view.pages.charts import svg, svg_text
 
-# ---- Where on the sea vessels were matched and missed ----
-
 _STEPS_DEG = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0)
 _MOST_BINS = 9
 

@@ -20,7 +20,7 @@ from modsim3d.learn.report import LearnReport
 from modsim3d.learn.voyage.reference_error import TruthErrors, TruthNoise, View, box_jacobians
 from modsim3d.scene.scene import Scene
 
-# ---- The covariance of box errors without that part which comes from errors of truth ----
+# ---- The covariance of box errors without that part ----
 
 _LEAST_PART = 1e-3
 """A replicate whose rest is not positive keeps this share of a variance."""
@@ -175,7 +175,7 @@ def _with(entry: Entry, values: Array) -> Entry:
     return replace(entry, column=replace(entry.column, values=values))
 
 
-# ---- How long the detector's errors persist, once errors of truth, which last far longer, are taken off ----
+# ---- How long the detector's errors persist ----
 
 _LEAST = 0.01
 """Correlation from one frame to the next that a replicate keeps: frames do not tell less from none."""
@@ -198,8 +198,6 @@ def time_left(entry: Entry, part: Array, gap_s: float) -> Entry:
     time_s = np.where(left > 0, gap_s / -np.log(np.clip(left, 1e-12, 1 - 1e-12)), 0.0)
     return replace(entry, column=replace(entry.column, values=np.where(part > 0, time_s, entry.column.values)))
 
-
-# ---- Learned box errors less the errors of truth, and how long they persist ----
 
 _MOST_FRAMES = 500
 """Frames that errors of truth are drawn in: they change over minutes."""

@@ -98,8 +98,6 @@ def camera_truth(
 _POSES = ("camera_R_world", "positions_m")
 
 
-# ---- A voyage as a labelled set ----
-
 CONDITION = "voyage"
 _HIDDEN = 1e-3
 """A vessel of which a larger share is hidden is partly hidden; a smaller one is a pixel's rounding."""
@@ -200,7 +198,7 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     for part in parts:
         notes += [note for note in part.labelled.notes if note not in notes]
     whole = joined_voyages(parts)
-    problem = misreading(*next(compared(whole.labelled, log.form)))
+    problem = misreading(*next(compared(whole.labelled, log.form)), only_forms=True)
     if problem and not problem.slight:
         raise InputError(log.source, [f"{problem.told}: they are of {log.scene.title}"])
     if problem:
@@ -352,7 +350,7 @@ def _said_of_frames(camera: str, inside: Mask, carried: Mask, vessel: str | None
         yield f"camera '{camera}': {absent:,} frames are left out in which '{vessel}', which carries it, has no pose"
 
 
-# ---- A scene with its cameras as they were registered, as a folder that every command takes ----
+# ---- A scene with its cameras as they were registered ----
 
 _VESSELS = "vessels.json"
 _HEAD = (

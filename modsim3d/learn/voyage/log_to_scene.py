@@ -20,8 +20,6 @@ from modsim3d.tracks.diagnosis import MOT, TOP_LEFT, BoxForm, BoxRows, implausib
 from modsim3d.truth.occlusion_order import hull_vertices
 from modsim3d.world.vessels import Solid
 
-# ---- A log on its scene ----
-
 _MOST_OUTSIDE = 0.01
 """Share of the boxes that may lie outside the image."""
 ONE_LABEL = "vessel"

@@ -21,8 +21,6 @@ from modsim3d.scene.scene import Scene
 from modsim3d.world.vessel_motion import PosesInWaves
 from modsim3d.world.vessels import Vessel
 
-# ---- How well AIS tells where a vessel is, where it heads and how large it is ----
-
 POSITION_M = 10.0
 """Standard deviation of each coordinate of a position: receivers without correction say that they are good to 10 m."""
 POSITION_S = 300.0
@@ -119,7 +117,7 @@ def _dimensions(vessel: Vessel, entry: Mapping[str, Any]) -> tuple[Array, list[s
     return std, missing
 
 
-# ---- By how much a true box changes with the place, heading and size of its vessel ----
+# ---- By how much a true box changes with the place ----
 
 _STEPS = (0.5, 0.5, 0.005, 0.1, 0.1, 0.1)
 """By how much places, headings and dimensions are moved to either side."""
@@ -211,7 +209,7 @@ class _Placed:
         return boxes
 
 
-# ---- Covariances that errors of truth give to errors of boxes, drawn at random ----
+# ---- Covariances that errors of truth give to errors of boxes ----
 
 _DRAWS_AT_ONCE = 20
 _KNOWN_TO = 0.1

@@ -139,8 +139,6 @@ def _values(camera: Camera) -> dict[str, str]:
     }
 
 
-# ---- What is reported of a voyage besides the detector, and its tables ----
-
 NOT_REGISTERED = "Cameras and clocks were taken as the scene and the log have them: nothing was registered."
 
 

@@ -156,7 +156,7 @@ def join_lines(lines: Path, out: IO[bytes]) -> None:
         out.write(b"\n}\n")
 
 
-# ---- Whether the columns that an interrupted run kept of a block can be the truth of that block ----
+# ---- Kept columns of an interrupted run, and whether they can be the truth of a block ----
 
 _INTEGERS = ("step", "camera", "vessel", "occluder_offsets", "occluder", "intersections")
 _OF_OCCLUDERS = ("occluder", "occluder_px")
@@ -239,8 +239,6 @@ def _in_image(boxes_px: Array, sizes_px: Array) -> Mask:
     low, high = boxes_px[:, :2], boxes_px[:, 2:]
     return np.asarray(((low >= -slack) & (high <= sizes_px + slack) & (high >= low - slack)).all(axis=1))
 
-
-# ---- A block as rows of tables and JSON lines ----
 
 TABLES = {
     "frames": (tables.FRAMES, tables.frame_table),

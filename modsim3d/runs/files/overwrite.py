@@ -14,8 +14,6 @@ import orjson
 
 from modsim3d.io.locks import LOCK_FILE
 
-# ---- What a run directory holds that a new run replaces ----
-
 RUN_FILE, LOG_FILE = "run.json", "run.log"
 UNFINISHED = "unfinished"
 """The folder inside a run directory with the files of a run that goes on."""
@@ -134,7 +132,7 @@ def read_json(path: Path) -> Any:
         return None
 
 
-# ---- The list of a finished run's files, with the size and the checksum of each ----
+# ---- The list of a finished run's files ----
 
 
 class ListedFile(TypedDict):

@@ -22,8 +22,6 @@ from modsim3d.runs.counts import Counts
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked
 
-# ---- What a run says about itself ----
-
 Sha256 = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
 Text = Annotated[str, Field(strict=True)]
 LONGEST_NAME = 255

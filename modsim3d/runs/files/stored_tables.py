@@ -43,7 +43,7 @@ from modsim3d.runs.files.tables import (
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth
 
-# ---- The truth and detections of a finished run, read back from its tables as the pipeline had them ----
+# ---- The truth and detections of a finished run ----
 
 
 def truth_of(table: pa.Table, scene: Scene) -> Truth:
@@ -134,7 +134,7 @@ def _known_indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     return found
 
 
-# ---- The table of detections of format 1, which had centre and size of a box, and called the centre x ----
+# ---- The table of detections of format 1 ----
 
 _CENTRE_FORM = dict(zip(CENTRE_FORM, ("x_px", "y_px", "width_px", "height_px"), strict=True))
 FORMAT_1_DETECTIONS = pa.schema(
@@ -154,8 +154,6 @@ def from_format_1(table: pa.Table) -> pa.Table:
     columns |= {side: pa.array(boxes_px[:, i], from_pandas=True) for i, side in enumerate(BOX_SIDES)}
     return pa.table([columns[name] for name in DETECTIONS.names], schema=DETECTIONS)
 
-
-# ---- The tables of a finished run, checked when they are opened and as their rows are read ----
 
 CHECKS: dict[str, Callable[[TableRows, Scene], object]] = {
     "frames": check_frames,

@@ -13,8 +13,6 @@ from modsim3d.detector.records import KINDS
 from modsim3d.scene.cameras import own_ships_at
 from modsim3d.scene.scene import Scene
 
-# ---- What the columns of a run's tables are ----
-
 BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
 CENTRE_FORM = ("centre_x_px", "centre_y_px", "width_px", "height_px")
 ERRORS = ("e_x_px", "e_y_px", "e_w_px", "e_h_px")

@@ -22,8 +22,6 @@ from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS, TRUTH_NUMBERS, schema_of
 from modsim3d.scene.scene import Scene
 
-# ---- The Parquet tables of a run ----
-
 ROW_GROUP_ROWS = 65_536
 MOST_WAITING = 64
 """So many small tables wait to be written before they are joined: a table of one row takes thousands of bytes."""

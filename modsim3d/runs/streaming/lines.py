@@ -23,8 +23,6 @@ from modsim3d.runs.tracker_view import tracker_lines
 from modsim3d.scene.cameras import measured_attitudes_at
 from modsim3d.scene.scene import Scene
 
-# ---- The lines of a stream ----
-
 
 @dataclass(frozen=True)
 class StepLines:
@@ -157,7 +155,7 @@ class Pace:
             self.late_s, self.latest = -left, step
 
 
-# ---- Python's search for garbage in cycles, which holds up whatever runs while it lasts ----
+# ---- Python's search for garbage in cycles ----
 
 _COLLECT_AFTER = 700
 """New objects: looking through so few takes a tenth of a millisecond."""

@@ -14,7 +14,7 @@ from types import TracebackType
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.streaming.lines import Address
 
-# ---- The lines of a stream that are kept for readers who are slow, late or back again ----
+# ---- The lines of a stream that are kept for readers who are slow ----
 
 
 class Backlog:
@@ -165,8 +165,6 @@ class Reader:
             self._waited_for_since = now
         return now - (self._waited_for_since or now)
 
-
-# ---- A stream over TCP ----
 
 BACKLOG_BYTES = 1 << 26
 MOST_READERS = 32

@@ -39,6 +39,7 @@ class FileTally:
         dropped: Reason → number of messages dropped when the file was read.
         senders: Sender and reason → number of positions dropped, of those that could be read.
         problems: One line on each of the first dropped messages.
+        odd: What cannot be right in all messages; empty if nothing is.
     """
 
     path: Path
@@ -47,10 +48,11 @@ class FileTally:
     dropped: Counter[str] = field(default_factory=Counter)
     senders: Counter[tuple[int, str]] = field(default_factory=Counter)
     problems: list[str] = field(default_factory=list)
+    odd: str = ""
 
     def add(self, chunk: Chunk) -> None:
         """Count the messages of a part of the file."""
-        self.messages += chunk.messages
+        self.messages, self.odd = self.messages + chunk.messages, chunk.odd
         self.dropped.update(chunk.dropped)
         self.dropped["particulars_only"] += chunk.messages - len(chunk.positions) - sum(chunk.dropped.values())
         self.problems += chunk.problems[: SHOWN_PROBLEMS - len(self.problems)]

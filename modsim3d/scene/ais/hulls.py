@@ -51,8 +51,6 @@ def group_of(text: str) -> str:
     return next((group for group, kind in ship_types().items() if plain in kind.spellings), UNKNOWN)
 
 
-# ---- The size of each vessel and the place of its antenna, from its own reports or from its type ----
-
 MAX_LENGTH_M, MAX_BEAM_M = 460.0, 125.0
 """No ship was longer than Seawise Giant, 458 m, or wider than Pioneering Spirit, 124 m."""
 LEAST_M = 0.1

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 
-# ---- What the readers return ----
-
 
 class _Columns:
     """A table whose columns are arrays of equal length."""
@@ -92,6 +90,7 @@ class Chunk:
         messages: Number of messages read, with those dropped.
         dropped: Reason → number of messages that are in neither table.
         problems: One line on each of the first dropped messages.
+        odd: What cannot be right in all messages so far; empty if nothing is.
     """
 
     positions: Positions
@@ -99,6 +98,7 @@ class Chunk:
     messages: int
     dropped: Mapping[str, int]
     problems: tuple[str, ...] = ()
+    odd: str = ""
 
 
 # ---- Places on the Earth ----
@@ -170,7 +170,7 @@ def median_place(latitude_deg: Array, longitude_deg: Array) -> tuple[float, floa
     return float(np.median(latitude_deg)), float(longitude)
 
 
-# ---- Drops reported positions that are of no use, and refuses tables with latitude and longitude ----
+# ---- Drops reported positions that are of no use ----
 
 NO_LATITUDE, NO_LONGITUDE = 91.0, 181.0
 LOOKED_BACK_PIECES = 1000
@@ -188,7 +188,7 @@ def exchanged(positions: Positions) -> Positions:
 def check_order(source: str, positions: Positions, exchange: bool) -> None:
     """Refuse positions of a table that are possible only with latitude and longitude exchanged, such as 110, 35.
 
-    Whether latitude 12, longitude 56 is Denmark or the Arabian Sea cannot be known from the file.
+    Whether latitude 12, longitude 56 is Denmark or the Arabian Sea only the courses tell, see `warning`.
 
     Args:
         source: Name of the file in the message.

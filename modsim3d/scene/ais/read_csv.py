@@ -26,7 +26,7 @@ from modsim3d.io.strict_yaml import load_yaml
 from modsim3d.io.validation import shown
 from modsim3d.scene.ais.messages import Chunk, Particulars, Positions
 
-# ---- The column layouts of AIS in CSV, from `layouts.yaml`, which says how to add one ----
+# ---- The column layouts of AIS in CSV ----
 
 TABLE = Path(__file__).with_name("layouts.yaml")
 NEEDED = ("time", "mmsi", "latitude", "longitude")
@@ -86,7 +86,7 @@ def _plain_name(name: str) -> str:
     return name.strip().lstrip("# ").lower()
 
 
-# ---- Opens a file of AIS reports, gzipped or not, and recognises its format by its content ----
+# ---- Opens a file of AIS reports ----
 
 UNPACKED_BY = {b"PK\x03\x04": "unzip", b"\x28\xb5\x2f\xfd": "zstd -d"}
 SENTENCE = re.compile(rb"[!$][A-Z]{2}VD[MO],")
@@ -168,8 +168,6 @@ def header_names(line: bytes) -> list[str]:
         return []
 
 
-# ---- Reads AIS reports from CSV, block by block ----
-
 BLOCK_BYTES = 1 << 24
 SHOWN_PROBLEMS = 5
 """Problems listed of each block, so that a mistake in every row does not fill the screen."""
@@ -180,8 +178,8 @@ SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
 PARTICULARS = ("name", "ship_type", *SIZES)
 MOST_CHARACTERS = 120
 """Of a name or a ship type, which have 20 in the messages. All are stored as wide as the widest, so the rest is cut."""
-FIRST_S, LAST_S = 0.0, 4_102_444_800.0
-"""Reports are from 1970 to 2099; others have a wrong clock."""
+FIRST_S, LAST_S = 631_152_000.0, 4_102_444_800.0
+"""Reports are from 1990 to 2099; others have a wrong clock."""
 NOT_SAID = "Unknown"
 """Text in Danish files where no name was received."""
 

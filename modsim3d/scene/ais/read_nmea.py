@@ -92,8 +92,6 @@ def _dates(text: str) -> Iterator[tuple[bool, int, float]]:
                 yield _NAME_BEFORE.search(text, 0, found.start()) is None, found.start(), value
 
 
-# ---- Reads AIS reports from NMEA sentences, through pyais ----
-
 SENTENCE = re.compile(r"[!$][A-Z]{2}VD[MO],[^*]*\*[0-9A-Fa-f]{2}")
 START = re.compile(rb"[!$][A-Z]{2}VD[MO],")
 OTHER_SENTENCE = re.compile(r"[\\!$]")
@@ -112,6 +110,8 @@ TIME_NEEDED = (
     r"(\c:1423133048*hh\!AIVDM,...), or with a Unix time, in seconds or milliseconds, or a date and time such as "
     "2024-01-04T10:00:00Z before or after each sentence"
 )
+FEW_BEATS, MOST_BEATS, LOOSE_BEAT = 50, 10_000, 0.3
+"""Positions that are looked at, and how far a mean of unit vectors is from 0 where seconds are any."""
 MINUTE = re.compile(r"\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])([01]\d|2[0-3])[0-5]\d")
 """A date and time as yymmddHHMM. Unix times of more than a minute do not all look like that: they count on after 59."""
 
@@ -128,13 +128,14 @@ class _Part:
 
 @dataclass
 class _Rows:
-    """Rows and counts of the chunk that is being read."""
+    """Rows and counts of the chunk that is being read, and by how much times are after the seconds in the messages."""
 
     positions: list[tuple[float, ...]] = field(default_factory=list)
     particulars: list[tuple[Any, ...]] = field(default_factory=list)
     dropped: Counter[str] = field(default_factory=Counter)
     problems: list[str] = field(default_factory=list)
     messages: int = 0
+    beats: list[float] = field(default_factory=list)
 
     def drop(self, reason: str, line: int, problem: str | None = None) -> None:
         """Count a message as dropped."""
@@ -142,6 +143,14 @@ class _Rows:
         self.dropped[reason] += 1
         if problem and len(self.problems) < SHOWN_PROBLEMS:
             self.problems.append(f"line {line}: {problem}")
+
+    def odd(self) -> str:
+        """Fault of times whose seconds have nothing to do with those that ships send with positions."""
+        beats = np.array(self.beats)
+        if len(beats) < FEW_BEATS or np.abs(np.exp(2j * np.pi / 60 * beats).mean()) > LOOSE_BEAT:
+            return ""
+        told = "the seconds of the times beside its sentences are not those in the messages"
+        return f"{told}: are these times, or do they count something else?"
 
     def chunk(self) -> Chunk:
         """The rows as columns; begins the next chunk."""
@@ -153,7 +162,7 @@ class _Rows:
         columns = np.array(self.particulars, dtype=object).reshape(-1, 10).T
         sizes = columns[4:].astype(np.float64)
         particulars = Particulars(columns[0].astype(np.int64), columns[1].astype(np.float64), *columns[2:4], *sizes)
-        done = Chunk(positions, particulars, self.messages, self.dropped, tuple(self.problems))
+        done = Chunk(positions, particulars, self.messages, self.dropped, tuple(self.problems), self.odd())
         self.positions, self.particulars, self.problems = [], [], []
         self.dropped, self.messages = Counter(), 0
         return done
@@ -329,6 +338,8 @@ def _decode(parts: list[_Part], time_s: float, rows: _Rows) -> None:
         else:
             if kind in POSITIONS:
                 names = ("lat", "lon", "speed", "course", "heading")
+                if len(rows.beats) < MOST_BEATS and time_s % 60 and message.second < 60:
+                    rows.beats.append(time_s - message.second)
                 rows.positions.append((mmsi, time_s, *(float(getattr(message, name)) for name in names), line))
             if kind in PARTICULARS:
                 rows.particulars.append(_particulars(message, mmsi, time_s))

@@ -43,8 +43,6 @@ def report_times(traffic: AisTraffic) -> bytes:
     return gzip.compress(orjson.dumps(content), mtime=0)
 
 
-# ---- Writes a scene folder that is ready to run ----
-
 SCENE, REPORT, PAGE = "scene.yaml", "report.json", "ais.html"
 FILES = (SCENE, REPORT, PAGE, "vessels.json", "detector.yaml", "poses.json.gz", REPORT_TIMES)
 CAMERA_HALF_ANGLE_RAD = math.atan(960 * 5e-6 / 0.007)

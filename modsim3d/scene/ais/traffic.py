@@ -14,13 +14,14 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.geometry.kinematics import KNOT_M_S
+from modsim3d.io.misreadings import ROUNDED, are_rounded
 from modsim3d.scene.ais.gathering import FileTally, Gathered, by_sender, gather
 from modsim3d.scene.ais.hulls import AisHull, hulls
 from modsim3d.scene.ais.messages import Positions, blank_unknown, in_order, local_metres, median_place
 from modsim3d.scene.ais.options import Options, time_text
 from modsim3d.scene.ais.vessel_track import TimeGrid, VesselTrack, time_grid, vessel_track
 
-# ---- A place for a camera from which the traffic can be seen, clear of all hulls ----
+# ---- A place for a camera from ----
 
 CELL_M = 1000.0
 HEIGHT_M = 20.0
@@ -111,17 +112,17 @@ def _busiest(places_m: Array, vessels: Indices) -> Array:
     return np.asarray(places_m[cell == best].mean(axis=0))
 
 
-# ---- AIS files in, the traffic of a scene out ----
-
 MAX_POSES = 3_000_000
 """About 250 MB of JSON, which takes minutes and gigabytes to read again."""
 EXCHANGE_HINT = "if latitude and longitude are in each other's place: --swap-coordinates exchanges them in all tables"
 
 
-LOST_IDENTITIES, FEW_MOVES = 5, 50
-"""So many identities are not multiples of 16 by chance; so many moves are judged together."""
+FEW_MOVES = 50
+"""So many moves are judged together."""
 DAY_S, SLOWEST = 86_400.0, 0.05
 """Positions move at more than this share of the speeds that vessels report."""
+UNDER_WAY_KN, WRONG_COURSES, RIGHT_COURSES = 2.0, 0.8, 0.95
+"""Cosines between courses and movements."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,16 +184,16 @@ def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
         raise _nothing_left(gathered, options)
     elsewhere, camera = [track.mmsi for track in tracks if not len(track.steps)], _camera(vessels)
     left_out = _left_out(senders, {track.mmsi for track in tracks})
-    found = dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated, _odd(positions, origin)
+    odd = next((tally.odd for tally in gathered.files if tally.odd), "") or _odd(positions, origin)
+    found = dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated, odd
     return AisTraffic(options, gathered.files, *found)
 
 
 def _check_identities(positions: Positions) -> None:
-    """Refuse identities that have lost digits as numbers of single precision, of which neighbours are 16 apart."""
-    mmsi = np.unique(positions.mmsi)
-    if len(mmsi) >= LOST_IDENTITIES and (mmsi % 16 == 0).all():
-        problem = f"all {len(mmsi)} identities are multiples of 16, such as {mmsi[0]}: they have lost their last digits"
-        raise InputError("AIS", [f"{problem} as numbers of single precision; write them as text or as whole numbers"])
+    """Refuse identities that have lost digits."""
+    mmsi = np.unique(positions.mmsi).tolist()
+    if are_rounded(mmsi):
+        raise InputError("AIS", [f"its {len(mmsi)} MMSI, such as {mmsi[0]}, {ROUNDED}"])
 
 
 def _odd(positions: Positions, origin: tuple[float, float]) -> str:
@@ -205,6 +206,16 @@ def _odd(positions: Positions, origin: tuple[float, float]) -> str:
     said_m = (positions.speed_kn[one + 1] * KNOT_M_S * np.diff(positions.time_s)[one]).sum()
     if len(one) >= FEW_MOVES and moved_m < SLOWEST * said_m:
         return f"vessels move at {moved_m / said_m:.0%} of the speeds that they report: are places in degrees?"
+    under_way = one[(positions.speed_kn[one] > UNDER_WAY_KN) & np.isfinite(positions.course_deg[one])]
+    if len(under_way) < FEW_MOVES or (np.abs(positions.longitude_deg) > 90).any():
+        return ""
+    other = local_metres(positions.longitude_deg, positions.latitude_deg, (origin[1], origin[0]))
+    now, exchanged = (
+        float(np.median(np.cos(np.deg2rad(positions.course_deg[under_way]) - np.arctan2(*moved.T))))
+        for moved in ((each[under_way + 1] - each[under_way]) for each in (places, other))
+    )
+    if now < WRONG_COURSES and exchanged > RIGHT_COURSES:
+        return f"vessels move along their courses only elsewhere: {EXCHANGE_HINT}"
     return ""
 
 

@@ -16,7 +16,7 @@ from modsim3d.scene.ais.messages import Positions, reachable
 from modsim3d.scene.ais.options import Options, time_text
 from modsim3d.world.poses.base import generated_timestamps
 
-# ---- A vessel's track at the times of a scene, from reports at irregular times ----
+# ---- A vessel's track at the times of a scene ----
 
 TRUST_M, TRUST_SHARE = 15.0, 0.25
 """Two reported velocities are used if their mean times the interval misses the way between the positions by at most
@@ -226,8 +226,6 @@ def time_grid(positions: Positions, options: Options) -> TimeGrid:
     timestamps = generated_timestamps(steps, options.time_step_s)
     return TimeGrid(start, np.array([float(text) for text in timestamps]), timestamps)
 
-
-# ---- The track of one vessel at the steps of a scene, from its reports ----
 
 HEADING_NAMES = {
     HeadingSource.COURSE: "heading_from_course",

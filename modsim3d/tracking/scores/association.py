@@ -82,9 +82,6 @@ def _cut(column: Any, first: Indices, count: Indices) -> list[Any]:
     return [column[a : a + n] for a, n in zip(first.tolist(), count.tolist(), strict=True)]
 
 
-# ---- HOTA and CLEAR scores by TrackEval, in memory, and identity scores ----
-
-
 @dataclass(frozen=True)
 class Hota:
     """Higher order tracking accuracy: means over the 19 thresholds α = 0.05, 0.1, …, 0.95 (Luiten et al. (2021)).

@@ -11,8 +11,6 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.runs.files.tables import NOBODY
 from modsim3d.tracking.scores.scored import Histories, Scored, frame_lengths_s, stretches
 
-# ---- Occlusions, and whether tracks survive them ----
-
 OCCLUDED_BELOW = 0.5
 """A vessel is occluded while less than this share of its silhouette in the image is visible."""
 BEFORE_S = 1.0

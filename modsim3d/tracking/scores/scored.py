@@ -75,9 +75,6 @@ class Rules:
             raise ModsimError(f"--gap must be 0 or more seconds (got {self.gap_s:g})")
 
 
-# ---- What all scores are taken from ----
-
-
 @dataclass(frozen=True, eq=False)
 class Scored:
     """Tracks in the frames of a run, held against its truth.
@@ -148,7 +145,7 @@ class Scored:
         return chosen
 
 
-# ---- The frames of each identity one after another, and which track followed it in them ----
+# ---- The frames of each identity one after another ----
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,6 @@ from modsim3d.core.arrays import Array, Indices, extents, ranges
 from modsim3d.core.boxes import centres
 from modsim3d.tracking.scores.scored import Scored, frame_lengths_s, stretches
 
-# ---- GOSPA and OSPA ----
-
 
 class GospaParts(NamedTuple):
     """GOSPA with α = 2 and what it consists of; in one frame gospa^p = localisation + missed + false.
@@ -88,9 +86,6 @@ def _paired(distance: Array, cutoff: float, power: float) -> Array:
     cut = np.minimum(distance, cutoff)
     found: Array = cut[linear_sum_assignment(cut**power)]
     return found
-
-
-# ---- GOSPA and OSPA in the image ----
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,6 @@ from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.validation import NotNegative, Probability, Strict
 
-# ---- What a tracker is ----
-
 
 @dataclass(frozen=True, eq=False)
 class CameraFacts:

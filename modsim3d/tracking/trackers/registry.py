@@ -78,8 +78,6 @@ def chosen_settings(name: str, model: type[Tracker], scene: str) -> ChosenSettin
     return ChosenSettings({**file.settings, **file.scenes.get(scene, {})}, file.chosen)
 
 
-# ---- Trackers by their names ----
-
 _ALWAYS = ("numpy", "scipy")
 
 

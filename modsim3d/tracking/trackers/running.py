@@ -152,8 +152,6 @@ def _shown(value: Any) -> str:
     return ", ".join(f"{number:g}" for number in np.ravel(value).tolist())
 
 
-# ---- Runs a tracker over the frames of cameras, one after the other, as it would run on board ----
-
 Progress = Callable[[int], None]
 _TOLD_FRAMES = 50
 """Frames between two calls of `progress`, since drawing a bar takes longer than a frame."""

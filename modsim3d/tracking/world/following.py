@@ -110,8 +110,6 @@ def seen(rows: RunRows) -> Mask:
     return np.asarray(in_frame[frames].any(axis=1), dtype=np.bool_)
 
 
-# ---- Which track follows which vessel in the world, step by step ----
-
 _LEAST = 0.5
 """Similarity at the gate, which is 1 for two equal places: then two pairs are better than one, wherever they can be."""
 

@@ -102,7 +102,7 @@ def mean_by(group: Indices, values: Array, groups: int) -> Array:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-# ---- How much of the time vessels are followed in the world, by how many tracks, and tracks of nothing ----
+# ---- How much of the time vessels are followed in the world ----
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,6 @@ def step_lengths_s(times_s: Array) -> Array:
     gaps = np.diff(times_s)
     return np.append(gaps, gaps[-1]) if len(gaps) else np.zeros(len(times_s))
 
-
-# ---- All scores of tracks in the world ----
 
 DEFAULT_GATE_M = 50.0
 """A track farther from a vessel than that does not follow it."""

@@ -113,8 +113,6 @@ def _slope(edges: Array, depth: Array, doubled: Array) -> Array:
     return np.stack([right, down], axis=-1) / doubled[:, None]
 
 
-# ---- The truth of one frame against its own drawing ----
-
 NOT_ROUNDED_PX = 1e-6
 """Sides of boxes are whole buffer pixels; this is what dividing by the supersampling and multiplying again leaves."""
 

@@ -97,7 +97,7 @@ def _standing(obstacles: tuple[Obstacle, ...], first_occluder: int) -> WorldTria
     )
 
 
-# ---- Triangles cut by a half-space, in any number of dimensions (Sutherland & Hodgman, 1974) ----
+# ---- Triangles cut by a half-space ----
 
 HalfSpace = tuple[Array, float]
 """A normal n, shape (D,), and an offset d: inside is n · p >= d."""
@@ -144,8 +144,6 @@ def _crossing(inner: Array, at_inner: Array, outer: Array, at_outer: Array) -> A
     point: Array = inner + (outer - inner) * (at_inner / (at_inner - at_outer))
     return point
 
-
-# ---- One frame drawn as ID buffers in the most obvious way ----
 
 GUARD_PX, LENS_GUARD_PX = 2048.0, 1.0
 """How far outside the image triangles are drawn, in buffer pixels; the second where a lens distorts, since its formula

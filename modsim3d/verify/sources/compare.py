@@ -1,8 +1,8 @@
 """Compares the sources of truth on a scene: the check that an auditor can run.
 
-OpenGL draws every frame, with a projection and an order of its own, and the rendered source must have the same pixels
-(`fast_path`). Every difference between these and the analytic truth is explained. The idealised rectangle rule
-is held against the rendered truth.
+OpenGL draws every frame, with a projection and an order of its own, and the rendered source must have the same pixels.
+Every difference between these and the analytic truth is explained. The idealised rectangle rule is held against the
+rendered truth.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from modsim3d.verify.sources.figures import (
 from modsim3d.view.pictures.comparison_picture import SourceBoxes
 from modsim3d.world.vessels import shoebox
 
-# ---- The fast path of the rendered source, held pixel by pixel against what OpenGL draws of every frame ----
+# ---- The fast path of the rendered source ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +97,6 @@ class FastPath:
                     words |= dict.fromkeys(np.flatnonzero(row).tolist(), text)
         return checked, words, missing
 
-
-# ---- Compares the sources of truth on a scene ----
 
 BLOCK_STEPS = 50
 WORST = 10

@@ -200,9 +200,6 @@ def shoebox_fits(vessels: Sequence[Vessel], meshes: Outlines, shoeboxes: Outline
     return fits
 
 
-# ---- The figures of a comparison of sources, with the names and in the order that `compare.json` has ----
-
-
 @dataclass(frozen=True)
 class BoxFigures:
     """Differences of full or of visible boxes.

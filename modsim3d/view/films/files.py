@@ -89,8 +89,6 @@ def _storable(ticks: int) -> list[int]:
     return [LONGEST_TICKS] * whole + [rest] * (rest > 0)
 
 
-# ---- Films on disk ----
-
 FORMATS = ("mp4", "gif", "png")
 MOST_RATE = {"mp4": 60, "gif": 50, "png": 1_000_000}
 """Pictures a second: what screens show, what browsers show of a GIF; of PNG files, every frame."""

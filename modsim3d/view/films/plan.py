@@ -24,8 +24,6 @@ from modsim3d.view.pictures.layers import CORNERS, DETECTIONS, SCENE, Layers
 from modsim3d.view.pictures.legend import LegendEntry, detection_entries, id_entries, vessel_entries
 from modsim3d.view.sea_and_sky import PLAIN_STYLE, RenderStyle
 
-# ---- The contents of a film's pictures ----
-
 KINDS = ("detections", "scene", "ids", "corners", "map")
 ALL = ("detections", "scene", "ids")
 TITLES = {"detections": "truth and detections", "ids": "who is at each pixel", "corners": "projected corners"}

@@ -153,9 +153,6 @@ def _layers(drawn: Map) -> list[list[Artist]]:
     return [*(layers if layers[0][0] in moving else layers[1:]), [title]]
 
 
-# ---- Renders the pictures of a film from the frames of a run ----
-
-
 class FilmRenderer:
     """Draws the pictures of a film one by one."""
 

@@ -17,8 +17,6 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.view import palette
 from modsim3d.view.pages.tables import scrolling
 
-# ---- Charts as SVG inside a page, for what `modsim3d verify` and `modsim3d learn` write ----
-
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999933", "#882255")
 """Colours that colour-blind people can tell apart: Okabe & Ito (2008), and two of Tol (2021)."""
 MOST_DOTS, MOST_POINTS = 1500, 800

@@ -75,8 +75,6 @@ def _css_text(text: str) -> str:
     return '"' + re.sub(r"[^\w .,:;?!()%/+·–-]", lambda found: f"\\{ord(found[0]):x} ", text) + '"'
 
 
-# ---- Self-contained HTML pages ----
-
 __all__ = [
     "STYLE",
     "UNKNOWN",

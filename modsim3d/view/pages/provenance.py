@@ -18,8 +18,6 @@ from modsim3d.runs.run import VERSIONED
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages.tables import UNKNOWN, breaking
 
-# ---- What a page rests on, so that it can be signed ----
-
 ANCHOR = "rests-on"
 _SHORT = 12
 """Digits of a checksum in the line at the top; the block at the end has all."""

@@ -58,8 +58,6 @@ class Window:
         return x0, y0, x1, y1
 
 
-# ---- Lines, boxes and text on a picture, scaled to its width ----
-
 NOMINAL_PX = 1280
 """Width of a picture for which the sizes below are meant."""
 TEXT_PX, LEAST_TEXT_PX = 15, 11

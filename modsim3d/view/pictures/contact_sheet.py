@@ -141,8 +141,6 @@ def _least(
     return [found[kind][1] for kind in sorted(found)]
 
 
-# ---- One PNG that shows at a glance what happened in a run ----
-
 SHEET_FILE = "contact_sheet.png"
 PANEL_PX = (720, 440)
 COLUMNS = 2

@@ -173,8 +173,6 @@ def draw_tracks(canvas: Canvas, window: Window, tracks: FrameTracks) -> list[Lab
     return labels
 
 
-# ---- One picture of one frame, layer by layer, at any size ----
-
 DIM = 0.25
 """How much darker vessels are filled under boxes of their colour."""
 SHORT_BELOW_PX = 480

@@ -20,8 +20,6 @@ from modsim3d.view.pictures.frame_picture import hatch_hidden
 from modsim3d.view.pictures.legend import letters
 from modsim3d.view.pictures.plain import Solids, background
 
-# ---- ID buffers as files, and the picture of a vessel on which two of them differ ----
-
 MOST_IN_PNG = 2**16 - 1
 GAP_PX, MIN_SIDE_PX = 4, 200
 

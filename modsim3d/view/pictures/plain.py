@@ -26,7 +26,7 @@ from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import Canvas, Window
 from modsim3d.world.vessels import shoebox
 
-# ---- The solids before a camera at a step, to be drawn in a window at the window's own size ----
+# ---- The solids before a camera at a step ----
 
 SUN = np.array([-0.35, 0.55, 0.76])
 """Direction to the light that shades faces, in the world."""
@@ -152,8 +152,6 @@ def open_id_renderer(scene: Scene) -> Iterator[AnyIdRenderer]:
             renderer = None  # a picture of a run that was made elsewhere
         yield renderer or PlainIds()
 
-
-# ---- The plain style of Jessen & Mohr (2023), Figures 9.3 and 9.4 ----
 
 SMOOTH_SAMPLES = 2
 """Vessels drawn this much larger and shrunk have edges without steps."""

@@ -16,8 +16,6 @@ from modsim3d.scene.scene import Scene
 from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, Stretches, StretchesBuilder, onsets
 from modsim3d.world.vessel_motion import PosesInWaves
 
-# ---- What the timeline of a run's page shows ----
-
 UNKNOWN_FRACTION, WHOLE = 255, 250
 """Visible fractions are counted in 250ths."""
 MISSED, HIDDEN, FALSE, MISLABELLED, BAD, OFF = "missed", "hidden", "false", "mislabelled", "bad", "off"
@@ -263,7 +261,7 @@ def vessel_outcomes(shown: ShownRows) -> Indices:
     return found
 
 
-# ---- The vessels' poses at the steps of one part of a run, computed once for all cameras and for the ----
+# ---- The vessels' poses at the steps of one part of a run ----
 
 
 class PartMotion:

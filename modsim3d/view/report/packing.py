@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 
 from modsim3d.core.arrays import Array, Indices
 
-# ---- Columns of whole numbers in few bytes for the player of a run's page ----
-
 NONE = 0xFFFF
 """A box side, a vessel or an occluder that is not there; every place in an image is below it."""
 ALIGNED_BYTES = 8
@@ -162,7 +160,7 @@ def starts(frame: Indices, frames: int) -> NDArray[np.uint32]:
     return np.searchsorted(frame, np.arange(frames + 1)).astype(np.uint32)
 
 
-# ---- Stretches of steps in which something is so without a break, gathered part by part ----
+# ---- Stretches of steps in which something is so without a break ----
 
 
 @dataclass(frozen=True, eq=False)

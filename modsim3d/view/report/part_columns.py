@@ -18,7 +18,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.view.report.overview import ANNOTATED, DETECTED, UNKNOWN_FRACTION, WHOLE
 from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, in_quanta, starts
 
-# ---- The tables of a run in parts of its shown steps, so that no more than a part of a long run is in ----
+# ---- The tables of a run in parts of its shown steps ----
 
 MOST_SHOWN, SHOWN_ROWS, MOST_ROWS = 250, 8_000, 400_000
 """Of a part: shown steps; shown steps times vessels; all steps times vessels. Little is unpacked at once."""
@@ -122,8 +122,6 @@ def _in_parts(fraction: Array) -> Column:
     counted = np.clip(counted, fraction > 0, WHOLE_SILHOUETTE - (fraction < 1))
     return np.where(np.isnan(fraction), NONE, counted).astype(np.uint16)
 
-
-# ---- The columns of one part of a run's recording ----
 
 NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)
 """What stands for the state and the horizon of a camera that has not taken a frame yet."""

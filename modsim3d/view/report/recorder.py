@@ -163,7 +163,7 @@ def _at_next(marked: Indices, identity: Indices, drawn: Indices) -> Column:
     return at
 
 
-# ---- Where vessels and cameras are at each step, for the view from above on a run's page ----
+# ---- Where vessels and cameras are at each step ----
 
 PER_METRE, PER_TURN = 100, 1 << 16
 
@@ -277,8 +277,6 @@ def said(units: int, decimals: int) -> str:
     whole, part = digits[: len(digits) - decimals], digits[len(digits) - decimals :]
     return f"{'-' if units < 0 else ''}{whole}.{part.rstrip('0') or '0'}"
 
-
-# ---- The frames of a run for the player of its page, in few bytes, and in parts that the player unpacks ----
 
 FINEST_PX = 0.1
 

@@ -233,8 +233,6 @@ def _part(name: str) -> str:
     return (files("modsim3d.view.report") / "player" / name).read_text(encoding="utf-8")
 
 
-# ---- The page of a run, from its directory ----
-
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
 """Pages that other commands write into a run directory, and what they are."""

@@ -150,8 +150,6 @@ def _paired(name: str, first: RunRows, second: RunRows, given: Mask) -> tuple[st
     return name, *map(str, counts)
 
 
-# ---- The page of two runs of the same truth ----
-
 SIDE_BY_SIDE_FILE = "side_by_side.html"
 
 

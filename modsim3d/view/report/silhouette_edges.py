@@ -20,8 +20,6 @@ from modsim3d.truth.buffer_drawing import LENS_GUARD_PX
 from modsim3d.truth.outlines import OutlinePart, Outlines
 from modsim3d.world.vessels import Solid
 
-# ---- The edges of meshes at which front faces meet back faces, in pixels, cut at the near plane and at ----
-
 Signs = NDArray[np.int8]
 MOST_FACES = 300_000
 """Number of faces that are looked at together: few calls, little memory."""

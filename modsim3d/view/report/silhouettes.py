@@ -22,7 +22,7 @@ from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded
 from modsim3d.view.report.silhouette_edges import Edges, contours, silhouette_edges, tidy_at_border
 from modsim3d.world.vessel_motion import PosesInWaves
 
-# ---- The order in which silhouettes are painted over each other, so that each pixel shows what is in ----
+# ---- The order in which silhouettes are painted over each other ----
 
 
 def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
@@ -239,8 +239,6 @@ def concatenated(some: Sequence[Shapes]) -> Shapes:
 _NONE = np.empty(0, dtype=np.int64)
 NO_SHAPES = Shapes(_NONE, _NONE, _NONE, _NONE, np.empty((0, 2), dtype=np.uint16))
 
-
-# ---- Horizons and silhouettes of a run's frames ----
 
 STILL = 1 << 31
 """The first number of the outlines that all parts share."""

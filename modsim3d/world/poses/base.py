@@ -20,8 +20,6 @@ from modsim3d.io.validation import MOST_PROBLEMS, Metres, Number, Strict, join_p
 from modsim3d.world.bodies import Obstacle
 from modsim3d.world.vessels import Vessel
 
-# ---- Poses, and the interface of every pose source ----
-
 
 @dataclass(frozen=True, eq=False)
 class Poses:
@@ -191,7 +189,7 @@ class TimedPoses:
         return poses
 
 
-# ---- Texts of the times of a long scene, which would take more memory than the run of it ----
+# ---- Texts of the times of a long scene ----
 
 TOGETHER = 1024
 """Steps whose texts are worked out together."""
@@ -231,7 +229,7 @@ def _texts(time_step_s: float, number: int) -> tuple[str, ...]:
     return generated_timestamps((number + 1) * TOGETHER, time_step_s, first=number * TOGETHER)
 
 
-# ---- Vessels along waypoints, at constant speed between two of them, present from the first to the last ----
+# ---- Vessels along waypoints, at constant speed between two of them ----
 
 Waypoint = tuple[Number, Metres, Metres]
 """Time in seconds, w1 and w2 in metres."""

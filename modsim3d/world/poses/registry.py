@@ -130,8 +130,6 @@ def build_plugin(keys: SourceKeys, plugin: Plugin, request: PoseRequest) -> Pose
         raise InputError(f"poses.{plugin.name}", [str(failed(plugin, error))]) from error
 
 
-# ---- Pose sources by the name that they have in a scene file ----
-
 SOURCES: dict[str, type[SourceKeys]] = {
     "file": FileKeys,
     "circular": CircularKeys,

@@ -23,8 +23,6 @@ from modsim3d.io.strict_json import check_values, load_json, parse_json
 from modsim3d.io.validation import MAX_COORDINATE_M, Strict, join_path, nearest, shown
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys
 
-# ---- Poses replayed from a file (Jessen & Mohr (2023), Figure 7.3) ----
-
 MAX_PROBLEMS = 20
 """Most problems that are reported of one file."""
 OF_AN_INTERRUPTED_RUN = ("unfinished", "poses.jsonl")

@@ -166,8 +166,6 @@ def _footprint(vertices: Array, faces: Indices | None) -> shapely.Geometry:
     return union_of(triangles[shapely.area(triangles) > 0])
 
 
-# ---- The waters in which traffic is planned ----
-
 COMFORT = 0.4
 """Vessels want this share of their lengths, taken together, of water between them."""
 LAND_COMFORT = 0.5

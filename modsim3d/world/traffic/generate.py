@@ -278,9 +278,6 @@ def _draw(chart: Chart) -> Iterator[Craft]:
         yield from draw_area(chart, name, area)
 
 
-# ---- The pose source `traffic` ----
-
-
 @dataclass(frozen=True, eq=False)
 class DrawnTraffic(RecordedPoses):
     """The poses of a drive, with what was drawn.

@@ -105,8 +105,6 @@ def greatest_radius_m(keys: TrafficSections, section: Drawn, kind: str) -> float
     return turning_radius_m(entry.turning_lengths, entry.length_m[2], keys.speed_range(section, kind)[1])
 
 
-# ---- Vessels that pass through lanes ----
-
 TRIES = 6
 EASY = 2.0
 """Radii of turns in least radii, where the legs leave room: ships do not turn as tightly as they can."""

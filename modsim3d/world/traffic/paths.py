@@ -13,8 +13,6 @@ from shapely.ops import substring
 from modsim3d.core.arrays import Array
 from modsim3d.geometry.camera_poses import heading_of
 
-# ---- Paths that vessels follow ----
-
 MOST_POINTS = 20_000
 POINTS_A_RADIUS = 30
 """Points on a stretch as long as the turning radius."""

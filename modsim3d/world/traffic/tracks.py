@@ -19,7 +19,7 @@ from modsim3d.io.validation import Strict
 from modsim3d.world.traffic.paths import VesselPath
 from modsim3d.world.vessels import Extent, MeshName
 
-# ---- Kinds of vessels for drawn traffic, from `kinds.yaml`, which says what the numbers mean and where ----
+# ---- Kinds of vessels for drawn traffic ----
 
 TABLE = Path(__file__).with_name("kinds.yaml")
 SPREAD = 0.08
@@ -144,9 +144,6 @@ def _triangular(corners: tuple[float, float, float], uniform: float) -> float:
 
 def _centimetres(value: float) -> float:
     return max(round(value, 2), 0.01)
-
-
-# ---- A vessel under way on her path, and where hulls are at many times ----
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -143,8 +143,19 @@ def test_a_log_of_which_most_is_outside_of_the_scene_is_refused(tmp_path: Path, 
 # ---- ROS 2 bags ---------------------------------------------------------------------------------------------------
 
 
-def bag(folder: Path, topics: tuple[str, ...], *, old: bool = False, theta: float = 0.0, sqlite: bool = False) -> Path:
-    """A bag of a detection at each time on each topic, with the vision_msgs 4 of Humble or those of Foxy."""
+FRAMES = {time: [(115.0, 520.0, 30.0, 40.0, "boat", 0.5)] for time in TIMES}
+
+
+def bag(
+    folder: Path,
+    topics: tuple[str, ...],
+    *,
+    old: bool = False,
+    theta: float = 0.0,
+    sqlite: bool = False,
+    frames: Mapping[float, Sequence[tuple[Any, ...]]] = FRAMES,
+) -> Path:
+    """A bag of the detections at each time on each topic, with the vision_msgs 4 of Humble or those of Foxy."""
     types = dict(VISION_MSGS)
     if old:
         types["vision_msgs/msg/BoundingBox2D"] = "geometry_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y\n"
@@ -161,23 +172,26 @@ def bag(folder: Path, topics: tuple[str, ...], *, old: bool = False, theta: floa
 
     zero = make("geometry_msgs/Point", 0.0, 0.0, 0.0), make("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
     pose = make("geometry_msgs/PoseWithCovariance", make("geometry_msgs/Pose", *zero), np.zeros(36))
-    if old:
-        centre, kind = make("geometry_msgs/Pose2D", 115.0, 520.0, theta), ("boat", 0.5)
-    else:
-        centre = make("vision_msgs/Pose2D", make("vision_msgs/Point2D", 115.0, 520.0), theta)
-        kind = (make("vision_msgs/ObjectHypothesis", "boat", 0.5),)
-    box = make("vision_msgs/BoundingBox2D", centre, 30.0, 40.0)
-    results = [make("vision_msgs/ObjectHypothesisWithPose", *kind, pose)]
+
+    def detection(header: Any, x: float, y: float, width: float, height: float, label: str, score: float) -> Any:
+        if old:
+            centre, kind = make("geometry_msgs/Pose2D", x, y, theta), (label, score)
+        else:
+            centre = make("vision_msgs/Pose2D", make("vision_msgs/Point2D", x, y), theta)
+            kind = (make("vision_msgs/ObjectHypothesis", label, score),)
+        box = make("vision_msgs/BoundingBox2D", centre, width, height)
+        return make(
+            "vision_msgs/Detection2D", header, [make("vision_msgs/ObjectHypothesisWithPose", *kind, pose)], box, ""
+        )
+
     plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
     with Writer(folder, version=8, storage_plugin=plugin) as writer:
         for topic in topics:
             connection = writer.add_connection(topic, DETECTIONS, typestore=store)
-            for time in TIMES:
-                stamp = make("builtin_interfaces/Time", 0, round(time * 1e9))
+            for time, found in frames.items():
+                stamp = make("builtin_interfaces/Time", int(time), round(time % 1 * 1e9))
                 header = make("std_msgs/Header", stamp, "bow")
-                message = make(
-                    "vision_msgs/Detection2DArray", header, [make("vision_msgs/Detection2D", header, results, box, "")]
-                )
+                message = make("vision_msgs/Detection2DArray", header, [detection(header, *each) for each in found])
                 writer.write(connection, round(time * 1e9), store.serialize_cdr(message, DETECTIONS))
     return folder
 

@@ -130,8 +130,6 @@ def lines(message: tuple[str, int], own: bool, channel: str, sequence: int, time
     return "".join(f"{tag}{sentence}\r\n" for sentence in sentences)
 
 
-# ---- Writes what an AIS receiver would log, and beside it which vessel is behind each number ----
-
 LOG, TRUTH = "ais.nmea", "ais_truth.csv"
 NOWHERE = (0.0, 0.0)
 """Latitude and longitude of a scene without an origin."""

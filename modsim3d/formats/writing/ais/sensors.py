@@ -142,7 +142,7 @@ def antenna_sides(vessel: Vessel, ais_class: str) -> tuple[int, int, int, int]:
     return *ends, min(beam - beam // 2, MOST_SIDES_M), min(beam // 2, MOST_SIDES_M)
 
 
-# ---- The tracks of vessels' antennas at whole seconds, from the poses at the steps of a run ----
+# ---- The tracks of vessels' antennas at whole seconds ----
 
 BLOCK_STEPS = 1000
 """Steps whose poses are in memory together."""
@@ -234,8 +234,6 @@ def _stay(times_s: Array, track: Array) -> Stay:
         at_rest=bool((np.linalg.norm(slow, axis=1) < REST_M_S).all()),  # false where it is not known
     )
 
-
-# ---- What a vessel's satellite receiver and compass measure, once a second ----
 
 POSITION_KEPT = 0.99
 """Share of a position's error that is left after a second: errors of satellite receivers last for minutes, so the mean

@@ -21,8 +21,6 @@ from modsim3d.learn.voyage.logs.log import MIXED, TIME_FORM, Clock, DetectionLog
 from modsim3d.scene.ais.options import time_text
 from modsim3d.tracks.diagnosis import CENTRE, CORNERS, BoxForm
 
-# ---- COCO ----
-
 _CAPTURED = "date_captured"
 _TIMES = ("time_s", "utc", _CAPTURED)
 SECTIONS = ("images", "annotations", "categories")
@@ -90,7 +88,13 @@ def _categories(truth: Any, source: str, offset: int) -> dict[Any, str]:
     found: dict[Any, str] = {}
     for index, entry in enumerate(truth["categories"]):
         number, name = (entry.get("id"), entry.get("name")) if isinstance(entry, dict) else (None, None)
-        if not is_number(number) or not isinstance(name, str) or not name or name in found.values():
+        if (
+            not is_number(number)
+            or number != int(number)
+            or not isinstance(name, str)
+            or not name
+            or name in found.values()
+        ):
             raise InputError(source, [f"categories[{index}]: must have an id, a whole number, and a name of its own"])
         found[number - offset] = name
     return found

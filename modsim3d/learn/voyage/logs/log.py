@@ -21,8 +21,6 @@ from modsim3d.io.input_files import composed
 from modsim3d.scene.ais.options import time_text
 from modsim3d.tracks.diagnosis import CORNERS, TOP_LEFT, BoxForm
 
-# ---- What a detector wrote during a voyage ----
-
 NO_LABEL = -1
 _SHARES = 2.0
 """Boxes in shares of an image are no further from its corner than this."""

@@ -190,8 +190,6 @@ def _found(detection: Any) -> Found:
     return sides, str(label) or None, float(best.score), turn_rad
 
 
-# ---- Which reader a log of detections is for ----
-
 _KNOWN = "a run folder, a ROS 2 bag, COCO .json, MOT .txt, .csv, .parquet, or .jsonl"
 
 

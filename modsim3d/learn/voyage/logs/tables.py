@@ -96,8 +96,6 @@ def _usual(gaps: Array) -> float:
     return float(np.median(short))
 
 
-# ---- Tables, as CSV or Parquet ----
-
 _TIMES, _SCORES, _LABELS = ("utc", "time_s", "time", "timestamp"), ("score", "confidence"), ("label", "class")
 _EDGES = BoxForm("left, top, right, bottom", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
 _SIDES = BoxForm("left, top, width, height", ("left", "top", "width", "height"), 0, TOP_LEFT.to_corners)

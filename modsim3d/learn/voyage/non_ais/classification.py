@@ -198,8 +198,6 @@ def _some(tracks: CrossingTracks, chosen: Mask) -> tuple[Indices, Array]:
     return tracks.image[chosen], tracks.boxes_px[chosen]
 
 
-# ---- Detections that match no known vessel, judged ----
-
 _LIKELY, _PERHAPS = 0.5, 0.1
 """Probabilities from which a thing is taken for a vessel, and from which it may be one."""
 _RUN_TIMES = 12.0

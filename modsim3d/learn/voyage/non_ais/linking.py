@@ -17,7 +17,7 @@ from modsim3d.formats.labelled import Annotations, Images
 from modsim3d.formats.matching import image_pairs
 from modsim3d.learn.matches import FalseSightings, Observed
 
-# ---- By how much boxes of small vessels change from one frame to the next through the errors of the ----
+# ---- By how much boxes ----
 
 _SMALLEST = 0.25
 """Share of the matched boxes that are called small; errors of larger ones are often larger in pixels."""
@@ -79,7 +79,7 @@ def jitter_of(observed: Observed, longest_s: float) -> Jitter:
     return Jitter(spread[:2], spread[2:], float(np.median(of_two[small])))
 
 
-# ---- Things followed from frame to frame, by those of their sides that are not cut off ----
+# ---- Things followed from frame to frame ----
 
 MOST_HIDDEN_S = 30.0
 """The longest that a thing may be hidden."""
@@ -239,7 +239,7 @@ def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Ji
     return alike
 
 
-# ---- The four sides of unmatched detections, and which of them are those of a whole thing ----
+# ---- The four sides of unmatched detections ----
 
 AT_BORDER_PX = 5.0
 """A side so near to the image's border may be cut by it."""
@@ -292,8 +292,6 @@ def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
         np.logical_or.at(hidden, row, inside & meets[:, None])
     return hidden
 
-
-# ---- False detections linked over time ----
 
 MOST_GAP_S = 3.0
 """A thing that is not detected for longer is another one when it is detected again, unless it was followed as long."""

@@ -17,8 +17,6 @@ from modsim3d.learn.bootstrap import Column, Resampling, ratio
 from modsim3d.learn.voyage.logs.log import LEAST_UNIX_S, utc_s
 from modsim3d.scene.ais.options import time_text
 
-# ---- Rates of false positives where not everything that floats has a transponder ----
-
 
 class RateSource(Enum):
     """Rate of false positives that goes into the detector file."""
@@ -155,7 +153,7 @@ def rates_of(
     return tuple(rates)
 
 
-# ---- Stretches of time in which a user knows that the sea is empty, as given to `--empty` ----
+# ---- Stretches of time in which a user knows that the sea is empty ----
 
 _SECONDS = re.compile(r"([0-9]+(?:\.[0-9]*)?)-([0-9]+(?:\.[0-9]*)?)")
 _FORM = (

@@ -20,8 +20,6 @@ from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections, c
 from modsim3d.learn.voyage.non_ais.rates import RateSource, StateRates, TimeSpan
 from modsim3d.learn.voyage.non_ais.tracklets import LEAST_RATIO, LEAST_S, Behaviour
 
-# ---- What is said of detections without a transponder ----
-
 TITLE = "False positives in an image, where not everything that floats has a transponder"
 HEADER = (
     "state",
@@ -117,7 +115,7 @@ def _share(column: Column, level: float, units: int) -> str:
     return f"{float(column.estimate):.0%} ({float(low):.0%} to {float(high):.0%})"
 
 
-# ---- Learning from a voyage on which not everything that floats has a transponder ----
+# ---- Learning from a voyage on ----
 
 
 def learn_beside_unseen(

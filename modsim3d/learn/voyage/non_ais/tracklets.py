@@ -12,8 +12,6 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.formats.labelled import Images
 from modsim3d.learn.voyage.non_ais.linking import TO_STD, Links
 
-# ---- Things that were detected without a transponder ----
-
 _LEAST_SEEN = 5
 """Detections that are needed to see how a thing moves; with fewer nothing speaks against a vessel."""
 _MOST_OFF, _MOST_OFF_PX, _MOST_RESIZED = 0.35, 5.0, 0.4

@@ -12,8 +12,6 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies
 from modsim3d.learn.voyage.registration.parameters import Values
 
-# ---- What a detector wrote ----
-
 
 @dataclass(frozen=True, eq=False)
 class BoxesAtTimes:

@@ -130,8 +130,6 @@ def _steady(rest: Array, slopes: Array, groups: Sequence[Indices], far_m: Array)
     return steady
 
 
-# ---- The last fit ----
-
 BLOCK_S = 10.0
 """Stretches of time within which a vessel's box errors are taken to go together."""
 PROBED = (*SHARED_NAMES, "along_m", "across_m", COMMON_DELAY)

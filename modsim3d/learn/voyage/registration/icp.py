@@ -225,8 +225,6 @@ def fit(
     return unknowns.values(found.x, start)
 
 
-# ---- Matches and fits in turn, with ever closer gates, until the matches stay ----
-
 FIRST = ("clock_s", "yaw_deg", "pitch_deg")
 THEN = (*FIRST, "roll_deg", "height_m", "focal_share")
 GATES_DEG = (1.5, 1.0, 0.6)

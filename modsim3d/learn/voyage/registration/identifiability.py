@@ -19,8 +19,6 @@ from scipy.stats import t as student_t
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.learn.voyage.registration.parameters import SHARED, SHARED_NAMES, plausible
 
-# ---- How well the values are known, when errors of one vessel's boxes go together ----
-
 LEVEL = 0.95
 MOST_DEGREES = 1e4
 FULL = 1e-9

@@ -276,8 +276,6 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} minutes" if seconds >= 120 else f"{seconds:.0f} s"
 
 
-# ---- Where a fit starts ----
-
 CLOCK_STEP_S = 0.5
 MOST_TURN_DEG = 15.0
 MOST_GUESSES, LIKELY = 5, 0.6

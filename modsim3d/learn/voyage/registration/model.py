@@ -18,7 +18,7 @@ from modsim3d.learn.voyage.registration.parameters import Values
 from modsim3d.scene.scene import Scene
 from modsim3d.world.vessels import shoebox
 
-# ---- Where the vessels and the camera of a scene are at any time, between its steps too ----
+# ---- Where the vessels and the camera of a scene are at any time ----
 
 BEYOND_S = 60.0
 """How long before the first step and after the last one vessels go on."""
@@ -167,8 +167,6 @@ def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
                 filled[rows, vessel, :2] += (times_s[rows] - known_s[edge])[:, None] * speed
     return filled
 
-
-# ---- Where the edges of a vessel's box are in the image, for any values of the parameters ----
 
 AXIS = np.array([0, 1, 0, 1])
 """Whether the left, top, right and bottom edges are columns (0) or rows (1)."""

@@ -11,8 +11,6 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.validation import nearest
 
-# ---- What a registration can change, with units, and how far each may plausibly be from what the scene ----
-
 
 @dataclass(frozen=True)
 class CameraParameter:

@@ -133,8 +133,6 @@ class Registration:
         return "\n".join([*lines, *(f"  by rule: {group.words()}" for group in self.groups)])
 
 
-# ---- Registers a camera and its detector's clock against the truth that AIS and a scene give ----
-
 SEARCHED_S = 60.0
 FIRST_FRAMES = 150
 MOST_BOXES = 2500

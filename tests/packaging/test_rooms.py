@@ -1,6 +1,9 @@
-"""No module of the package imports, by whatever way, a module that imports it."""
+"""The tree: imports go one way, no class name stands twice, and a pose enters few rooms on its way."""
 
 import ast
+import subprocess
+import sys
+from collections import Counter
 from pathlib import Path
 
 import modsim3d
@@ -20,6 +23,45 @@ def test_imports_go_one_way() -> None:
             wanted.difference_update(leaves)
     in_circles = {name: wanted for name, wanted in imports.items() if any(name in other for other in imports.values())}
     assert not in_circles
+
+
+def test_no_public_class_name_stands_twice() -> None:
+    names = Counter(
+        node.name
+        for path in ROOT.rglob("*.py")
+        for node in ast.parse(path.read_bytes()).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert len(names) > 500 and [name for name, count in names.items() if count > 1] == []
+
+
+RECORDED = """
+import sys
+from pathlib import Path
+import modsim3d
+from modsim3d.cli.main import main
+root, rooms = Path(modsim3d.__file__).parent, set()
+
+def enter(frame, event, value):
+    path = Path(frame.f_code.co_filename)
+    if event == "call" and frame.f_code.co_name != "<module>" and path.is_relative_to(root):
+        rooms.add(path.relative_to(root).parts[0])
+
+sys.setprofile(enter)
+try:
+    main()
+except SystemExit as ended:
+    sys.setprofile(None)
+    print(ended.code or 0, *sorted(rooms))
+"""
+
+
+def test_a_pose_enters_few_rooms_on_its_way_from_the_scene_file_to_detections(tmp_path: Path) -> None:
+    command = ["run", "strait", "--steps", "3", "--no-sheet", "-q", "--out", str(tmp_path / "run")]
+    done = subprocess.run([sys.executable, "-c", RECORDED, *command], capture_output=True, text=True, check=True)
+    status, *rooms = done.stdout.split()
+    assert status == "0" and {"cli", "detector", "runs", "scene", "truth", "world"} <= set(rooms)
+    assert len(rooms) <= 11, rooms
 
 
 def test_a_circle_would_be_found() -> None:
