@@ -76,7 +76,12 @@ if TYPE_CHECKING:  # what a type checker takes; it finds a misspelt name
     from modsim3d.view.pictures.frame_picture import frame_picture as frame_picture
     from modsim3d.view.pictures.layers import DETECTIONS as DETECTIONS
     from modsim3d.view.pictures.plain import open_id_renderer as open_id_renderer
+    from modsim3d.world.encounters import Encounter as Encounter
+    from modsim3d.world.encounters import density_per_km2 as density_per_km2
+    from modsim3d.world.encounters import encounter as encounter
     from modsim3d.world.encounters import hull_tracks as hull_tracks
+    from modsim3d.world.encounters import lane_offsets as lane_offsets
+    from modsim3d.world.encounters import speeds_m_s as speeds_m_s
 
     __version__: str
 
@@ -122,7 +127,7 @@ _NAMES = LazyNames(
         "modsim3d.view.pictures.frame_picture": "CameraView frame_picture",
         "modsim3d.view.pictures.layers": "DETECTIONS",
         "modsim3d.view.pictures.plain": "open_id_renderer",
-        "modsim3d.world.encounters": "hull_tracks",
+        "modsim3d.world.encounters": "Encounter density_per_km2 encounter hull_tracks lane_offsets speeds_m_s",
     },
 )
 __all__ = _NAMES.names

@@ -146,7 +146,7 @@ def open_campaign(folder: StrPath) -> Campaign:
 
 
 def engine_of(workers: WorkerCount, scheduler: str | None = None, slurm: int | None = None) -> Callable[[], Engine]:
-    """What opens the engine that is asked for.
+    """Function that opens the engine asked for.
 
     Args:
         workers: Number of processes on this machine, if neither of the others is given.

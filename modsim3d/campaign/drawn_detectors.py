@@ -98,7 +98,7 @@ class LearnedUncertainty(Strict):
 
 
 def read_uncertainty(detector: Path) -> LearnedUncertainty:
-    """What is known of a detector file.
+    """Recorded uncertainty of a detector file.
 
     Raises:
         InputError: There is nothing beside it, it belongs to another detector file, or it rests on too little.

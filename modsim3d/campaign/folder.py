@@ -142,7 +142,7 @@ class CampaignFolder:
 
     @property
     def work(self) -> Work:
-        """What all its tasks have in common."""
+        """Settings that all its tasks have in common."""
         facts = self.facts
         made_of = {"files": facts["files"], "plugins": facts.get("plugins", {})}
         return Work(self.keys, facts["base"], str(self.path.resolve()), facts["sha256"], **made_of)

@@ -157,7 +157,7 @@ class TrackerKeys(Strict):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Name in tables."""
         return self.name or self.tracker
 
 
@@ -174,7 +174,7 @@ class ScoreKeys(Strict):
 
 
 class Requirement(Strict):
-    """What a score must be: its mean over traffic seeds, or with `in` its value in a share of them.
+    """Bound on a score: on its mean over traffic seeds, or with `in` on its value in a share of them.
 
     Attributes:
         score: A key of the scores.

@@ -1,4 +1,4 @@
-"""Which runs of a campaign went worst, and how each is looked at."""
+"""Worst runs of a campaign, and how each is looked at."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def tracks_there(folder: Path, run: StoredRun, tracker: str, settings: Mapping[s
 
 
 def planned_run(folder: CampaignFolder, number: int) -> PlannedRun:
-    """What the plan says of a run, or the search of a trial.
+    """Run as the plan has it, or as the search of a trial has it.
 
     Raises:
         InputError: A file that the run is made of is not as it was.

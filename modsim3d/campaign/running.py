@@ -149,7 +149,7 @@ class CampaignResult:
 
 @dataclass
 class _State:
-    """What is under way."""
+    """Tasks under way."""
 
     total: int
     done: set[int]
@@ -208,7 +208,7 @@ def run_plan(
 
 
 def read_back(task: Task, read: Callable[[], T | None]) -> T:
-    """What is read of a task that is done; the file of another machine may take a while to be seen on this one.
+    """Result read from a task that is done; the file of another machine may take a while to be seen on this one.
 
     Args:
         task: The task.
@@ -227,7 +227,7 @@ def read_back(task: Task, read: Callable[[], T | None]) -> T:
 
 
 def crash_of(folder: CampaignFolder, task: Task, death: Death, deaths: Counter[int]) -> str | None:
-    """What a run has crashed with whose worker died in a task; None if it is to be tried again.
+    """Error of a run whose worker died in a task; None if the run is to be tried again.
 
     The log of the campaign says that a worker was killed; `deaths` counts it for a run that was alone in its task.
     """

@@ -91,7 +91,7 @@ def findings(folder: CampaignFolder, table: pa.Table, count: int = 5) -> tuple[F
 
 
 def sentence(folder: CampaignFolder, table: pa.Table) -> str:
-    """What a search comes to, in two or three sentences."""
+    """Result of a search, in two or three sentences."""
     search = searched(folder)
     score, word = score_of(search), "lowest" if search.minimise is not None else "highest"
     counts = {status: pc.sum(pc.equal(table["status"], status)).as_py() or 0 for status in (CRASHED, REFUSED)}
@@ -134,7 +134,7 @@ class SearchResult:
         return findings(self.folder, self.table)
 
     def __str__(self) -> str:
-        """What it comes to."""
+        """Result in two or three sentences."""
         return sentence(self.folder, self.table)
 
 

@@ -227,7 +227,7 @@ def told_apart(row: Mapping[str, Any], run: PlannedRun, scenes: Scenes) -> dict[
 
 
 def tried(point: Point, row: Mapping[str, Any], search: SearchKeys) -> Tried:
-    """What came of a point."""
+    """Result at a point of the search."""
     value = row.get(score_of(search)) if row["status"] == DONE else None
     known = value is not None and math.isfinite(value)
     return Tried(point, value if known else None, row["status"] == CRASHED)

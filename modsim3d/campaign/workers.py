@@ -162,7 +162,7 @@ class CampaignWorker:
         self._process.wait()
 
     def _died(self) -> ProcessDiedError | ModsimError:
-        """What a broken pipe means."""
+        """Error for a broken pipe."""
         try:
             code = self._process.wait(_END_S)
             if -code in STOPPING:  # if all are to stop, this process ends here, before the run counts as crashed

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Labels(str, Enum):  # noqa: UP042 (typer shows the plain values)
-    """What the labels of vessels from AIS say."""
+    """Content of the labels of vessels from AIS."""
 
     vessel = "vessel"
     type = "type"

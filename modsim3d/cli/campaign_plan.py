@@ -1,4 +1,4 @@
-"""What `modsim3d campaign --plan` says: how many runs there will be, and how many seeds each requirement needs."""
+"""Text of `modsim3d campaign --plan`: how many runs there will be, and how many seeds each requirement needs."""
 
 from __future__ import annotations
 

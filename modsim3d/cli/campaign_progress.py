@@ -111,7 +111,7 @@ def _style(verdict: Verdict, once: bool) -> str:
 
 
 def present_text(verdict: Verdict, once: bool) -> str:
-    """What is known of a requirement; of one that is judged at the end, as no verdict.
+    """State of a requirement in words; one that is judged at the end has no verdict yet.
 
     Args:
         verdict: On what is done.

@@ -129,7 +129,7 @@ def _print_outcome(campaign: CampaignFolder, again: RunAgain, film: MomentFilm |
 
 
 def _sentences(again: RunAgain) -> list[str]:
-    """What came of the run."""
+    """Sentences on the outcome of the run."""
     found = []
     if again.error is not None:
         crashed = again.before is not None and again.before["error"] is not None

@@ -1,4 +1,4 @@
-"""What the commands for campaigns say: a plan, verdicts, means and crashed runs, in words and tables."""
+"""Texts of the commands for campaigns: a plan, verdicts, means and crashed runs, in words and tables."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict], re
 
 
 def about_text(verdict: Verdict) -> str:
-    """What a verdict is about, in a few words."""
+    """Subject of a verdict, in a few words."""
     about = ", ".join(filter(None, [verdict.tracker, values_text(verdict.values)]))
     return f"{verdict.text} ({about})"
 

@@ -1,4 +1,4 @@
-"""What the shell completes after the Tab key, found without loading more than the command line itself."""
+"""Completions for the Tab key, found without loading more than the command line itself."""
 
 from __future__ import annotations
 

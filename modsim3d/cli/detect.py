@@ -61,7 +61,7 @@ def read_options(
     confidence_scale: str | None = None,
     horizon: str | None = None,
 ) -> ReadOptions:
-    """What options say of labelled sets.
+    """Options for reading labelled sets.
 
     Raises:
         InputError: A size, a frame rate, a scale or a horizon is none.

@@ -77,7 +77,7 @@ def _guess(detector: Path, measured_in: str, wanted_in: str) -> str:
 
 
 def _comments(detector: Path, measured_in: str, wanted_in: str, change: ConditionChange) -> list[str]:
-    """What a reader of the file must know."""
+    """Comments that a reader of the file needs."""
     spread = ", ".join(f"{ratio:.3g}" for ratio in change.spread)
     changes = (
         f"Multiplied: odds of a miss by {change.miss_odds:.3g}, odds that a detection is false by "

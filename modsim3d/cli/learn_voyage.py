@@ -222,7 +222,7 @@ def asked_voyage(
     write_scene: Path | None,
     shift: bool,
 ) -> AskedVoyage | None:
-    """What the options ask for; None without `--scene`.
+    """Voyage that the options ask for; None without `--scene`.
 
     `shift` says whether --bias or --correct is given, which a voyage cannot have.
 

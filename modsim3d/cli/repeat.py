@@ -67,7 +67,7 @@ def _print_repetition(repetition: Repetition) -> None:
 
 
 def _said(file: RepeatedFile, listed: bool) -> str:
-    """What came of one file."""
+    """Outcome for one file."""
     same = "the bytes that were written" if file.stored else "the same bytes"
     made = "" if file.is_input else f"repeated: {file.repeated or same}"
     if file.name == "run.json" and not file.repeated:

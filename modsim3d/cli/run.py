@@ -86,7 +86,7 @@ def _rows(result: TruthResult) -> list[Row]:
 
 
 def truth_warnings(result: TruthResult) -> list[str]:
-    """What a user should know before using the files, each a sentence."""
+    """Warnings to read before using the files, each a sentence."""
     nothing = [] if result.counts.annotated else ["no box of the truth is to be detected: there are only false alarms"]
     return nothing + iou_warnings(result.counts)
 

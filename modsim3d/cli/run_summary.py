@@ -1,4 +1,4 @@
-"""What `modsim3d run` and `modsim3d detect` print about a finished run."""
+"""Text of `modsim3d run` and `modsim3d detect` about a finished run."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def scene_warnings(scene: Scene) -> list[str]:
 
 
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
-    """What happened in a run; each share is of a number that stands in another row."""
+    """Summary of a run; each share is of a number that stands in another row."""
     rows = _frame_rows(scene, result) + detection_rows(result.counts) + _model_rows(result)
     return rows + _check_rows(scene, result.checked) + _time_rows(result)
 
@@ -104,7 +104,7 @@ def _check_rows(scene: Scene, checked: Checked | None) -> list[Row]:
 
 
 def vessel_rows(counts: Counts) -> list[Row]:
-    """What was in the images."""
+    """Counts of vessels in the images."""
     return [
         ("vessels seen", str(counts.seen), "summed over frames"),
         ("partly hidden", str(counts.partly_hidden), share(counts.partly_hidden, counts.seen, "seen")),
@@ -114,7 +114,7 @@ def vessel_rows(counts: Counts) -> list[Row]:
 
 
 def detection_rows(counts: Counts) -> list[Row]:
-    """What the detector put out."""
+    """Counts of the detector's output."""
     true = counts.true_detections
     every = true + counts.false_positives
     of_true = [
@@ -154,12 +154,12 @@ def _time_rows(result: RunResult) -> list[Row]:
 
 
 def _model_rows(result: RunResult) -> list[Row]:
-    """What optional parts of the detector did, if they did anything."""
+    """Counts of optional parts of the detector, if they did anything."""
     return _bias_rows(result) + gate_rows(result.counts)
 
 
 def gate_rows(counts: Counts) -> list[Row]:
-    """What gates and merges did, if they did anything."""
+    """Counts of gates and merges, if they did anything."""
     rows: list[Row] = []
     if counts.missed_by_gate:
         gated = share(counts.missed_by_gate, counts.missed, "missed")
@@ -185,7 +185,7 @@ def _bias_rows(result: RunResult) -> list[Row]:
 
 
 def run_warnings(scene: Scene, result: RunResult) -> list[str]:
-    """What a user should know before using a run, each a sentence."""
+    """Warnings to read before using a run, each a sentence."""
     from modsim3d.runs.camera_sequences import blind_cameras
 
     counts = result.counts

@@ -1,4 +1,4 @@
-"""What the commands write to the terminal: how much is asked for, and any text without its control characters."""
+"""Output to the terminal: how much is asked for, and any text without its control characters."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def wrapped(text: str, width: int) -> list[str]:
 
 @dataclass
 class Asked:
-    """What the command line asks to be told.
+    """Amount of output that the command line asks for.
 
     Attributes:
         quiet: Nothing but warnings and errors.

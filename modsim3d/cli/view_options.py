@@ -23,7 +23,7 @@ LEAST_WIDTH_PX, MOST_WIDTH_PX = 160, 8192
 
 
 class Film(str, Enum):  # noqa: UP042 (typer shows the plain values)
-    """What a film or a picture shows."""
+    """Content of a film or a picture."""
 
     detections = "detections"
     scene = "scene"
@@ -41,7 +41,7 @@ class Style(str, Enum):  # noqa: UP042
 
 
 class FilmFormat(str, Enum):  # noqa: UP042
-    """What a film is written as."""
+    """File format of a film."""
 
     mp4 = "mp4"
     gif = "gif"

@@ -1,1 +1,1 @@
-"""What every room may use: errors, types, boxes, text, random streams."""
+"""Parts that every room may use: errors, types, boxes, text, random streams."""

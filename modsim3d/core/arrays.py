@@ -49,7 +49,7 @@ def extents(column: Indices, wanted: Indices) -> tuple[Indices, Indices]:
 
 
 def occurring(indices: Indices, count: int) -> tuple[Indices, Indices]:
-    """Which of `count` indices occur, ascending, and the place of each of n indices among them, shapes (k,) and (n,).
+    """Indices below `count` that occur, ascending, and the place of each of n indices among them, shapes (k,) and (n,).
 
     What `np.unique` gives, but faster for few indices; and that loads `numpy.ma` at its first call, which takes 15 ms.
     """

@@ -98,6 +98,6 @@ def unions(a_px: Array, b_px: Array) -> Array:
 
 
 def inside_image(boxes_px: Array, image_size_px: tuple[int, int] | Array) -> Mask:
-    """Which boxes (..., 4), clipped to their image as by `clip`, are at least a pixel wide and high, shape (...)."""
+    """Mask of the boxes (..., 4) that, clipped to their image by `clip`, are at least a pixel wide and high, (...)."""
     large: Mask = sizes(clip(boxes_px, image_size_px)) >= 1 - 1e-9
     return large[..., 0] & large[..., 1]

@@ -25,7 +25,7 @@ class LazyNames:
         self.names = sorted(self._homes)
 
     def __getitem__(self, name: str) -> Any:
-        """What a name stands for, as a module's `__getattr__`.
+        """Object of a name, as a module's `__getattr__`.
 
         Raises:
             AttributeError: There is no such name.

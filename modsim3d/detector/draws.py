@@ -88,7 +88,7 @@ ERROR_DISTRIBUTIONS: Mapping[str, type[ErrorDistribution]] = {"normal": Normal, 
 
 
 def size_factors(sizes_px: Array, relative: Mask | bool, growths: Array) -> tuple[Array, Array]:
-    """What the size of a box multiplies its errors by, and their distance from the mean besides, shapes (..., 4).
+    """Factors on box errors and on their distance from the mean by the size of a box, shapes (..., 4).
 
     Args:
         sizes_px: Width and height of the true box, at least a pixel, shape (..., 2).

@@ -104,7 +104,7 @@ class Dropout:
 
     @property
     def every_effect(self) -> tuple[Effect, ...]:
-        """Those that states share and those of single states."""
+        """Effects that states share and those of single states."""
         return *self.effects, *(effect for effects in self.own.values() for effect in effects)
 
     def effects_of(self, state: int) -> tuple[Effect, ...]:

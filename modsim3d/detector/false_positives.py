@@ -42,7 +42,7 @@ class FalsePositiveRates:
 
 @dataclass(frozen=True, eq=False)
 class FrameCounts:
-    """What the number of false positives may follow, frame by frame; shapes (S,).
+    """Numbers that false positives may follow, frame by frame; shapes (S,).
 
     Attributes:
         states: Performance state.
@@ -311,7 +311,7 @@ _LEAST_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on 
 
 @dataclass(frozen=True, eq=False)
 class FalsePositiveOptions:
-    """What a detector file says about false positives.
+    """Keys of a detector file about false positives.
 
     Attributes:
         size: How large they are; None for the sizes of vessels or for the model's own size.

@@ -114,7 +114,7 @@ class MergesAndSplits:
         return long
 
     def events(self, streams: Streams, frames: CameraFrames, vessels: Targets, boxes_px: Array, single: Mask) -> Events:
-        """Which of n detected vessels are duplicated or split, and the expected numbers of both.
+        """Duplicated and split vessels among n detected ones, and the expected numbers of both.
 
         Boxes have their errors, shape (n, 4). `single` says which are one vessel, not two merged, shape (n,).
         """

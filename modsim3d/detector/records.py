@@ -1,4 +1,4 @@
-"""What the detector is given and what it returns: columns over a run of frames of one camera."""
+"""Input and output of the detector: columns over a run of frames of one camera."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _IS_FALSE = np.isin(np.arange(len(KINDS)), FALSE_KINDS)
 
 
 def are_false(kind: Indices) -> Mask:
-    """Which kinds count as false, same shape."""
+    """Mask of the kinds that count as false, same shape."""
     false: Mask = _IS_FALSE[kind]
     return false
 
@@ -114,7 +114,7 @@ class Detections:
         return len(self.frame)
 
     def false(self) -> Mask:
-        """Which are not the one detection of a vessel, shape (m,)."""
+        """Mask of all but the one detection of each vessel, shape (m,)."""
         return are_false(self.kind)
 
 
@@ -153,7 +153,7 @@ class Gates:
         return due
 
     def passed(self, frames: CameraFrames, targets: Targets) -> Mask:
-        """Which targets can be detected at all, shape (n,)."""
+        """Mask of the targets that can be detected at all, shape (n,)."""
         passed = self.due(frames)[targets.frame]
         if self.max_range_m is not None:
             passed &= targets.depth_m <= self.max_range_m
@@ -164,7 +164,7 @@ class Gates:
         return passed
 
     def most_confident(self, frame: Indices, confidence: Array, key: Array) -> Mask:
-        """Which detections are output, given their frame, confidence and a key that breaks ties, shapes (m,)."""
+        """Mask of the detections that are output, given frame, confidence and a key that breaks ties, shapes (m,)."""
         if self.max_detections is None:
             return np.ones(len(frame), dtype=bool)
         order = np.lexsort((key, -confidence, frame))

@@ -237,7 +237,7 @@ def _bounds(component: int, boxes: Array, images: Array, growth: Array, given: A
 
 
 def _far_from_bounds(component: int, boxes: Array, images: Array, growth: Array, given: Array, spread: Array) -> Mask:
-    """Which boxes are so far from the bounds of a component that these do not count at any point, shape (n,).
+    """Mask of the boxes so far from the bounds of a component that these do not count at any point, shape (n,).
 
     Of growth, of what is given and of spread, (n, 1) or (n, points), only the extremes that come closest are looked at.
     """

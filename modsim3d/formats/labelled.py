@@ -83,7 +83,7 @@ class Annotations:
         return side
 
     def by_image(self) -> Annotations:
-        """The same rows in the order of their images."""
+        """Annotations in the order of their images."""
         return Annotations(**_by_image(vars(self)))
 
 
@@ -117,13 +117,13 @@ class Results:
         return len(self.image)
 
     def by_image(self) -> Results:
-        """The same rows in the order of their images."""
+        """Results in the order of their images."""
         return Results(**_by_image(vars(self)))
 
 
 @dataclass(frozen=True)
 class FileIds:
-    """What a file calls what a labelled set has by number.
+    """IDs that a file uses for what a labelled set has by number.
 
     Attributes:
         images: ID of each image in COCO, number of each frame in MOT.

@@ -1,4 +1,4 @@
-"""Which detection is of which annotation.
+"""Matching of detections and annotations.
 
 All images are matched at once: pairs that could match are found by arithmetic over all pairs within images, and only
 those few are walked through. A detection matches at most one annotation, and an annotation at most one detection.
@@ -62,7 +62,7 @@ class Rule:
 
     @property
     def for_average_precision(self) -> Rule:
-        """The same rule label by label, and in order of confidence.
+        """Rule for average precision: label by label, and in order of confidence.
 
         Average precision is of the most confident detections at every threshold, and other orders may give an
         annotation to a less confident one.

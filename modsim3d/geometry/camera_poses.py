@@ -139,7 +139,7 @@ class CameraPoses:
 
 
 def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
-    """The same pose in the world at each of S steps (Jessen & Mohr (2023), eq. 7.15, 7.16)."""
+    """Poses of a camera ashore, equal at each of S steps (Jessen & Mohr (2023), eq. 7.15, 7.16)."""
     position = np.array(mount.position_m, dtype=np.float64)
     return CameraPoses(np.broadcast_to(mount.camera_R_parent, (steps, 3, 3)), np.broadcast_to(position, (steps, 3)))
 

@@ -141,7 +141,7 @@ def _ordinary_file(path: Path, source: str) -> io.BufferedReader:
 
 
 def _problem(error: Exception) -> str:
-    """What to say of an error of the operating system, of unpacking or of decoding."""
+    """Message for an error of the operating system, of unpacking or of decoding."""
     if isinstance(error, gzip.BadGzipFile | EOFError | zlib.error):
         return "is not a complete gzip file"
     if isinstance(error, UnicodeDecodeError):

@@ -48,7 +48,7 @@ def are_rounded(identities: Iterable[object]) -> bool:
 
 
 def other_unit(times_s: Array, length_s: float) -> str:
-    """What to add to a message on times, shape (n,), that leave a span from 0 to a length; empty if no unit fits."""
+    """Addition to a message on times, shape (n,), that leave a span from 0 to a length; empty if no unit fits."""
     last = float(np.max(times_s, initial=0.0))
     for name, count in _UNITS.items():
         if last > _SLACK * length_s and _LEAST_COVERED * length_s <= last / count <= _SLACK * length_s:

@@ -1,4 +1,4 @@
-"""Which files a command may write: none that another process writes, none that it reads, and none unasked."""
+"""Guard of the files that a command writes: none that another process writes, none that it reads, and none unasked."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Identity = tuple[int, int]
 
 
 def identity(path: Path) -> Identity | None:
-    """What a path leads to; None if nothing is there, or if that cannot be told."""
+    """Identity of what a path leads to; None if nothing is there, or if that cannot be told."""
     try:
         found = path.stat()
     except (OSError, ValueError):
@@ -27,7 +27,7 @@ def identity(path: Path) -> Identity | None:
 
 
 def identities(paths: Iterable[Path]) -> set[Identity]:
-    """What some paths lead to; those that lead nowhere are left out."""
+    """Identities of what some paths lead to; those that lead nowhere are left out."""
     return {found for path in paths if (found := identity(path)) is not None}
 
 
@@ -63,7 +63,7 @@ def claimed(paths: Iterable[Path], *, overwrite: bool, inputs: Iterable[Path] = 
 
 @contextmanager
 def claimed_folders(patterns: Mapping[Path, str], *, overwrite: bool, inputs: Iterable[Path] = ()) -> Iterator[None]:
-    """The same for folders all of whose files are written; each has the pattern of the names that it may hold.
+    """Claim folders all of whose files are written; each has the pattern of the names that it may hold.
 
     Raises:
         OutputError: One of the folders may not be written, or cannot be.

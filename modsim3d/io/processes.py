@@ -171,7 +171,7 @@ def serve(pipe_number: int, parent: int) -> None:
 
 
 def _set_up_of(message: bytes) -> tuple[Callable[..., AbstractContextManager[Any]], tuple[Any, ...]]:
-    """What sets up a worker, and its arguments.
+    """Function that sets up a worker, and its arguments.
 
     Where a new interpreter cannot read them, as those of a class that it cannot import, setting up raises the error: so
     it is told as any other error of setting up.

@@ -34,7 +34,7 @@ class Limits:
         self._limits: dict[str, Any] = limits
 
     def __get_pydantic_core_schema__(self, source: type[float], handler: GetCoreSchemaHandler) -> CoreSchema:
-        """What pydantic asks for when it builds a model."""
+        """Schema that pydantic asks for when it builds a model."""
         schema_of = core_schema.int_schema if source is int else core_schema.float_schema
         schema = schema_of(strict=True, **self._limits)
         return core_schema.no_info_after_validator_function(self._check, schema) if self._check else schema
@@ -148,7 +148,7 @@ def shown(value: object) -> str:
 
 
 def kind_of(value: object) -> str:
-    """What a value is, in the words of a reader of YAML or JSON; the value itself might be a secret of its file."""
+    """Type of a value, in the words of a reader of YAML or JSON; the value itself might be a secret of its file."""
     return "nothing" if value is None else _KINDS.get(type(value), type(value).__name__)
 
 

@@ -111,7 +111,7 @@ class Column:
 
     @property
     def independent(self) -> Array:
-        """Of a share or a rate, as many independent observations as spread like the replicates, shape (...)."""
+        """Number of independent observations that spread like the replicates of a share or a rate, shape (...)."""
         value, count = self.estimate, np.maximum(self.counts, _LEAST_SPREAD)
         alone = value / count if self.kind == "rate" else value * (1 - value) / count
         found = spread(self.values[1:]) ** 2

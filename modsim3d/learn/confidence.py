@@ -176,7 +176,7 @@ class ConfidenceForm:
         return LearnedConfidence(tuple(learned["true"]), tuple(learned["false"]), tuple(slopes))
 
     def _inflation(self, observed: Observed) -> Inflation:
-        """Of means by confidence that persists; deviations from a standard deviation persist half as long."""
+        """Inflation of means by confidence that persists; deviations from a standard deviation persist half as long."""
         if self.confidence_s <= 0:
             return Inflation()
         steps, count = steps_between(observed.labelled, observed.rows[observed.found]), len(observed.found)
@@ -214,7 +214,7 @@ class NoConfidenceForm:
 
 
 def choose_confidence(observed: Observed) -> ConfidenceForm | OneConfidenceForm | NoConfidenceForm:
-    """Which distribution the confidences of each state and kind follow, and which slopes they have."""
+    """Choose the distribution of confidences of each state and kind, and their slopes."""
     if not observed.labelled.scored:
         return NoConfidenceForm()
     if "confidence" in observed.without:

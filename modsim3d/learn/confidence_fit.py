@@ -70,7 +70,7 @@ class ObservedConfidences:
         return hidden
 
     def of_state(self, state: int) -> ObservedConfidences:
-        """Those of one state."""
+        """Confidences of one state."""
         return self.chosen(self.state == state)
 
     def chosen(self, rows: Mask | Indices) -> ObservedConfidences:
@@ -89,7 +89,7 @@ _SCANNED, _SCAN_ROWS = 12, 20_000
 
 @dataclass(frozen=True)
 class SlopeForm:
-    """Which slopes there are, and the logarithm to base two of the reference size, fitted or fixed."""
+    """Slopes in use, and the logarithm to base two of the reference size, fitted or fixed."""
 
     visibility: bool
     size: bool
@@ -224,7 +224,7 @@ class _Point:
         return dict(zip(self.form.names, self.values[2 * len(self.samples) :].tolist(), strict=True))
 
     def derivatives(self) -> list[tuple[Array, Array, Array]]:
-        """Of each kind: its terms by mean and standard deviation, (n, 2) and (n, 2, 2), and those by all (n, 2, p)."""
+        """Derivatives for each kind: terms by mean and standard deviation, (n, 2), (n, 2, 2), and by all (n, 2, p)."""
         size, kinds, found = len(self.values), len(self.samples), []
         for k, (scores, quantiles) in enumerate(zip(self.samples, self.quantiles, strict=True)):
             mean, std = self.values[2 * k : 2 * k + 2]
@@ -362,7 +362,7 @@ def _refined(point: _Point) -> _Point:
 
 
 def _ridge(curvature: Array) -> Array:
-    """What makes a curvature (p, p) positive definite, 0 if it is."""
+    """Ridge that makes a curvature (p, p) positive definite, 0 if it is."""
     least = float(np.linalg.eigvalsh(curvature)[0])
     scale = float(np.trace(curvature)) / len(curvature)
     return np.eye(len(curvature)) * max(0.0, 1e-9 * scale - 2 * least)

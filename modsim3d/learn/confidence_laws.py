@@ -1,4 +1,4 @@
-"""What is learned of confidence: distributions, slopes and how long it persists, and how they are written."""
+"""Learned confidences: distributions, slopes and how long they persist, and how they are written."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class SureOfEverything:
         return {}
 
     def state_section(self, state: int) -> dict[str, Any]:
-        """The same in every state."""
+        """Section that is equal in every state."""
         return {"confidence": {"mean": 1.0, "std": 0.0}}
 
 
@@ -257,7 +257,7 @@ class LatentScores:
 
     @property
     def known(self) -> Array:
-        """Which numbers are known, shape (n,)."""
+        """Mask of the numbers that are known, shape (n,)."""
         found: Array = self.low == self.high
         return found
 
@@ -280,7 +280,7 @@ class ConsecutiveScores:
 
     @classmethod
     def of(cls, observed: Observed, scores: ObservedConfidences, latent: LatentScores) -> ConsecutiveScores:
-        """Of true detections in the order of `observed.found`."""
+        """Number behind each true detection, in the order of `observed.found`."""
         usable = np.flatnonzero(~np.isnan(latent.low))
         steps = steps_between(observed.labelled, observed.rows[observed.found[usable]])
         return cls(latent, Steps(usable[steps.earlier], usable[steps.later], steps.apart_s), scores)

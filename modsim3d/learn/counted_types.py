@@ -1,4 +1,4 @@
-"""What each detection counts as, once the data show whether there are second boxes, splits and merges."""
+"""Type that each detection counts as, once the data show whether there are second boxes, splits and merges."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TRIALS, _RUNS = 200, 24
 
 @dataclass(frozen=True, eq=False)
 class CountedAs:
-    """What each detection counts as: kinds that the data do not clearly show count as if they did not exist.
+    """Type that each detection counts as: types that the data do not clearly show count as if they did not exist.
 
     Attributes:
         detection: Row of the result that detects each annotation, −1 where none does, shape (T,).
@@ -67,7 +67,7 @@ def counted_as(
     without: frozenset[str] = frozenset(),
     shown: Mapping[str, float | None] | None = None,
 ) -> CountedAs:
-    """What the detections of the images that are used (I,) count as.
+    """Types that the detections of the images that are used (I,) count as.
 
     Args:
         labelled: The set.

@@ -1,4 +1,4 @@
-"""What average precision is lost to, one kind of error at a time (after Bolya et al. (2020), "TIDE").
+"""Losses of average precision, one kind of error at a time (after Bolya et al. (2020), "TIDE").
 
 A false detection is classed by the annotation that it fits best: `classification` (well placed, another label),
 `localisation` (right label, badly placed), `both`, `duplicate` (of what a more confident one has detected) or
@@ -48,7 +48,7 @@ class ErrorShare:
 
 @dataclass(frozen=True)
 class ErrorShares:
-    """What mean average precision, over labels and by all points, is lost to: a share for each kind."""
+    """Losses of mean average precision, over labels and by all points: a share for each kind of error."""
 
     average_precision: float
     shares: tuple[ErrorShare, ...]

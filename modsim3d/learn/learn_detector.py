@@ -35,7 +35,7 @@ _MOST = 0.5
 
 
 def gate_warning(labelled: LabelledSet, matched: Matched, rule: Rule) -> str | None:
-    """What to say, with figures, if the rule does not match most of what could be a match; None if it does.
+    """Warning, with figures, if the rule does not match most of what could be a match; None if it does.
 
     Where the set says what each detection is of, those are counted that the rule does not let match their own vessel.
     Elsewhere missed annotations are counted that a false detection overlaps.
@@ -69,7 +69,7 @@ def _of_own_vessels(labelled: LabelledSet, matched: Matched, rule: Rule, origin:
 
 
 def _overlapped(labelled: LabelledSet, annotations: Indices, detections: Indices) -> Indices:
-    """Those of some annotations that one of some detections overlaps; all rows in the order of their images."""
+    """Annotations that a detection overlaps, among some of both; all rows in the order of their images."""
     results, there = labelled.results, labelled.annotations
     found = [annotations[:0]]
     for first, second in image_pairs(results.image[detections], there.image[annotations], len(labelled.images)):
@@ -85,7 +85,7 @@ LEAST_CONFIDENCE = 0.2
 
 @dataclass(frozen=True)
 class LearnOptions:
-    """What is wanted besides the settings of learning.
+    """Options besides the settings of learning.
 
     Attributes:
         states: Texts such as `good=day,cloudy`.
@@ -229,7 +229,7 @@ _ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
 
 
 def _remarks(observed: Observed) -> Iterator[str]:
-    """What the data lack, and what speaks against the matches."""
+    """Remarks on what the data lack, and on what speaks against the matches."""
     if not observed.labelled.scored:
         yield (
             "the detections have no confidences (-1): all of them count, average precision and the other figures that "

@@ -53,7 +53,7 @@ class LearnSettings:
         replicates: Number of replicates of the bootstrap.
         seed: Seed of all random numbers.
         clutter: Model of the number of false positives; `auto` for the likelier of `calibrated` and `per_image`.
-        without: Models of `form.RICHER` that are left out whatever the data carry.
+        without: Models of `model_selection.RICHER` that are left out whatever the data carry.
     """
 
     rule: Rule = field(default_factory=Rule)
@@ -127,7 +127,7 @@ class LearnedDetector:
         return self.classes, self.box_errors, self.false_positives, self.confidence, self.multiple_boxes
 
     def sections(self) -> dict[str, Any]:
-        """What the parts write outside the states, in the order of a detector file."""
+        """Sections that the parts write outside the states, in the order of a detector file."""
         sections: dict[str, dict[str, Any]] = {}
         for part in self.parts:
             for name, section in part.sections().items():
@@ -135,7 +135,7 @@ class LearnedDetector:
         return {name: sections[name] for name in _SECTIONS if name in sections}
 
     def state_section(self, state: int) -> dict[str, Any]:
-        """What the parts write for one state, in the order of a detector file."""
+        """Section that the parts write for one state, in the order of a detector file."""
         section: dict[str, Any] = {}
         for part in self.parts:
             section |= part.state_section(state)
@@ -144,7 +144,7 @@ class LearnedDetector:
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What was learned, and from what.
+    """Learned numbers, and the data behind them.
 
     Attributes:
         run_s: Length of the runs of frames that were resampled; 0 if single images were.
@@ -219,7 +219,7 @@ def check_size(classes: int, states: int, replicates: int) -> None:
 
 
 def learn_again(learned: Learned, observed: Observed) -> LearnedDetector:
-    """The same numbers from other data, with the same models and without replicates."""
+    """Learn from other data with the same models and without replicates."""
     observed = replace(observed, shown=dict(learned.form.multiple_boxes.shown))
     return learned.form.estimate(observed, resample(observed.labelled.images, 0, 0))
 

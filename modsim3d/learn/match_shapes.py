@@ -1,4 +1,4 @@
-"""Which boxes look like a second box of a vessel, one of its two parts, or one box around two vessels.
+"""Boxes that look like a second box of a vessel, one of its two parts, or one box around two vessels.
 
 Files do not say what a detection is. These rules read it from the boxes, in this order:
 
@@ -55,7 +55,7 @@ class SoughtBoxes:
 
     @property
     def found(self) -> Mask:
-        """Which have a match, shape (n,)."""
+        """Mask of the boxes with a match, shape (n,)."""
         found: Mask = self.row >= 0
         return found
 
@@ -138,7 +138,7 @@ def two_parts(sought: SoughtBoxes, loose: Loose) -> Parts:
 
 
 def _looks_part(boxes_px: Array, true_px: Array) -> Mask:
-    """Which boxes (m, 4) lie on part of the width of annotations (m, 4)."""
+    """Mask of the boxes (m, 4) that lie on part of the width of annotations (m, 4)."""
     inside = intersections(boxes_px, true_px) >= _LEAST_INSIDE * np.maximum(areas(boxes_px), 1e-9)
     narrow = sizes(boxes_px)[:, 0] <= _MOST_OF_WIDTH * sizes(true_px)[:, 0]
     part: Mask = inside & narrow & (_common_height(boxes_px, true_px) >= _LEAST_INSIDE)

@@ -1,4 +1,4 @@
-"""What each detection is, and how often vessels could have come out as two boxes or two vessels as one.
+"""Type of each detection, and how often vessels could have come out as two boxes or two vessels as one.
 
 A run says it. In files the boxes say it (`match_shapes`), and what chance does is taken off:
 
@@ -81,7 +81,7 @@ class Recognition:
         errors, area = errors[order], sides[order, :2].prod(axis=1)
 
         def share_that_fits(boxes_px: Array) -> Array:
-            """Of boxes (p, 4) with such errors, the share that fits the box around the pair, shape (p,)."""
+            """Share of boxes (p, 4) with such errors that fit the box around the pair, shape (p,)."""
             ours = np.tile(np.maximum(sizes(boxes_px), 1.0), 2)
             middle = np.searchsorted(area, ours[:, :2].prod(axis=1))
             start = np.clip(middle - count // 2, 0, len(area) - count)
@@ -156,14 +156,14 @@ class VesselPairs:
     overlap: Array
 
     def at_least(self, overlap: float) -> VesselPairs:
-        """Those that overlap so much."""
+        """Pairs that overlap so much."""
         chosen = self.overlap >= overlap - 1e-9
         return VesselPairs(**{name: column[chosen] for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True, eq=False)
 class MatchTypes:
-    """What detections are, as rows of results and annotations.
+    """Types of detections, as rows of results and annotations.
 
     Attributes:
         doubled: Second boxes, shape (d,).
@@ -174,7 +174,7 @@ class MatchTypes:
         one_box: Pairs of which one alone has a match, which may be around both.
         ambiguous: Pairs whose boxes do not tell whether that of the larger is around both. Also the other way round,
             where one is hardly larger.
-        trials: By the name in `form.RICHER`.
+        trials: By the name in `model_selection.RICHER`.
     """
 
     doubled: Indices
@@ -192,7 +192,7 @@ _NO_PAIRS = VesselPairs(_NO_ROWS, _NO_ROWS, _NO_ROWS, np.empty(0))
 
 
 def kinds_of(labelled: LabelledSet, matched: Matched, used: Mask) -> MatchTypes:
-    """What the detections of the images that are used (I,) are: as a run says, or as their boxes look."""
+    """Types of the detections of the images that are used (I,): as a run says, or as their boxes look."""
     annotations, results = labelled.annotations, labelled.results
     rows = np.flatnonzero(matched.sought & used[annotations.image])
     match = matched.detection[rows]
@@ -343,7 +343,7 @@ def _perhaps_parts(sought: SoughtBoxes, loose: Loose) -> Indices:
 
 
 def _long(sought: SoughtBoxes, single: Mask) -> Mask:
-    """Which single vessels may come out in two parts, shape (n,)."""
+    """Mask of the single vessels that may come out in two parts, shape (n,)."""
     wide = sizes(sought.boxes_px)[:, 0] >= LEAST_WIDTH_PX
     return single & wide & (sought.aspect >= LEAST_ASPECT)
 

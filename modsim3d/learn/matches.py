@@ -1,4 +1,4 @@
-"""What the estimators of a detector's parameters look at: annotations and detections, matched, state by state."""
+"""Data of the estimators of a detector's parameters: annotations and detections, matched, state by state."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ErrorFits:
         return self._found[unit, heavy]
 
     def chosen(self, unit: Unit, heavy: bool = False) -> ErrorFit | None:
-        """The same; where so many boxes fail the matching that it has no maximum, as if matching cut off nothing."""
+        """Fit; where so many boxes fail the matching that it has no maximum, as if matching cut off nothing."""
         found = self.fit(unit, heavy)
         if found is None or found.settled:
             return found
@@ -139,7 +139,7 @@ def _regular(errors: Array) -> bool:
 
 
 class ErrorSource(Enum):
-    """Which pairs the box error of a state is learned from: the first that has enough with all sides in the image."""
+    """Pairs from which a state's box error is learned: the first set that has enough with all sides in the image."""
 
     OWN_STATE = "pairs of the state"
     ALL_STATES = "pairs of all states"
@@ -180,14 +180,14 @@ class Pairs:
 
     @cached_property
     def edges(self) -> MatchedEdges:
-        """What each edge of the boxes says about their errors."""
+        """Evidence of each edge of the boxes on their errors."""
         found = move(self.annotated_px, self.error_px)
         edges = MatchedEdges.of(self.annotated_px, found, self.image_px, self.image, self.rule)
         return edges if self.unsure is None else edges.without(self.unsure)
 
     @property
     def sure(self) -> Mask:
-        """Which annotated boxes tell something of box errors, shape (n,); all if fewer than two do."""
+        """Mask of the annotated boxes that tell something of box errors, shape (n,); all if fewer than two do."""
         unsure = np.zeros(len(self), dtype=bool) if self.unsure is None else self.unsure
         return ~unsure if np.count_nonzero(~unsure) > 1 else np.ones(len(self), dtype=bool)
 
@@ -215,8 +215,8 @@ class Observed:
     """Annotations that are to be detected, and what became of each at a least confidence.
 
     Each image has the index of a state, −1 where it takes no part, shape (I,). `without` are the models of
-    `form.RICHER` that are left out whatever the data carry. `shown` are the kinds of `counted_kinds.NAMES` that are
-    there, with their thresholds, where that is known; else the data decide.
+    `model_selection.RICHER` that are left out whatever the data carry. `shown` are the types of `counted_types.NAMES`
+    that are there, with their thresholds, where that is known; else the data decide.
     """
 
     labelled: LabelledSet
@@ -229,7 +229,7 @@ class Observed:
 
     @cached_property
     def kinds(self) -> CountedAs:
-        """What each detection counts as: second boxes, parts of vessels and boxes around two are told from others."""
+        """Types that detections count as: second boxes, parts of vessels and boxes around two are told from others."""
         return counted_as(self.labelled, self.matched, self.image_state >= 0, self.without, self.shown)
 
     @cached_property
@@ -386,7 +386,7 @@ class FalseSightings:
 
     @classmethod
     def of(cls, observed: Observed) -> FalseSightings:
-        """Those of a labelled set."""
+        """False detections of a labelled set."""
         results, images = observed.labelled.results, observed.labelled.images
         rows = observed.false_positives
         image = results.image[rows]

@@ -90,7 +90,7 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[BiasPart]:
 
 
 def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel, seed: int) -> LabelledSet:
-    """The same images and annotations with results of a simulated detector, in states of images of shape (I,)."""
+    """Labelled set with the results of a simulated detector, in states of images of shape (I,)."""
     parts = list(parts_of(labelled, image_state))
     census = target_statistics(model, ((part.frames, part.targets) for part in parts))
     columns: list[Results] = []
@@ -164,7 +164,7 @@ class Bias:
     repeats: int
 
     def significant(self, shift: Shift) -> Mask:
-        """Which numbers of an entry are surely shifted, by Student's test of all together, shape (...)."""
+        """Mask of the numbers of an entry that are surely shifted, by Student's test of all together, shape (...)."""
         numbers = sum(np.size(each.shift) for each in self.shifts)
         needed = float(special.stdtrit(self.repeats - 1, 1 - SURE / (2 * numbers)))
         with np.errstate(invalid="ignore"):
@@ -172,7 +172,7 @@ class Bias:
         return surely
 
     def corrected(self) -> Learned:
-        """What was learned with the sure shifts taken off the estimates; replicates stay as they are."""
+        """Learned numbers with the sure shifts taken off the estimates; replicates stay as they are."""
         shifts = iter(self.shifts)
         return replace(
             self.learned, numbers=with_entries(self.learned.numbers, lambda _: self._corrected(next(shifts)))

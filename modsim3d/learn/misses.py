@@ -148,7 +148,7 @@ def miss_lags(observed: Observed, chance: Array, slopes: int) -> LagTable:
 
 
 def latent_share(chance: Array) -> Callable[[Array], Array]:
-    """What share of the latent normal number things keep, from the correlation of misses that it leaves.
+    """Function from the correlation of misses to the share of the latent normal number that things keep.
 
     With a share s two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal
     number of p and T the function of Owen (1956), "Tables for computing bivariate normal probabilities".
@@ -252,7 +252,7 @@ class LearnedClasses:
         return confusion | ({"dropout": own} if own else {})
 
     def _effects_of(self, state: int | None) -> dict[str, Any]:
-        """Those of a state alone; of None, those that states share."""
+        """Effects of a state alone; of None, those that states share."""
         return {
             each.effect.attribute: {
                 each.effect.slope_key: digits(each.slope.estimate),
@@ -264,7 +264,7 @@ class LearnedClasses:
 
 
 def choose_classes(observed: Observed) -> ClassForm:
-    """Which effects on misses, and whether their persistence, the data can carry."""
+    """Choose the effects on misses that the data can carry, and whether misses persist."""
     notes: list[str] = []
     candidates = () if "effects" in observed.without else _candidates(observed, notes)
     effects, fit = _significant(observed, candidates, notes)

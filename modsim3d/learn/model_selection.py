@@ -1,4 +1,4 @@
-"""What all parts of a learned detector share: a form that the data can carry, then its numbers."""
+"""Base of all parts of a learned detector: a form that the data can carry, then its numbers."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ class LearnedPart(Protocol):
     """The numbers of one part of the detector; its fields hold `Entry` objects."""
 
     def sections(self) -> dict[str, dict[str, Any]]:
-        """What the part writes outside the states, by section of the detector file."""
+        """Entries of the part outside the states, by section of the detector file."""
 
     def state_section(self, state: int) -> dict[str, Any]:
-        """What the part writes into the section of a state, given its index."""
+        """Entries of the part in the section of a state, given its index."""
 
 
 class PartForm(Protocol):

@@ -28,7 +28,7 @@ class ConsecutiveMerges:
 
     @classmethod
     def of(cls, labelled: LabelledSet, trials: Trials) -> ConsecutiveMerges:
-        """Of pairs of vessels with identities in frames with times."""
+        """Pairs of vessels with identities in frames with times."""
         pair = _identities(labelled, trials.vessels)
         return cls(
             trials,
@@ -74,7 +74,7 @@ _MARGIN = 1e-4
 
 @dataclass(frozen=True)
 class MultipleBoxForm:
-    """Which of `counted_kinds.NAMES` the data show, with their thresholds, None for one that has none.
+    """Types among `counted_types.NAMES` that the data show, with their thresholds, None for one that has none.
 
     `merge_s` is the rough correlation time of merges, 0 if they do not persist.
     """
@@ -84,7 +84,7 @@ class MultipleBoxForm:
     merge_s: float = 0.0
 
     def noting(self, note: str) -> MultipleBoxForm:
-        """The same with another note."""
+        """Form with another note."""
         return replace(self, notes=(*self.notes, note))
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedMultipleBoxes:
@@ -128,7 +128,7 @@ class LearnedMultipleBoxes:
 
 
 def choose_multiple_boxes(observed: Observed) -> MultipleBoxForm:
-    """Which kinds the data show."""
+    """Choose the types that the data show."""
     kinds, notes = observed.kinds, list(observed.kinds.notes)
     merge_s = 0.0 if "persistence" in observed.without else _merge_s(observed, notes)
     shown = tuple((name, kinds.thresholds.get(name)) for name in kinds.trials)

@@ -52,7 +52,7 @@ class Displacements:
         return cls(np.abs(sightings.along_px[second] - sightings.along_px[first]), near[:, 0], alike)
 
     def near(self, way_px: float) -> Mask:
-        """Which may be the same thing that moved so far along the horizon to either side, shape (m,)."""
+        """Mask of those that may be the same thing, moved so far along the horizon to either side, shape (m,)."""
         reach = self.near_px + _OF_THE_WAY * way_px
         near: Mask = self.alike & (np.abs(self.along_px - way_px) <= reach)
         return near
@@ -319,7 +319,7 @@ class PlaceFit:
         return np.concatenate([np.zeros((len(depth), 1)), np.cumsum(pieces, axis=1)], axis=1)
 
     def _map(self) -> Array:
-        """The same of a map of the image in cells, shape (n,)."""
+        """Density of a map of the image in cells, shape (n,)."""
         rows, columns = GRID
         column, row = cells_of(self.sightings.centres_px, self.sightings.image_px)
         counts = np.full(GRID, _HALF_A_CASE)

@@ -1,4 +1,4 @@
-"""What is reported of a learned detector."""
+"""Report on a learned detector."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def how_well(report: LearnReport) -> str:
 
 
 def _again(report: LearnReport) -> str:
-    """What learning again from a simulation of what was learned shows; nothing unless it was asked for."""
+    """Result of learning again from a simulation of what was learned; empty unless it was asked for."""
     if report.bias is None:
         return ""
     shifted = sum(int(np.count_nonzero(report.bias.significant(each))) for each in report.bias.shifts)

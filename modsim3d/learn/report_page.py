@@ -1,4 +1,4 @@
-"""What was learned, as a page."""
+"""Page of a learned detector."""
 
 from __future__ import annotations
 
@@ -388,7 +388,7 @@ def page_text(report: LearnReport, out: Path, detector: str, sources: Sources, s
 
 
 def _to_know(report: LearnReport) -> list[str]:
-    """What the numbers have to be read with, in one list."""
+    """Cautions for reading the numbers, in one list."""
     remarks = [*report.remarks_on_data, *([report.near_gate.remark] if report.near_gate.shares else [])]
     if not remarks:
         return []

@@ -1,4 +1,4 @@
-"""Which conditions make a performance state, and how states follow each other."""
+"""Conditions that make a performance state, and how states follow each other."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Transitions:
         return Interval(key, self.matrix, *(special.betaincinv(hits, rest, p) for p in (tail, 1 - tail)))
 
     def sections(self, states: tuple[str, ...]) -> dict[str, Any]:
-        """What the detector file says of the chain, whose states have these names."""
+        """Section of the detector file on the chain, whose states have these names."""
         sections = {"initial_state": states[self.initial], "transition_matrix": columns_of_one(self.matrix)}
         if self.interval_s is not None and len(states) > 1:
             sections["transition_interval_s"] = digits(self.interval_s)

@@ -115,7 +115,7 @@ def _without_outliers(scaled: Array) -> Array:
 
 
 def correlated(names: Sequence[str], shape: tuple[int, ...]) -> Mask:
-    """Which places of an entry have correlations, of its shape.
+    """Mask of the places of an entry that have correlations, of its shape.
 
     Of a confusion matrix, whose columns sum to one, the misses; of a distribution over labels or cells, none.
     """

@@ -12,7 +12,7 @@ from modsim3d.render.id_pass import Ids, Region
 
 
 class AnyIdRenderer(Protocol):
-    """What renders ID buffers: `IdRenderer` by OpenGL, or `PlainIds` without it."""
+    """Renderer of ID buffers: `IdRenderer` by OpenGL, or `PlainIds` without it."""
 
     def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
         """The ID at each pixel of a region, shape (height, width); zero where nothing is. See `IdRenderer.draw`."""

@@ -173,7 +173,7 @@ class Outlook:
         return bool((self.outlines.boxed & ~unseen).any())
 
     def direction(self) -> str:
-        """Which way the camera looks in the first of the frames."""
+        """Direction in which the camera looks in the first of the frames."""
         axis = self.sight.camera_poses.camera_R_world[0, 2]
         up, heading = np.degrees(np.arcsin(np.clip(axis[2], -1, 1))), np.degrees(np.arctan2(axis[1], axis[0]))
         tilt = f"{abs(up):.1f}° {'above' if up > 0 else 'below'} the horizon"

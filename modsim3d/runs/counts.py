@@ -26,7 +26,7 @@ GOOD_IOU = 0.5
 
 
 class Outcome(IntFlag):
-    """What is wrong with a detection; 0 if nothing is. The names are those of the counts in `run.json`.
+    """Faults of a detection; 0 if there is none. The names are those of the counts in `run.json`.
 
     Attributes:
         FALSE_POSITIVE: It is not the one detection of a vessel; its kind says what it is.
@@ -65,7 +65,7 @@ def outcomes(false: Mask, mislabelled: Mask, boxes_px: Array, annotated_px: Arra
 
 
 def having(found: Outcomes, flag: Outcome) -> Mask:
-    """Which outcomes have a flag, shape (m,)."""
+    """Mask of the outcomes that have a flag, shape (m,)."""
     mask: Mask = (found & flag) > 0
     return mask
 
@@ -98,7 +98,7 @@ WORTH_A_WARNING_PX = 1.0
 
 @dataclass(frozen=True)
 class Counts:
-    """What happened in the frames of one camera, or of all, summed over steps. The names are keys of `run.json`.
+    """Counts over the frames of one camera, or of all, summed over steps. The names are keys of `run.json`.
 
     Attributes:
         vessel_frames: Vessels whose silhouette was in a frame.
@@ -158,7 +158,7 @@ class Counts:
 
 
 def camera_counts(block: Block, scene: Scene) -> dict[str, Counts]:
-    """What happened in a block, by name of the camera."""
+    """Counts over a block, by name of the camera."""
     return {scene.cameras[part.camera].name: _count(part, scene) for part in block.cameras}
 
 

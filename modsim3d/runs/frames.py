@@ -33,7 +33,7 @@ Columns = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrameTruth:
-    """What one camera sees at one step: n vessels as arrays. Boxes are x_min, y_min, x_max, y_max in pixels.
+    """Truth of one camera at one step: n vessels as arrays. Boxes are x_min, y_min, x_max, y_max in pixels.
 
     Attributes:
         vessels: IDs of the vessels.
@@ -89,7 +89,8 @@ class FrameDetections:
         class_id: Their indices in the detector's labels, `scene.detector.labels`, shape (m,).
         confidence: In [0, 1], shape (m,).
         boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
-        kinds: Origin of each detection: one of `modsim3d.detector.KINDS`.
+        kinds: Origin of each detection: `true`, `false_positive`, `persistent_false_positive`, `duplicate`, `merged`,
+            `split` or `fragment`.
         vessels: ID of the vessel that each detection came from, None for a false positive. A tracker must not read it.
         errors_px: e_x, e_y, e_w, e_h before clipping, NaN for false positives, shape (m, 4).
     """
@@ -160,7 +161,7 @@ class Frame:
         return frame_png(self)
 
     def id_image(self) -> IdImage:
-        """What is in front at each pixel: `ids` of shape (height, width), 0 for nothing, and the `names` of IDs.
+        """Draw who is in front at each pixel: `ids` of shape (height, width), 0 for nothing, and the `names` of IDs.
 
         Raises:
             ModsimError: The frame was made without a scene.

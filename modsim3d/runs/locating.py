@@ -47,7 +47,7 @@ class FootErrors:
     edge_stds: Array
 
     def take(self, rows: Indices) -> FootErrors:
-        """Those of some of the boxes."""
+        """Errors of some of the boxes."""
         return FootErrors(*(column[rows] for column in vars(self).values()))
 
 
@@ -66,7 +66,7 @@ def state_shares(model: DetectorModel) -> Array:
 
 
 def foot_errors(model: DetectorModel, boxes_px: Array) -> FootErrors:
-    """What to expect of the errors of detected boxes, shape (n, 4).
+    """Distribution of the errors of detected boxes, shape (n, 4).
 
     Errors that grow with the box are worked out for the detected size less its mean error: the true one is not known.
     """
@@ -141,7 +141,7 @@ class Viewpoints:
 
 
 def _turned(vessels: PosesInWaves, carrier: int, by_rad: Array) -> PosesInWaves:
-    """The same poses with other angles of one vessel; rotations of the hulls stay, as a camera's follow from angles."""
+    """Poses with other angles of one vessel; rotations of the hulls stay, as a camera's follow from angles."""
     angles = vessels.angles_rad.copy()
     angles[:, carrier] += by_rad
     return PosesInWaves(vessels.poses, angles, vessels.world_R_vessel)
@@ -365,7 +365,7 @@ def first_order(bearing_rad: Array, inverse_per_m: Array, covariance: Array, cam
 def _given(
     bearing: Array, inverse: Array, covariance: Array, cameras_m: Array, horizon: Array, beside: Mask, footless: Mask
 ) -> Located:
-    """What is given of each box: see `Located`."""
+    """Result for each box: see `Located`."""
     no_bearing, no_range = beside | np.isnan(bearing), footless | np.isnan(inverse)
     bearing, inverse = np.where(no_bearing, np.nan, bearing), np.where(no_range, np.nan, inverse)
     deviation = np.sqrt(covariance[:, 1, 1])

@@ -58,7 +58,7 @@ def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
 
 
 def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None) -> Truth:
-    """What all cameras see in the frames that they take at steps first to stop − 1; `open_renderer` gives the renderer.
+    """Truth of all cameras in the frames that they take at steps first to stop − 1; `open_renderer` gives the renderer.
 
     Raises:
         ModsimError: The vessel that carries a camera is missing.
@@ -110,7 +110,7 @@ def occlusion_by(
 
 @dataclass(frozen=True, eq=False)
 class DetectorInput:
-    """What one camera's detector is given for a block: `targets` are the annotated `rows` of `truth`, shape (n,)."""
+    """Input of one camera's detector for a block: `targets` are the annotated `rows` of `truth`, shape (n,)."""
 
     truth: Truth
     rows: Indices
@@ -148,7 +148,7 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
 
 
 def scene_census(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> TargetStatistics:
-    """What the scene's detector must know of all its targets before it starts.
+    """Statistics of all targets of a scene, which its detector needs before it starts.
 
     Args:
         scene: The scene.

@@ -31,7 +31,7 @@ SAME_ROWS = "the same rows, stored in other bytes"
 
 
 def difference(one: Path, other: Path) -> str:
-    """What differs between two files of a run that have different bytes."""
+    """Difference between two files of a run that have different bytes."""
     if one.suffix == ".parquet":
         return _of_tables(one, other)
     lines, others = one.read_bytes().splitlines(), other.read_bytes().splitlines()
@@ -41,7 +41,7 @@ def difference(one: Path, other: Path) -> str:
 
 
 def settings_difference(one: bytes, other: bytes, left_out: frozenset[str]) -> str:
-    """Which entries differ between two JSON objects, `left_out` aside; empty if none does."""
+    """Entries that differ between two JSON objects, `left_out` aside; empty if none does."""
     first, second = (_flat(orjson.loads(text), left_out) for text in (one, other))
     keys = [key for key in sorted(first | second) if first.get(key) != second.get(key)]
     said = [f"{key} {_shown(first, key)} against {_shown(second, key)}" for key in keys[:_MOST_COLUMNS]]
@@ -88,7 +88,7 @@ def _rows(path: Path) -> pa.Table:
 
 
 def _column(first: pa.Table, second: pa.Table, name: str) -> tuple[Mask, str]:
-    """Which rows differ in a column, shape (n,), and by how much at most."""
+    """Mask of the rows that differ in a column, shape (n,), and by how much at most."""
     one, other, kind = first[name], second[name], first.schema.field(name).type
     if one.equals(other):
         return np.zeros(len(one), dtype=bool), ""
@@ -144,7 +144,7 @@ class VersionDifference:
 
 @dataclass(frozen=True)
 class Repetition:
-    """What came of repeating a run; `listed` is whether its `run.json` lists its files, as older ones do not."""
+    """Outcome of repeating a run; `listed` is whether its `run.json` lists its files, as older ones do not."""
 
     files: tuple[RepeatedFile, ...]
     versions: tuple[VersionDifference, ...]
@@ -219,7 +219,7 @@ def _compared(stored: Path, again: Path, name: str, listed: FileList, made: File
 
 
 def _damage(folder: Path, name: str, listed: FileList) -> str:
-    """What is wrong with a stored file; empty if nothing is, or if nothing is known of it."""
+    """Damage of a stored file; empty if there is none, or if nothing is known of the file."""
     found = _found(folder, name)
     if found is None:
         return "is missing" if name in listed or not listed else ""

@@ -80,7 +80,7 @@ class RunResult:
 
     @property
     def counts(self) -> Counts:
-        """What happened in the frames of all cameras."""
+        """Counts over the frames of all cameras."""
         return Counts.total(self.camera_counts)
 
 
@@ -198,13 +198,13 @@ def write_run(
 
 
 def _counts_of(total: BlockTally) -> dict[str, Any]:
-    """What `run.json` counts, in all and by camera."""
+    """Counts in `run.json`, in all and by camera."""
     by_camera = {name: asdict(counts) for name, counts in total.camera_counts.items()}
     return {"counts": asdict(Counts.total(total.camera_counts)), "camera_counts": by_camera}
 
 
 def _log(total: BlockTally, seconds: float) -> str:
-    """What `run.log` says of a run; times and the host are named nowhere else."""
+    """Text of `run.log`; times and the host are named nowhere else."""
     frames = sum(counts.frames for counts in total.camera_counts.values())
     damaged = f"{total.damaged_blocks} damaged blocks of it made anew\n" if total.damaged_blocks else ""
     return (

@@ -20,7 +20,7 @@ NEAR_S = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class StepFrames:
-    """What cameras show at a step: `frames` has the last frame that each camera took, None before its first."""
+    """Frames of cameras at a step: `frames` has the last frame that each camera took, None before its first."""
 
     step: int
     timestamp: str
@@ -48,7 +48,7 @@ class Selection:
         return tuple(self.run.scene.cameras[index].name for index in self.cameras)
 
     def step_frames(self) -> Iterator[StepFrames]:
-        """What the cameras show at each step."""
+        """Frames of the cameras at each step."""
         scene, names = self.run.scene, self.camera_names
         first, stop = self.steps[0], self.steps[-1] + 1
         last = {name: self._frame_before(index, first) for name, index in zip(names, self.cameras, strict=True)}

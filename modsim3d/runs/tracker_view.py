@@ -39,7 +39,7 @@ class TrackerDetections:
 
     @classmethod
     def of(cls, detections: Detections) -> TrackerDetections:
-        """What a tracker may read of a detector's detections."""
+        """Columns of a detector's detections that a tracker may read."""
         return anonymised(detections.frame, detections.label, detections.boxes_px, detections.confidence)
 
     def __len__(self) -> int:

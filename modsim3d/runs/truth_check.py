@@ -103,7 +103,7 @@ def _first_checked(scene: Scene, frame: FrameKey, streamed: bool) -> FrameKey | 
 
 
 def _sample(scene: Scene, first: int, stop: int) -> set[FrameKey]:
-    """Of each of equally long parts of the run a frame, or all of a short run: those at steps first to stop − 1."""
+    """Frame of each of equally long parts of the run, or all of a short run: those at steps first to stop − 1."""
     steps, _ = frames_taken(scene)
     if len(steps) < MIN_FRAMES:
         drawn = _frames_of_few(scene)

@@ -125,7 +125,7 @@ IF_KILLED = "what was finished is kept: go on with --resume, perhaps with fewer 
 
 @dataclass(frozen=True, eq=False)
 class BlockTally:
-    """What happened in one or more blocks; tallies can be added.
+    """Counts over one or more blocks; tallies can be added.
 
     Attributes:
         resumed_steps: Number of steps whose truth was taken from an interrupted run.
@@ -182,7 +182,7 @@ class BlockMaker:
     def make(
         self, steps: Range, folder: Path, census: TargetStatistics, kinds: Sequence[str]
     ) -> tuple[BlockTally, BlockFiles]:
-        """What happened in a block, and what it adds to the files.
+        """Make a block: its counts, and what it adds to the files.
 
         Args:
             steps: First step, and the step after the last.

@@ -63,7 +63,7 @@ class SceneCopy:
         return self._checksum(self._scene_file(), self.files)
 
     def truth_sha256(self) -> str:
-        """The same without the seeds and the detector: what decides the truth beside the seed."""
+        """Checksum without the seeds and the detector: what decides the truth beside the seed."""
         content = {key: value for key, value in self.document.items() if key not in _NOT_OF_TRUTH}
         return self._checksum(_json(content), [name for name in self.files if name != self.document["detector"]])
 

@@ -139,7 +139,7 @@ class _DictParts(SceneParts):
 
     @property
     def name(self) -> str:
-        """What errors call the scene."""
+        """Name of the scene in errors."""
         return title_of(self.path)
 
     def _detector(self) -> DetectorModel | None:

@@ -192,7 +192,7 @@ CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
 
 def title_of(path: Path) -> str:
-    """What errors call a scene."""
+    """Name of a scene in errors."""
     return "scene" if path == NO_FILE else f"scene {path}"
 
 
@@ -262,7 +262,7 @@ class SceneParts:
 
     @property
     def name(self) -> str:
-        """What errors call the scene."""
+        """Name of the scene in errors."""
         return title_of(self.path)
 
     @property
@@ -283,7 +283,7 @@ class SceneParts:
         return tuple(plugin for plugin in (source, level, *self.meshes.plugins) if plugin)
 
     def _collect(self, read: Callable[[], T]) -> T | None:
-        """What `read` returns; if that fails, its problems are kept and None is returned."""
+        """Result of `read`; if that fails, its problems are kept and None is returned."""
         try:
             return read()
         except InputError as error:
@@ -376,7 +376,7 @@ class SceneParts:
         return source
 
     def _request(self, vessels: tuple[Vessel, ...] | None) -> PoseRequest:
-        """What the pose source is told of the scene file."""
+        """Facts about the scene file for the pose source."""
         keys, names = self.keys, self.vessel_entries
         return PoseRequest(
             folder=self.folder,

@@ -46,7 +46,7 @@ def scene_lines(scene: Scene) -> str:
 
 
 def scene_table(scene: Scene) -> str:
-    """The same as an HTML table, with sizes of images and all that is there besides."""
+    """HTML table of a scene, with sizes of images and all that is there besides."""
     cameras = [
         f"{camera.name} ({camera.intrinsics.image_size_px[0]} × {camera.intrinsics.image_size_px[1]} px, "
         f"{'on ' + camera.mount.vessel if camera.mount.vessel else 'ashore'})"
@@ -245,7 +245,7 @@ class Scene:
 
     @property
     def traffic(self) -> str:
-        """The same in words: `drawn from seed 7`, or `this traffic only`."""
+        """Origin of the traffic in words: `drawn from seed 7`, or `this traffic only`."""
         return "this traffic only" if self.traffic_seed is None else f"drawn from seed {self.traffic_seed}"
 
     def traffic_sha256(self) -> str | None:
@@ -269,7 +269,7 @@ class Scene:
 
     @property
     def title(self) -> str:
-        """What errors call it."""
+        """Name of the scene in errors."""
         return title_of(self.path)
 
     @property
@@ -301,11 +301,11 @@ class Scene:
 
     @cached_property
     def own_motion(self) -> VesselMotion:
-        """The same with waves only for the vessels that carry cameras: waves take time to compute."""
+        """Motion with waves only for the vessels that carry cameras: waves take time to compute."""
         return self.motion if self.motion.moved == self.own_ships else replace(self.motion, moved=self.own_ships)
 
     def sight(self, camera: Camera, steps: Indices, vessel_poses: PosesInWaves | None = None) -> Sight:
-        """What a camera has in front of it at some ascending steps of shape (S,), and from where it looks.
+        """View of a camera at some ascending steps of shape (S,): what is in front of it, and from where it looks.
 
         Args:
             camera: A camera of the scene.

@@ -51,7 +51,7 @@ class Setting:
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Name of the setting in messages."""
         return self.option or self.key
 
 
@@ -272,7 +272,7 @@ NO_DETECTOR = ""
 
 
 def state_settings(state: str | None, state_from: StrPath | None, detector: StrPath | None) -> list[Setting]:
-    """What puts the detector into one state for the whole scene.
+    """Settings that put the detector into one state for the whole scene.
 
     Raises:
         InputError: `state_from` comes without a state or beside a detector, or has no detector of this name.

@@ -1,4 +1,4 @@
-"""What a camera has in front of it, and from where it looks: bodies for the truth and for pictures."""
+"""Views of cameras: what is in front of one, and from where it looks, as bodies for the truth and for pictures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What a camera has in front of it at S steps, and from where it looks.
+    """View of a camera at S steps: what is in front of it, and from where it looks.
 
     It makes `Bodies` of the vessels' and obstacles' solids, and of these the `Outlines` that the camera sees.
 
@@ -68,7 +68,7 @@ class Sight:
         return outline(self.camera.intrinsics, self.camera_poses, bodies, measured=measured)
 
     def drawing(self, row: int, supersample: int = 1) -> Drawing:
-        """What the camera has in front of it at one of the S steps, projected by the code of the cross-check.
+        """View at one of the S steps, projected by the code of the cross-check.
 
         It is of the vessels, the obstacles, and the hull that carries the camera if that has a mesh.
         """
@@ -120,7 +120,7 @@ def line_of_sight(
     obstacles: tuple[Obstacle, ...],
     curved: bool,
 ) -> Sight:
-    """What a camera with some poses at S ascending steps, shape (S,), has in front of it; see `Sight`."""
+    """View of a camera with some poses at S ascending steps, shape (S,); see `Sight`."""
     carrier = np.array([vessel.name == camera.mount.vessel for vessel in vessels])
     poses = vessel_poses.poses
     if curved:
@@ -151,7 +151,7 @@ CAMERA_PREFIX = "camera#"
 
 @dataclass(frozen=True, eq=False)
 class IdImage:
-    """What is in front at each pixel of a camera's image, drawn by OpenGL with a depth test.
+    """Image of who is in front at each pixel of a camera's image, drawn by OpenGL with a depth test.
 
     Attributes:
         ids: ID at each pixel, 0 for nothing, shape (height, width), both `supersample` times those of the image.

@@ -94,7 +94,7 @@ class MotionEstimates:
 
     @property
     def covariance(self) -> Array:
-        """Of each coordinate and its rate, shape (..., 2, 2)."""
+        """Covariance of each coordinate and its rate, shape (..., 2, 2)."""
         matrix = self._with_rates(self.place_variance, self.mixed_variance)
         matrix[..., 1, 0], matrix[..., 1, 1] = self.mixed_variance, self.rate_variance
         return matrix
@@ -104,7 +104,7 @@ class MotionEstimates:
         return type(self)(*(each[chosen] for each in vars(self).values()))
 
     def with_rows(self, chosen: Mask | Indices, others: Self) -> Self:
-        """The same with other estimates in the chosen rows."""
+        """Estimates with others in the chosen rows."""
         found = [each.copy() for each in vars(self).values()]
         for each, other in zip(found, vars(others).values(), strict=True):
             each[chosen] = other

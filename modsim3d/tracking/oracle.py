@@ -46,7 +46,7 @@ class SmootherNoise(Strict):
     growth_change_px_s: Positive = 2.0
 
     def variance_px2(self, size_px: Array) -> Array:
-        """Of centre x, centre y, width and height of detections of vessels of a size (..., 2), shape (..., 4)."""
+        """Variance of centre x, centre y, width and height of detections of some size (..., 2), shape (..., 4)."""
         centre_px = self.noise_share * np.maximum(size_px, 1) + np.array([self.noise_x_px, self.noise_y_px])
         return np.concatenate([centre_px, self.size_noise * centre_px], axis=-1) ** 2
 
@@ -125,7 +125,7 @@ def smoothed_motion(sequences: BoxSequences, noise: SmootherNoise) -> list[Motio
 
 
 def log_likelihood(sequences: BoxSequences, noise: SmootherNoise) -> float:
-    """Of all detections after the first of each sequence, from the innovations of the filter."""
+    """Log-likelihood of all detections after the first of each sequence, from the innovations of the filter."""
     return sum(each.log_likelihood for each in _filtered(sequences, noise))
 
 

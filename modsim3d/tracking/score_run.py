@@ -231,7 +231,7 @@ def _read(
 
 
 def _names(found: Sequence[tuple[Path | None, TrackSet | WorldTracks]]) -> list[str]:
-    """What tables call tracks: those of one name by their paths, or by their numbers where they have none."""
+    """Names of tracks in tables: those of one name by their paths, or by their numbers where they have none."""
     names = [each.name for _, each in found]
     return [
         f"{path or f'{name} {index + 1}'}" if names.count(name) > 1 else name

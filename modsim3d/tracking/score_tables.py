@@ -107,7 +107,7 @@ def _encounters_in_words(each: WorldTrackScores) -> str:
 
 
 def world_data(scores: ScoredTracks) -> list[dict[str, Any]]:
-    """What `score.json` has of them."""
+    """Entries of world tracks in `score.json`."""
     return [
         {
             "name": each.name,
@@ -202,7 +202,7 @@ def length_bins(occlusions: Sequence[OcclusionEpisode]) -> tuple[LengthBin, ...]
 
 
 def remarks_of(scores: ScoredTracks) -> str:
-    """What a reader should know before using the scores in the images."""
+    """Remarks to read before using the scores in the images."""
     raw = keys_of(scores.references[RAW])["hota"]
     if scores.rules.similarity.name != "iou" or raw is None or raw >= NOISY_BOXES:
         return ONE_RUN
@@ -246,7 +246,7 @@ def seed_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
 
 
 def seeds_in_words(scores: ScoredTracks) -> str:
-    """What the table of seeds is."""
+    """Description of the table of seeds."""
     if scores.seeds is None:
         return ""
     seeds = scores.seeds.seeds
@@ -272,7 +272,7 @@ def occlusion_rows(occlusions: Sequence[OcclusionEpisode]) -> list[tuple[str, ..
 
 
 def hidden_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
-    """What tracks do on wholly hidden vessels, a line for each tracker and reference."""
+    """Rows on wholly hidden vessels and their tracks, one for each tracker and reference."""
     return [
         (
             name,
@@ -353,7 +353,7 @@ FORMAT = 1
 
 
 def score_data(scores: ScoredTracks) -> dict[str, Any]:
-    """What `score.json` holds."""
+    """Content of `score.json`."""
     return {
         "format": FORMAT,
         "scene": scores.run.scene.name,

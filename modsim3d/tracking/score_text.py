@@ -104,7 +104,7 @@ class LengthBin:
 
 @dataclass(frozen=True)
 class TrackerOutcome:
-    """What the sentence about one tracker is made of.
+    """Parts of the sentence about one tracker.
 
     Attributes:
         name: The tracker.

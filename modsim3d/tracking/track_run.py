@@ -23,7 +23,7 @@ from modsim3d.tracks.tracks import Origin, Tracks, TrackSet
 
 @dataclass(frozen=True)
 class TrackCounts:
-    """What a tracker made of a camera, or of all.
+    """Counts of a tracker's output for a camera, or for all.
 
     Attributes:
         frames: Frames of the camera.

@@ -108,7 +108,7 @@ class KnownBoxes:
         return self._nearest(frame, boxes_px, lambda edges: np.abs(edges).max(axis=1))
 
     def squares(self, frame: Indices, boxes_px: Array) -> Array:
-        """The same with the sum of the squares of the edges' distances, in square pixels, shape (k,)."""
+        """Sums of the squares of the distances of edges to the nearest box, in square pixels, shape (k,)."""
         return self._nearest(frame, boxes_px, lambda edges: np.square(edges).sum(axis=1))
 
     def nearest(self, frame: Indices, boxes_px: Array) -> tuple[Indices, Indices]:
@@ -176,7 +176,7 @@ class _Reading:
 
 @dataclass(frozen=True)
 class Misreading:
-    """What is wrong with a file: a sentence, and whether boxes lie so near that their maker may err by as much."""
+    """Sentence on a fault of a file, and whether boxes lie so near that their maker may err by as much."""
 
     told: str
     slight: bool
@@ -185,7 +185,7 @@ class Misreading:
 def misreading(
     rows: BoxRows, known: KnownBoxes, truth: KnownBoxes | None = None, *, only_forms: bool = False
 ) -> Misreading | None:
-    """What is wrong with boxes that are far from known ones as they are, and near if they are read in another way.
+    """Fault of boxes that are far from known ones as they are, and near if they are read in another way.
 
     Args:
         rows: The boxes of a file.
@@ -231,7 +231,7 @@ def agree(rows: BoxRows, known: KnownBoxes) -> bool:
 
 
 def implausible(rows: BoxRows) -> Misreading | None:
-    """What is wrong with boxes that their images cannot hold, whatever they should lie near."""
+    """Fault of boxes that their images cannot hold, whatever they should lie near."""
     if not len(rows.frame):
         return None
     alone = len(np.unique(rows.frame)) == len(rows.frame)
@@ -265,7 +265,7 @@ def implausible(rows: BoxRows) -> Misreading | None:
 
 
 def _inside(rows: BoxRows, size: str, alone: bool) -> Misreading | None:
-    """What may be wrong with boxes that are in their images, as of a size, and perhaps alone there."""
+    """Possible fault of boxes that are in their images, as of a size, and perhaps alone there."""
     x_min, y_min, x_max, y_max = rows.numbers.T
     ordered = np.mean((x_min < x_max) & (y_min < y_max)) >= _NEARLY_ALL
     follows = np.var(x_max - x_min) < _FOLLOWS * np.var(x_max)
@@ -284,13 +284,13 @@ def _inside(rows: BoxRows, size: str, alone: bool) -> Misreading | None:
 
 
 def _beyond(boxes_px: Array, image_px: Array) -> Mask:
-    """Which boxes reach far beyond their image, or are none, shape (k,)."""
+    """Mask of the boxes that reach far beyond their image, or are none, shape (k,)."""
     low, high = boxes_px[:, :2], boxes_px[:, 2:]
     return np.asarray(((low < -_BEYOND_PX) | (high > image_px + _BEYOND_PX) | (high <= low)).any(axis=1))
 
 
 def _median(away: Array) -> float:
-    """Of those that have a known box in their frame."""
+    """Median distance of the boxes that have a known box in their frame."""
     there = away[np.isfinite(away)]
     return float(np.median(there)) if len(there) else np.inf
 
@@ -328,7 +328,7 @@ def _readings(rows: BoxRows) -> Iterator[_Reading]:
 
 
 def _form_readings(rows: BoxRows) -> Iterator[_Reading]:
-    """Those in which the four numbers are others, or are counted from elsewhere."""
+    """Readings in which the four numbers are others, or are counted from elsewhere."""
     for other in _other_forms(rows.form):
         told = f"the boxes are read as {rows.form.meaning}, but are {other.meaning}"
         yield _Reading(told, other.boxes_px(rows.numbers), rows.frame)
@@ -348,7 +348,7 @@ def _other_forms(form: BoxForm) -> list[BoxForm]:
 
 
 def _close_readings(rows: BoxRows, as_it_is: Array) -> Iterator[_Reading]:
-    """Those in which boxes lie a pixel, a frame or half a box elsewhere."""
+    """Readings in which boxes lie a pixel, a frame or half a box elsewhere."""
     first, right, step = (0, 1, 1.0) if rows.form is MOT else (1, 0, -1.0)
     pixels = f"pixels are counted from {first}, must be counted from {right}"
     frames = "frames count from 0, must count from 1" if rows.form is MOT else "frames are one too low"

@@ -44,7 +44,7 @@ FORMAT = 1
 
 
 class TrackedRun(Strict):
-    """What identifies the run that was tracked.
+    """Identity of the run that was tracked.
 
     Attributes:
         scene_sha256: Checksum of the scene's copy in the run, as in `run.json`.
@@ -93,7 +93,7 @@ def write_tracks(folder: Path, run: StoredRun, track_set: TrackSet, overwrite: b
 
 
 def write_claimed_tracks(folder: Path, run: StoredRun, track_set: TrackSet) -> None:
-    """The same where the caller has claimed the files, before the work.
+    """Write tracks where the caller has claimed the files, before the work.
 
     Raises:
         OutputError: The files cannot be written.
@@ -277,7 +277,7 @@ def _files(path: Path, rows: RunRows, cameras: Sequence[int]) -> list[FileRows]:
 
 
 def _known(word: str, frame: Indices, boxes_px: Array) -> KnownBoxes:
-    """Those of some boxes that are boxes, in order of frame."""
+    """Known boxes: those that are boxes, in order of frame."""
     order = np.argsort(frame, kind="stable")
     order = order[np.isfinite(boxes_px[order]).all(axis=1)]
     return KnownBoxes(word, frame[order], boxes_px[order])
@@ -307,7 +307,7 @@ def _box_rows(file: FileRows, rows: RunRows, camera: int) -> BoxRows:
 
 
 def _name(path: Path) -> str:
-    """What tables call somebody's own tracks."""
+    """Name of somebody's own tracks in tables."""
     whole = path.resolve()
     if whole.name == "data" and whole.is_dir():
         return whole.parent.name

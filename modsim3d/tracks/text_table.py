@@ -69,12 +69,12 @@ _MOST_NUMBER = 1e15
 
 
 def source_of(path: Path) -> str:
-    """What messages call a file of tracks."""
+    """Name of a file of tracks in messages."""
     return f"tracks {path}"
 
 
 def name_of(path: Path) -> str:
-    """What tables call somebody's own tracks in a file."""
+    """Name of somebody's own tracks in a file, in tables."""
     return path.name.removesuffix(".gz").rsplit(".", 1)[0]
 
 

@@ -245,7 +245,7 @@ FAR = "the box lies more than an image away from the image, as does all of its t
 
 
 def far_tracks(boxes_px: Array, track: Indices, image_px: Array) -> Mask:
-    """Which boxes (k, 4) are of a track that never comes within an image of its image, shape (k,).
+    """Mask of the boxes (k, 4) of tracks that never come within an image of their image, shape (k,).
 
     A track that has been there may coast as far as it likes: its boxes are false positives.
 

@@ -1,4 +1,4 @@
-"""What tracks are held against: the vessels in the images, each appearance of one as an identity."""
+"""Reference for tracks: the vessels in the images, each appearance of one as an identity."""
 
 from __future__ import annotations
 
@@ -137,18 +137,18 @@ class Following:
 
     @property
     def counted(self) -> Mask:
-        """Which rows of the tracks are scored: all but those on a vessel that is not, shape (k,)."""
+        """Mask of the rows of the tracks that are scored: all but those on a vessel that is not, shape (k,)."""
         counted: Mask = np.append(self.truth.scored, True)[self.truth_row]  # the last is that of NOBODY
         return counted
 
     @property
     def false(self) -> Mask:
-        """Which rows of the tracks follow nothing, shape (k,)."""
+        """Mask of the rows of the tracks that follow nothing, shape (k,)."""
         return np.equal(self.truth_row, NOBODY)
 
     @property
     def found(self) -> Mask:
-        """Which vessels are followed, shape (n,)."""
+        """Mask of the vessels that are followed, shape (n,)."""
         return np.not_equal(self.track_row, NOBODY)
 
 

@@ -237,7 +237,7 @@ _VISION_MSGS = {
 
 
 class _Estimate(NamedTuple):
-    """What a message says of a track; its covariances are rows of 6 × 6, and all zeros stand for unknown."""
+    """Content of a message on a track; its covariances are rows of 6 × 6, and all zeros stand for unknown."""
 
     place: str
     track: str

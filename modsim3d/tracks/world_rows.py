@@ -1,4 +1,4 @@
-"""What a file of tracks in the world says, before it is known to be plausible."""
+"""Rows of a file of tracks in the world, before they are known to be plausible."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _RELATIVE = "the positions are relative to own ship, must be from the scene's ze
 
 
 def world_misreading(time_s: Array, position_m: Array, hulls: HullTracks, own: tuple[int, ...]) -> str:
-    """What is wrong with positions (k, 2) that are near vessels only if they are read in another way; empty if nothing.
+    """Fault of positions (k, 2) that are near vessels only if they are read in another way; empty if there is none.
 
     `hulls` are the vessels at all steps, and `own` the columns of those that carry cameras.
     """
@@ -56,7 +56,7 @@ def world_misreading(time_s: Array, position_m: Array, hulls: HullTracks, own: t
 def _readings(
     position_m: Array, step: Indices, hulls: HullTracks, own: tuple[int, ...]
 ) -> Iterator[tuple[str, Array, Indices]]:
-    """What is wrong in each other reading, and the places and steps of the rows in it."""
+    """Fault in each other reading, and the places and steps of the rows in it."""
     yield "w1_m and w2_m of the positions are exchanged", position_m[:, ::-1], step
     for signs in ((1, -1), (-1, 1)):
         yield "the positions are turned by a right angle", position_m[:, ::-1] * signs, step

@@ -1,4 +1,4 @@
-"""What each camera sees of each vessel: from pixels, from geometry, or by an idealised rule of rectangles.
+"""Visible parts of each vessel in each camera: from pixels, from geometry, or by an idealised rule of rectangles.
 
 All three sources begin with `outlines`, which projects bodies (`silhouettes`: as polygons), and end with `occlusion`
 and `record`, which has the annotation modes too.

@@ -32,7 +32,7 @@ Polygons = NDArray[np.object_]
 
 @dataclass(frozen=True, eq=False)
 class Hiding:
-    """Which rows may hide which, ordered by the hidden row.
+    """Pairs of rows of which one may hide the other, ordered by the hidden row.
 
     Attributes:
         hidden: Row that may be hidden, non-decreasing, shape (m,).
@@ -68,7 +68,7 @@ def subtract(polygons: Polygons, rows: Indices, covers: Polygons) -> Polygons:
 
 
 def visible_of(silhouettes: Polygons, hiding: Hiding) -> Polygons:
-    """What is visible of each silhouette (n,), shape (n,)."""
+    """Visible part of each silhouette (n,), shape (n,)."""
     return subtract(silhouettes, hiding.hidden, silhouettes[hiding.hiders])
 
 
@@ -155,7 +155,7 @@ class VisibleRegions:
 
 
 def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> VisibleRegions:
-    """What is visible of each solid: its silhouette minus those of the solids that can hide it."""
+    """Visible part of each solid: its silhouette minus those of the solids that can hide it."""
     silhouettes = image_silhouettes(outlines, intrinsics)
     order = order_of(outlines)
     hiding = Hiding.of(

@@ -26,7 +26,7 @@ them back into the image."""
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """What is drawn for the rows of `Outlines`: T triangles, ordered by row.
+    """Drawn triangles of the rows of `Outlines`: T triangles, ordered by row.
 
     Attributes:
         row: Row of the outlines, shape (T,).
@@ -134,7 +134,7 @@ def _clipped(
 
 
 def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: float) -> tuple[Array, Indices]:
-    """The same surface as triangles whose edges are short in the image.
+    """Surface in triangles whose edges are short in the image.
 
     Whether an edge is halved depends on its own length only. Both triangles at an edge are therefore cut alike, and no
     gap opens between them.

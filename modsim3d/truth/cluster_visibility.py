@@ -1,4 +1,4 @@
-"""What is visible of the vessels of clusters, and who hides the rest: silhouettes cut by runs of IDs, or in order."""
+"""Visible parts of the vessels of clusters, and who hides the rest: silhouettes cut by runs of IDs, or in order."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def batches_of(clusters: list[Cluster]) -> list[Batch]:
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """What one or more clusters, drawn or in order, say about the vessels in them.
+    """Visible parts of the vessels of one or more clusters, drawn or in order.
 
     Attributes:
         rows: Rows of vessels that may be hidden in part; of all others the whole silhouette is visible, shape (k,).
@@ -172,7 +172,7 @@ class Visibility:
 
     @classmethod
     def none(cls) -> Visibility:
-        """Of no vessel."""
+        """Visibility of no vessel."""
         nothing = np.empty(0, dtype=np.int64)
         return cls(nothing, Spans.none(), nothing, nothing, nothing)
 

@@ -1,4 +1,4 @@
-"""What a source of truth says about occlusion: boxes, pixel counts, and who hides how much of whom."""
+"""Occlusion by one source of truth: boxes, pixel counts, and who hides how much of whom."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class HiddenPixels:
 
 @dataclass(frozen=True, eq=False)
 class Occlusion:
-    """What a source says about the n rows of `Outlines`. Columns mean the same as those of `Truth` with their names.
+    """Occlusion of the n rows of `Outlines` by a source. Columns mean the same as those of `Truth` with their names.
 
     Attributes:
         full_boxes_px: Tight box of the whole silhouette, shape (n, 4).
@@ -70,7 +70,7 @@ class Occlusion:
 
     @classmethod
     def joined(cls, parts: list[Occlusion]) -> Occlusion:
-        """What is said about the rows of several parts, one part after another."""
+        """Occlusion of the rows of several parts, one part after another."""
         counts = [len(part.silhouette_px) for part in parts]
         before = np.cumsum(counts) - counts
         columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS}

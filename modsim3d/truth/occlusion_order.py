@@ -1,4 +1,4 @@
-"""Which of two disjoint solids can hide the other, from a plane between their convex hulls.
+"""Order of two disjoint solids of which one can hide the other, from a plane between their convex hulls.
 
 Suppose that a plane has one solid on the camera's side and the other solid beyond. A ray from the camera that has
 passed through the plane never comes back, so it can only meet the near solid before the far one. The far solid then
@@ -207,7 +207,7 @@ MOST_COORDINATES = 4_000_000
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """What pairs of rows of `Outlines` can do to each other.
+    """Relation of pairs of rows of `Outlines`: who can hide whom.
 
     Attributes:
         first: Row, shape (P,).
@@ -284,7 +284,7 @@ def _boxes_around(part: OutlinePart) -> Array:
 
 @once_a_solid
 def corners_from_vertices(solid: Solid) -> Array:
-    """What turns a solid's vertices, stretched and placed, into the corners of the box around it, shape (8, K)."""
+    """Map from a solid's vertices, stretched and placed, to the corners of the box around it, shape (8, K)."""
     low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
     around = low + (high - low) * (shoebox().vertices - shoebox().vertices[0])
     unit, corners = (np.column_stack([each, np.ones(len(each))]) for each in (solid.vertices, around))

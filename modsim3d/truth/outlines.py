@@ -52,7 +52,7 @@ class OutlinePart:
 
 @dataclass(frozen=True, eq=False)
 class Outlines:
-    """What is in a camera's image: n rows, one for each frame and body there, in order of frame and occluder.
+    """Outlines in a camera's image: n rows, one for each frame and body there, in order of frame and occluder.
 
     Attributes:
         frame: Index into the run of frames, shape (n,).
@@ -171,7 +171,7 @@ def _outline(
 def _portion(
     intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
 ) -> tuple[dict[str, Any], OutlinePart]:
-    """What `_outline` gives, of few enough steps."""
+    """Result of `_outline` for few enough steps."""
     solid, pinhole = bodies.solid, intrinsics.pinhole
     camera = camera_poses.to_camera(bodies.vertices_world())
     in_front = camera[..., 2] >= intrinsics.near_clip_m

@@ -14,7 +14,7 @@ from modsim3d.core.boxes import sizes
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What cameras see of vessels: n rows, one for each camera, step and vessel whose silhouette is in the image.
+    """Truth of cameras about vessels: n rows, one for each camera, step and vessel whose silhouette is in the image.
 
     Boxes are x_min, y_min, x_max, y_max. Rows are in order of step, camera, vessel.
 
@@ -81,7 +81,7 @@ class Truth:
         return self if rows.all() else self.take(rows)
 
     def with_annotated(self, annotated: Mask) -> Truth:
-        """The same rows with another column `annotated`, shape (n,)."""
+        """Truth with another column `annotated`, shape (n,)."""
         return replace(self, annotated=annotated)
 
     def occluders_of(self, row: int) -> list[tuple[int, float]]:

@@ -137,7 +137,7 @@ MOST_LINES = 32_768
 def rendered_occlusion(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
 ) -> Occlusion:
-    """What is visible of each outline, counted from pixels.
+    """Visible part of each outline, counted from pixels.
 
     There are `supersample` buffer pixels per image pixel and axis; results are in image pixels.
     """
@@ -221,7 +221,7 @@ def _occlusion(
 
 
 def _seen(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, whole: Mask, drawn: Mask) -> Visibility | None:
-    """What is visible of the vessels whose boxes (n, 4) of whole pixels overlap others; None if no buffer holds them.
+    """Visible parts of the vessels whose boxes (n, 4) of whole pixels overlap others; None if no buffer holds them.
 
     The rows that are drawn for it are marked in `drawn` (n,). For `silhouettes` and `whole` see `_silhouettes`.
     """
@@ -314,7 +314,7 @@ def _in_order(
 
 
 def _behind_both(pairs: ClusteredPairs, ranks: Indices, boxes: Array, one: Indices, other: Indices) -> Mask:
-    """Which pairs are of an obstacle and a vessel behind it that may have pixels in common with a second obstacle too.
+    """Mask of the pairs of an obstacle and a vessel behind it that may share pixels with a second obstacle too.
 
     The obstacles are rows `one` and `other`, both of shape (k,). Boxes (n, 4) are of whole pixels.
     """

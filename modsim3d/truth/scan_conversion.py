@@ -99,7 +99,7 @@ class _Edges:
         return cls(side[some], upper, lower, first[some], stop[some])
 
     def broken(self, count: int) -> Mask:
-        """Which of n = `count` silhouettes do not have one left and one right edge in each of their lines, shape (n,).
+        """Mask of n = `count` silhouettes without one left and one right edge in each of their lines, shape (n,).
 
         The edges of a side must follow each other without a gap, and both sides must have the same lines.
         """

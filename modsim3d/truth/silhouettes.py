@@ -363,7 +363,7 @@ def edges_of(solid: Solid) -> Indices:
 
 
 def faces_towards(vertices_px: Array, solid: Solid) -> Mask:
-    """Which faces of n solids with rounded corners are turned to the camera, shape (n, F).
+    """Mask of the faces of n solids with rounded corners that are turned to the camera, shape (n, F).
 
     The vertices are in buffer pixels, shape (n, K, 2).
     """
@@ -393,7 +393,7 @@ class _Edges:
 
     @classmethod
     def of(cls, vertices_px: Array, solid: Solid, height: int) -> _Edges:
-        """Those of n solids in an image of some height; the vertices are in buffer pixels, shape (n, K, 2)."""
+        """Edges of n solids in an image of some height; the vertices are in buffer pixels, shape (n, K, 2)."""
         (start, end, left, right), grid = edges_of(solid), np.rint(vertices_px * SUBPIXELS)
         towards = faces_towards(vertices_px, solid)
         turn = towards[:, left].astype(np.int64) - towards[:, right]

@@ -34,7 +34,7 @@ _KNOWN, _LEAST_SHARE = 10.0, 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """What many replays of the same detections' errors say.
+    """Statistics of many replays of the same detections' errors.
 
     Attributes:
         errors: Standard errors of each state's step, shapes (p,).
@@ -169,7 +169,7 @@ def latent_paths(
 
 
 def _kept(apart_s: Array, correlation_s: float) -> Array:
-    """What is left of a correlation after some time, shape of the times; nothing where noise does not persist."""
+    """Correlation that is left after some time, shape of the times; 0 where noise does not persist."""
     kept: Array = np.exp(-apart_s / correlation_s) if correlation_s > 0 else np.zeros(np.shape(apart_s))
     return kept
 

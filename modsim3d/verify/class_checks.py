@@ -136,7 +136,7 @@ _SHARED_NOTE = "not tested where vessels keep a share of their noise"
 
 @dataclass(frozen=True, eq=False)
 class ExpectedOutcomes:
-    """What the detector file expects of every annotated box.
+    """Expectation of the detector file for every annotated box.
 
     Attributes:
         passed: Whether the gates let it pass, shape (n,).
@@ -154,7 +154,7 @@ class ExpectedOutcomes:
 
 
 def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutcomes:
-    """What a detector expects of every annotated box."""
+    """Expectation of a detector for every annotated box."""
     passed = [model.gates.passed(seen.frames, seen.targets) for seen in evidence.cameras]
     classifier = ConfusionClassifier.from_model(model, evidence.census(model))
     instances = evidence.instances

@@ -99,7 +99,7 @@ class StateErrors:
 
 @dataclass(frozen=True, eq=False)
 class FitStep:
-    """What one pass over n boxes says about the p parameters, in the units of `ErrorParameters.moved`.
+    """Result of one pass over n boxes for the p parameters, in the units of `ErrorParameters.moved`.
 
     Attributes:
         step: From the law towards the largest likelihood, shape (p,).
@@ -225,7 +225,7 @@ _CAP = 0.9
 
 
 class Draw(StrEnum):
-    """What was drawn."""
+    """Drawn errors."""
 
     BOX_ERROR = "box errors"
     MISS = "misses"

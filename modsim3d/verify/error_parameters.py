@@ -58,7 +58,7 @@ class NormalLikelihood:
     shape_units = shape
 
     def reshaped(self, distribution: Any, step: Array) -> ErrorDistribution:
-        """The same distribution; the step has shape (0,)."""
+        """Distribution unchanged; the step has shape (0,)."""
         kept: ErrorDistribution = distribution
         return kept
 

@@ -256,7 +256,7 @@ class ManyDetections:
         return cls(scene, tuple(detector_inputs(scene, truth, 0, scene.steps)))
 
     def detect(self, model: DetectorModel, seed: int) -> Evidence:
-        """What a run with this detector and seed would show."""
+        """Evidence of a run with this detector and seed."""
         census = target_statistics(model, ((part.frames, part.targets) for part in self.inputs))
         detector = Detector(model, seed, census, self.scene.times_s)
         return Evidence.of(

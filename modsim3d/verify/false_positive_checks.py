@@ -185,7 +185,7 @@ class ExpectedClutter:
 
 
 def expected_clutter(model: DetectorModel, evidence: Evidence) -> ExpectedClutter:
-    """What the detector's own model of false positives expects."""
+    """Expectation of the detector's own model of false positives."""
     images, numbers, rates = evidence.frames, model.clutter.numbers, clutter_rates(model)
     due = np.concatenate([model.gates.due(seen.frames) for seen in evidence.cameras])
     extras, variance = _extras(model, evidence)
@@ -196,7 +196,7 @@ def expected_clutter(model: DetectorModel, evidence: Evidence) -> ExpectedClutte
 
 @dataclass(frozen=True, eq=False)
 class ClutterEvidence:
-    """What the rates of false positives are measured from."""
+    """Data from which the rates of false positives are measured."""
 
     model: DetectorModel
     evidence: Evidence

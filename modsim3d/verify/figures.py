@@ -1,4 +1,4 @@
-"""What a run shows of its detector, as figures of the page that `modsim3d verify` writes."""
+"""Figures of the page that `modsim3d verify` writes: what a run shows of its detector."""
 
 from __future__ import annotations
 

@@ -182,7 +182,7 @@ class Strongest(Estimate):
     trials: int = 1
 
     def p_value(self) -> float:
-        """Of any of the trials."""
+        """p-value of any of the trials."""
         return min(1.0, self.trials * super().p_value())
 
     def strength(self) -> float:
@@ -212,7 +212,7 @@ class SumDrift:
     asked: float = 0.0
 
     def p_value(self) -> float:
-        """Of any of the trials."""
+        """p-value of any of the trials."""
         return min(1.0, self.trials * float(special.kolmogorov(math.sqrt(self.count) * self.measured)))
 
     def strength(self) -> float:

@@ -353,7 +353,7 @@ class ImageRate:
         return self.images / self.inflation
 
     def _as_share(self) -> DiscoveryRate:
-        """The same number as a share of itself and of as many true ones as there are images."""
+        """Rate as a share of itself and of as many true detections as there are images."""
         return DiscoveryRate(self.false, self.images, self.asked * self.images, self.inflation)
 
     def p_value(self) -> float:

@@ -97,7 +97,7 @@ class Law:
         return cls(float(max(high.max(initial=0), low.max(initial=0), 0.0)), len(ordered))
 
     def p_value(self) -> float:
-        """Of the two-sided test."""
+        """p-value of the two-sided test."""
         return float(kstwo.sf(self.measured, int(self.count)))
 
     def strength(self) -> float:
@@ -147,7 +147,7 @@ class Parameter:
     checked: bool = True
 
     def unless(self, note: str) -> Parameter:
-        """The same without a measure if a note says why it cannot be tested."""
+        """Parameter without a measure if a note says why it cannot be tested."""
         return replace(self, measure=None, note=note) if note else self
 
 

@@ -58,7 +58,7 @@ def row_of(verdict: TestResult) -> tuple[str, ...]:
 
 
 def notes_of(verification: Verification) -> list[str]:
-    """What else a reader should know."""
+    """Further notes for the reader."""
     return [f"{name}: {note}" for name, note in named_notes(verification)]
 
 
@@ -115,7 +115,7 @@ def _noticed(verdict: TestResult) -> str:
 
 
 def report_data(verified: CheckedRun) -> dict[str, Any]:
-    """What `verify.json` holds."""
+    """Content of `verify.json`."""
     verification = verified.verification
     cause = verification.cause
     return {

@@ -59,7 +59,7 @@ def unchecked(model: DetectorModel) -> list[Parameter]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckedRun:
-    """What a run shows against a detector file, before anything is said of it.
+    """Evidence of a run on a detector file, before anything is said of it.
 
     Attributes:
         run: The run.

@@ -19,7 +19,7 @@ from modsim3d.verify.verification import CheckedRun, verify_evidence
 
 
 class VerifiedRun(CheckedRun):
-    """What a run shows against a detector file, from `verify_run`.
+    """Verification of a run against a detector file, from `verify_run`.
 
     verified = modsim3d.verify_run("runs/first")
     verified.obeys, verified.failed, verified.write("checked")

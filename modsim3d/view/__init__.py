@@ -1,1 +1,1 @@
-"""What people look at: pictures, films, maps and pages."""
+"""Pictures, films, maps and pages for people to look at."""

@@ -75,7 +75,7 @@ class FollowedTracks:
 
     @property
     def false(self) -> Mask:
-        """Which rows follow nothing, shape (k,)."""
+        """Mask of the rows that follow nothing, shape (k,)."""
         return np.equal(self.vessel, NOBODY)
 
     @cached_property
@@ -99,7 +99,7 @@ class FollowedTracks:
         return centres(self.tracks.boxes_px[trail])
 
     def sentence(self) -> str:
-        """What there is, in one sentence."""
+        """Summary of the tracks, in one sentence."""
         identity, count = self.tracks.identity, int(self.tracks.identity.max(initial=-1)) + 1
         on_vessel = np.zeros(count, dtype=bool)
         on_vessel[identity[~self.false]] = True

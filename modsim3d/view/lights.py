@@ -1,4 +1,4 @@
-"""Which lights a vessel shows: COLREG 1972, Rules 21 to 26 and 30, with places by Annex I.
+"""Lights of vessels: COLREG 1972, Rules 21 to 26 and 30, with places by Annex I.
 
 Nobody is towing, restricted, constrained by draught, not under command or on pilotage duty: no scene says so.
 """
@@ -239,7 +239,7 @@ class _Rig:
 
     @cached_property
     def fore(self) -> tuple[float, float, float]:
-        """Of the forward masthead light, or the only one (Annex I, sections 2 and 3).
+        """Place of the forward masthead light, or the only one (Annex I, sections 2 and 3).
 
         A vessel of 20 m or more has it before midships. One of 50 m or more has it in the foremost quarter, as high
         above the deck as she is broad, but 6 to 12 m, and 4.5 m lower than the one abaft if her height allows that.
@@ -256,7 +256,7 @@ class _Rig:
 
     @cached_property
     def after(self) -> tuple[float, float, float]:
-        """Of the after masthead light: at the full height, half the length behind the other, or 100 m."""
+        """Place of the after masthead light: at the full height, half the length behind the other, or 100 m."""
         behind = min(0.5, 100.0 / self.length_m)
         return min(self.top[0], self.fore[0] - behind), CENTRE_LINE, 1.0
 

@@ -1,4 +1,4 @@
-"""What is drawn on a map: obstacles, cameras and vessels with their tracks, as artists that are moved step by step."""
+"""Marks on a map: obstacles, cameras and vessels with their tracks, as artists that are moved step by step."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ VIEW_POINTS = 33
 
 @dataclass(frozen=True, eq=False)
 class BirdsEye:
-    """What a map of a scene shows, in metres in the world: tracks over a number of steps, and some of the cameras."""
+    """Content of a map of a scene, in metres in the world: tracks over a number of steps, and some of the cameras."""
 
     scene: Scene
     steps: int
@@ -238,7 +238,7 @@ class Moment:
 
     @cached_property
     def recent(self) -> slice:
-        """Those of the tracks' points that are drawn bold."""
+        """Points of the tracks that are drawn bold."""
         times = self.birds_eye.track_times_s
         (now,) = self.birds_eye.scene.times_s(self.step, self.step + 1)
         end = int(np.searchsorted(self.birds_eye.track_steps, self.step, side="right"))

@@ -226,7 +226,7 @@ class _Page:
         return []
 
     def _free(self, name: MapName, middles: Array) -> Indices:
-        """Which of some places, shape (n, 2), are free for a name, in their order."""
+        """Indices of the places, shape (n, 2), that are free for a name, in their order."""
         places = middles[:, [0, 1, 0, 1]] + name.extent_px()
         free: Indices = np.flatnonzero(_inside(places, self.frame) & ~overlapping(places, self.taken))
         things = np.concatenate([self.bodies[self.owners != name.vessel], self.ticks, self.dots])
@@ -243,7 +243,7 @@ def _drawn(kind: Callable[[Array], Any], things_m: dict[int, Array], to_px: Call
 
 
 def _met(shapes: Shapes, others: Shapes) -> Mask:
-    """Which shapes, shape (n,), meet one of some others, shape (k,); shape (n,)."""
+    """Mask of the shapes, shape (n,), that meet one of some others, shape (k,); shape (n,)."""
     met: Mask = shapely.intersects(shapes[:, None], others).any(axis=1)
     return met
 
@@ -264,13 +264,13 @@ def _middles(thing_px: Array, name_px: Array, half_px: Array, gap_px: float) -> 
 
 
 def _inside(places: Array, frame: Array) -> Mask:
-    """Which boxes, shape (n, 4), lie inside another, shape (4,); shape (n,)."""
+    """Mask of the boxes, shape (n, 4), that lie inside another, shape (4,); shape (n,)."""
     inside: Mask = np.all((frame[:2] <= places[:, :2]) & (places[:, 2:] <= frame[2:]), axis=1)
     return inside
 
 
 def overlapping(places: Array, taken: Array) -> Mask:
-    """Which boxes, shape (n, 4), overlap one of some others, shape (k, 4); shape (n,)."""
+    """Mask of the boxes, shape (n, 4), that overlap one of some others, shape (k, 4); shape (n,)."""
     low, high = places[:, None, :2], places[:, None, 2:]
     pairs: Mask = np.all((low < taken[:, 2:]) & (taken[:, :2] < high), axis=2)
     return np.asarray(np.any(pairs, axis=1))

@@ -1,4 +1,4 @@
-"""What is said of a detection, and of the detector, in pictures and recordings."""
+"""Words for a detection, and for the detector, in pictures and recordings."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ WEATHER = "weather is not drawn"
 
 
 def is_a(label: str) -> str:
-    """What a wrongly labelled vessel is: `is a ferry`."""
+    """Words for a wrongly labelled vessel: `is a ferry`."""
     return f"is {'an' if label.lower().startswith(tuple('aeiou')) else 'a'} {label}"
 
 
 def fate(frame: Frame, vessel: str) -> str:
-    """What became of an annotated vessel in a frame: missed, or detected, and what is wrong with the detection."""
+    """Fate of an annotated vessel in a frame: missed, or detected, and what is wrong with the detection."""
     if not frame.truth.detected[frame.truth.vessels.index(vessel)]:
         return "missed"
     rows = [None if row is None else frame.truth.vessels[row] for row in detected_rows(frame)]

@@ -80,7 +80,7 @@ def mixed(colour: Colour, other: Colour, share: float) -> Colour:
 
 
 def darker(colour: Colour, factor: float = 0.62) -> Colour:
-    """The same hue with less light."""
+    """Colour of the same hue with less light."""
     return mixed(colour, BLACK, 1 - factor)
 
 

@@ -198,7 +198,7 @@ class BoxRecorder:
 
 @dataclass(frozen=True, eq=False)
 class BoxColumns:
-    """What is logged of the n rows of the truth and the m detections of a run.
+    """Columns that are logged of the n rows of the truth and the m detections of a run.
 
     Attributes:
         missed: Shape (n,).
@@ -240,7 +240,7 @@ class BoxColumns:
 
 
 def _detection_tags(rows: RunRows) -> list[str]:
-    """What is written at each detection: class, confidence, and what is wrong with it."""
+    """Text at each detection: class, confidence, and what is wrong with it."""
     names, vessels = rows.scene.detector.labels, rows.scene.vessels
     labels, confidence = indices(rows.detections, "label", names).tolist(), number_column(rows.detections, "confidence")
     tags = []

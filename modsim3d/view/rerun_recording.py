@@ -145,7 +145,7 @@ MOST_COLOURS = 256 - FIRST
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """What one occluder covers of an image by itself: closed lines, shape (k, 2) each, in pixels."""
+    """Area that one occluder covers of an image by itself: closed lines, shape (k, 2) each, in pixels."""
 
     occluder: int
     rings_px: Sequence[Array]
@@ -153,7 +153,7 @@ class Silhouette:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a camera sees in a frame: the sea half plane, shape (3,), and silhouettes from back to front."""
+    """View of a camera in a frame: the sea half plane, shape (3,), and silhouettes from back to front."""
 
     step: int
     camera: Camera
@@ -161,7 +161,7 @@ class Seen:
     silhouettes: list[Silhouette]
 
     def key(self) -> bytes:
-        """The same for what looks the same."""
+        """Key that is equal for what looks the same."""
         rings = ((each.occluder, ring.tobytes()) for each in self.silhouettes for ring in each.rings_px)
         return repr((self.half_plane.tobytes(), *rings)).encode()
 
@@ -207,7 +207,7 @@ class Pictures:
 
 
 def seen_at(rows: RunRows, steps: Indices) -> Iterator[Seen]:
-    """What each camera sees in the frames that it took at some ascending steps, shape (n,)."""
+    """Views of each camera in the frames that it took at some ascending steps, shape (n,)."""
     scene, cameras, hides = rows.scene, len(rows.scene.cameras), hiding(rows)
     quantum = quantum_px([camera.intrinsics.image_size_px for camera in scene.cameras])
     for index, camera in enumerate(scene.cameras):

@@ -1,1 +1,1 @@
-"""What is where and how it moves: vessels and obstacles as solids, meshes, waves, inertial units."""
+"""Vessels and obstacles as solids, how they move, meshes, waves, inertial units."""

@@ -47,7 +47,7 @@ class Bodies:
     world_R_body: Array
 
     def at(self, steps: slice) -> Bodies:
-        """The same bodies at some of the steps."""
+        """Bodies at some of the steps."""
         return replace(
             self,
             present=self.present[steps],

@@ -1,4 +1,4 @@
-"""What traffic is like: kinds of encounter by the collision regulations (COLREG), densities, lanes and speeds."""
+"""Statistics of traffic: kinds of encounter by the collision regulations (COLREG), densities, lanes and speeds."""
 
 from __future__ import annotations
 

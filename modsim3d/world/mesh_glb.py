@@ -102,7 +102,7 @@ class _Image(_Part):
 
 
 class Gltf(_Part):
-    """What a file describes."""
+    """Content of a file."""
 
     asset: dict[str, object] = {}
     scene: Count = 0

@@ -41,14 +41,18 @@ NAMES = {
 }
 ELSEWHERE = {
     "closest_approach",
+    "density_per_km2",
+    "encounter",
     "frame_picture",
     "hull_tracks",
+    "lane_offsets",
     "open_id_renderer",
     "plot_frame",
     "read_tracks",
     "read_world_tracks",
     "scene_from_dict",
     "score_world",
+    "speeds_m_s",
     "truncated_errors",
     "verify_evidence",
 }
@@ -135,13 +139,38 @@ def test_what_other_pages_show_is_in_them() -> None:
     assert [name for name in ELSEWHERE if not re.search(rf"\b{name}(\(|`)", pages)] == []
 
 
+def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
+    """One that begins with `What`, `Which` and the like says little to who does not know already."""
+    asides = re.compile(r"(What|Which|Of|The same|Those)\b")
+    texts = {
+        f"{path.name}: {getattr(node, 'name', 'module')}": ast.get_docstring(node) or ""
+        for path in Path(modsim3d.__file__).parent.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_bytes()))
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+    }
+    assert {name: text for name, text in texts.items() if asides.match(text)} == {}
+
+
 def test_every_public_name_is_in_the_reference() -> None:
     rows = set(re.findall(r"^\| `(modsim3d[\w.]*)` \|", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE))
-    assert rows >= {f"modsim3d.{name}" for name in modsim3d.__all__}
-    assert rows - {f"modsim3d.{name}" for name in modsim3d.__all__} >= {
-        f"modsim3d.plugins.{name}" for name in set(plugins.__all__) - set(modsim3d.__all__)
-    }
+    own = {f"modsim3d.{name}" for name in modsim3d.__all__}
+    assert rows == own | {f"modsim3d.plugins.{name}" for name in set(plugins.__all__) - set(modsim3d.__all__)}
     assert all(getattr(plugins, name) is not None for name in plugins.__all__)
+
+
+def test_documents_show_no_name_at_an_internal_path() -> None:
+    """Names in rooms may move; docs/architecture.md is about the rooms themselves."""
+    rooms = "|".join(module.name for module in pkgutil.iter_modules(modsim3d.__path__) if module.name != "plugins")
+    pages = {DOCS.parent / "README.md", *DOCS.glob("*.md"), *DOCS.parent.glob("tests/*_example/*.py")}
+    pages.remove(DOCS / "architecture.md")
+    shown = {path.name: re.findall(rf"modsim3d\.(?:{rooms})\b", path.read_text(encoding="utf-8")) for path in pages}
+    assert len(pages) > 20 and {name: paths for name, paths in shown.items() if paths} == {}
+
+
+def test_documents_name_files_that_exist() -> None:
+    pages = [DOCS.parent / "README.md", DOCS.parent / "CONTRIBUTING.md", *DOCS.glob("*.md")]
+    shown = {name for path in pages for name in re.findall(r"modsim3d/[\w/]+\.\w+", path.read_text(encoding="utf-8"))}
+    assert shown and [name for name in shown if not (DOCS.parent / name).is_file()] == []
 
 
 @pytest.mark.parametrize("name", [name for name, part in PARTS.items() if inspect.isfunction(part)])

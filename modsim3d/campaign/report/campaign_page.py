@@ -110,7 +110,7 @@ def _judged(plan: Plan) -> set[tuple[str, int, int]]:
 
 
 def _stopped(plan: Plan) -> str:
-    """What a sequential campaign does to intervals for a number of seeds that was fixed beforehand."""
+    """Sentence on sequential campaigns: how stopping changes intervals for a number of seeds fixed beforehand."""
     if plan.keys.stop == "once":
         return ""
     return (
@@ -343,7 +343,7 @@ def lead(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -
 
 
 def cautions(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
-    """What a reader must know before the numbers, with how it is set."""
+    """Cautions that a reader needs before the numbers, with how each is set."""
     plan, found = folder.plan, []
     if crashed := len(table) - int(pc.sum(pc.equal(table["status"], DONE)).as_py() or 0):
         found.append((f"{counted(crashed, 'run')} of {len(table):,} crashed: see below.", "bad"))
@@ -362,7 +362,7 @@ def cautions(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
 
 
 def facts(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
-    """What was run."""
+    """Facts about the runs: rows of their table."""
     plan, keys = folder.plan, folder.keys
     seconds = pc.sum(table["simulated_s"]).as_py() or 0.0
     simulated = f"{seconds / 3600:,.1f} h" if seconds >= 3600 else f"{seconds / 60:.1f} min"

@@ -387,7 +387,7 @@ def _rolls(truths: Truths) -> CoverageTable:
 
 
 def _gaps(folder: CampaignFolder, table: pa.Table, parts: Sequence[CoverageTable]) -> Iterator[str]:
-    """What was not covered, in one list."""
+    """Gaps in the coverage, in one list."""
     said = [f"{part.title}: {', '.join(part.empty)}" for part in parts if part.empty]
     said += [f"{part.title}: {part.note}" for part in parts if not part.rows]
     said += empty_draws(folder.keys, table)

@@ -46,7 +46,7 @@ def _table(folder: CampaignFolder) -> pa.Table:
 
 
 def lead(search: SearchKeys, table: pa.Table) -> str:
-    """What was found, in a sentence."""
+    """Result of the search, in a sentence."""
     score = Score(search.minimise or search.maximise or "")
     worst = "lowest" if search.minimise else "highest"
     done = _done(search, table)

@@ -84,13 +84,13 @@ class Score:
 
     @property
     def threshold_words(self) -> list[tuple[str, float]]:
-        """What its mean is held against, in words and as a number."""
+        """Thresholds for its mean, in words and as numbers."""
         sides = {(each.threshold, each.at_least is not None) for each in self._of_mean}
         return [(f"at {'least' if least else 'most'} {value:g}", value) for value, least in sorted(sides)]
 
     @property
     def thresholds(self) -> tuple[float, ...]:
-        """What its mean is held against, ascending."""
+        """Thresholds for its mean, ascending."""
         return tuple(sorted({each.threshold for each in self._of_mean}))
 
     @property
@@ -220,7 +220,7 @@ def outcome_of(verdicts: Sequence[Verdict]) -> Outcome:
 
 
 def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
-    """What the requirements come to, in a sentence."""
+    """Summary of the verdicts, in a sentence."""
     if not plan.keys.require:
         return "This campaign has no requirements: it compares, and decides nothing."
     by_requirement = _by_requirement(plan, verdicts)
@@ -337,7 +337,7 @@ def _where(plan: Plan, requirement: Requirement) -> list[str]:
 
 
 def _limit(requirement: Requirement) -> tuple[float, bool]:
-    """What the interval is held against, and whether it must lie above."""
+    """Threshold for the interval, and whether the interval must lie above it."""
     if requirement.share is not None:
         return requirement.share, True
     return requirement.threshold, requirement.at_least is not None
@@ -369,7 +369,7 @@ _ROWS = ".rows", ".parquet"
 
 
 def rests_on(folder: CampaignFolder, page: str, command: str | None) -> Provenance:
-    """What the page of a campaign rests on.
+    """Provenance of the page of a campaign.
 
     Args:
         folder: The campaign.

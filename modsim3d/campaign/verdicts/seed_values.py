@@ -1,4 +1,4 @@
-"""What each traffic seed says of a requirement: its unit, whose runs with several detector seeds belong together."""
+"""Values of a requirement by traffic seed, its unit, to which runs with several detector seeds belong together."""
 
 from __future__ import annotations
 

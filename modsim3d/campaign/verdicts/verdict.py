@@ -1,4 +1,4 @@
-"""What a requirement comes to."""
+"""Verdicts on requirements."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
 
 @dataclass(frozen=True)
 class _Found:
-    """What the rows say: an outcome, its numbers, and the sentence that gives them."""
+    """Outcome that the rows give, its numbers, and the sentence that states them."""
 
     outcome: Outcome
     estimate: float | None
@@ -188,7 +188,7 @@ def _not_yet(found: _Found, requirement: Requirement, runs: Runs, planned: int) 
 
 
 def _of_left_out(runs: Runs, requirement: Requirement, name: str, base: int) -> Iterator[str]:
-    """Which seeds and runs the truth leaves without a value, and why."""
+    """Sentences on the seeds and runs that the truth leaves without a value, with reasons."""
     alone = counted(int(runs.left_out.sum()), "run")
     whole = counted(int(runs.undefined.sum()), "traffic seed")
     for seeds, what in ((runs.undefined, whole), (runs.left_out.any(axis=1), f"{alone} of other traffic seeds")):
@@ -252,7 +252,7 @@ def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Foun
 
 
 def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys, group: str) -> _Found:
-    """What is found of a mean; `own` are the runs of the tracker itself, if they are not those of a difference."""
+    """Outcome for a mean; `own` are the runs of the tracker itself, if they are not those of a difference."""
     limits = least, greatest = limits_of(requirement, keys.score)
     worst, best, seen = runs.means(least), runs.means(greatest), runs.means(math.nan)
     if not len(worst):
@@ -291,7 +291,7 @@ def _outcome(met: bool, failed: bool) -> Outcome:
 
 
 def _between(bounds: Bounds, requirement: Requirement) -> str:
-    """Which bounds there are, and how sure each is."""
+    """Bounds that exist, in words, and how sure each is."""
     sides = []
     if math.isfinite(bounds.low):
         sides.append(f"at least {rounded_down(bounds.low)}")
@@ -303,7 +303,7 @@ def _between(bounds: Bounds, requirement: Requirement) -> str:
 
 
 def _of_lost(runs: Runs, requirement: Requirement, keys: CampaignKeys) -> Iterator[str]:
-    """What is done about runs that crashed, and those whose tracker gave nothing to score."""
+    """Sentences on how runs count that crashed, or whose tracker gave nothing to score."""
     least, greatest = limits_of(requirement, keys.score)
     worst = least if requirement.at_least is not None else greatest
     crashed, nothing = int(runs.crashed.sum()), int(runs.nothing.sum())

@@ -251,7 +251,7 @@ def stepped(count: int, holds: Callable[[int, int], bool]) -> dict[int, int]:
 
 
 def warnings_of(plan: Plan) -> list[str]:
-    """What should be said of the requirements of a plan before it is run, a sentence each."""
+    """Warnings about the requirements of a plan before it is run, a sentence each."""
     found, cases = [], cases_of_all(plan)
 
     def reason_at(place: int, taken: int, group: str) -> str:

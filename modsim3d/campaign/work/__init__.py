@@ -1,1 +1,1 @@
-"""What a worker does: truth, detections, tracks and scores of some runs, as rows of a table."""
+"""Work of one worker: truth, detections, tracks and scores of some runs, as rows of a table."""

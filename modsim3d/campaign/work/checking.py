@@ -40,7 +40,7 @@ Names = Sequence[str]
 
 
 def where_problems(requirement: Requirement, where: str, plan: Plan, parts: Mapping[str, Names]) -> Iterator[str]:
-    """What `where` names that no run has: a requirement that is about no run would never be judged.
+    """Problems of values in `where` that no run has: a requirement about no run would never be judged.
 
     Args:
         requirement: The requirement.
@@ -152,7 +152,7 @@ _ELSEWHERE = {
 
 @dataclass(frozen=True)
 class ConditionFacts:
-    """What is known of a condition before it is run.
+    """Facts about a condition before it is run.
 
     Attributes:
         scene: Name of the scene.
@@ -276,7 +276,7 @@ def _with_known_trackers(plan: Plan, problems: list[str]) -> Plan:
 def _facts_of_all(
     plan: Plan, scenes: Scenes, paths: set[Path], plugins: set[Plugin], problems: list[str]
 ) -> Iterator[ConditionFacts]:
-    """What is known of the conditions that can be run.
+    """Facts about the conditions that can be run.
 
     The files and plug-ins that they are made of are added to those given, and what is wrong with the others to the
     problems.
@@ -321,7 +321,7 @@ def _score_problems(keys: CampaignKeys) -> Iterator[str]:
 
 
 def _problems(keys: CampaignKeys) -> Iterator[str]:
-    """What is wrong with the keys together."""
+    """Problems of the keys together."""
     labels = [tracker.label for tracker in keys.trackers]
     if twice := sorted({label for label in labels if labels.count(label) > 1}):
         yield f"trackers: two are called '{twice[0]}': give one another name"
@@ -376,7 +376,7 @@ def _keys_of(factor: Any) -> Iterator[str]:
 
 
 def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugins: set[Plugin]) -> ConditionFacts:
-    """What is known of a condition; the files and plug-ins that it is made of are added to those given."""
+    """Facts about a condition; the files and plug-ins that it is made of are added to those given."""
     scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
     paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()

@@ -1,4 +1,4 @@
-"""What the truth of a run holds: encounters, ranges, sizes, occlusions, waves.
+"""Coverage by the truth of a run: encounters, ranges, sizes, occlusions, waves.
 
 It says nothing of detections or tracks, so it is the same for all detectors and trackers over one truth.
 """
@@ -52,7 +52,7 @@ class Bins:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The same as a page shows them, such as `0 to 100 m` and `100 m and more`."""
+        """Names of the bins on a page, such as `0 to 100 m` and `100 m and more`."""
         closed = (f"{low} to {high} {self.unit}" for low, high in pairwise((0, *self.edges)))
         return *closed, f"{self.edges[-1]} {self.unit} and more"
 
@@ -108,7 +108,7 @@ def coverage_type(name: str) -> pa.DataType:
 
 
 def coverage_of(rows: RunRows) -> dict[str, int | float]:
-    """What a run covers, by the names of columns.
+    """Coverage of a run, by names of columns.
 
     - `met.KIND`: encounters of own ships, that is of vessels that carry a camera: vessels that came nearer and passed
       within a nautical mile. The kind is that with which drawn traffic planned the encounter; of others it follows from

@@ -117,7 +117,7 @@ def _nothing_detected(frames: CameraFrames, targets: Targets) -> Detections:
 
 
 def stored_detections(made: Mapping[str, pa.Table]) -> dict[str, pa.Table]:
-    """What is kept of the detections, from the tables of a run."""
+    """Tables of the detections that are kept, from the tables of a run."""
     detected = pa.table([made["truth"][DETECTED]], schema=DETECTIONS[DETECTED])
     return {"frames": made["frames"], "detections": made["detections"], DETECTED: detected}
 

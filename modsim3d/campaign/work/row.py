@@ -283,7 +283,7 @@ def score_bounds(score: str, keys: ScoreKeys) -> tuple[float, float]:
 
 
 def limits_of(requirement: Requirement, keys: ScoreKeys) -> tuple[float, float]:
-    """The same of what a requirement is about: a difference is no further from 0 than the bounds of its score are."""
+    """Bounds of what a requirement is about; a difference has the width of its score's bounds on both sides of 0."""
     least, greatest = score_bounds(requirement.score, keys)
     return (least, greatest) if requirement.of is None else (least - greatest, greatest - least)
 
@@ -301,7 +301,7 @@ NOT_SEARCHED = ("seed", "detector_seed", "steps", "scene", "tracker")
 
 
 def search_problems(keys: CampaignKeys) -> Iterator[str]:
-    """What is wrong with the search of a campaign, if it has one."""
+    """Problems of a campaign's search, if it has one."""
     if keys.search is None:
         return
     search, plan = keys.search, Plan.of(keys)

@@ -36,7 +36,7 @@ def digest(*parts: Any) -> str:
 
 
 def truth_digest(scene: Scene, backend: str) -> str:
-    """Of the truth: the scene without its detector, and the versions of what makes it.
+    """Digest of the truth: the scene without its detector, and the versions of what makes it.
 
     Args:
         scene: The scene.
@@ -48,7 +48,7 @@ def truth_digest(scene: Scene, backend: str) -> str:
 
 
 def plan_digest(facts: Mapping[str, Any]) -> str:
-    """Of all that decides the results, given the content of `plan.json`."""
+    """Digest of all that decides the results, given the content of `plan.json`."""
     campaign = {key: value for key, value in facts["campaign"].items() if key != "keep"}  # which decides no row
     conditions = [{key: value for key, value in each.items() if key != "values"} for each in facts["conditions"]]
     plugins = [facts["plugins"]] if facts.get("plugins") else []
@@ -56,7 +56,7 @@ def plan_digest(facts: Mapping[str, Any]) -> str:
 
 
 def detector_digest(detector: DetectorModel) -> str:
-    """Of a detector that was read from a file, with what was set."""
+    """Digest of a detector that was read from a file, with what was set."""
     return digest(content_of(detector))
 
 
@@ -88,7 +88,7 @@ def checksums(paths: Iterable[Path], base: Path) -> dict[str, str]:
 
 
 def changed_files(files: Mapping[str, str], base: Path) -> list[str]:
-    """What is not as its checksum says, one line for each file."""
+    """Files that differ from their checksums, one line for each."""
     problems = []
     for name, expected in files.items():
         try:
@@ -124,7 +124,7 @@ class Latest(Generic[T]):
         self._kept: dict[str, T] = {}
 
     def get(self, key: str, make: Callable[[], T]) -> T:
-        """What the key stands for, made if it is not there."""
+        """Value of the key, made if it is not there."""
         found = self._kept.pop(key) if key in self._kept else make()
         self._kept[key] = found  # the last one from now on
         if len(self._kept) > self._most:
@@ -134,7 +134,7 @@ class Latest(Generic[T]):
 
 @dataclass(frozen=True)
 class DetectorChoice:
-    """What decides a detector.
+    """Settings that decide a detector.
 
     Attributes:
         detector: A file, or the name of a shipped detector; None: the scene's.
@@ -245,7 +245,7 @@ class Scenes:
         return replace(choice, settings={**left, **choice.settings})
 
     def alone(self, condition: Condition, seed: int, detector_seed: int) -> Scene:
-        """The same scene, loaded by itself: its copy in a run directory has the run's detector and its seed.
+        """Scene loaded by itself: its copy in a run directory has the run's detector and its seed.
 
         Raises:
             InputError: The scene or the detector is wrong.

@@ -41,7 +41,7 @@ _CHECKSUM_BYTES = hashlib.sha256().digest_size
 
 @dataclass(frozen=True)
 class Work:
-    """What all tasks of a campaign have in common.
+    """Settings that all tasks of a campaign have in common.
 
     Attributes:
         keys: The campaign file.
@@ -68,7 +68,7 @@ class Work:
 
 
 def with_cache(work: Work, cache: Path | None) -> Work:
-    """The same with the folder of layers in its place; None: that of the campaign."""
+    """Work with another folder of layers; None: that of the campaign."""
     return replace(work, cache=None if cache is None else str(cache.resolve()))
 
 
@@ -98,7 +98,7 @@ def name_of_rows(plan_sha256: str, numbers: Sequence[int]) -> str:
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What a task cost.
+    """Cost of a task.
 
     Attributes:
         runs: Number of runs.
@@ -176,7 +176,7 @@ class Worker:
 
 
 def changes(work: Work) -> list[str]:
-    """What has changed of the files and plug-ins of a campaign, one line for each file."""
+    """Changes of the files and plug-ins of a campaign, one line for each file."""
     since = "the campaign was planned"
     return [*changed_files(work.files, Path(work.base)), *changed_plugins(work.plugins, since)]
 
@@ -236,7 +236,7 @@ def read_rows(path: Path) -> pa.Table | None:
 
 
 def stored_report(path: Path) -> TaskReport | None:
-    """What a file of rows says of its task; None if there is no such file, or it is damaged."""
+    """Report on its task in a file of rows; None if there is no such file, or it is damaged."""
     table = read_rows(path)
     return None if table is None else TaskReport(**orjson.loads(table.schema.metadata[_REPORT]))
 
@@ -303,7 +303,7 @@ def _longest_first(values: Mapping[str, Any]) -> list[str]:
 
 
 def _option_of(key: str) -> str:
-    """What messages call a key."""
+    """Name of a key in messages."""
     if key in _OPTIONS:
         return _OPTIONS[key]
     return key.removeprefix(f"{TRACKER}.") if layer_of(key) == "tracks" else f"--set {key}"

@@ -19,7 +19,7 @@ _DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class Mistakes:
-    """What a tracker did wrong in a run: n mistakes in order of time.
+    """Mistakes of a tracker in a run: n of them in order of time.
 
     Attributes:
         kind: `LOST`: a vessel that should be followed is not. `FALSE`: a track follows nothing. `SWITCHED`: a vessel is
@@ -67,7 +67,7 @@ class Mistakes:
         return every._take(np.argsort(frame, kind="stable"))
 
     def in_frame(self, frame: int) -> Mistakes:
-        """Those in one frame, by its number."""
+        """Mistakes in one frame, by its number."""
         return self._take(np.flatnonzero(self.frame == frame))
 
     def _take(self, rows: Indices) -> Mistakes:
@@ -75,7 +75,7 @@ class Mistakes:
 
 
 def _new(scored: Scored) -> Mask:
-    """Which of the matching's vessels were never followed before and came less than a window ago, shape (n,).
+    """Mask of the matching's vessels that came less than a window ago and were never followed before, shape (n,).
 
     Trackers wait for some detections before they report a track: all of them lose all vessels when a run begins.
     """

@@ -260,7 +260,7 @@ class StateSection(Strict):
 
 
 class FalsePositivesSection(FalsePositiveKeys):
-    """Which model makes false positives, and what they are like."""
+    """Model of false positives and their properties."""
 
     model: ClutterName = "calibrated"
 

@@ -63,12 +63,12 @@ class EffectsSection(Strict):
     distance_m: EffectSection | None = None
 
     def effects(self) -> dict[str, EffectSection]:
-        """Those that are given."""
+        """Effects that are given."""
         given = {name: getattr(self, name) for name in ATTRIBUTES}
         return {name: effect for name, effect in given.items() if effect is not None}
 
     def misfit(self, model: str) -> str | None:
-        """What is wrong with them under the name of the model of all of them, if anything is."""
+        """Problem of the effects under the name of the model of all of them; None if there is none."""
         for name, effect in self.effects().items():
             if model == "confusion":
                 return f"model confusion has no {name}: choose model logistic or table"
@@ -146,7 +146,7 @@ def _density(value: list[list[float]]) -> list[list[float]]:
 
 
 class FalsePositiveKeys(Strict):
-    """What false positives have besides their model."""
+    """Properties of false positives besides their model."""
 
     rate: PerImage | None = None
     placement: Literal["uniform", "horizon_band", "density"] = "uniform"

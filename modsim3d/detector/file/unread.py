@@ -41,7 +41,7 @@ def dead_lines(model: DetectorModel) -> list[str]:
 
 
 def unread_settings(model: DetectorModel, paths: Collection[str], named: Collection[str] = ()) -> dict[str, str]:
-    """Those of the keys `paths` that nothing reads in a detector with them, and why.
+    """Keys among `paths` that nothing reads in a detector with them, each with its reason.
 
     A key beside the one that switches it off or on, in `paths` or `named`, is left out.
     """

@@ -155,7 +155,7 @@ def _horizon_problems(model: DetectorModel) -> Iterator[str]:
 
 
 def _left_out(model: DetectorModel) -> list[str]:
-    """What a horizon would have changed."""
+    """Remark on what a horizon would have changed."""
     if model.clutter.placement.density is not None:
         return []
     where = "false positives lie anywhere in the image, also in the sky: --horizon would keep them on the sea"
@@ -173,7 +173,7 @@ SUMMARY = "detect.json"
 
 @dataclass(frozen=True, repr=False)
 class TruthResult:
-    """What a detector made of a labelled video, from `detect_truth`.
+    """Detections on a labelled video, from `detect_truth`.
 
     Attributes:
         folder: The folder with the files.
@@ -213,7 +213,7 @@ class TruthResult:
 
     @property
     def counts(self) -> Counts:
-        """What happened in all sequences."""
+        """Counts over all sequences."""
         return Counts.total(self.sequence_counts)
 
 
@@ -293,7 +293,7 @@ def detect_truth(
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """What is to be detected, by which detector.
+    """Targets to be detected, and the detector.
 
     Attributes:
         to_label: The detector's label of each class, −1 for none, shape (k,).
@@ -367,7 +367,7 @@ class _Work:
         return {"from_file": len(self.sought) - from_overlap, "from_overlap": from_overlap}
 
     def summary(self, seed: int, counts: Mapping[str, Counts]) -> dict[str, Any]:
-        """What `detect.json` says, but for the files."""
+        """Content of `detect.json`, but for the files."""
         names = [self.model.labels[index] if index >= 0 else None for index in self.to_label.tolist()]
         return {
             "format": FORMAT,

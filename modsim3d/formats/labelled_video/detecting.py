@@ -61,7 +61,7 @@ class VideoChunk:
 
     @property
     def detected(self) -> Mask:
-        """Which of the sought boxes were detected, shape (n,)."""
+        """Mask of the sought boxes that were detected, shape (n,)."""
         found, detections = np.zeros(len(self.rows), dtype=bool), self.detections
         own, shared = detections.target[~detections.false()], detections.partner[detections.partner >= 0]
         found[self.target_rows[np.concatenate([own, shared])]] = True
@@ -70,7 +70,7 @@ class VideoChunk:
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """What the detector is given at once."""
+    """Frames that the detector is given at once."""
 
     video: Video
     rows: Indices
@@ -176,7 +176,7 @@ def _ranges(starts: Indices) -> Iterator[tuple[int, int]]:
 
 
 def count_part(part: VideoChunk, sought: TargetBoxes) -> Counts:
-    """What happened in some frames; see `Counts`."""
+    """Counts over some frames; see `Counts`."""
     visible, origin = sought.visible_fraction[part.rows], part.origin[~part.detections.false()]
     return Counts(
         frames=len(part.steps),

@@ -78,13 +78,13 @@ class TargetBoxes:
 
     @property
     def visible(self) -> Mask:
-        """Which have a visible part, and so are given to the detector, shape (n,)."""
+        """Mask of the boxes with a visible part, which are given to the detector, shape (n,)."""
         mask: Mask = self.visible_fraction > 0
         return mask
 
 
 def sought_in(labelled: LabelledSet, to_label: Indices, tracks: tuple[int | str, ...], source: str) -> TargetBoxes:
-    """What a detector is to find in a labelled set.
+    """Targets of a detector in a labelled set.
 
     Args:
         labelled: The set.

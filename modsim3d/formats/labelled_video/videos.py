@@ -75,7 +75,7 @@ def _split(sequence: Indices, rows: Indices) -> tuple[list[int], list[Indices]]:
 
 
 def _problems(name: str, images: Images, rows: Indices) -> Iterator[str]:
-    """What keeps images, in order of time, from being a video."""
+    """Reasons why images, in order of time, are no video."""
     times_s, sizes_px = images.time_s[rows], images.sizes_px[rows]
     if np.isnan(times_s).any():
         unknown = images.names[rows[np.isnan(times_s)][0]]
@@ -131,7 +131,7 @@ class FileClasses:
     numbers: tuple[int, ...]
 
     def in_words(self, index: int) -> str:
-        """What messages call a class."""
+        """Name of a class in messages."""
         if self.kind == "COCO":
             return f"category {shown(self.names[index])}"
         return f"class {self.numbers[index]}" if self.numbers[index] else "the one class of the file"

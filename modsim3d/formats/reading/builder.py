@@ -1,4 +1,4 @@
-"""What all readers of labelled sets share: they collect rows and problems, and make columns of the rows."""
+"""Base of all readers of labelled sets: they collect rows and problems, and make columns of the rows."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _HALF_CHARACTER = re.compile("[\ud800-\udfff]")
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What files do not say themselves.
+    """Facts that files do not state themselves.
 
     Attributes:
         labels: Names of the classes from number 1 in MOT and 0 in YOLO.
@@ -56,7 +56,7 @@ NO_OPTIONS = ReadOptions()
 
 @dataclass
 class Problems:
-    """What is wrong with the entries of a file: a line for each, and a hint that may help with many of them at once.
+    """Problems of the entries of a file: a line for each, and a hint that may help with many of them at once.
 
     With `skip`, wrong entries are left out and counted; without it, they are an error. Only the first lines are kept.
     """
@@ -448,7 +448,7 @@ class Confidences:
 
 
 def _hint(least: float, most: float, name: str) -> str:
-    """What to do about values from least to most that are not from 0 to 1."""
+    """Advice on values from least to most that are not from 0 to 1."""
     low, high = math.floor(least * 100) / 100, math.ceil(most * 100) / 100
     if least >= 0 and 10 < most <= _PERCENT:
         low, high = 0, _PERCENT

@@ -77,7 +77,7 @@ def read_coco(condition: str, truth: Path, detections: Path | None, options: Rea
 
 @dataclass(frozen=True)
 class _Known:
-    """What an entry may name: rows of images by `image_id` and by file name, and categories by their ID."""
+    """Names that an entry may use: rows of images by `image_id` and by file name, and categories by their ID."""
 
     images: Mapping[Any, int]
     files: Mapping[Any, int]
@@ -100,7 +100,7 @@ def _read_results(
 def _known_to_results(
     entries: Sequence[Any], known: _Known, names: Sequence[str], category_offset: int, problems: Problems
 ) -> tuple[_Known, list[str]]:
-    """What results may name, and a remark if that is in doubt; category IDs may start at another number."""
+    """Names that results may use, and a remark if that is in doubt; category IDs may start at another number."""
     images = image_names(entries, known.images, names)
     categories = {number - category_offset: category for number, category in known.categories.items()}
     rows = (entry for entry in entries if isinstance(entry, dict))

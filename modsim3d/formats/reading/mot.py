@@ -222,7 +222,7 @@ def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[L
 
 
 def _said_of_columns(annotated: Lines, names: Mapping[int, str], file: str, paired: bool) -> Iterator[str]:
-    """What is made of the eighth and ninth column of the truth, if there are any."""
+    """Remarks on how the eighth and ninth column of the truth are read, if there are any."""
     most = max((len(numbers) for _, numbers in annotated), default=0)
     classes = ", ".join(f"{number} is {shown(name)}" for number, name in list(names.items())[:8])
     used = f"where {classes}" if names else "not used" + ", because no detection has a class" * paired
@@ -319,7 +319,7 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
 
 
 def sequence_info(truth: Path, size_px: tuple[float, float] | None, source: str) -> SequenceInfo:
-    """What `seqinfo.ini` beside or above a file says, or the given size of the images and nothing else.
+    """Content of `seqinfo.ini` beside or above a file, or the given size of the images and nothing else.
 
     Raises:
         InputError: It is wrong, or the size is not known.

@@ -1,4 +1,4 @@
-"""Which reader a pair of files, or a file of truth alone, is for."""
+"""Choice of a reader for a pair of files, or for a file of truth alone."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def _plausible(labelled: LabelledSet, form: BoxForm, truth: Path, detections: Pa
 
 
 def _left_out(labelled: LabelledSet, condition: str) -> Iterator[str]:
-    """Which annotations are not to be detected, or cannot be."""
+    """Annotations that are not to be detected, or cannot be, in words."""
     rows = labelled.annotations
     edges_px, boxes_px = labelled.images.sizes_px[rows.image], rows.boxes_px
     outside = ((boxes_px[:, :2] >= edges_px) | (boxes_px[:, 2:] <= 0)).any(axis=1) & ~rows.ignored

@@ -170,7 +170,7 @@ _ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 
 
 def _own_ships(scene: Scene, steps: int, *, measured: bool) -> Columns:
-    """What the instruments on board say at every step; with true attitude if that is asked for."""
+    """Readings of the instruments on board at every step; with true attitude if that is asked for."""
     own = own_ships_at(scene, 0, steps)
     shape = own.headings_rad.shape
     attitudes = own.measured_attitudes_rad if measured else true_attitudes(own.headings_rad, own.angles_rad)

@@ -171,7 +171,7 @@ class FramePlace:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMotion:
-    """What an inertial unit measures at S steps.
+    """Measurements of an inertial unit at S steps.
 
     Attributes:
         quaternions: The rotation from its axes to the map as x, y, z, w, shape (S, 4).

@@ -150,7 +150,7 @@ _SEQUENCE_FILES = {"seqinfo.ini": _info, "gt/gt.txt": _truth, "det/det.txt": _de
 
 
 def _near_scored(truth: SequenceTruth) -> Mask:
-    """Which boxes overlap an annotated box so much that its own track could be matched to them, shape (n,)."""
+    """Mask of the boxes that overlap an annotated box so much that its track could be matched to them, shape (n,)."""
     near = np.zeros(len(truth), dtype=bool)
     scored = np.flatnonzero(truth.annotated)
     for row in np.flatnonzero(~truth.annotated).tolist():

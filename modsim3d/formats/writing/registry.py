@@ -34,7 +34,7 @@ class Format:
         return paths
 
     def notes(self, request: ExportRequest) -> tuple[str, ...]:
-        """What the user should know of the files."""
+        """Remarks on the files for the user."""
         module = self._imported()
         told: tuple[str, ...] = module.notes(request) if hasattr(module, "notes") else ()
         return told

@@ -1,4 +1,4 @@
-"""What is to be exported."""
+"""Request of an export."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ def error_lags(labelled: LabelledSet, errors: WhiteErrors) -> LagTable:
 
 
 def latent_share(errors: WhiteErrors) -> Callable[[Array], Array]:
-    """What share of the latent normal numbers things keep, from the correlation that it leaves."""
+    """Function from the correlation of errors to the share of the latent normal numbers that things keep."""
     heavy = errors.heavy[int(np.bincount(errors.state).argmax())]
     level = _SHARES * correlation_left(_SHARES, np.full(len(_SHARES), 4)) if heavy else _SHARES
     return lambda found: np.interp(found, level, _SHARES)

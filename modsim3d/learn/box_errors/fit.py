@@ -323,7 +323,7 @@ def fit_errors(start: ErrorModel, edges: MatchedEdges, least: float = -np.inf) -
 
 
 def fit_without_gate(start: ErrorModel, edges: MatchedEdges) -> ErrorFit:
-    """The same as if matching cut off nothing; it does not count as settled."""
+    """Fit as if matching cut off nothing; it does not count as settled."""
     return replace(_fit(start, edges, None), settled=False)
 
 

@@ -232,7 +232,7 @@ _SHRUNK = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class ErrorSample:
-    """What the distribution of one state is learned from.
+    """Sample from which the distribution of one state is learned.
 
     Attributes:
         errors: e_x, e_y, e_w, e_h in the unit as measured, shape (n, 4).

@@ -91,7 +91,7 @@ class MatchedEdges:
         )
 
     def without(self, boxes: Mask) -> MatchedEdges:
-        """The same, with all edges of some boxes (n,) left out."""
+        """Edges without those of some boxes (n,)."""
         kept = ~boxes[:, None]
         return replace(self, known=self.known & kept, censored=self.censored & kept)
 
@@ -107,19 +107,19 @@ class MatchedEdges:
 
     @cached_property
     def usable(self) -> Mask:
-        """Which boxes say anything: at least a pixel wide and high, with an edge inside the image, shape (n,)."""
+        """Mask of the boxes with information: at least a pixel wide and high, and an edge in the image, shape (n,)."""
         large = np.all(self.truth_px[:, 2:] - self.truth_px[:, :2] >= 1, axis=1)
         usable: Mask = large & self.counted.any(axis=1)
         return usable
 
     @cached_property
     def counted(self) -> Mask:
-        """Which edges are not left out, shape (n, 4)."""
+        """Mask of the edges that are not left out, shape (n, 4)."""
         return self.known | self.censored
 
     @cached_property
     def whole(self) -> Mask:
-        """Which boxes have no edge that is left out, shape (n,)."""
+        """Mask of the boxes with no edge left out, shape (n,)."""
         result: Mask = self.usable & self.counted.all(axis=1)
         return result
 
@@ -233,7 +233,7 @@ class ErrorModel:
 
     @property
     def covariance(self) -> Array:
-        """Of the file: without the growth of mixed errors, shape (4, 4)."""
+        """Covariance as the file has it: without the growth of mixed errors, shape (4, 4)."""
         return self.correlation * np.outer(self.std, self.std)
 
     def at(self, sides_px: Array) -> tuple[Array, Array]:
@@ -243,7 +243,7 @@ class ErrorModel:
         return np.broadcast_to(self.mean, sides_px.shape), self.std + self.growth * sides_px
 
     def statistics(self, standard: Array) -> Array:
-        """What the slopes are sums of, given standardised errors (..., 4), shape (..., 14 or 15), with mean zero.
+        """Terms of the slopes, given standardised errors (..., 4), shape (..., 14 or 15), with mean zero.
 
         Values and products, with the weights of the distribution, and the slope by ln(ν − 2).
         """
@@ -290,7 +290,7 @@ class ErrorModel:
 
     @property
     def places(self) -> Indices:
-        """Which statistic each number's slope is made from, shape (p,): means, ln σ, artanh ρ, growth, ln(ν − 2)."""
+        """Index of the statistic for each number's slope, shape (p,): means, ln σ, artanh ρ, growth, ln(ν − 2)."""
         growth = range(4, 8) if self.unit == "mixed" else ()
         return np.array([*range(14), *growth, *([_FREEDOM] if self.heavy else [])])
 
@@ -313,7 +313,7 @@ class ErrorModel:
         return np.concatenate([self.mean, np.log(self.std), correlations, growth, freedom])
 
     def held(self, score: Array) -> Mask:
-        """Which numbers are at a bound that the likelihood's slopes, shape (p,), push them against, shape (p,)."""
+        """Mask of the numbers at a bound that the likelihood's slopes, shape (p,), push them against, shape (p,)."""
         held = np.zeros(len(score), dtype=bool)
         if self.unit == "mixed":
             held[_STDS] = (self.std <= self.floor) & (score[_STDS] <= 0)
@@ -324,7 +324,7 @@ class ErrorModel:
         return held
 
     def with_numbers(self, numbers: Array) -> ErrorModel:
-        """The same distribution with other numbers, shape (p,), held where a distribution has them."""
+        """Distribution with other numbers, shape (p,), held where a distribution has them."""
         correlation = np.eye(4)
         values = np.tanh(np.clip(numbers[_PAIRS], -_MOST_ARTANH, _MOST_ARTANH))
         correlation[_FIRST, _SECOND] = correlation[_SECOND, _FIRST] = values

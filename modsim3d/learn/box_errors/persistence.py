@@ -158,7 +158,7 @@ def correlation_left(correlation: Array, numbers: Indices) -> Array:
 
 
 def _clear_edges(pairs: Pairs, models: Sequence[ErrorModel | None]) -> Mask:
-    """Which edges count, shape (m, 4)."""
+    """Mask of the edges that count, shape (m, 4)."""
     edges = pairs.edges
     clear = np.zeros((len(pairs), 4), dtype=bool)
     for state, model in enumerate(models):

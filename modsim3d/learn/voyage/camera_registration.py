@@ -60,7 +60,7 @@ def with_moved_vessels(scene: Scene, offsets: Array) -> Scene:
 
 @dataclass(frozen=True)
 class KnownMeans:
-    """What is known beforehand; None where nothing is.
+    """Means known beforehand; None where nothing is.
 
         KnownMeans(mean_x_px=1.5, delay_s=2)
 
@@ -80,11 +80,11 @@ class KnownMeans:
 
     @property
     def mean_errors(self) -> tuple[float | None, ...]:
-        """Those of boxes, in x, y, width and height."""
+        """Mean errors of boxes, in x, y, width and height."""
         return self.mean_x_px, self.mean_y_px, self.mean_width_share, self.mean_height_share
 
     def given(self) -> dict[str, float]:
-        """Those that are known, by the names of the attributes."""
+        """Means that are known, by the names of the attributes."""
         return {each.name: value for each in fields(self) if (value := getattr(self, each.name)) is not None}
 
     def scene_of(self, scene: Scene) -> Scene:
@@ -236,7 +236,7 @@ class Registering:
 
 
 def correction_of(registration: Registration | None) -> Correction:
-    """What a registration adds to the camera and to the clock of the log."""
+    """Correction of the camera and of the clock of the log by a registration."""
     if registration is None:
         return NO_CORRECTION
     return registration.correction

@@ -28,7 +28,7 @@ REGISTRATION = "registration.json"
 
 
 def noted_cameras(scene: Path) -> Mapping[str, Mapping[str, Any]]:
-    """What is noted of each camera beside a scene file, `clock_s` at least; nothing if nothing was registered.
+    """Notes on each camera beside a scene file, `clock_s` at least; empty if nothing was registered.
 
     Raises:
         InputError: The file is wrong.
@@ -66,7 +66,7 @@ _BYTES_PER_VALUE = 3
 
 @dataclass(frozen=True, eq=False)
 class Reports:
-    """What is known of the reports that a scene's poses were made of.
+    """Facts about the reports that a scene's poses were made of.
 
     Attributes:
         start_s: Unix time of the scene's first step.

@@ -143,7 +143,7 @@ def _as_measured(law: Array, measured: Array) -> Array:
 
 
 def _sure(whole: Array, noise: Array, level: float) -> Mask:
-    """Which variances are surely larger than those that errors of truth give, shape (4,)."""
+    """Mask of the variances that are surely larger than those that errors of truth give, shape (4,)."""
     rest = np.einsum("bii->bi", whole - noise)
     if len(rest) < 3:
         return np.zeros(4, dtype=bool)
@@ -249,7 +249,7 @@ class TakenOff:
     slow: bool
 
     def sentences(self) -> Iterator[str]:
-        """What was assumed, and what is an upper bound."""
+        """Sentences on assumptions and upper bounds."""
         noise = self.noise
         if not noise.std.any():
             yield "errors of truth: none are assumed"
@@ -368,7 +368,7 @@ def take_off_truth_noise(
 def report_less_truth_noise(
     report: LearnReport, scene: Scene, views: Sequence[View], noise: TruthNoise
 ) -> tuple[LearnReport, TakenOff]:
-    """The same for a report: its learned numbers without errors of truth, and remarks that say so."""
+    """Report with learned numbers without errors of truth, and with remarks that say so."""
     found = take_off_truth_noise(report.learned, scene, views, noise, report.level)
     remarks = (*report.remarks_on_data, *found.sentences())
     return replace(report, learned=found.learned, remarks_on_data=remarks), found
@@ -389,7 +389,7 @@ class _Jacobians:
 
     @classmethod
     def of(cls, learned: Learned, scene: Scene, views: Sequence[View]) -> _Jacobians:
-        """Those of pairs in at most so many images of each camera."""
+        """Jacobians of pairs in at most so many images of each camera."""
         pairs, labelled = learned.observed.pairs, learned.observed.labelled
         identity, vessel = labelled.annotations.identity[pairs.rows], np.full(len(pairs), -1)
         moved = np.full(len(pairs), -1)

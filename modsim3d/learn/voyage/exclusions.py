@@ -164,7 +164,7 @@ class ReportAge:
 
 @dataclass(frozen=True, eq=False)
 class Exclusions:
-    """What is left out of the frames of one camera.
+    """Rows and regions left out of the frames of one camera.
 
     Attributes:
         rows: Whether each row of the truth is, shape (T,).
@@ -187,7 +187,7 @@ def exclusions(
     times_s: Array,
     seen: Regions,
 ) -> Exclusions:
-    """What is left out of the n frames of a camera.
+    """Find the rows and regions that are left out of the n frames of a camera.
 
     Args:
         fresh: How well the places of the vessels are known.
@@ -237,7 +237,7 @@ def _told(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: 
 
 
 def _told_beyond(beyond: Indices) -> Iterator[str]:
-    """What becomes of vessels that come or go, given their numbers of boxes just beyond their tracks, shape (V,)."""
+    """Sentences on vessels that come or go, given their numbers of boxes just beyond their tracks, shape (V,)."""
     if beyond.any():
         vessels = counted(int(np.count_nonzero(beyond)), "vessel is", "vessels are")
         yield (

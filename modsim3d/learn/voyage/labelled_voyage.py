@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class CameraTruth:
-    """What a camera sees in n frames.
+    """Vessels that a camera sees in n frames.
 
     Attributes:
         truth: Its rows; `step` is the number of the frame.
@@ -291,7 +291,7 @@ class _CameraSet:
         return LabelledSet(self.log.labels, (self.options.condition,), images, annotations, results, tuple(self.notes))
 
     def _partly_hidden(self, truth: Truth) -> Mask:
-        """Which vessels are annotated by the box of what is left of them, shape (n,)."""
+        """Mask of the vessels that are annotated by the box of what is left of them, shape (n,)."""
         return (self.scene.annotation.mode == 2) & (truth.visible_fraction < 1 - _HIDDEN)
 
     def _annotations(self, seen: CameraTruth) -> Annotations:
@@ -322,7 +322,7 @@ class _CameraSet:
 
 
 def _said_of_overlaps(scene: Scene, vessel: Indices, frames: int) -> Iterator[str]:
-    """What becomes of vessels that overlap others in space, in which order the truth cannot tell, given their rows."""
+    """Sentences on vessels that overlap others in space, in which order the truth cannot tell, given their rows."""
     for column, count in zip(*np.unique(vessel, return_counts=True), strict=True):
         yield (
             f"vessel '{scene.vessel_names[column]}' is left out of frames: it overlaps another one in {count:,} of "
@@ -343,7 +343,7 @@ def _carrier_there(scene: Scene, vessel: str | None, times_s: Array) -> Mask:
 
 
 def _said_of_frames(camera: str, inside: Mask, carried: Mask, vessel: str | None) -> Iterator[str]:
-    """What became of frames that have no truth."""
+    """Sentences on frames that have no truth."""
     if outside := int((~inside).sum()):
         yield f"camera '{camera}': {outside:,} of {len(inside):,} frames are before or after the scene and left out"
     if absent := int((inside & ~carried).sum()):
@@ -415,7 +415,7 @@ def _camera_keys(keys: Mapping[str, Any], registration: Registration) -> dict[st
 
 
 def _content(scene: Scene, registered: Sequence[Registered]) -> dict[str, Any]:
-    """What was registered: the clock is added to the times of the log, the others are in the scene already.
+    """Registered values: the clock is added to the times of the log, the others are in the scene already.
 
     A camera that was not registered keeps what is noted of it beside the scene.
     """

@@ -175,7 +175,7 @@ def learn_voyage(
     settings = LearnSettings(rule, least, replicates, seed, without=left_out(without, "learn_voyage: without"))
     report, told = learn_from(voyage, settings, LearnOptions(), stretches, position_m)
     files = (*dict.fromkeys([*inputs, *read_besides(loaded, path)]),)
-    call = "modsim3d.learn.voyage.learn_voyage.learn_voyage(…).write(…) from Python"
+    call = "modsim3d.learn_voyage(…).write(…) from Python"
     sources = Sources((loaded.path,), (path,), (), files, settings, call)
     return VoyageResult(report, files, sources, voyage_sections(told), told=told)
 

@@ -32,7 +32,7 @@ FRAMES_IN_A_ROW = 20
 
 @dataclass(frozen=True, eq=False)
 class CameraLog:
-    """What the detector of one camera wrote: n frames and m detections.
+    """Log of one camera's detector: n frames and m detections.
 
     Attributes:
         camera: Number of the camera in the scene.
@@ -138,7 +138,7 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
 
 
 def _said_of_times(log: DetectionLog) -> Iterator[str]:
-    """What is odd in the times of a log."""
+    """Remarks on oddities in the times of a log."""
     times_s = np.unique(log.time_s)
     if (
         log.clock is not Clock.UTC
@@ -250,7 +250,7 @@ def _labels(log: DetectionLog, scene: Scene) -> tuple[tuple[str, ...], Indices, 
 
 @dataclass(frozen=True)
 class Correction:
-    """What is added to the values of the scene and of the log; angles turn as those of a scene's camera do.
+    """Additions to the values of the scene and of the log; angles turn as those of a scene's camera do.
 
     Attributes:
         clock_s: Added to the times of the log to get those of the scene.

@@ -125,7 +125,7 @@ _STEPS = (0.5, 0.5, 0.005, 0.1, 0.1, 0.1)
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What one camera looked at, with a row for each of F frames.
+    """Frames of one camera, with a row for each of F frames.
 
     Attributes:
         camera: The camera, as it was registered.
@@ -181,7 +181,7 @@ class _Placed:
 
     @classmethod
     def of(cls, scene: Scene, view: View, frame: Indices, vessel: Indices) -> _Placed:
-        """Those in some frames of a view."""
+        """Vessels in some frames of a view."""
         poses = view.poses
         cameras = scene.camera_poses(view.camera, poses, np.arange(len(view.images)))
         cameras = CameraPoses(cameras.camera_R_world[frame], cameras.positions_m[frame])
@@ -285,7 +285,7 @@ class TruthErrors:
 
     @cached_property
     def _fits(self) -> list[tuple[Indices, Array, Array]]:
-        """Of each vessel that was moved its m rows, their slopes (m, 4, 2), and what is fitted from them, (2m, 2)."""
+        """Rows of each moved vessel (m,), their slopes (m, 4, 2), and the matrix that fits its shift, (2m, 2)."""
         fits = []
         for number in np.unique(self.moved[self.moved >= 0]).tolist():
             rows = np.flatnonzero(self.moved == number)

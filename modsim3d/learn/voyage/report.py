@@ -1,4 +1,4 @@
-"""What is reported of a voyage besides the detector, and its tables."""
+"""Report on a voyage besides the detector, and its tables."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def delay_of(registered: Registered) -> RegisteredValue:
 
 
 def exchanges(registration: Registration) -> Iterator[str]:
-    """What cannot be told apart: by how much other values would change if a held one were another."""
+    """Sentences on values that cannot be told apart: by how much others would change if a held one were another."""
     for group in registration.groups:
         yield _exchange(group)
 
@@ -144,7 +144,7 @@ NOT_REGISTERED = "Cameras and clocks were taken as the scene and the log have th
 
 @dataclass(frozen=True, eq=False)
 class VoyageReport:
-    """What is reported of a voyage besides the detector.
+    """Report on a voyage besides the detector.
 
     Attributes:
         voyage: The labelled set, the cameras and their registrations.
@@ -175,7 +175,7 @@ class VoyageReport:
 
     @property
     def registration(self) -> list[tuple[str, Table, tuple[str, ...]]]:
-        """What each registration rests on, its table, and what could not be told apart."""
+        """Basis of each registration, its table, and the values that could not be told apart."""
         return [
             (registration_lead(each), registration_table(each, self.voyage.scene), (*exchanges(each.registration),))
             for each in self.voyage.registered
@@ -193,7 +193,7 @@ class VoyageReport:
 
     @cached_property
     def coverage(self) -> list[Coverage]:
-        """What each camera matched and missed."""
+        """Matches and misses of each camera."""
         return coverages(self.judged.telling, self.voyage.views)
 
     @cached_property

@@ -122,7 +122,7 @@ def _keys(scene: Scene, vessel: Indices, before: Indices) -> list[bytes]:
 
 
 def _label_texts(labels: Sequence[str], after: bytes) -> list[bytes]:
-    """What follows the key of an entry, up to what comes after its label."""
+    """Text after the key of an entry, up to what comes after its label."""
     return [b':{"label":' + label + b',"' + after + b'":' for label in string_texts(labels)]
 
 
@@ -268,7 +268,7 @@ def schemas_of(scene: Scene) -> dict[str, pa.Schema]:
 
 @dataclass(frozen=True, eq=False)
 class BlockFiles:
-    """What a block adds to the files of a run.
+    """Additions of a block to the files of a run.
 
     Attributes:
         tables: New rows by the name of the table.

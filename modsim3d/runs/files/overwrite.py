@@ -1,4 +1,4 @@
-"""What a run directory holds that a new run replaces: the old run's files, and what was made of them."""
+"""Files of a run directory that a new run replaces: the old run's files, and what was made of them."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def made_of_run(folder: Path) -> set[str]:
 
 
 def read_of_run(folder: Path) -> list[Path]:
-    """What is read of a run directory: the files of a finished run, and the folder of an interrupted one."""
+    """Files that are read of a run directory: those of a finished run, and the folder of an interrupted one."""
     return [folder / name for name in sorted(files_of_run(folder))] + [folder / UNFINISHED]
 
 
@@ -108,7 +108,7 @@ def foreign(folder: Path, names: Iterable[str], own: set[str]) -> str | None:
 
 
 def safe_names(names: Iterable[Any]) -> set[str]:
-    """Those of some names, read from a file, that are paths inside a run directory and can be of a finished run."""
+    """Names, of some read from a file, that are paths inside a run directory and can be of a finished run."""
     return {name for name in names if isinstance(name, str) and _is_safe(name)}
 
 
@@ -152,7 +152,7 @@ def file_list(folder: Path, names: Iterable[str]) -> FileList:
 
 
 def listed_file(path: Path) -> ListedFile:
-    """What the list says of a file."""
+    """Entry of a file in the list: its size and checksum."""
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256")
         return {"bytes": file.tell(), "sha256": digest.hexdigest()}

@@ -1,4 +1,4 @@
-"""What holds in the rows of a run's tables: each value alone, in its row, in its frame, and between the tables.
+"""Rules for the rows of a run's tables: each value alone, in its row, in its frame, and between the tables.
 
 Rows are checked as they are read, so that no reader has to guess. An error names file, row, column and value.
 """

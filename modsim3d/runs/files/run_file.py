@@ -1,4 +1,4 @@
-"""What a run says about itself: `run.json` of a finished run, `settings.json` of an interrupted one."""
+"""Settings and results of a run: `run.json` of a finished run, `settings.json` of an interrupted one."""
 
 from __future__ import annotations
 

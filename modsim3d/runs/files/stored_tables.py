@@ -373,7 +373,7 @@ class StoredTables:
 
 
 def _identity(run_file: Path) -> tuple[int, int] | None:
-    """What tells a `run.json` from another: it is the first file to go and the last to come when a run is replaced."""
+    """Identity of a `run.json`: it is the first file to go and the last to come when a run is replaced."""
     try:
         found = run_file.stat()
     except OSError:

@@ -1,4 +1,4 @@
-"""What the columns of a run's tables are: name, type, unit and meaning; docs/tables.md says the same."""
+"""Columns of a run's tables: name, type, unit and meaning; docs/tables.md says the same."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from modsim3d.scene.scene import Scene
 
 @dataclass(frozen=True)
 class StepLines:
-    """What a stream says of one step: a line for each camera that takes a frame, or one line that none does.
+    """Lines of a stream for one step: a line for each camera that takes a frame, or one line that none does.
 
     Attributes:
         step: Number of the step, from 0.

@@ -32,7 +32,7 @@ def by_sender(reason: str, mmsi: Indices) -> Counter[tuple[int, str]]:
 
 @dataclass
 class FileTally:
-    """What was found in one file.
+    """Counts of one file.
 
     Attributes:
         messages: Number of messages read.
@@ -98,7 +98,7 @@ class Extent:
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """What was kept of all files.
+    """Reports kept of all files.
 
     Attributes:
         positions: Positions of ships in the region and span that the user chose.

@@ -1,4 +1,4 @@
-"""What the readers return: reported positions and particulars of vessels, in columns."""
+"""Results of the readers: reported positions and particulars of vessels, in columns."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Particulars(_Columns):
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """What a reader returns for a part of a file.
+    """Result of a reader for a part of a file.
 
     Attributes:
         messages: Number of messages read, with those dropped.
@@ -129,7 +129,7 @@ class SeaRegion:
         return cls(min(latitude1, latitude2), max(latitude1, latitude2), west, abs(width))
 
     def holds(self, latitude_deg: Array, longitude_deg: Array) -> Mask:
-        """Which places are inside, shape (n,)."""
+        """Mask of the places inside, shape (n,)."""
         between = (latitude_deg >= self.south_deg) & (latitude_deg <= self.north_deg)
         return between & (np.mod(longitude_deg - self.west_deg, 360.0) <= self.width_deg)
 
@@ -181,7 +181,7 @@ LISTED_ROWS = 5
 
 
 def exchanged(positions: Positions) -> Positions:
-    """The same positions with latitude and longitude exchanged."""
+    """Positions with latitude and longitude exchanged."""
     return replace(positions, latitude_deg=positions.longitude_deg, longitude_deg=positions.latitude_deg)
 
 
@@ -223,7 +223,7 @@ def _in_range(latitude_deg: Array, longitude_deg: Array) -> Mask:
 
 
 def without_position(positions: Positions) -> Mask:
-    """Which reports give no position, shape (n,)."""
+    """Mask of the reports without a position, shape (n,)."""
     latitude, longitude = positions.latitude_deg, positions.longitude_deg
     none = (latitude == NO_LATITUDE) | (longitude == NO_LONGITUDE) | ((latitude == 0) & (longitude == 0))
     return np.asarray(none | np.isnan(latitude) | np.isnan(longitude))

@@ -19,7 +19,7 @@ LEAST_VALUE, MOST_VALUE = 1e-6, 1e9
 
 @dataclass(frozen=True)
 class Options:
-    """What the user chose, as docs/ais.md lists it.
+    """Choices of the user, as docs/ais.md lists them.
 
     Attributes:
         origin: Latitude and longitude of w1 = w2 = 0; the median position if None.

@@ -145,7 +145,7 @@ class _Rows:
             self.problems.append(f"line {line}: {problem}")
 
     def odd(self) -> str:
-        """What is wrong with times whose seconds have nothing to do with those that ships send with positions."""
+        """Fault of times whose seconds have nothing to do with those that ships send with positions."""
         beats = np.array(self.beats)
         if len(beats) < FEW_BEATS or np.abs(np.exp(2j * np.pi / 60 * beats).mean()) > LOOSE_BEAT:
             return ""

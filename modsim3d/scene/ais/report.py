@@ -1,4 +1,4 @@
-"""What was read, dropped and filled in, for `report.json` and for the terminal, and what each reason means."""
+"""Counts of what was read, dropped and filled in, for `report.json` and the terminal, and what each reason means."""
 
 from __future__ import annotations
 

@@ -197,7 +197,7 @@ def _check_identities(positions: Positions) -> None:
 
 
 def _odd(positions: Positions, origin: tuple[float, float]) -> str:
-    """What cannot be right in positions that are ordered by vessel and time."""
+    """Oddities of positions that are ordered by vessel and time; empty if there are none."""
     if (last_s := float(positions.time_s.max())) > time.time() + DAY_S:
         return f"positions reach to {time_text(last_s)}, which is to come"
     one = np.flatnonzero((np.diff(positions.mmsi) == 0) & np.isfinite(positions.speed_kn[1:]))

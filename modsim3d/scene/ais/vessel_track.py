@@ -204,7 +204,7 @@ class TimeGrid:
         return self.start_s + float(self.times_s[-1])
 
     def within(self, unix_s: Array, margin_s: float) -> Mask:
-        """Which times are within the scene's, widened by a margin at both ends, shape (n,)."""
+        """Mask of the times within the scene's, widened by a margin at both ends, shape (n,)."""
         return np.asarray((unix_s >= self.start_s - margin_s) & (unix_s <= self.end_s + margin_s))
 
 

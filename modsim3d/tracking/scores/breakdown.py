@@ -144,7 +144,7 @@ def breakdown(scored: Scored) -> Breakdown:
 
 
 def association_of_pairs(scored: Scored) -> tuple[Mask, Array]:
-    """Which vessels are followed, and A(c) = TPA / (TPA + FNA + FPA) of those, shapes (n,).
+    """Mask of the vessels that are followed, and A(c) = TPA / (TPA + FNA + FPA) of those, shapes (n,).
 
     Luiten et al. (2021), eq. 1: TPA counts the frames in which the same track follows the same vessel, FNA all others
     of the vessel, FPA all others of the track; here of one matching at the rules' threshold.

@@ -18,7 +18,7 @@ _HOUR_S = 3600.0
 
 @dataclass(frozen=True)
 class Continuity:
-    """Of each appearance of a vessel, over the frames in which it is scored; None where there is nothing to average.
+    """Continuity of tracks over each vessel's appearances, in scored frames; None where there is nothing to average.
 
     A break is a stretch in which an established vessel is not followed before it is followed again. Frames in which
     the vessel is hidden or not expected to be followed belong to no break and add no time. A false track never follows

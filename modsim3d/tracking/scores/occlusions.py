@@ -136,13 +136,13 @@ class OcclusionSpans:
 
     @property
     def judged(self) -> Mask:
-        """Which ones a track could survive: one followed the vessel before, and the vessel stays, shape (m,)."""
+        """Mask of those that a track could survive: one followed the vessel before, and she stays, shape (m,)."""
         judged: Mask = (self.before != NOBODY) & self.stays
         return judged
 
     @property
     def survived(self) -> Mask:
-        """Which of the judged ones a track survived, shape (m,); it means nothing for the others."""
+        """Mask of the judged ones that a track survived, shape (m,); it means nothing for the others."""
         track = np.append(self.histories.track, NOBODY)
         survived: Mask = track[self.before] == track[self.after]
         return survived
@@ -157,7 +157,7 @@ class OcclusionSpans:
 
 
 def within(times_s: Array, limit_s: float) -> Mask:
-    """Which spans of time are no longer than a limit, whatever their last bits are; NaN is longer, same shape."""
+    """Mask of the spans of time no longer than a limit, whatever their last bits are; NaN is longer, same shape."""
     return np.less_equal(np.round(times_s, _TIME_DECIMALS), limit_s)
 
 

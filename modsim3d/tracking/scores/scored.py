@@ -1,4 +1,4 @@
-"""What all scores are taken from: a run, and the one matching of its vessels and the tracks."""
+"""Source of all scores: a run, and the one matching of its vessels and the tracks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LARGEST_CUTOFF = 1e6
 
 @dataclass(frozen=True)
 class SetDistance:
-    """What GOSPA and OSPA charge: the base distance is that of the centres.
+    """Costs in GOSPA and OSPA: the base distance is that of the centres.
 
     Attributes:
         cutoff: c, in the unit of the distance; a missed vessel and a false track cost c^p / 2 each in GOSPA.
@@ -98,7 +98,7 @@ class Scored:
         return cls(rows, rules, follow(truth, tracks, rules.similarity), rows.frames)
 
     def in_frames(self, frames: Indices) -> Self:
-        """The same matching, some frames of it only."""
+        """Matching in some frames only."""
         return replace(self, frames=frames)
 
     @cached_property
@@ -136,7 +136,7 @@ class Scored:
 
     @property
     def by_step(self) -> int:
-        """What a frame's number is divided by to give its step."""
+        """Divisor that turns a frame's number into its step."""
         return self.following.truth.cameras
 
     def state_frames(self, state: int) -> Indices:
@@ -174,7 +174,7 @@ class Histories:
 
     @classmethod
     def of(cls, scored: Scored) -> Self:
-        """Those of a matching."""
+        """Histories of a matching."""
         following, truth = scored.following, scored.following.truth
         order = np.lexsort((truth.frame, truth.identity))
         track = np.append(following.tracks.identity, NOBODY)[following.track_row]  # the last is that of NOBODY

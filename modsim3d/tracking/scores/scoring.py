@@ -109,7 +109,7 @@ def score_tracks(rows: RunRows, tracks: Tracks, rules: Rules) -> Scores:
 
 
 def scores_of(scored: Scored) -> Scores:
-    """The same for tracks that are matched already, and whose labels are checked if the rules ask for classes.
+    """Score tracks that are matched already, and whose labels are checked if the rules ask for classes.
 
     Raises:
         ModsimError: TrackEval is not installed.

@@ -1,4 +1,4 @@
-"""What a tracker is: it is given the detections of a camera frame by frame, and answers each frame with its tracks."""
+"""Interface of trackers: one is given the detections of a camera frame by frame, and answers each with its tracks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from modsim3d.io.validation import NotNegative, Probability, Strict
 
 @dataclass(frozen=True, eq=False)
 class CameraFacts:
-    """What a tracker knows of the camera.
+    """Facts about the camera that a tracker knows.
 
     Attributes:
         name: Name of the camera.
@@ -98,7 +98,7 @@ Overlap = Annotated[float, Field(strict=True, ge=-1, le=1)]
 
 
 class _LibraryTracker(Tracker):
-    """What the three have in common.
+    """Base of the three trackers of the library.
 
     Attributes:
         lost_s: A track without a detection for longer is dropped: the library's `lost_track_buffer` over 30.

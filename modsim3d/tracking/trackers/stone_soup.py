@@ -18,7 +18,7 @@ DetectionCount = Annotated[int, Field(strict=True, ge=1, le=1000)]
 
 
 class StoneSoup(Tracker):
-    """What the two have in common: a Kalman filter of the box's centre, velocity and size, in the image.
+    """Base of two trackers: a Kalman filter of the box's centre, velocity and size, in the image.
 
     The centre moves with constant velocity, width and height walk at random.
 

@@ -1,4 +1,4 @@
-"""Which track follows which vessel in the world, step by step."""
+"""Tracks in the world that follow vessels, step by step."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ _LEAST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class TrackEstimates:
-    """Which estimate stands for each track at each step: m of them, in order of step and track.
+    """Estimate that stands for each track at each step: m of them, in order of step and track.
 
     Attributes:
         step: Shape (m,).
@@ -143,7 +143,7 @@ class TrackEstimates:
 
 
 def _nearest(times_s: Array, tracks: WorldTracks, reach_s: float) -> Iterator[Indices]:
-    """Of each track, the steps that an estimate of it reaches, and the row of the nearest one, shape (2, n)."""
+    """Steps that an estimate of each track reaches, and the row of the nearest one, shape (2, n)."""
     edges = np.flatnonzero(np.diff(tracks.track, prepend=NOBODY, append=NOBODY)).tolist()
     for first, stop in pairwise(edges):
         mine = tracks.time_s[first:stop]
@@ -179,12 +179,12 @@ class WorldFollowing:
 
     @property
     def found(self) -> Mask:
-        """Which vessels are scored and followed, shape (S, V)."""
+        """Mask of the vessels that are scored and followed, shape (S, V)."""
         return self.truth.scored & np.not_equal(self.followed_by, NOBODY)
 
     @property
     def counted(self) -> Mask:
-        """Which of the m estimates are not on a vessel that is not scored, shape (m,)."""
+        """Mask of the m estimates that are not on a vessel that is not scored, shape (m,)."""
         counted: Mask = np.pad(self.truth.scored, ((0, 0), (0, 1)), constant_values=True)[
             self.estimates.step, self.vessel
         ]

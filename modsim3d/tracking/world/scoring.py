@@ -149,7 +149,7 @@ def world_continuity(following: WorldFollowing) -> WorldContinuity:
 
 
 def _switches_and_breaks(following: WorldFollowing, vessel: int) -> tuple[int, int]:
-    """Of a vessel that is followed at some step."""
+    """Switches and breaks of a vessel that is followed at some step."""
     row = following.followed_by[following.truth.scored[:, vessel], vessel]
     on = row != NOBODY
     switches = int((np.diff(following.tracks.track[row[on]]) != 0).sum())

@@ -119,7 +119,7 @@ NOT_ROUNDED_PX = 1e-6
 
 @dataclass(frozen=True)
 class Checked:
-    """What was checked, and how far apart the two sides were; results can be added. The names are keys of `run.json`.
+    """Counts of a cross-check, and how far apart its sides were; results can be added. Names are those in `run.json`.
 
     Attributes:
         from_spans: Vessels of the whole run whose pixels came from exact spans.
@@ -179,7 +179,7 @@ class Difference(Exception):
 
 @dataclass(frozen=True, eq=False)
 class SaidOfFrame:
-    """What the truth and exact geometry say of one frame.
+    """Values of one frame by the truth and by exact geometry.
 
     Attributes:
         truth: Its rows.
@@ -305,7 +305,7 @@ class _VesselPixels:
             self.refuse(f"{what} pixels", f"{np.count_nonzero(said)}", f"{np.count_nonzero(drawn)} ({where})")
 
     def checked(self) -> Checked:
-        """What was compared, once all tiles were.
+        """Result of the comparison, once all tiles were compared.
 
         Raises:
             Difference: Numbers or boxes of the truth are not those of its pixels, or not those of the corners.
@@ -341,7 +341,7 @@ class _VesselPixels:
 
     @cached_property
     def _possible_behind(self) -> tuple[Indices, Mask]:
-        """What may be seen at pixels that are hidden on either side, see `possible_ids`."""
+        """IDs that may be seen at pixels that are hidden on either side, see `possible_ids`."""
         y, x = np.concatenate(self.hidden, axis=1)
         return possible_ids(self.drawing, x, y)
 

@@ -1,4 +1,4 @@
-"""What exact geometry says of visible parts, where it tells."""
+"""Visible parts by exact geometry, where it tells."""
 
 from __future__ import annotations
 

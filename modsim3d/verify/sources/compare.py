@@ -43,7 +43,7 @@ from modsim3d.world.vessels import shoebox
 
 @dataclass(frozen=True, eq=False)
 class FastPath:
-    """What the fast path says about outlines.
+    """Result of the fast path for outlines.
 
     Attributes:
         outlines: The vessels and obstacles in F frames.
@@ -109,7 +109,7 @@ AGREED_PX, AGREED_FIRST = 1.0, 1e6
 
 @dataclass(frozen=True, eq=False)
 class SourceComparison:
-    """What `modsim3d compare` found in all frames that it looked at, and the figures of `compare.json`."""
+    """Result of `modsim3d compare` over all frames that it looked at, and the figures of `compare.json`."""
 
     findings: Findings
     figures: ComparisonFigures
@@ -193,7 +193,7 @@ def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indi
 def _occlusions(
     scene: Scene, renderer: IdRenderer, camera: int, outlines: Outlines, shared_s: float
 ) -> tuple[dict[str, Occlusion], dict[str, float]]:
-    """What each source says about outlines, and its computing time with that of the outlines, `shared_s`."""
+    """Occlusion of outlines by each source, and its computing time with that of the outlines, `shared_s`."""
     intrinsics, annotation = scene.cameras[camera].intrinsics, scene.annotation
     draw = full_frame_occlusion if annotation.render == "full" else rendered_occlusion
     compute = {

@@ -120,7 +120,7 @@ class ShoeboxFit:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What was found in some frames.
+    """Findings in some frames.
 
     Attributes:
         drawn: How much OpenGL drew, and the rendered source was compared with.

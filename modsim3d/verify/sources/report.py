@@ -32,7 +32,7 @@ def verdict_rows(figures: ComparisonFigures) -> list[tuple[str, str, str]]:
 
 
 def figure_rows(figures: ComparisonFigures) -> Rows:
-    """What was drawn, whether the rendered truth is the same, and how it differs from the analytic truth."""
+    """Figures in rows: what was drawn, whether the rendered truth is the same, and how the analytic truth differs."""
     fraction, drawn = figures.visible_fraction, figures.drawn
     return [
         ("vessel-frames compared", f"{figures.vessel_frames} in {figures.frames} frames"),
@@ -244,7 +244,7 @@ def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer, styles
 
 
 def describe_case(scene: Scene, case: VesselDifference) -> str:
-    """Which vessel a case shows, when, from which camera, and why."""
+    """Description of a case: which vessel it shows, when, from which camera, and why."""
     (time,) = scene.timestamps(case.step, case.step + 1)
     reason = f"{case.reason[:1].upper()}{case.reason[1:]}"
     return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {reason}"

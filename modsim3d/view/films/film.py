@@ -25,7 +25,7 @@ IF_KILLED = "draw the film again, perhaps with fewer --workers"
 
 @dataclass(frozen=True, eq=False)
 class Showing:
-    """Which steps a film shows, ascending, and when."""
+    """Steps that a film shows, ascending, and when."""
 
     steps: tuple[int, ...]
     timetable: Timetable

@@ -38,7 +38,7 @@ LEAST_ASPECT, MOST_ASPECT = 4 / 3, 8 / 3
 
 @dataclass(frozen=True, eq=False)
 class FilmPlan:
-    """What every picture of a film shows.
+    """Content of every picture of a film.
 
     Attributes:
         kinds: Some of `KINDS`, shown side by side.
@@ -82,7 +82,7 @@ class FilmPlan:
         return [panel for panel in panels if panel[1] != "map" or panel[0] == 0]  # one map has all cameras
 
     def birds_eye(self, scene: Scene) -> BirdsEye:
-        """What a map shows."""
+        """Content of the map."""
         return BirdsEye(scene, self.steps, self.cameras)
 
     def layout(self, scene: Scene) -> FilmLayout:
@@ -119,7 +119,7 @@ class FilmPlan:
 
 
 def mistakes_in(selection: Selection) -> Outcome:
-    """What is wrong with any detection in the frames of a selection."""
+    """Faults of any detection in the frames of a selection."""
     found = NOTHING_WRONG
     for step in selection.step_frames():
         for frame in filter(None, step.frames):
@@ -183,7 +183,7 @@ def part_around(
 
 
 def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:
-    """The same part of every camera's image, from `x_min,y_min,x_max,y_max` in pixels; any other text is an error."""
+    """Parse a part of every camera's image from `x_min,y_min,x_max,y_max` in pixels; any other text is an error."""
     try:
         x0, y0, x1, y1 = (float(part) for part in text.split(","))
     except ValueError:

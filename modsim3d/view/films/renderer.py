@@ -106,7 +106,7 @@ class MapFilmRenderer:
         return self._cover([name.note], part, middle)
 
     def _cover(self, artists: list[Artist], part: Part = np.s_[:, :], origin: Indices | None = None) -> _Cover:
-        """What some artists cover in a part of the picture; its pixels count from one of the picture's."""
+        """Area that some artists cover in a part of the picture; its pixels count from one of the picture's."""
         black, white = (self._on(artists, part, ground) for ground in (0, 255))
         covered = np.nonzero((black != 0).any(axis=2) | (white != 255).any(axis=2))
         kept = (white[covered] - np.float32(black[covered])) / np.float32(255)
@@ -248,7 +248,7 @@ def open_film_renderer(scene: Scene, plan: FilmPlan) -> Iterator[FilmRenderer]:
 
 @contextmanager
 def open_shaded_picture_renderer(style: RenderStyle) -> Iterator[ShadedPictureRenderer]:
-    """What draws shaded pictures; without an OpenGL library that is an error."""
+    """Open a renderer of shaded pictures; without an OpenGL library that is an error."""
     from modsim3d.render.context import open_context
     from modsim3d.render.shaded_pass import ShadedRenderer
 

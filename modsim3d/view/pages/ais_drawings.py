@@ -72,7 +72,7 @@ class _MapArea:
         return np.stack([x, y], axis=-1)
 
     def holds(self, places_m: Array) -> Mask:
-        """Which places are on the map, shape (n,)."""
+        """Mask of the places on the map, shape (n,)."""
         x, y = places_m[:, 0], places_m[:, 1]
         on_map: Mask = (x >= self.west_m) & (x <= self.east_m) & (y >= self.south_m) & (y <= self.north_m)
         return on_map
@@ -110,7 +110,7 @@ def traffic_map(traffic: AisTraffic) -> str:
 
 
 def _not_far(places_m: Array, others_m: Array) -> Array:
-    """Those of some places that hardly enlarge the box around others, shape (k, 2)."""
+    """Places that hardly enlarge the box around others, shape (k, 2)."""
     low, high = others_m.min(axis=0), others_m.max(axis=0)
     reach = NOT_FAR * (high - low).max()
     near: Array = places_m[((places_m >= low - reach) & (places_m <= high + reach)).all(axis=1)]

@@ -50,7 +50,7 @@ PRINT_STYLE = """
 
 
 def mark_of(content: str) -> str:
-    """What all sheets of a page have in common: the first digits of the checksum of its content."""
+    """Mark that all sheets of a page have in common: the first digits of the checksum of its content."""
     return hashlib.sha256(content.encode("utf-8", "surrogatepass")).hexdigest()[:12]
 
 

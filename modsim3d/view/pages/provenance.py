@@ -1,4 +1,4 @@
-"""What a page rests on, so that it can be signed: command, versions, seeds, and every input with its checksum."""
+"""Provenance of a page, so that it can be signed: command, versions, seeds, and every input with its checksum."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a page rests on. It has no times and no names of machines, so the same input gives the same bytes.
+    """Provenance of a page. It has no times and no names of machines, so the same input gives the same bytes.
 
     Attributes:
         page: What kind of page it is.

@@ -26,7 +26,7 @@ CAMERA_HEADER = ("Camera", "Frames", *_DETECTED, *_BOXES, *_FALSE)
 
 @dataclass(frozen=True)
 class DetectorCounts:
-    """What a detector made of some frames, with the names of `modsim3d.runs.counts.Counts`.
+    """Counts of a detector's output in some frames, with the names of `modsim3d.runs.counts.Counts`.
 
     Attributes:
         true_detections: Detections of vessels; fewer than `detected` where one box is of two vessels.
@@ -105,7 +105,7 @@ class CountTables:
 
     @property
     def total(self) -> DetectorCounts:
-        """What the detector made of all frames."""
+        """Counts over all frames."""
         return self._overall.counts(0)
 
     def overall(self) -> Rows:
@@ -158,7 +158,7 @@ class _Tally:
         return int(self._sums[name][group])
 
     def counts(self, group: int) -> DetectorCounts:
-        """What the detector made of a group."""
+        """Counts of a group."""
         return DetectorCounts(**{field.name: self.of(field.name, group) for field in fields(DetectorCounts)})
 
     def rows(self, names: list[str]) -> Rows:
@@ -171,7 +171,7 @@ class _Tally:
 
 
 def _truth_counts(rows: RunRows) -> Masks:
-    """What is counted of the truth: which rows have it, shape (n,) each."""
+    """Masks of the truth by what is counted, shape (n,) each."""
     visible_px, silhouette_px = rows.numbers("visible_px"), rows.numbers("silhouette_px")
     return {
         "vessels": np.ones(len(visible_px), dtype=bool),
@@ -183,7 +183,7 @@ def _truth_counts(rows: RunRows) -> Masks:
 
 
 def _detection_counts(rows: RunRows) -> Masks:
-    """What is counted of the detections: which have it, shape (m,) each."""
+    """Masks of the detections by what is counted, shape (m,) each."""
     false = having(rows.outcomes, Outcome.FALSE_POSITIVE)
     return {
         "true_detections": ~false,

@@ -1,4 +1,4 @@
-"""What the timeline of a run's page shows: counts in bins of steps, and the moments worth a look."""
+"""Timeline of a run's page: counts in bins of steps, and the moments worth a look."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def steps_in_a_bin(steps: int, vessels: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class ShownRows:
-    """What one camera shows at some shown steps, a row of the truth or a detection for each step that shows it.
+    """Rows of one camera at some shown steps, a row of the truth or a detection for each step that shows it.
 
     Attributes:
         index: Index of each shown step, shape (i,).
@@ -92,7 +92,7 @@ class ShownRows:
 
     @property
     def false(self) -> Mask:
-        """Which detections are false positives, shape (m,)."""
+        """Mask of the detections that are false positives, shape (m,)."""
         return having(self.outcome, Outcome.FALSE_POSITIVE)
 
 
@@ -187,7 +187,7 @@ class Overview:
 
 
 class VesselOutcome(IntEnum):
-    """What became of a vessel in a frame, from good to bad; of what is wrong with its detection, the worst.
+    """Fate of a vessel in a frame, from good to bad; of what is wrong with its detection, the worst.
 
     Attributes:
         NOT_ANNOTATED: It is in the image and was not given to the detector.

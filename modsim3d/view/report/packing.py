@@ -182,12 +182,12 @@ class Stretches:
         return len(self.key)
 
     def of(self, first_key: int, stop_key: int) -> Stretches:
-        """Those with keys first_key to stop_key − 1."""
+        """Stretches with keys first_key to stop_key − 1."""
         here = slice(*np.searchsorted(self.key, (first_key, stop_key)).tolist())
         return Stretches(self.key[here], self.first[here], self.until[here])
 
     def by_time(self) -> Stretches:
-        """The same, in order of their first steps and then of their keys."""
+        """Stretches in order of their first steps and then of their keys."""
         order = np.lexsort((self.key, self.first))
         return Stretches(self.key[order], self.first[order], self.until[order])
 

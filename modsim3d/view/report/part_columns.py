@@ -26,7 +26,7 @@ MOST_SHOWN, SHOWN_ROWS, MOST_ROWS = 250, 8_000, 400_000
 
 @dataclass(frozen=True, eq=False)
 class PartRows:
-    """What a run has of some consecutive steps.
+    """Rows of a run at some consecutive steps.
 
     Attributes:
         rows: Its rows, and those of frames before that cameras still show.
@@ -169,7 +169,7 @@ class PartFrames:
 
 
 def frame_columns(part: PartRows, frames: PartFrames) -> dict[str, Column | Coded]:
-    """Which frame each camera shows at each step, when it was taken, and the performance state in it."""
+    """Frame that each camera shows at each step, when it was taken, and the performance state in it."""
     state = part.rows.states_of(frames.numbers).astype(np.uint8)
     empty = frames.pages - frames.count
     held = np.any(part.taken != part.steps[:, None])

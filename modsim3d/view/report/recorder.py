@@ -100,7 +100,7 @@ def _shown_frames(scene: Scene, steps: Indices) -> Indices:
 
 
 class Lanes:
-    """Which vessel each track of one camera follows, over a run that comes in parts."""
+    """Vessel that each track of one camera follows, over a run that comes in parts."""
 
     def __init__(self, vessels: int) -> None:
         """Begin with no track in a scene with so many vessels."""
@@ -141,7 +141,7 @@ class Lanes:
 
 
 def track_facts(followed: FollowedTracks) -> dict[str, Any]:
-    """What the columns mean, and the number of the track of each lane."""
+    """Meaning of the columns, and the number of the track of each lane."""
     _, first = np.unique(followed.tracks.identity, return_index=True)
     return {
         "name": followed.name,
@@ -334,7 +334,7 @@ def recording(
 
 
 class _Recorder:
-    """What is the same for all parts of a recording, or is gathered over them."""
+    """Values that all parts of a recording share, or that are gathered over them."""
 
     def __init__(self, run: StoredRun, every: int, followed: FollowedTracks | None) -> None:
         self._scene, self._every, self._followed = run.scene, every, followed
@@ -382,7 +382,7 @@ class _Recorder:
             lanes.add(index, shown[:, camera], part.taken[:, camera], plain)
 
     def outcomes(self) -> tuple[OutcomeStretches, ...]:
-        """What became of the vessels, of each camera, once all parts are there."""
+        """Outcomes of the vessels, of each camera, once all parts are there."""
         return tuple(each.stretches() for each in self._outcomes)
 
     def overview(self) -> tuple[dict[str, Any], dict[str, Column | Coded]]:
@@ -409,7 +409,7 @@ class _Recorder:
 
 
 def _facts(scene: Scene, quantum: float) -> dict[str, Any]:
-    """What the numbers mean: names, colours."""
+    """Meaning of the numbers: names, colours."""
     vessels = [palette.vessel_colour(index) for index in range(len(scene.vessels))]
     obstacles = [palette.obstacle_colour(index) for index in range(len(scene.obstacles))]
     states = palette.state_colours(len(scene.detector.states))

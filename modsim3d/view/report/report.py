@@ -146,7 +146,7 @@ STYLES = (
 
 @dataclass(frozen=True)
 class PageText:
-    """What is around the player; all but the title and the name as HTML.
+    """Text around the player; all but the title and the name as HTML.
 
     Attributes:
         name: The heading.
@@ -310,7 +310,7 @@ def _lead(run: StoredRun, every: int) -> str:
 
 
 def _notes(run: StoredRun, every: int, out: Path) -> str:
-    """What the page does not show, and links to what other commands have written into the run directory."""
+    """Notes on what the page does not show, and links to what other commands have written into the run directory."""
     notes = []
     if not run.finished:
         notes.append(

@@ -231,7 +231,7 @@ def _provenance(runs: tuple[StoredRun, StoredRun], every: int, command: str | No
 
 
 def run_names(first: StoredRun, second: StoredRun) -> tuple[str, str]:
-    """What the runs are called on the page: their letters and the names of their folders."""
+    """Names of the runs on the page: their letters and the names of their folders."""
     return f"A {first.folder.resolve().name}", f"B {second.folder.resolve().name}"
 
 

@@ -26,7 +26,7 @@ from modsim3d.world.vessel_motion import PosesInWaves
 
 
 def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
-    """Which rows of the outlines may hide which others of their frame in part.
+    """Pairs of rows of the outlines of which one may hide the other of its frame in part.
 
     Of two solids at depths that do not overlap the nearer one is in front. Otherwise a plane between them, or between
     the boxes around them, tells which one is. Without such a plane the truth decides, if one of the two hides the other
@@ -310,7 +310,7 @@ class Silhouettes:
 def seen(
     scene: Scene, index: int, steps: Indices, motion: PosesInWaves, quantum_px: float, hides: Indices
 ) -> tuple[Array, Shapes]:
-    """What a camera sees at some steps.
+    """Silhouettes that a camera sees at some steps.
 
     Args:
         scene: The scene.

@@ -59,7 +59,7 @@ class PoseSource(Protocol):
 
 @dataclass(frozen=True)
 class PoseRequest:
-    """What a pose source is told about its scene.
+    """Facts about its scene for a pose source.
 
     Attributes:
         folder: Folder of the scene file; paths in it are relative to this.
@@ -197,7 +197,7 @@ TOGETHER = 1024
 
 @dataclass(frozen=True)
 class LongTimes(Sequence[str]):
-    """What `generated_timestamps` gives, worked out where it is asked for; slices are tuples."""
+    """Times of `generated_timestamps`, worked out where they are asked for; slices are tuples."""
 
     steps: int
     time_step_s: float

@@ -195,7 +195,7 @@ _KEYS = {"center_position_m", "heading_rad"}
 
 
 def _pose_problems(entry: Any) -> list[str]:
-    """What is wrong with the entry of a vessel, each to stand right after the entry's path."""
+    """Problems of the entry of a vessel, each to stand right after the entry's path."""
     if not isinstance(entry, dict):
         return [f": a mapping with center_position_m and heading_rad is needed (got {shown(entry)})"]
     if entry.keys() != _KEYS:

@@ -105,7 +105,7 @@ def _near_steps(sweep: Sweep, other: Sweep, reach_m: float, speed_m: Array) -> t
 
 @dataclass(frozen=True, eq=False)
 class Land:
-    """What vessels must keep clear of on a map, by the height of its lower side: (height, footprint), rising."""
+    """Land that vessels must keep clear of on a map, by the height of its lower side: (height, footprint), rising."""
 
     levels: tuple[tuple[float, shapely.Geometry], ...]
 

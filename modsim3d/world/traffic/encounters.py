@@ -42,7 +42,7 @@ EARLY_S = 3.0
 
 @dataclass(frozen=True)
 class _Meeting:
-    """What is asked of a meeting: kind of vessel, kind of encounter, closest approach, time, and side of own ship."""
+    """Request for a meeting: kind of vessel, kind of encounter, closest approach, time, and side of own ship."""
 
     vessel: str
     kind: str
@@ -110,7 +110,7 @@ def _draw(chart: Chart, name: str, keys: EncounterKeys, ordinal: int, own: Track
 
 
 def _asked(chart: Chart, keys: EncounterKeys, own_speed: float, rng: np.random.Generator) -> _Meeting | None:
-    """What is drawn of the request; None if no kind has a speed for it."""
+    """Meeting drawn for the request; None if no kind has a speed for it."""
     vessel, closest, time, side, which = rng.random(5)
     kind = keys.kind
     if kind == "crossing":

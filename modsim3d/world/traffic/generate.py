@@ -154,7 +154,7 @@ def _tight(name: str, keys: OwnKeys, vessel: Vessel) -> list[str]:
 
 
 def _conflicts(chart: Chart, name: str, track: Track) -> list[str]:
-    """What she runs into: an obstacle, or another vessel of the scene file."""
+    """Obstacles, or other vessels of the scene file, that she runs into."""
     waters, problems = chart.waters, []
     sweep, least = Sweep.of([track], waters.times_s, waters.interval_s), f"clearance_m ({waters.clearance_m:g} m)"
     if waters.land.gaps(sweep, waters.interval_s, waters.clearance_m)[0] < waters.clearance_m:
@@ -177,7 +177,7 @@ AFTER_LAST_ENCOUNTER_S = 30.0
 
 @dataclass(frozen=True)
 class TrafficSetting:
-    """What traffic depends on beside its keys: the scene file's vessels that have a route, obstacles, times, seed."""
+    """Setting of traffic beside its keys: the scene file's vessels that have a route, obstacles, times, seed."""
 
     own: tuple[Vessel, ...]
     obstacles: tuple[Obstacle, ...]
@@ -234,7 +234,7 @@ def _duration_s(keys: TrafficSections, setting: TrafficSetting) -> float:
 
 
 def _problems(chart: Chart) -> list[str]:
-    """What no seed can draw, and what would take too long."""
+    """Problems of requests that no seed can draw, or that would take too long."""
     problems = []
     for name, lane in chart.keys.lanes.items():
         problems += lane_problems(chart.keys, name, lane)

@@ -221,7 +221,7 @@ class TrafficSections(Strict):
         return self.labels if isinstance(self.labels, str) else self.labels.get(own, own)
 
     def problems(self) -> list[str]:
-        """What is wrong between the keys, each with its path below `poses.traffic`."""
+        """Problems between the keys, each with its path below `poses.traffic`."""
         found: list[str] = []
         names: dict[str, str] = {}
         for path, section in self.drawing.items():

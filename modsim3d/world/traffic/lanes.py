@@ -51,7 +51,7 @@ class Craft:
 
 @dataclass(eq=False)
 class Chart:
-    """What vessels are drawn with: the keys, the seed's streams, and the waters with those that are there already.
+    """Surroundings that vessels are drawn in: the keys, the seed's streams, and the waters with those there already.
 
     `own` has the tracks of the vessels of the scene file; `left_out` counts vessels by section for which there was no
     room.
@@ -129,7 +129,7 @@ SECONDS_A_COST, LANE_A_COST, PACE_A_COST, SIDESTEP_COST, METRES_A_COST = 60.0, 1
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """What was drawn of a vessel in a lane; `across` is her place in the usable width, port first."""
+    """Vessel drawn in a lane; `across` is her place in the usable width, port first."""
 
     hull: DrawnHull
     way: VesselPath

@@ -69,7 +69,7 @@ class VesselPath:
         return VesselPath(along, np.concatenate([first[None], self.places_m[inside], last[None]]), headings)
 
     def reversed(self) -> VesselPath:
-        """The same line from its end to its start."""
+        """Path from its end to its start."""
         return VesselPath(self.length_m - self.along_m[::-1], self.places_m[::-1], self.headings_rad[::-1] + math.pi)
 
 

@@ -158,7 +158,7 @@ def files(request: ExportRequest) -> tuple[str, ...]:
 
 
 def notes(request: ExportRequest) -> tuple[str, ...]:
-    """What the user should know of the files."""
+    """Remarks on the files for the user."""
     if request.run.scene.origin is not None:
         return ()
     return ("the scene has no origin, so w1 = w2 = 0 is at latitude 0, longitude 0",)
@@ -196,7 +196,7 @@ def own_ship(request: ExportRequest) -> tuple[int, ...]:
 
 
 def truth_table(scene: Scene, carried: tuple[Station, ...]) -> str:
-    """Which vessel is behind each number, and which vessels have none, as CSV."""
+    """Vessel behind each number, and vessels that have none, as CSV."""
     by_vessel = {station.vessel: station for station in carried}
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
@@ -226,7 +226,7 @@ class _Sender:
         self._sent = [0, 0, 0]
 
     def reports(self, stay: Stay, number: int) -> Iterator[ReceivedReport]:
-        """What is received during a stay; `number` is its own, from 0."""
+        """Reports received during a stay; `number` is its own, from 0."""
         station, scene = self._station, self._scene
         seen = measured(stay, self._noise, scene.origin or NOWHERE, scene.ais.position_noise_m)
         phases = self._streams.uniforms(Purpose.AIS_PHASE, station.name, first=number, count=1)[0].tolist()

@@ -1,4 +1,4 @@
-"""What a vessel's satellite receiver and compass measure, once a second."""
+"""Measurements of a vessel's satellite receiver and compass, once a second."""
 
 from __future__ import annotations
 
@@ -291,7 +291,7 @@ class Noise:
 
 
 def measured(stay: Stay, noise: Noise, origin: tuple[float, float], position_noise_m: float) -> SensorReadings:
-    """What the sensors of a vessel measure during a stay.
+    """Measurements of a vessel's sensors during a stay.
 
     Args:
         stay: Where the vessel is.

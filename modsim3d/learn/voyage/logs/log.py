@@ -1,4 +1,4 @@
-"""What a detector wrote during a voyage: frames with their times, and the boxes in them."""
+"""Log of a detector during a voyage: frames with their times, and the boxes in them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SHARES = 2.0
 
 
 class Clock(Enum):
-    """What the times of a log count from."""
+    """Origin of the times of a log."""
 
     STEP = "seconds since the scene's first step"
     STAMP = "seconds as the scene's poses write them"
@@ -44,7 +44,7 @@ class Start:
 
 @dataclass(frozen=True)
 class LogOptions:
-    """What logs do not say themselves.
+    """Facts that logs do not state themselves.
 
     Attributes:
         frame_rate_hz: Of MOT without `seqinfo.ini`, and of tables, to know the frames without detections.

@@ -1,4 +1,4 @@
-"""Which reader a log of detections is for."""
+"""Choice of a reader for a log of detections."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def _camera(topic: str) -> str | None:
 
 
 def ros_name(camera: str) -> str:
-    """What a camera of a scene is called in topics."""
+    """Name of a scene's camera in topics."""
     token = re.sub(r"[^A-Za-z0-9]+", "_", camera).strip("_")
     return token if token[:1].isalpha() else f"camera_{token}".rstrip("_")
 

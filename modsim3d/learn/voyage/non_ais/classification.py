@@ -55,7 +55,7 @@ class CrossingTracks:
 
     @classmethod
     def of(cls, links: Links, chosen: Mask, labelled: LabelledSet) -> CrossingTracks:
-        """Those of some linked detections (n,), of which each thing is one vessel."""
+        """Tracks of some linked detections (n,), of which each thing is one vessel."""
         images, none = labelled.images, np.empty(0, dtype=np.int64)
         image, boxes_px, number = [none], [np.empty((0, 4))], [none]
         for thing in np.unique(links.link[chosen]):
@@ -73,7 +73,7 @@ class CrossingTracks:
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """What tells nothing since a vessel without a transponder is there.
+    """Annotations and detections without information, since a vessel without a transponder is there.
 
     Attributes:
         annotations: Which annotations, shape (T,).
@@ -206,7 +206,7 @@ _LEAST_RUNS = 24
 
 @dataclass(frozen=True, eq=False)
 class ClassifiedDetections:
-    """What became of the unmatched detections of a labelled set.
+    """Classes of the unmatched detections of a labelled set.
 
     Attributes:
         observed: The set with its matches, before anything is left out.
@@ -234,7 +234,7 @@ class ClassifiedDetections:
 
     @cached_property
     def likely(self) -> Mask:
-        """Which linked detections are taken for a vessel's, shape (n,)."""
+        """Mask of the linked detections that are taken for a vessel's, shape (n,)."""
         likely: Mask = (self.lasting >= _LIKELY)[self.links.link] & ~self.empty[self.links.image]
         return likely
 
@@ -257,19 +257,19 @@ class ClassifiedDetections:
 
     @cached_property
     def passing(self) -> Mask:
-        """Which detections tell nothing, since vessels pass each other there or come into view, shape (D,)."""
+        """Mask of the detections without information: vessels pass each other there or come into view, shape (D,)."""
         passing: Mask = self.crossings.results & ~self.empty[self.observed.labelled.results.image]
         return passing
 
     @cached_property
     def tells(self) -> Mask:
-        """Which linked detections tell something: they are taken for a vessel's, or nothing passes there, (n,)."""
+        """Mask of the linked detections with information: they are taken for a vessel's, or nothing passes, (n,)."""
         tells: Mask = self.likely | ~self.passing[self.links.rows]
         return tells
 
     @cached_property
     def left_out(self) -> Mask:
-        """Which detections are neither hits nor false, since a vessel without a transponder is there, shape (D,)."""
+        """Mask of the detections neither hits nor false, since a vessel without a transponder is there, shape (D,)."""
         left_out: Mask = self.passing.copy()
         left_out[self.links.rows[self.likely]] = True
         observed = self.observed
@@ -296,7 +296,7 @@ class ClassifiedDetections:
         return rates_of(weighing, resampling, image_state, states, self.kinds.found, self.kinds.inflation)
 
     def own_rates(self, replicates: int, seed: int) -> tuple[StateRates, ...]:
-        """The same with a resampling of runs that are long against the lifetimes of flicker."""
+        """Rates of false positives, resampled in runs that are long against the lifetimes of flicker."""
         images = self.observed.labelled.images
         spans = [float(np.ptp(images.time_s[images.sequence == s])) for s in np.unique(images.sequence)]
         run_s = min(_RUN_TIMES * float(self.kinds.short_s[0]), float(np.nansum(spans)) / _LEAST_RUNS)
@@ -304,7 +304,7 @@ class ClassifiedDetections:
         return self.rates(resampling, self.observed.image_state, self.observed.states)
 
     def corrected(self, learned: Learned) -> Learned:
-        """What was learned from `labelled`, with the rate of false positives that is used.
+        """Correct what was learned from `labelled` by the rate of false positives that is used.
 
         Detections are left out or kept as a whole; the mixture knows that a few of either are of the other kind.
         """

@@ -207,7 +207,7 @@ def _assigned(things: list[_Thing], now: float, measured: Array, sure: Mask, jit
 
 
 def _beside_others(sides: Array) -> Mask:
-    """Which sides (n, 4) of detections in one frame lie in or just beside the box of another, shape (n, 4)."""
+    """Mask of the sides (n, 4) of detections in one frame in or just beside the box of another, shape (n, 4)."""
     low, high = sides[:, :2] - _BESIDE_PX, sides[:, 2:] + _BESIDE_PX
     meets = ((sides[:, None, :2] <= high) & (sides[:, None, 2:] >= low)).all(axis=-1) & ~np.eye(len(sides), dtype=bool)
     inside = (sides[:, None] >= np.tile(low, 2)) & (sides[:, None] <= np.tile(high, 2))
@@ -263,7 +263,7 @@ class Sides:
 
     @classmethod
     def of(cls, sightings: FalseSightings, known: Annotations, images: int) -> Sides:
-        """Those of false detections beside known vessels, in so many images."""
+        """Sides of false detections beside known vessels, in so many images."""
         centre, half = np.column_stack([sightings.along_px, sightings.depth_px]), sightings.sizes_px / 2
         cut = _at_border(sightings)
         sure: Mask = ~(cut | _hidden(sightings, known, images))
@@ -271,7 +271,7 @@ class Sides:
 
 
 def _at_border(sightings: FalseSightings) -> Mask:
-    """Which sides lie at the border of their image, shape (n, 4)."""
+    """Mask of the sides at the border of their image, shape (n, 4)."""
     boxes = sightings.boxes_px
     with np.errstate(invalid="ignore"):
         near, far = boxes[:, :2] <= AT_BORDER_PX, boxes[:, 2:] >= sightings.image_px - AT_BORDER_PX
@@ -280,7 +280,7 @@ def _at_border(sightings: FalseSightings) -> Mask:
 
 
 def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
-    """Which sides lie in the box of a known vessel, or just beside it, shape (n, 4)."""
+    """Mask of the sides in the box of a known vessel, or just beside it, shape (n, 4)."""
     hidden = np.zeros((len(sightings), 4), dtype=bool)
     for row, vessel in image_pairs(sightings.image, known.image, images):
         ours, theirs = sightings.boxes_px[row], known.boxes_px[vessel]
@@ -301,7 +301,7 @@ LEAST_GAP_FRAMES = 3
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Which detections are of one thing.
+    """Detections linked to things.
 
     Attributes:
         rows: Rows of the results that are linked, shape (n,).

@@ -19,7 +19,7 @@ from modsim3d.scene.ais.options import time_text
 
 
 class RateSource(Enum):
-    """Which rate of false positives goes into the detector file."""
+    """Rate of false positives that goes into the detector file."""
 
     EMPTY = "the stretches marked as empty"
     MIXTURE = "the mixture of lifetimes"
@@ -81,7 +81,7 @@ class StateRates:
 
     @property
     def source(self) -> RateSource:
-        """Which rate is used."""
+        """Rate that is used."""
         if self.empty is not None:
             return RateSource.EMPTY
         return RateSource.ALL if self.mixture is None else RateSource.MIXTURE
@@ -208,7 +208,7 @@ def parse_stretches(text: str, start_s: float | None) -> tuple[TimeSpan, ...]:
 
 
 def in_stretches(stretches: tuple[TimeSpan, ...], time_s: Array) -> Mask:
-    """Which times (n,) lie in a stretch, its ends included, shape (n,)."""
+    """Mask of the times (n,) that lie in a stretch, its ends included, shape (n,)."""
     inside: Mask = np.zeros(len(time_s), dtype=bool)
     for each in stretches:
         inside |= (time_s >= each.first_s - 1e-9) & (time_s <= each.last_s + 1e-9)

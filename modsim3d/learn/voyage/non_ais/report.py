@@ -1,4 +1,4 @@
-"""What is said of detections without a transponder: a table with a row for each state, and sentences."""
+"""Report on detections without a transponder: a table with a row for each state, and sentences."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def rows_of(rates: Sequence[StateRates], level: float) -> list[tuple[str, ...]]:
 
 
 def sentences(judged: ClassifiedDetections, rates: Sequence[StateRates]) -> Iterator[str]:
-    """What the table does not say: what was taken for a vessel, what was not and why, and what cannot be known."""
+    """Sentences beside the table: vessels, what was not taken for one and why, and what cannot be known."""
     things, least = judged.things, f"{judged.least_s:g} s"
     if not np.isfinite(judged.links.time_s).any() and len(judged.links.rows):
         yield "the frames have no times, so no detection can be followed: all unmatched detections count as false"

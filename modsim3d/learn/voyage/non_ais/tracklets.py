@@ -25,7 +25,7 @@ _UNSTEADY_STDS = 1.5
 
 
 class Behaviour(IntEnum):
-    """What speaks against a vessel: the first that is true."""
+    """Reasons against a vessel: the first that is true."""
 
     LIKE_A_VESSEL = 0
     ABOVE_THE_HORIZON = 1
@@ -168,7 +168,7 @@ class DurationTypes:
     inflation: float
 
     def at_least(self, probability: float) -> Mask:
-        """Which durations may be of vessels with such a probability, shape (durations,).
+        """Mask of the durations that may be of vessels with such a probability, shape (durations,).
 
         Those of things that were seen for long, where the data do not show whether there is a longer kind; and always
         those of things that last and jump.

@@ -1,4 +1,4 @@
-"""What a detector wrote: boxes in frames, with the times of its own clock."""
+"""Boxes that a detector wrote in frames, with the times of its own clock."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def predict(model: BoxModel, hiding: HidingBodies, values: Values, times_s: Arra
 
 
 def inside(boxes_px: Array, size_px: Array) -> Mask:
-    """Which edges of boxes (n, 4) are clear of the image's border."""
+    """Mask of the edges of boxes (n, 4) that are clear of the image's border."""
     return (boxes_px > EDGE_PX) & (boxes_px < np.tile(size_px, 2) - EDGE_PX)
 
 
@@ -178,7 +178,7 @@ def match(found: BoxesAtTimes, predicted: Predictions, size_px: tuple[int, int],
 
 
 def _clearest(owner: Indices, distance: Array) -> Mask:
-    """Which pairs are the nearest of their owner, and nearer than the next by a factor."""
+    """Mask of the pairs that are the nearest of their owner, and nearer than the next by a factor."""
     order = np.lexsort((distance, owner))
     first = np.ones(len(order), dtype=bool)
     first[1:] = owner[order][1:] != owner[order][:-1]

@@ -300,7 +300,7 @@ class _Round:
 def _with_drift(
     aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None, noise_m: float
 ) -> Estimated:
-    """The same where positions drift besides: linear fits, since all but the wrong matches is nearly linear.
+    """Estimate a drift of positions besides, by linear fits: all but the wrong matches is nearly linear.
 
     Raises:
         ModsimError: Positions drift so far that no match is left.

@@ -58,7 +58,7 @@ class SightingResiduals:
 
     @classmethod
     def of(cls, sightings: Sightings, *, use_sizes: bool) -> SightingResiduals:
-        """Those of sightings. One side alone counts where the other is not usable."""
+        """Residuals of sightings. One side alone counts where the other is not usable."""
         left, top, right, bottom = sightings.usable.T
         both, tall = left & right, top & bottom
         kinds = [both, left & ~right, right & ~left, bottom, both & use_sizes, tall & use_sizes]
@@ -85,7 +85,7 @@ class SightingResiduals:
 
     @cached_property
     def of_mean_errors(self) -> Array:
-        """What a unit of each of `MEAN_ERRORS` adds to what is detected, in pixels, shape (m, 4)."""
+        """Shift of each detection by a unit of each of `MEAN_ERRORS`, in pixels, shape (m, 4)."""
         unit = np.ones((len(self.row), 4))
         unit[:, 2:] = np.maximum(sizes(self.sightings.expected_px[self.row]), 1.0)
         return np.asarray(OF_MEAN_ERRORS[self.kind] * unit)
@@ -126,7 +126,7 @@ MEAN_NAMES = tuple(parameter.name for parameter in MEAN_ERRORS)
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Which of the parameters a fit looks for, as one vector.
+    """Parameters that a fit looks for, as one vector.
 
     Attributes:
         shared: Names of shared ones, in the order of `SHARED`.
@@ -141,7 +141,7 @@ class Unknowns:
 
     @property
     def own(self) -> Indices:
-        """Which of along, across and delay are looked for."""
+        """Indices of along, across and delay that are looked for."""
         return np.flatnonzero(self.spreads > 0)
 
     @property
@@ -252,7 +252,7 @@ class Alignment:
 
 @dataclass(frozen=True, eq=False)
 class Aligner:
-    """What an alignment needs of the scene and the detections.
+    """Input of an alignment from the scene and the detections.
 
     Attributes:
         free: Names of the shared parameters that may change.

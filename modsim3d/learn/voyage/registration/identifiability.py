@@ -26,7 +26,7 @@ FULL = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What is known of p values.
+    """Estimates of p values: covariance, half widths and errors.
 
     Attributes:
         covariance: Shape (p, p).
@@ -62,7 +62,7 @@ class Linear:
         return cls(np.sqrt(kept) * slopes, residuals / np.sqrt(growth) / np.sqrt(kept))
 
     def whitened(self, shared: Array, cluster: Indices) -> Linear:
-        """The same where rows of a cluster share errors: `shared` holds their standard deviations, shape (m, q).
+        """Regression whose rows share errors in a cluster: `shared` holds their standard deviations, shape (m, q).
 
         Their covariance is 1 + Z Zᵀ; the rows are multiplied by its inverse root.
         """
@@ -113,7 +113,7 @@ class Linear:
 
 
 def wider(first: Knowledge, second: Knowledge) -> Knowledge:
-    """Of each value the wider interval, with the error that goes with it; the covariance is scaled to the errors."""
+    """Wider interval of each value, with the error that goes with it; the covariance is scaled to the errors."""
     errors = np.where(first.half_widths >= second.half_widths, first.errors, second.errors)
     scale = errors / np.maximum(np.sqrt(np.diagonal(first.covariance)), 1e-300)
     scale = np.where(np.isfinite(scale), scale, 1.0)
@@ -195,7 +195,7 @@ def _gap(unit: str) -> str:
 
 
 def undetermined(linear: Linear, names: tuple[str, ...], cluster: Indices) -> list[ConfoundedGroup]:
-    """Which of the named values are to be held because the data do not determine them, each with its group.
+    """Named values that are held because the data do not determine them, each with its group.
 
     Args:
         linear: The fit, in plausible distances, a column for each name.

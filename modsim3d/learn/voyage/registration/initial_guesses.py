@@ -122,7 +122,7 @@ def _directions(lens: Intrinsics, found: BoxesAtTimes) -> _Seen:
 
 
 def _tables(model: BoxModel, times_s: Array, most_turn_rad: float) -> _Seen:
-    """The same of all vessels that are there and, turned by the most, in the field of view, in order of frame."""
+    """Directions of all vessels that are there and, turned by the most, in the field of view, in order of frame."""
     traffic, count = model.traffic, len(model.hulls_m)
     frame, vessel = np.divmod(np.arange(len(times_s) * count), count)
     there = traffic.there(times_s[frame], vessel)

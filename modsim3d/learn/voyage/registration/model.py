@@ -218,7 +218,7 @@ class BoxModel:
         return world
 
     def pixels(self, values: Values, times_s: Array, vessel: Indices, points_m: Array) -> Array:
-        """The same points in the image, NaN behind the camera, shape (n, K, 2)."""
+        """Points of vessels in the image, NaN behind the camera, shape (n, K, 2)."""
         if not len(vessel):
             return np.empty((*points_m.shape[:2], 2))
         world = self.points_world(values, times_s, vessel, points_m)
@@ -261,7 +261,7 @@ NEARLY = 0.999
 
 @dataclass(frozen=True, eq=False)
 class HidingBodies:
-    """What can hide vessels from a camera.
+    """Bodies that can hide vessels from a camera.
 
     Attributes:
         model: The vessels, each of which hides others with the box around it.
@@ -324,7 +324,7 @@ def crosses(starts_m: Array, ends_m: Array, planes: Array) -> Mask:
 
 
 def crosses_box(starts_m: Array, ends_m: Array, extents_m: Array) -> Mask:
-    """The same of boxes in their own VCF, with extents of shape (n, 3), for ways of shapes (n, ..., 3)."""
+    """Whether ways of shapes (n, ..., 3) cross boxes in their own VCF, with extents of shape (n, 3)."""
     half = extents_m / 2 * (1, 1, 0) + extents_m * (0, 0, 1)
     low = -half * (1, 1, 0)
     upper, lower = half[:, None], low[:, None]

@@ -1,4 +1,4 @@
-"""What a registration can change, with units, and how far each may plausibly be from what the scene says."""
+"""Parameters of a registration, with units, and how far each may plausibly be from what the scene says."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Values:
 
     @classmethod
     def none(cls, vessels: int) -> Values:
-        """What the scene says."""
+        """Values of the scene: nothing is added."""
         return cls(np.zeros(len(SHARED)), np.zeros((vessels, len(OF_A_VESSEL))))
 
     def __getitem__(self, name: str) -> float:
@@ -83,14 +83,14 @@ class Values:
         return found
 
     def changed(self, **by: float) -> Values:
-        """The same with other shared values."""
+        """Values with other shared ones."""
         shared = self.shared.copy()
         for name, value in by.items():
             shared[PLACE[name]] = value
         return Values(shared, self.vessels)
 
     def moved(self, name: str, step: float) -> Values:
-        """The same with a step added to one shared value, or to one value of all vessels."""
+        """Values with a step added to a shared one, or to one of all vessels."""
         shared, vessels = self.shared.copy(), self.vessels.copy()
         if name in PLACE:
             shared[PLACE[name]] += step
@@ -106,7 +106,7 @@ def plausible(names: Iterable[str]) -> Array:
 
 
 def held(names: Iterable[str]) -> Mask:
-    """Which shared parameters are named, by their names with or without unit, shape (11,).
+    """Mask of the shared parameters that are named, by their names with or without unit, shape (11,).
 
     Raises:
         ModsimError: There is no such parameter.
@@ -219,7 +219,7 @@ def restricted_spreads(
 def known_of(
     effects: VesselEffects, covariance: Array, speeds_m_s: Array, names: Sequence[str]
 ) -> list[tuple[str, str, str, float, float]]:
-    """What is determined of each vessel: name, words, unit, value and standard error.
+    """Determined values of each vessel: name, words, unit, value and standard error.
 
     An offset along and a delay look the same while a vessel keeps its speed; then only how far it is ahead of its
     reports is determined. To see this, the delay gets a spread that moves the vessel as far as that of the offset. A

@@ -108,7 +108,7 @@ class Registration:
 
     @property
     def correction(self) -> Correction:
-        """What the estimates add to the camera and to the clock."""
+        """Correction of the camera and of the clock by the estimates."""
         return Correction(**{each.name: self.values[each.name] for each in fields(Correction)})
 
     def camera_of(self, camera: Camera) -> Camera:
@@ -291,7 +291,7 @@ def _settled(aligner: Aligner, aligned: Alignment, lost: set[str]) -> Alignment:
 def _vessel_estimates(
     scene: Scene, model: BoxModel, aligned: Alignment, effects: VesselEffects, covariance: Array
 ) -> tuple[RegisteredValue, ...]:
-    """What is determined of single vessels; `covariance` is that of the camera's parameters in plausible distances."""
+    """Determined values of single vessels; `covariance` is that of the camera's parameters in plausible distances."""
     if not effects.spreads.any():
         return ()
     times_s = aligned.sightings.time_s + aligned.values["clock_s"]
