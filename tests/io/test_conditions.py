@@ -287,7 +287,6 @@ UNDECIDABLE: dict[tuple[str, str], str] = {
     **{(name, "visibility of -1"): "-1 stands for what is not known" for name in ("MOT truth", "MOT truth alone")},
     ("log CSV", "a column less"): "a log may have no confidences",
     ("AIS sentences", "half of the file"): "a log may end anywhere",
-    ("log MOT", "frames from 0, the first empty"): "as a clock that is a frame late, which registration finds",
 }
 """Conditions that nothing in the file or beside it tells from a right file, with the reason."""
 

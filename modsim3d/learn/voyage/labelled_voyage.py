@@ -198,11 +198,11 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     for part in parts:
         notes += [note for note in part.labelled.notes if note not in notes]
     whole = joined_voyages(parts)
-    problem = misreading(*next(compared(whole.labelled, log.form)), only_forms=True)
-    if problem and not problem.slight:
+    rows, vessels = next(compared(whole.labelled, log.form))
+    if problem := misreading(rows, vessels, only_forms=True):
         raise InputError(log.source, [f"{problem.told}: they are of {log.scene.title}"])
-    if problem:
-        notes.append(f"{log.source}: {problem.told}, or the detector has such a bias, which is learned")
+    if problem := misreading(rows, vessels):
+        notes.append(f"{log.source}: {problem.told}, or the clock, the camera or the detector is so far off")
     number = len(whole.labelled.images)
     images = replace(whole.labelled.images, source=np.zeros(number, dtype=np.int64))  # cameras see the same traffic
     return replace(whole, labelled=replace(whole.labelled, images=images, notes=tuple(notes)))
