@@ -19,7 +19,7 @@ import orjson
 
 SCENES = ("simulation_1", "simulation_2", "simulation_3", "harbour", "fairway", "strait")
 ROUNDS = 5
-MOST_SHARE = 0.10
+MAX_SHARE = 0.10
 """Of the command's time."""
 COMMAND = """
 import sys, time
@@ -64,7 +64,7 @@ def row(scene: str, rounds: int, folder: Path) -> tuple[str, bool]:
         f"{check_s:.3f}",
         f"{check_s / command_s:.1%}",
     )
-    return f"| {scene} | " + " | ".join(map(str, figures)) + " |", check_s <= MOST_SHARE * command_s
+    return f"| {scene} | " + " | ".join(map(str, figures)) + " |", check_s <= MAX_SHARE * command_s
 
 
 def main() -> None:

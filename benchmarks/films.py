@@ -33,14 +33,14 @@ SCENES = {
     "harbour": "a camera ashore, 30 vessels",
 }
 STEPS, QUICK_STEPS = 100, 10
-MOST_RATE = 60
+MAX_RATE = 60
 
 
 def films_of(folder: Path) -> list[list[str]]:
     """For each kind of film of a run: frames, milliseconds a frame, playing time, ratio of the two times, memory."""
     run = open_run(folder)
     selection = select(run, select_cameras(run, []))
-    frames, plays_s = len(selection.steps), Timetable.of(selection.durations_s, 1.0, MOST_RATE).duration_s
+    frames, plays_s = len(selection.steps), Timetable.of(selection.durations_s, 1.0, MAX_RATE).duration_s
     rows = []
     for kind, options in KINDS.items():
         done = modsim3d("view", folder, *options, "--out", folder.with_suffix(".mp4"), "--overwrite")

@@ -21,9 +21,9 @@ from modsim3d.tracking.detector_seeds import LEVEL, detector_runs
 from modsim3d.tracking.oracle import oracle_tracks
 from modsim3d.tracking.scores.association import clear, hota, identity
 from modsim3d.tracking.scores.continuity import continuity
+from modsim3d.tracking.scores.errors import gospa
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode, occlusions
 from modsim3d.tracking.scores.scored import Rules, Scored
-from modsim3d.tracking.scores.set_distances import gospa
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.tracks import Similarity, Tracks

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from modsim3d.io.input_files import data_folder
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 
 Data = dict[str, Any]
 

@@ -158,9 +158,9 @@ def with_the_others(found: dict[str, dict[str, Any]], path: Path) -> dict[str, d
 def main() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; before NumPy is imported
     os.environ.setdefault("JE_ARROW_MALLOC_CONF", "background_thread:false")
-    from tests.fuzz.outcomes import MOST_CHARACTERS, MOST_LINES
+    from tests.fuzz.outcomes import MAX_CHARACTERS, MAX_LINES
     from tests.fuzz.readers import READERS
-    from tests.fuzz.workers import MOST_BYTES, MOST_CPU_S, preload
+    from tests.fuzz.workers import MAX_BYTES, MAX_CPU_S, preload
 
     parser = argparse.ArgumentParser(prog="script/campaign fuzz", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--reader", action="append", choices=READERS, help="repeatable; the others stay as written")
@@ -180,7 +180,7 @@ def main() -> int:
         keep_failed(found)
     if options.reader:
         found = with_the_others(found, options.out / "fuzz.json")
-    limits = {"cpu_s": MOST_CPU_S, "memory_mb": MOST_BYTES / 1e6, "lines": MOST_LINES, "characters": MOST_CHARACTERS}
+    limits = {"cpu_s": MAX_CPU_S, "memory_mb": MAX_BYTES / 1e6, "lines": MAX_LINES, "characters": MAX_CHARACTERS}
     versions = {
         name: version(name) for name in ("modsim3d", "numpy", "pyarrow", "pydantic", "PyYAML", "trimesh", "pyais")
     }

@@ -31,7 +31,7 @@ import sys
 import modsim3d.runs.pipeline
 from modsim3d.cli.main import main
 folder, block_steps, scenes, *options = sys.argv[1:]
-modsim3d.runs.pipeline.MOST_BLOCK_STEPS = int(block_steps)
+modsim3d.runs.pipeline.MAX_BLOCK_STEPS = int(block_steps)
 for scene in scenes.split(","):
     sys.argv = ["modsim3d", "run", scene, "--no-sheet", "--out", f"{folder}/{scene}", *options]
     try:

@@ -24,7 +24,7 @@ from modsim3d.detector.records import TRUE
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.curved_sea import horizon_inverse_range, inverse_range
-from modsim3d.runs.locating import MOST_RANGE_ERROR, Attitude, Viewpoints, first_order, locate, points_of, seen_at
+from modsim3d.runs.locating import MAX_RANGE_ERROR, Attitude, Viewpoints, first_order, locate, points_of, seen_at
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.verify.evidence import CameraEvidence, ManyDetections
@@ -43,7 +43,7 @@ THRESHOLDS = (0.05, 0.1, 0.2, 0.3)
 DRAWS = 1_000_000
 FEWEST = 1000
 """Fewer positions say little."""
-MOST_MEAN, MOST_STD, COVERAGE, LEAST_POSITION = 0.2, 0.1, (0.93, 0.97), 0.92
+MAX_MEAN, MAX_STD, COVERAGE, MIN_POSITION = 0.2, 0.1, (0.93, 0.97), 0.92
 """Bounds of the campaign: |mean|, |standard deviation − 1|, coverage of 95 % intervals, and of 95 % ellipses."""
 
 
@@ -227,10 +227,10 @@ def problems(rows: list[dict[str, Any]]) -> list[str]:
     for row in rows:
         for key in ("bearing", "inverse_range"):
             seen = row[key]
-            good = abs(seen["mean"]) <= MOST_MEAN and abs(seen["std"] - 1) <= MOST_STD
+            good = abs(seen["mean"]) <= MAX_MEAN and abs(seen["std"] - 1) <= MAX_STD
             if not (good and COVERAGE[0] <= seen["inside"] <= COVERAGE[1]):
                 found.append(f"{row['scene']}, {row['sea']}, {row['attitude']}, {row['errors']}: {key} {seen}")
-        if row["given"] >= FEWEST and row["inside_given"] < LEAST_POSITION:
+        if row["given"] >= FEWEST and row["inside_given"] < MIN_POSITION:
             found.append(f"{row['scene']}, {row['sea']}, {row['errors']}: positions {row['inside_given']:.3f}")
     return found
 
@@ -343,7 +343,7 @@ def main() -> int:
         "format": 1,
         "versions": {"modsim3d": version("modsim3d"), "NumPy": np.__version__},
         "seeds": asked.seeds,
-        "most_range_error": MOST_RANGE_ERROR,
+        "most_range_error": MAX_RANGE_ERROR,
         "rows": rows,
         "position_law": position_law(),
         "horizon_law": horizon_law(),

@@ -17,7 +17,7 @@ from benchmarks.processes import say
 from benchmarks.stand_in.films import WORK, Film, all_films, make_films
 from benchmarks.stand_in.measure import measure, rounded
 from benchmarks.stand_in.page import write_page
-from benchmarks.stand_in.rungs import LEAST_CONFIDENCE, RUNGS, learned_files
+from benchmarks.stand_in.rungs import MIN_CONFIDENCE, RUNGS, learned_files
 from benchmarks.stand_in.stored import restore_films, store
 from benchmarks.stand_in.tell_apart import told_apart
 from benchmarks.stand_in.weights import PACKAGE, SHA256
@@ -54,9 +54,9 @@ def run(chosen: Sequence[Film], folder: Path, seeds: int, workers: int) -> None:
     detectors = learned_files(seen, folder)
     titles = {rung.name: rung.title for rung in RUNGS}
     numbers = range(1, seeds + 1)
-    results = measure(unseen, detectors, numbers, threshold=LEAST_CONFIDENCE, titles=titles, workers=workers)
+    results = measure(unseen, detectors, numbers, threshold=MIN_CONFIDENCE, titles=titles, workers=workers)
     say("training classifiers")
-    results["told_apart"] = rounded(told_apart(unseen, detectors, numbers, LEAST_CONFIDENCE))
+    results["told_apart"] = rounded(told_apart(unseen, detectors, numbers, MIN_CONFIDENCE))
     results["detector"] = {"name": "YOLOv8n", "source": f"the npm package {PACKAGE}", "sha256": SHA256}
     RESULTS.write_text(json.dumps(results, separators=(",", ":")) + "\n", encoding="utf-8")
     write_page(results)

@@ -31,7 +31,7 @@ from modsim3d.verify.verification import verify_evidence
 from tests.detector_variants import CHANGES, variant
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
-SEEDS, VARIANT_SEEDS, MOST_ALARMS_IN_200 = 200, 20, 5
+SEEDS, VARIANT_SEEDS, MAX_ALARMS_IN_200 = 200, 20, 5
 PLAIN = ("simulation_1", "simulation_2", "simulation_3")
 TWO_CAMERAS = (
     "persistence of misses, 1 s",
@@ -176,7 +176,7 @@ def main() -> int:
     data = json.dumps({"format": 1, "versions": versions, "runs": found}, indent=2)
     (asked.out / "verify_seeds.json").write_text(data + "\n", encoding="utf-8")
     (asked.out / "verify_seeds.md").write_text(page(found, versions), encoding="utf-8")
-    return int(any(len(row["alarms"]) > MOST_ALARMS_IN_200 * row["seeds"] / 200 + 1 for row in found))
+    return int(any(len(row["alarms"]) > MAX_ALARMS_IN_200 * row["seeds"] / 200 + 1 for row in found))
 
 
 if __name__ == "__main__":

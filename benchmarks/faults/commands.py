@@ -32,7 +32,7 @@ PREPARED = (
     "modsim3d.scene.ais.scene_folder",
     "modsim3d.formats.writing.coco",
     "modsim3d.learn.report_page",
-    "modsim3d.verify.report",
+    "modsim3d.verify.verify_run",
     "modsim3d.view.report.report",
     "modsim3d.view.films.film",
 )

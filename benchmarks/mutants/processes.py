@@ -19,7 +19,7 @@ from typing import Any
 SURVIVED, KILLED, TIMED_OUT = "survived", "killed", "timed out"
 LIBRARIES = ("hypothesis.extra.numpy", "pyarrow.parquet", "pydantic", "scipy.optimize", "scipy.spatial", "scipy.stats")
 LIBRARIES += ("shapely", "trimesh", "yaml")
-MOST_BYTES = 8 << 30
+MAX_BYTES = 8 << 30
 WALL_S = 300.0
 """Only for a process that waits for ever: what counts against a mutant is its processor time."""
 
@@ -55,7 +55,7 @@ def _child(work: Callable[[], bool], cpu_s: float | None) -> None:
     if cpu_s is not None:
         os.dup2(nothing, 2)
         resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(cpu_s), math.ceil(cpu_s) + 5))
-        resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, MOST_BYTES))
+        resource.setrlimit(resource.RLIMIT_DATA, (MAX_BYTES, MAX_BYTES))
     code = 1
     try:
         code = int(not work())

@@ -25,7 +25,7 @@ from modsim3d.formats.labelled import LabelledSet
 
 GOAL_AUC = 0.6
 """Fixed beforehand: up to here real and simulated are said to look alike."""
-FOLDS, LEAST_FILMS = 8, 3
+FOLDS, MIN_FILMS = 8, 3
 RESAMPLED, LEVEL = 2000, 0.95
 PERMUTATIONS = 3
 SHARED = np.sqrt(2.0)
@@ -33,7 +33,7 @@ SHARED = np.sqrt(2.0)
 detectors that are alike the AUC varies so much more than independent films would let it (24 trials: 1.44)."""
 CLASSIFIER = {"max_iter": 120, "learning_rate": 0.06, "max_leaf_nodes": 8, "l2_regularization": 1.0}
 """Settings of HistGradientBoostingClassifier, fixed beforehand."""
-LEAST_LEAF = {"frames": 40, "tracks": 10}
+MIN_LEAF = {"frames": 40, "tracks": 10}
 """Least number of rows in a leaf."""
 SHOWN_QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 KINDS = {"frames": frame_features, "tracks": track_features}
@@ -94,8 +94,7 @@ def tell_apart(
         ModsimError: There are fewer than three films.
     """
     return {
-        kind: _told(_rows(kind, films, real, simulated, threshold), LEAST_LEAF[kind], importance, seed)
-        for kind in kinds
+        kind: _told(_rows(kind, films, real, simulated, threshold), MIN_LEAF[kind], importance, seed) for kind in kinds
     }
 
 
@@ -141,8 +140,8 @@ def _rows(
             film.append(np.full(len(table.values), number))
             is_real.append(np.full(len(table.values), k == 0))
         number += 1
-    if number < LEAST_FILMS:
-        raise ModsimError(f"at least {LEAST_FILMS} films with {kind} are needed to tell them apart (got {number})")
+    if number < MIN_FILMS:
+        raise ModsimError(f"at least {MIN_FILMS} films with {kind} are needed to tell them apart (got {number})")
     return Rows(stacked(tables), np.concatenate(film), np.concatenate(is_real), number, len(simulated[films[0]]))
 
 

@@ -19,7 +19,7 @@ Verdict = Literal["agrees", "differs", "not enough films to say"]
 AGREES: Verdict = "agrees"
 DIFFERS: Verdict = "differs"
 UNDECIDED: Verdict = "not enough films to say"
-LEAST_FILMS = 2
+MIN_FILMS = 2
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def difference(real: Array, simulated: Array, margin: float) -> Difference:
     known = ~np.isnan(real) & ~np.isnan(simulated).all(axis=1)
     real, simulated = real[known], simulated[known]
     films = len(real)
-    if films < LEAST_FILMS:
+    if films < MIN_FILMS:
         return Difference(films, *_means(real, simulated), margin=margin)
     apart = np.nanmean(simulated, axis=1) - real
     mean, deviation = float(apart.mean()), float(apart.std(ddof=1))

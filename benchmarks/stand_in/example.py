@@ -10,7 +10,7 @@ from pathlib import Path
 from PIL import ImageDraw
 
 from benchmarks.stand_in.films import Film, all_films, pictures
-from benchmarks.stand_in.rungs import LEAST_CONFIDENCE
+from benchmarks.stand_in.rungs import MIN_CONFIDENCE
 from benchmarks.stand_in.stored import STORED, restore_films
 from modsim3d.view import palette
 from modsim3d.view.pictures.canvas import font, text_size
@@ -51,4 +51,4 @@ def _boxes(film: Film, step: int) -> tuple[list[Box], list[tuple[Box, float]]]:
     true = [each["bbox"] for each in truth["annotations"] if each["image_id"] == image]
     real = json.loads(film.real.read_text(encoding="utf-8"))
     found = [(each["bbox"], each["score"]) for each in real if each["image_id"] == image]
-    return true, sorted((each for each in found if each[1] >= LEAST_CONFIDENCE), key=lambda each: each[1])
+    return true, sorted((each for each in found if each[1] >= MIN_CONFIDENCE), key=lambda each: each[1])

@@ -16,7 +16,7 @@ from benchmarks.stand_in.sighted import Sighted, pairs_of_images
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, sizes
 
-LEAST_IMAGES = 8
+MIN_IMAGES = 8
 """A vessel that is annotated in fewer images has no track to speak of."""
 CLEAR, HIDDEN = 0.9, 0.5
 """Least visible fraction of a vessel in clear view, and the fraction below which one counts as hidden."""
@@ -110,10 +110,10 @@ def frame_features(film: Sighted) -> Table:
 
 
 def track_features(film: Sighted) -> Table:
-    """A row for each vessel that is annotated in at least `LEAST_IMAGES` images of a film, in order of identity."""
+    """A row for each vessel that is annotated in at least `MIN_IMAGES` images of a film, in order of identity."""
     identity = film.labelled.annotations.identity
     vessels, counts = np.unique(identity[identity >= 0], return_counts=True)
-    rows = [np.flatnonzero(identity == vessel) for vessel in vessels[counts >= LEAST_IMAGES]]
+    rows = [np.flatnonzero(identity == vessel) for vessel in vessels[counts >= MIN_IMAGES]]
     contents = [_track(film, each) for each in rows] or [_track(film, np.empty(0, dtype=np.int64))]
     columns = {
         group: {name: np.array([each[group][name] for each in contents]) for name in names}

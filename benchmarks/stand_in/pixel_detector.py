@@ -25,7 +25,7 @@ PADDING = 114
 """Grey beside an image that is not square, as the network saw it in training."""
 BOAT = 8
 """Row of the class `boat` among the 80 of COCO."""
-LEAST_CONFIDENCE = 0.05
+MIN_CONFIDENCE = 0.05
 """Boxes below it are dropped; whoever uses the boxes chooses a higher threshold."""
 SAME_IOU = 0.5
 """Two boxes that overlap more are of one vessel."""
@@ -74,7 +74,7 @@ class View:
             output: Of the network: centre, width, height and the scores of 80 classes, shape (1, 84, N).
         """
         scores = output[0, 4 + BOAT].astype(np.float64)
-        kept = np.flatnonzero(scores >= LEAST_CONFIDENCE)
+        kept = np.flatnonzero(scores >= MIN_CONFIDENCE)
         x, y, width, height = output[0, :4, kept].astype(np.float64).T
         corners = np.stack([x - width / 2, y - height / 2, x + width / 2, y + height / 2], axis=1)
         boxes = (corners - np.tile(self.padding_px, 2)) / self.scale

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.view.sea_and_sky import RenderStyle

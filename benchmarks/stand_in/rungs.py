@@ -13,9 +13,9 @@ from modsim3d.learn.model_selection import RICHER
 if TYPE_CHECKING:
     from benchmarks.stand_in.films import Film
 
-LEAST_IOU = 0.3
+MIN_IOU = 0.3
 """Of a match: a box that is half too wide is still the box of its vessel."""
-LEAST_CONFIDENCE = 0.2
+MIN_CONFIDENCE = 0.2
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ def learn_rung(films: Sequence[Film], rung: Rung) -> LearnResult:
         detections=[film.real for film in films],
         conditions=[film.weather for film in films],
         match="confidence",
-        least_iou=LEAST_IOU,
-        confidence=LEAST_CONFIDENCE,
+        least_iou=MIN_IOU,
+        confidence=MIN_CONFIDENCE,
         without=sorted(rung.without),
     )
 

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 from benchmarks.processes import ROOT
 from benchmarks.stand_in.films import Film, stored_films
-from benchmarks.stand_in.rungs import LEAST_CONFIDENCE
+from benchmarks.stand_in.rungs import MIN_CONFIDENCE
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import ground_truth
@@ -38,7 +38,7 @@ def store(films: Sequence[Film], path: Path = STORED) -> None:
     parts = []
     for film in films:
         every = json.loads(film.real.read_text(encoding="utf-8"))
-        found = [each for each in every if each["score"] >= LEAST_CONFIDENCE]
+        found = [each for each in every if each["score"] >= MIN_CONFIDENCE]
         box = np.array([each["bbox"] for each in found], dtype=np.float64).reshape(-1, 4)
         columns = {name: _whole(box[:, k], _BOX_DIGITS) for k, name in enumerate(("x", "y", "width", "height"))}
         score = _whole(np.array([each["score"] for each in found], dtype=np.float64), _SCORE_DIGITS)

@@ -17,7 +17,7 @@ from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import RecordedPoses
 
 _HEADING, _SIZES, _ANTENNA = 2, slice(3, 6), slice(6, 8)
-_LEAST_SHARE = 0.2
+_MIN_SHARE = 0.2
 """A vessel is at least so large, as a share of what the scene says: a normal number may be below zero."""
 
 
@@ -48,7 +48,7 @@ class Guesses:
         """The scene with vessels as large as they really are."""
         vessels = []
         for vessel, wrong in zip(scene.vessels, self.sizes_m, strict=True):
-            length, beam, air_draft = np.maximum(vessel.extents_m + wrong, _LEAST_SHARE * vessel.extents_m).tolist()
+            length, beam, air_draft = np.maximum(vessel.extents_m + wrong, _MIN_SHARE * vessel.extents_m).tolist()
             vessels.append(replace(vessel, length_m=length, beam_m=beam, air_draft_m=air_draft))
         return replace(scene, vessels=tuple(vessels))
 

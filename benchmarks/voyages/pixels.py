@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.stand_in.films import WORK, Film, all_films
-from benchmarks.stand_in.rungs import LEAST_CONFIDENCE, LEAST_IOU
+from benchmarks.stand_in.rungs import MIN_CONFIDENCE, MIN_IOU
 from benchmarks.stand_in.stored import restore_films
 from benchmarks.voyages.reported import AisErrors, as_reported
 from benchmarks.voyages.trials import BY_RULE, LEVEL, REPLICATES, bounds, registration_numbers
@@ -34,7 +34,7 @@ WITHOUT = ("relative", "mixed", "student_t", "effects", "vessels", "places", "la
            "merges", "splits")  # fmt: skip
 """A film of half a minute is too short for them; the same with both truths."""
 LABEL = "boat"
-_FULL = {"match": "confidence", "least_iou": LEAST_IOU, "confidence": LEAST_CONFIDENCE, "without": WITHOUT,
+_FULL = {"match": "confidence", "least_iou": MIN_IOU, "confidence": MIN_CONFIDENCE, "without": WITHOUT,
          "replicates": REPLICATES}  # fmt: skip
 STD = "box_error_std[{}] (px)"
 _COMPONENTS = ("e_x", "e_y", "e_w", "e_h")

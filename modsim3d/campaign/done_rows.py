@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from modsim3d.campaign.folder import FILE, FORMAT, RESULTS, VERDICTS, CampaignFolder, write_list
-from modsim3d.campaign.keys import MOST_SEEDS, Requirement, Seeds
+from modsim3d.campaign.keys import MAX_SEEDS, Requirement, Seeds
 from modsim3d.campaign.plan import SCENE, Case, Plan, cases_of, value_of
 from modsim3d.campaign.verdicts.bounds import (
     clean_seeds_needed,
@@ -354,7 +354,7 @@ def _with_seeds(
     empty: NeededSeeds, plan: Plan, requirement: Requirement, case: Case, expected: Expected | None
 ) -> NeededSeeds:
     share, sure, once = requirement.share, requirement.confidence, plan.keys.stop == "once"
-    endless = plan.keys.model_copy(update={"seeds": Seeds(traffic=MOST_SEEDS)})
+    endless = plan.keys.model_copy(update={"seeds": Seeds(traffic=MAX_SEEDS)})
     if reason := never_met(endless, requirement, case.group):
         return replace(empty, why=f"never: {reason}")
     if share is not None and not once:

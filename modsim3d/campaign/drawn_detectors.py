@@ -21,17 +21,17 @@ from scipy import special
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
-from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, LEAST_DEGREES, MOST_DEGREES
+from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, MAX_DEGREES, MIN_DEGREES
 from modsim3d.io.input_files import file_sha256
-from modsim3d.io.strict_json import load_json
+from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import Strict, describe
 from modsim3d.learn.bootstrap import Kind, columns_of_one, from_scale, nested, to_scale
 from modsim3d.learn.box_errors.laws import covariance
-from modsim3d.learn.uncertainty import correlated, uncertainty_file
+from modsim3d.learn.learned import correlated, uncertainty_file
 
 # ---- Reads what `modsim3d learn` wrote beside a detector file ----
 
-LEAST_UNITS = 5
+MIN_UNITS = 5
 """Images or runs of frames of a state, below which their spread says too little of how well its numbers are known."""
 
 
@@ -70,7 +70,7 @@ class LearnedGroup(Strict):
         state: Name of the state; None: all states.
         units: Images or runs of frames that the numbers rest on.
         numbers: The numbers.
-        correlations: Between them, see `modsim3d.learn.uncertainty.correlated`: rows of the lower triangle.
+        correlations: Between them, see `modsim3d.learn.learned.correlated`: rows of the lower triangle.
     """
 
     state: str | None
@@ -116,9 +116,9 @@ def read_uncertainty(detector: Path) -> LearnedUncertainty:
         raise InputError(source, [f"{problem}: learn it again (set keys with vary in the campaign, not in the file)"])
     few = [
         f"state {group.state}: learned from {group.units} {'image' if group.units == 1 else 'images or runs'}, too few "
-        f"to say how well its numbers are known: at least {LEAST_UNITS} are needed"
+        f"to say how well its numbers are known: at least {MIN_UNITS} are needed"
         for group in found.groups
-        if group.state is not None and group.units < LEAST_UNITS
+        if group.state is not None and group.units < MIN_UNITS
     ]
     if few:
         raise InputError(source, few)
@@ -134,7 +134,7 @@ _ROUNDING = 1e-5
 NOT_NEGATIVE = ("visibility_slope", "size_slope")
 _DIGITS = 1e-5
 """What the digits of the settings may change in proportion."""
-_MOST_FACTOR = 10.0
+_MAX_FACTOR = 10.0
 """A positive number is drawn within this factor of its estimate; of a few things `learn` knows no bound at all."""
 
 
@@ -210,7 +210,7 @@ def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generat
         drawn = np.maximum(drawn, 0) if number.name in NOT_NEGATIVE else drawn
         if number.kind == "capped":
             return np.clip(drawn, 0, 1)
-        return np.clip(drawn, estimate / _MOST_FACTOR, estimate * _MOST_FACTOR) if number.kind == "positive" else drawn
+        return np.clip(drawn, estimate / _MAX_FACTOR, estimate * _MAX_FACTOR) if number.kind == "positive" else drawn
     trials = np.array(number.observations, dtype=np.float64) / widen
     if number.kind == "rate":
         return jeffreys_rate(estimate, trials, special.ndtr(z))
@@ -262,7 +262,7 @@ _WRITERS: dict[str, Callable[[Array], Any]] = {
     "confusion": columns_of_one,
     "false_positive_labels": columns_of_one,
     "box_error_growth": lambda value: nested(np.maximum(value, 0.0)),
-    "box_error_degrees_of_freedom": lambda value: nested(np.clip(value, LEAST_DEGREES, MOST_DEGREES)),
+    "box_error_degrees_of_freedom": lambda value: nested(np.clip(value, MIN_DEGREES, MAX_DEGREES)),
     "density": lambda value: nested(np.round(value / value.max(), 6)),
     "quantiles": lambda value: nested(np.maximum.accumulate(value)),
     "false_discovery_rate": lambda value: nested(np.minimum(value, GREATEST_FALSE_DISCOVERY_RATE)),

@@ -26,7 +26,7 @@ from modsim3d.core.errors import ModsimError, OutputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted, listed
 from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder
-from modsim3d.io.locks import locked_folder
+from modsim3d.io.overwrite_guard import locked_folder
 from modsim3d.io.plugins import differing
 from modsim3d.io.validation import join_path, shown
 from modsim3d.runs.files.overwrite import FileList, ListedFile, file_list, listed_file

@@ -11,14 +11,14 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io.input_files import data_folder
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import Number, Positive, Strict, describe, kind_of, nearest
 from modsim3d.tracks.tracks import SimilarityName
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 
-MOST_SEEDS = 1_000_000
-MOST_DETECTOR_SEEDS = 1_000
-MOST_BASE = 9_000
+MAX_SEEDS = 1_000_000
+MAX_DETECTOR_SEEDS = 1_000
+MAX_BASE = 9_000
 Scalar = str | int | float | bool | None
 
 
@@ -50,8 +50,8 @@ class Seeds(Strict):
         detector: Seeds of the detector for each of them.
     """
 
-    traffic: Annotated[int, Field(strict=True, ge=1, le=MOST_SEEDS)] = 1
-    detector: Annotated[int, Field(strict=True, ge=1, le=MOST_DETECTOR_SEEDS)] = 1
+    traffic: Annotated[int, Field(strict=True, ge=1, le=MAX_SEEDS)] = 1
+    detector: Annotated[int, Field(strict=True, ge=1, le=MAX_DETECTOR_SEEDS)] = 1
 
 
 class Range(Strict):
@@ -247,7 +247,7 @@ class SearchKeys(Strict):
     over: Ranges
     budget: Annotated[int, Field(strict=True, ge=1, le=100_000)]
     batch: Annotated[int, Field(strict=True, ge=1, le=1_000)] = 10
-    seeds: Annotated[int, Field(strict=True, ge=1, le=MOST_SEEDS)] = 1
+    seeds: Annotated[int, Field(strict=True, ge=1, le=MAX_SEEDS)] = 1
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -279,7 +279,7 @@ class CampaignKeys(Strict):
 
     scenes: Annotated[list[Text], Field(min_length=1)]
     steps: Annotated[int, Field(strict=True, ge=1)] | None = None
-    seed: Annotated[int, Field(strict=True, ge=1, le=MOST_BASE)] = 1
+    seed: Annotated[int, Field(strict=True, ge=1, le=MAX_BASE)] = 1
     seeds: Seeds = Field(default_factory=Seeds)
     settings: dict[Text, Any] = Field(default_factory=dict, alias="set")
     vary: list[Factor] = Field(default_factory=list)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from modsim3d.campaign.keys import (
-    MOST_DETECTOR_SEEDS,
-    MOST_SEEDS,
+    MAX_DETECTOR_SEEDS,
+    MAX_SEEDS,
     CampaignKeys,
     Factor,
     Range,
@@ -174,12 +174,12 @@ def _hypercube(dimensions: int, count: int, base: int, place: int) -> Array:
 
 def traffic_seed(base: int, index: int) -> int:
     """Seed of the scene of the repetition `index`, from 0: 1000000, 1000001, … for base 1."""
-    return base * MOST_SEEDS + index
+    return base * MAX_SEEDS + index
 
 
 def detector_seed(traffic: int, index: int) -> int:
     """The detector seed `index`, from 0, of a traffic seed."""
-    return traffic * MOST_DETECTOR_SEEDS + index
+    return traffic * MAX_DETECTOR_SEEDS + index
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,10 @@ import orjson
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.campaign.campaign import check_files
+from modsim3d.campaign.campaign import check_files, rows_of
 from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.search_folder import trial_run
-from modsim3d.campaign.status import rows_of
 from modsim3d.campaign.work.layers import Made, RunLayers
 from modsim3d.campaign.work.row import DONE, row_of, rules_of, search_versions
 from modsim3d.campaign.work.scenes import Scenes, versions

@@ -40,7 +40,7 @@ MARGIN, LEAST = 0.5, 0.2
 """What is shown beside the mistakes, as a share of what they fill, and at least, as a share of the image."""
 LAYERS = ("horizon", "silhouettes", "truth", "missed", "tracks", "labels")
 """What is true and what the tracker says; the detections would hide both."""
-MOST_SWITCHES = 2
+MAX_SWITCHES = 2
 """So many identity switches are told in full."""
 
 
@@ -100,8 +100,8 @@ def in_words(mistakes: Mistakes, names: Sequence[str]) -> str:
     found = (
         f"{counted(lost, 'vessel')} missed" if lost else "",
         f"{counted(false, 'track')} on nothing" if false else "",
-        *(_switch(mistakes, row, names) for row in switches[:MOST_SWITCHES].tolist()),
-        f"and {len(switches) - MOST_SWITCHES} more" if len(switches) > MOST_SWITCHES else "",
+        *(_switch(mistakes, row, names) for row in switches[:MAX_SWITCHES].tolist()),
+        f"and {len(switches) - MAX_SWITCHES} more" if len(switches) > MAX_SWITCHES else "",
     )
     return ", ".join(part for part in found if part)
 

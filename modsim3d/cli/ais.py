@@ -83,7 +83,7 @@ def ais_command(
     """
     from modsim3d.io import overwrite_guard
     from modsim3d.io.input_files import data_folder
-    from modsim3d.io.locks import locked_folder
+    from modsim3d.io.overwrite_guard import locked_folder
     from modsim3d.scene.ais import options as given
     from modsim3d.scene.ais.scene_folder import FILES, check_free, write_scene
     from modsim3d.scene.ais.traffic import read_traffic
@@ -117,8 +117,7 @@ def ais_command(
 
 
 def _print_summary(traffic: AisTraffic, folder: Path) -> None:
-    from modsim3d.scene.ais.report import summary_rows, warning
-    from modsim3d.scene.ais.scene_folder import PAGE
+    from modsim3d.scene.ais.scene_folder import PAGE, summary_rows, warning
 
     console = open_console()
     if text := warning(traffic):

@@ -24,8 +24,7 @@ from modsim3d.cli.shared import (
     print_path,
     stoppable,
 )
-from modsim3d.cli.tables import print_prose, print_table
-from modsim3d.cli.terminal import open_console, say, say_json, tell_files, timed, warn
+from modsim3d.cli.terminal import open_console, print_prose, print_table, say, say_json, tell_files, timed, warn
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -37,14 +36,14 @@ if TYPE_CHECKING:
 FORMAT = 1
 FAILED, UNDECIDED = 1, 3
 """Exit status if a requirement failed, and if none failed but one is undecided."""
-MOST_SHARDS = 100_000
+MAX_SHARDS = 100_000
 
 
 def _shard(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
     part, parts = (int(found[1]), int(found[2])) if found else (0, 0)
-    if not 1 <= part <= parts <= MOST_SHARDS:
-        raise ModsimError(f"--shard: needs K/N with K from 1 to N and N at most {MOST_SHARDS:,} (got '{text[:40]}')")
+    if not 1 <= part <= parts <= MAX_SHARDS:
+        raise ModsimError(f"--shard: needs K/N with K from 1 to N and N at most {MAX_SHARDS:,} (got '{text[:40]}')")
     return part, parts
 
 
@@ -268,8 +267,8 @@ def _json(campaign: CheckedCampaign, folder: Path, warnings: list[str]) -> dict[
 
 
 def _result_json(result: CampaignResult) -> dict[str, Any]:
+    from modsim3d.campaign.campaign import crashed_runs
     from modsim3d.campaign.means import mean_rows, usual_keys, usual_scores
-    from modsim3d.campaign.status import crashed_runs
 
     plan = result.folder.plan
     return {

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from modsim3d.cli.campaign_text import UNKNOWN, values_text
 from modsim3d.cli.shared import print_line
-from modsim3d.cli.tables import print_prose, print_table
-from modsim3d.cli.terminal import open_console
+from modsim3d.cli.terminal import open_console, print_prose, print_table
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:

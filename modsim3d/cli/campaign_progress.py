@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 LINE_EVERY_S = 60.0
 """Between two lines where standard error is no terminal."""
-LEAST_LOOK_S = 5.0
+MIN_LOOK_S = 5.0
 LOOK_COST = 0.05
 """Most of the time that goes into looking at the requirements."""
-MOST_VERDICTS = 8
+MAX_VERDICTS = 8
 WIDTH = 30
 
 
@@ -75,8 +75,8 @@ def progress_line(progress: Progress) -> str:
 
 def _looks(folder: Path) -> Callable[[Progress], Sequence[Verdict]]:
     """The verdicts on what is done so far, looked at so seldom that it costs little."""
+    from modsim3d.campaign.campaign import present_state
     from modsim3d.campaign.folder import opened_campaign
-    from modsim3d.campaign.status import present_state
 
     latest: Sequence[Verdict] = ()
     after = 0.0
@@ -87,7 +87,7 @@ def _looks(folder: Path) -> Callable[[Progress], Sequence[Verdict]]:
         if progress.done and started >= after:
             latest = present_state(opened_campaign(folder)).verdicts
             ended = time.monotonic()
-            after = ended + max(LEAST_LOOK_S, (ended - started) / LOOK_COST)
+            after = ended + max(MIN_LOOK_S, (ended - started) / LOOK_COST)
         return latest
 
     return look
@@ -100,9 +100,9 @@ def _display(progress: Progress, verdicts: Sequence[Verdict], once: bool) -> Gro
     filled = WIDTH * progress.done // max(progress.total, 1)
     bar = Text.assemble(("━" * filled, "green"), ("━" * (WIDTH - filled), "dim"), f"  {progress_line(progress)}")
     ordered = sorted(verdicts, key=lambda verdict: FIRST.index(verdict.outcome))
-    lines = [Text(present_text(verdict, once), style=_style(verdict, once)) for verdict in ordered[:MOST_VERDICTS]]
-    if len(ordered) > MOST_VERDICTS:
-        lines.append(Text(f"… and {len(ordered) - MOST_VERDICTS:,} more", style="dim"))
+    lines = [Text(present_text(verdict, once), style=_style(verdict, once)) for verdict in ordered[:MAX_VERDICTS]]
+    if len(ordered) > MAX_VERDICTS:
+        lines.append(Text(f"… and {len(ordered) - MAX_VERDICTS:,} more", style="dim"))
     return Group(bar, *lines)
 
 

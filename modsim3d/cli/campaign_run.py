@@ -19,8 +19,7 @@ from modsim3d.cli.shared import (
     print_written,
     progress,
 )
-from modsim3d.cli.tables import print_prose, print_table
-from modsim3d.cli.terminal import open_console, say, say_json, timed, warn
+from modsim3d.cli.terminal import open_console, print_prose, print_table, say, say_json, timed, warn
 
 if TYPE_CHECKING:
     from modsim3d.campaign.folder import CampaignFolder

@@ -20,16 +20,15 @@ from modsim3d.cli.shared import (
     progress,
     typed_command,
 )
-from modsim3d.cli.tables import print_prose
-from modsim3d.cli.terminal import open_console, say, say_json, tell_files, timed
+from modsim3d.cli.terminal import open_console, print_prose, say, say_json, tell_files, timed
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from modsim3d.campaign.campaign import Present
     from modsim3d.campaign.folder import CampaignFolder
     from modsim3d.campaign.means import MeanRow
-    from modsim3d.campaign.status import Present
 
 
 def campaign_status_command(
@@ -42,8 +41,8 @@ def campaign_status_command(
 
     Example: modsim3d campaign-status runs/example
     """
+    from modsim3d.campaign.campaign import present_state
     from modsim3d.campaign.folder import opened_campaign
-    from modsim3d.campaign.status import present_state
 
     with timed("reading the rows"):
         opened = opened_campaign(campaign)
@@ -69,7 +68,7 @@ def campaign_status_command(
 def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
     from modsim3d.campaign.folder import killed_sentence
     from modsim3d.cli.campaign_progress import present_text
-    from modsim3d.cli.campaign_text import MOST_ROWS, print_crashed, print_verdicts
+    from modsim3d.cli.campaign_text import MAX_ROWS, print_crashed, print_verdicts
 
     console = open_console()
     print_line(console, f"{found.done:,} of {found.total:,} runs are done, {found.crashed:,} of them crashed", "bold")
@@ -80,7 +79,7 @@ def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
     elif found.verdicts:
         print_line(console, "")
         print_line(console, "requirements so far" if once else "requirements at the last look", "bold")
-        for verdict in found.verdicts[:MOST_ROWS]:
+        for verdict in found.verdicts[:MAX_ROWS]:
             print_line(console, f"  {present_text(verdict, once)}")
     print_crashed(console, found.table, opened.path)
     if killed := killed_sentence(opened):
@@ -133,9 +132,9 @@ def campaign_table_command(
 
     Example: modsim3d campaign-table runs/example --by state --score hota
     """
+    from modsim3d.campaign.campaign import has_ended, rows_of
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
     from modsim3d.campaign.means import mean_rows, usual_keys, usual_scores
-    from modsim3d.campaign.status import has_ended, rows_of
     from modsim3d.cli.campaign_text import print_means
     from modsim3d.io.overwrite_guard import claimed
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modsim3d.cli.shared import print_line
-from modsim3d.cli.tables import print_prose, print_table
+from modsim3d.cli.terminal import print_prose, print_table
 from modsim3d.core.text import counted, listed
 from modsim3d.io.validation import shown
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from modsim3d.campaign.work.checking import CheckedCampaign
 
 UNKNOWN = "–"
-MOST_ROWS = 40
+MAX_ROWS = 40
 """Rows of a table that the end of a campaign shows."""
-MOST_ERRORS = 5
+MAX_ERRORS = 5
 STYLES = {"met": "green", "failed": "bold red", "undecided": "yellow"}
 FIRST = ("failed", "undecided", "met")
 """The order in which verdicts are looked at."""
@@ -149,7 +149,7 @@ def print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict], re
         reasons: Whether to say why some are undecided, and on which runs and seeds the others do not rest.
     """
     ordered = sorted(verdicts, key=lambda verdict: FIRST.index(verdict.outcome))
-    shown_ones = ordered[:MOST_ROWS]
+    shown_ones = ordered[:MAX_ROWS]
     print_table(
         console,
         title,
@@ -160,7 +160,7 @@ def print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict], re
     )
     _print_rest(console, len(ordered))
     if reasons:
-        undecided = [verdict for verdict in shown_ones if verdict.outcome == "undecided"][:MOST_ERRORS]
+        undecided = [verdict for verdict in shown_ones if verdict.outcome == "undecided"][:MAX_ERRORS]
         qualified = [verdict for verdict in shown_ones if verdict.qualified and verdict not in undecided]
         for verdict in (*undecided, *qualified):
             print_prose(console, f"{about_text(verdict)}: {verdict.why}", "dim")
@@ -240,7 +240,7 @@ def without_judged(plan: Plan, rows: Sequence[MeanRow], verdicts: Sequence[Verdi
     ]
 
 
-def print_means(console: Console, title: str, rows: Sequence[MeanRow], most: int | None = MOST_ROWS) -> None:
+def print_means(console: Console, title: str, rows: Sequence[MeanRow], most: int | None = MAX_ROWS) -> None:
     """Print mean scores with their intervals, by tracker and keys."""
     if not rows:
         return
@@ -274,8 +274,8 @@ def _cell(value: Any) -> str:
 
 
 def _print_rest(console: Console, rows: int) -> None:
-    if rows > MOST_ROWS:
-        print_line(console, f"… and {rows - MOST_ROWS:,} more", "dim")
+    if rows > MAX_ROWS:
+        print_line(console, f"… and {rows - MAX_ROWS:,} more", "dim")
 
 
 def crashed_lines(table: pa.Table) -> list[tuple[str, int, list[int]]]:
@@ -302,11 +302,11 @@ def print_crashed(console: Console, table: pa.Table, folder: Path) -> None:
         return
     console.print()
     print_prose(console, "crashed runs", "bold red")
-    for error, count, numbers in found[:MOST_ERRORS]:
+    for error, count, numbers in found[:MAX_ERRORS]:
         some = ", ".join(map(str, numbers)) + (", …" if count > len(numbers) else "")
         print_prose(console, f"{counted(count, 'run')} ({some}): {error}", indent=2)
-    if len(found) > MOST_ERRORS:
-        print_prose(console, f"… and {len(found) - MOST_ERRORS:,} other errors", "dim", indent=2)
+    if len(found) > MAX_ERRORS:
+        print_prose(console, f"… and {len(found) - MAX_ERRORS:,} other errors", "dim", indent=2)
     number, quoted = found[0][2][0], shlex.quote(str(folder))
     out = shlex.quote(str(folder / RUNS_FOLDER / str(number)))
     print_line(console, f"  the first again: modsim3d campaign-run {quoted} {number} --out {out}", "dim")

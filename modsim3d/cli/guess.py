@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modsim3d.cli.shared import OverwriteOption, QuietOption, VerboseOption, out_file, print_rows, print_written
-from modsim3d.cli.tables import print_prose
-from modsim3d.cli.terminal import open_console, tell_files, warn
+from modsim3d.cli.terminal import open_console, print_prose, tell_files, warn
 
 if TYPE_CHECKING:
     from modsim3d.learn.guess import ConditionChange
@@ -46,7 +45,7 @@ def guess_command(
     from modsim3d.detector.file.writing import detector_text
     from modsim3d.io.atomic_write import write_files
     from modsim3d.io.overwrite_guard import claimed
-    from modsim3d.io.strict_yaml import load_yaml
+    from modsim3d.io.strict_text import load_yaml
     from modsim3d.io.validation import find_condition
     from modsim3d.learn.guess import ConditionChange, guessed
 

@@ -44,8 +44,7 @@ from modsim3d.cli.shared import (
     print_written,
     typed_command,
 )
-from modsim3d.cli.tables import print_prose, print_table
-from modsim3d.cli.terminal import open_console, say_json, tell_files, timed, warn
+from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell_files, timed, warn
 from modsim3d.core.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
@@ -302,11 +301,10 @@ def learn_command(
     from modsim3d.io.input_files import inputs_noted, read_text
     from modsim3d.io.overwrite_guard import check_free, claimed
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector, least_confidence
-    from modsim3d.learn.learned import LearnSettings
+    from modsim3d.learn.learned import LearnSettings, uncertainty_file
     from modsim3d.learn.learning import learned_files
     from modsim3d.learn.model_selection import left_out
     from modsim3d.learn.report_page import Sources
-    from modsim3d.learn.uncertainty import uncertainty_file
     from modsim3d.learn.voyage.report import voyage_json, voyage_sections
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.scene.parts import SCENE_FILE

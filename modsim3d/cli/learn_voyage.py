@@ -11,8 +11,7 @@ import typer
 
 from modsim3d.cli.completion import complete_scene
 from modsim3d.cli.shared import print_line
-from modsim3d.cli.tables import print_prose, print_table
-from modsim3d.cli.terminal import open_console
+from modsim3d.cli.terminal import open_console, print_prose, print_table
 from modsim3d.core.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
@@ -128,7 +127,7 @@ class AskedVoyage:
         import numpy as np
 
         from modsim3d.core.text import counted
-        from modsim3d.learn.learn_detector import LEAST_CONFIDENCE
+        from modsim3d.learn.learn_detector import MIN_CONFIDENCE
         from modsim3d.learn.voyage.attitude import read_attitude
         from modsim3d.learn.voyage.camera_registration import Registering
         from modsim3d.learn.voyage.labelled_voyage import CONDITION, VoyageOptions, joined_voyages, labelled_voyage
@@ -157,7 +156,7 @@ class AskedVoyage:
             options.skip_bad,
         )
         attitude = None if self.attitude is None else read_attitude(self.attitude, self.scene)
-        least = LEAST_CONFIDENCE if confidence is None else confidence
+        least = MIN_CONFIDENCE if confidence is None else confidence
         registering = Registering(self.fixed, self.position_m, least, attitude, self.known)
         names = conditions or [CONDITION] * len(logs)
         cameras = self.cameras * (len(logs) // len(self.cameras))

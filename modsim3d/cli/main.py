@@ -64,7 +64,7 @@ BAD_INPUT = 2
 """Exit status of a user error."""
 COMPLETE_VARIABLE = "_MODSIM3D_COMPLETE"
 """What the scripts of shells set, however the command line is started."""
-LEAST_ADDRESS_SPACE = 1 << 30
+MIN_ADDRESS_SPACE = 1 << 30
 """Libraries take half of it, and what a small run draws with most of the rest."""
 COLLECT_AFTER = 300_000
 """New objects after which Python looks for garbage in cycles. The libraries of a run make 180,000, which stay: with
@@ -163,8 +163,8 @@ def check_memory() -> None:
     except ImportError:
         return
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
-        needed = f"at least {LEAST_ADDRESS_SPACE >> 20} MB are needed to load the libraries"
+    if limit != resource.RLIM_INFINITY and limit < MIN_ADDRESS_SPACE:
+        needed = f"at least {MIN_ADDRESS_SPACE >> 20} MB are needed to load the libraries"
         raise ModsimError(f"the address space is limited to {limit >> 20} MB (ulimit -v): {needed}")
 
 

@@ -41,8 +41,7 @@ from modsim3d.cli.shared import (
     print_path,
     progress,
 )
-from modsim3d.cli.tables import print_prose, print_table
-from modsim3d.cli.terminal import open_console, say, say_json, tell, tell_files, timed, warn
+from modsim3d.cli.terminal import open_console, print_prose, print_table, say, say_json, tell, tell_files, timed, warn
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -52,7 +51,7 @@ if TYPE_CHECKING:
 
 # ---- What `modsim3d detect --truth` prints ----
 
-MOST_SEQUENCES = 50
+MAX_SEQUENCES = 50
 """More are in `detect.json` alone."""
 
 
@@ -60,7 +59,7 @@ def print_truth_summary(result: TruthResult) -> None:
     """Print what happened, what was left out, and where the files are."""
     console = open_console()
     print_table(console, "", _rows(result), right=(1,), styles=("bold", "", "dim"))
-    if 1 < len(result.sequence_counts) <= MOST_SEQUENCES:
+    if 1 < len(result.sequence_counts) <= MAX_SEQUENCES:
         rows = [camera_row(name, counts) for name, counts in result.sequence_counts.items()]
         console.print()
         print_table(console, "", rows, header=("sequence", *CAMERA_HEADER[1:]), right=range(1, len(CAMERA_HEADER)))

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from modsim3d.cli.shared import print_line, print_path
-from modsim3d.cli.tables import print_table
-from modsim3d.cli.terminal import open_console, warn
+from modsim3d.cli.terminal import open_console, print_table, warn
 
 if TYPE_CHECKING:
     from modsim3d.runs.counts import Counts

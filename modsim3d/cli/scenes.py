@@ -16,8 +16,7 @@ from modsim3d.cli.shared import (
     print_line,
     print_rows,
 )
-from modsim3d.cli.tables import print_prose
-from modsim3d.cli.terminal import open_console, say_json, tell_files, timed, warn
+from modsim3d.cli.terminal import open_console, print_prose, say_json, tell_files, timed, warn
 
 if TYPE_CHECKING:
     from modsim3d.detector.model import DetectorModel

@@ -18,8 +18,7 @@ from modsim3d.cli.shared import (
     print_written,
     typed_command,
 )
-from modsim3d.cli.tables import print_prose, print_table
-from modsim3d.cli.terminal import open_console, say_json, tell_files, timed
+from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell_files, timed
 
 if TYPE_CHECKING:
     from modsim3d.tracking.score_run import RunScores

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from modsim3d.cli.completion import complete_scene
-from modsim3d.cli.tables import print_table
-from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console
+from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console, print_table
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -9,7 +9,7 @@ import re
 import select
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -22,7 +22,9 @@ from modsim3d.core.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
+# ---- Output to the terminal ----
 
 UNBROKEN = 100_000
 """Columns of a console that breaks no line."""
@@ -198,7 +200,6 @@ def open_console(**options: Any) -> Console:
     """
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
-    from rich.text import Text
 
     class PlainConsole(Console):
         def render_str(self, text: str, **rest: Any) -> Text:
@@ -313,3 +314,170 @@ def write_at_once(data: bytes) -> bool:
             select.select([], [raw], [])
         rest = rest[written or 0 :]
     return not (isinstance(raw, _Descriptor) and (raw.unread or raw.problem is not None))
+
+
+# ---- Tables and prose for the terminal ----
+
+GAP = 2
+"""Spaces between columns."""
+INDENT = 4
+"""Spaces before what stands below a row's first cell."""
+MIN_PROSE = 24
+"""Columns that a text needs to be read beside the others."""
+EMPTY = ("", "–")
+
+Cells = Sequence[str]
+Line = list[tuple[str, str]]
+"""Pieces of text, each with its style."""
+
+
+def print_table(
+    console: Console,
+    title: str,
+    rows: Sequence[Cells],
+    *,
+    header: Cells = (),
+    right: Collection[int] = (),
+    styles: Sequence[str] = (),
+    row_styles: Sequence[str] = (),
+    breaks: Sequence[Callable[[str], str]] = (),
+    at_edge: int | None = None,
+) -> None:
+    """Print rows under a title: as a table, or where that is too wide, each row on lines of its own.
+
+    Args:
+        console: Where to.
+        title: Empty for none.
+        rows: Cells of equal number; nothing is printed if there are none.
+        header: Names of the columns; without it the first and the last are text that may be broken between words.
+        right: Columns whose cells stand on the right.
+        styles: Style of each column.
+        row_styles: Style of each row, in place of that of its cells.
+        breaks: Ways to break cells after the first into lines; the first that fits is taken.
+        at_edge: Column that stands at the right edge of a row that has lines of its own.
+    """
+    if not rows:
+        return
+    if title:
+        console.print()
+        print_prose(console, title, "bold")
+    table = [[visible(cell) for cell in row] for row in ([header, *rows] if header else rows)]
+    for broken in ((lambda cell: cell), *breaks):
+        lines = [[[row[0]], *(broken(cell).split("\n") for cell in row[1:])] for row in table]
+        if widths := _widths(lines, console.width, wraps=not header):
+            _print_aligned(console, lines, widths, bool(header), right, styles, row_styles)
+            return
+    header, *body = [[cell.replace("\n", " ") for cell in row] for row in (table if header else [[], *table])]
+    for place, row in enumerate(body):
+        style = row_styles[place] if place < len(row_styles) else ""
+        _print_stacked(console, row, header, at_edge, style or (styles[0] if styles else ""), style)
+
+
+def _widths(table: Sequence[Sequence[Sequence[str]]], width: int, wraps: bool) -> list[int]:
+    """The widths of all columns, the first and the last narrowed if they may be; empty if they do not fit."""
+    from rich.cells import cell_len
+
+    columns = list(zip(*table, strict=True))
+    first, *others = ([cell_len(line) for cell in column for line in cell] for column in columns)
+    widths = [max(first), *map(max, others)]
+    room = width - sum(widths) - GAP * (len(widths) - 1)
+    if room >= 0:
+        return widths
+    if not wraps or len(widths) < 2:
+        return []
+    least = [max([MIN_PROSE, *_word_lengths(columns[place])]) for place in (0, -1)]
+    least_first, least_last = min(least[0], widths[0]), min(least[1], widths[-1])
+    if widths[0] + room >= least_first:  # a long name before short values
+        return [widths[0] + room, *widths[1:]]
+    if widths[-1] + room >= least_last:
+        return [*widths[:-1], widths[-1] + room]
+    last = widths[-1] + room + widths[0] - least_first
+    return [least_first, *widths[1:-1], last] if last >= least_last else []
+
+
+def _word_lengths(column: Sequence[Sequence[str]]) -> list[int]:
+    from rich.cells import cell_len
+
+    return [cell_len(word) for cell in column for line in cell for word in line.split()]
+
+
+def _print_aligned(
+    console: Console,
+    table: Sequence[Sequence[Sequence[str]]],
+    widths: Sequence[int],
+    has_header: bool,
+    right: Collection[int],
+    styles: Sequence[str],
+    row_styles: Sequence[str],
+) -> None:
+    from rich.cells import cell_len
+
+    for number, row in enumerate(table):
+        place = number - has_header
+        whole = "dim" if place < 0 else row_styles[place] if place < len(row_styles) else ""
+        cells = [
+            [piece for line in cell for piece in wrapped(line, wide)] for cell, wide in zip(row, widths, strict=True)
+        ]
+        for height in range(max(map(len, cells))):
+            line: Line = []
+            for column, cell in enumerate(cells):
+                text = cell[height] if height < len(cell) else ""
+                space = " " * (widths[column] - cell_len(text))
+                text = space + text if column in right else text + space
+                line.append((text, whole or (styles[column] if styles else "")))
+                line.append((" " * GAP, ""))
+            _print_line(console, line)
+
+
+def _print_stacked(
+    console: Console, row: Cells, header: Cells, at_edge: int | None, style: str, row_style: str
+) -> None:
+    """Print the first cell, and the others below it, each after the name of its column."""
+    from rich.cells import cell_len
+
+    head, rest = row[0], list(range(1, len(row)))
+    if at_edge is not None:
+        space = console.width - cell_len(head) - cell_len(row[at_edge])
+        if space >= GAP:
+            head = f"{head}{' ' * space}{row[at_edge]}"
+            rest.remove(at_edge)
+    if head:  # a row may go on with the group of the row before
+        _print_line(console, [(head, style)])
+    pieces = [
+        f"{header[column]} {row[column]}".strip() if header else row[column]
+        for column in rest
+        if row[column] not in EMPTY
+    ]
+    for line in _packed(pieces, console.width - INDENT):
+        _print_line(console, [(" " * INDENT + line, row_style)])
+
+
+def _packed(pieces: Sequence[str], width: int) -> list[str]:
+    """Pieces on as few lines as they fit on, broken between words only where one is longer than a line."""
+    from rich.cells import cell_len
+
+    lines: list[str] = []
+    for piece in pieces:
+        if lines and cell_len(lines[-1]) + GAP + cell_len(piece) <= width:
+            lines[-1] += " " * GAP + piece
+        else:
+            lines += wrapped(piece, width)
+    return lines
+
+
+def _print_line(console: Console, line: Line) -> None:
+    from rich.text import Text
+
+    text = Text.assemble(*line)
+    text.rstrip()
+    _print_whole(console, text)
+
+
+def _print_whole(console: Console, text: Text) -> None:
+    console.print(text, highlight=False, soft_wrap=True)
+
+
+def print_prose(console: Console, text: str, style: str = "", indent: int = 0) -> None:
+    """Print text, broken between words."""
+    for line in wrapped(visible(text), console.width - indent):
+        _print_line(console, [(" " * indent + line, style)])

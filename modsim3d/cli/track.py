@@ -19,8 +19,7 @@ from modsim3d.cli.shared import (
     print_written,
     progress,
 )
-from modsim3d.cli.tables import print_prose, print_table
-from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed
+from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell, tell_files, timed
 
 if TYPE_CHECKING:
     from modsim3d.tracking.track_run import TrackCounts, TrackResult

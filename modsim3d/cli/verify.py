@@ -17,8 +17,7 @@ from modsim3d.cli.shared import (
     print_written,
     typed_command,
 )
-from modsim3d.cli.tables import print_prose, print_table
-from modsim3d.cli.terminal import open_console, say_json, tell_files, timed
+from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell_files, timed
 
 if TYPE_CHECKING:
     from modsim3d.verify.parameters import Verification
@@ -48,7 +47,7 @@ def verify_command(
     from modsim3d.io.overwrite_guard import claimed
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.stored_run import open_run
-    from modsim3d.verify import report as verify_report
+    from modsim3d.verify import verify_run as verify_report
     from modsim3d.verify.verify_run import verify_run
 
     with timed("opening the run"):
@@ -73,7 +72,7 @@ def verify_command(
 
 
 def _print_verification(verification: Verification) -> None:
-    from modsim3d.verify.report import HEADER, conclusion, groups_of, notes_of, row_of
+    from modsim3d.verify.verify_run import HEADER, conclusion, groups_of, notes_of, row_of
 
     console = open_console()
     for group, verdicts in groups_of(verification).items():

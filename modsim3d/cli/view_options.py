@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.io.locks import locked_file
-from modsim3d.io.overwrite_guard import check_not_read, claimed
+from modsim3d.io.overwrite_guard import check_not_read, claimed, locked_file
 from modsim3d.runs.files.overwrite import read_of_run
 
 if TYPE_CHECKING:
     from modsim3d.runs.stored_run import StoredRun
 
 
-LEAST_WIDTH_PX, MOST_WIDTH_PX = 160, 8192
+MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 8192
 
 
 class Film(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -108,8 +107,8 @@ Crop = Annotated[
 Width = Annotated[
     int | None,
     typer.Option(
-        min=LEAST_WIDTH_PX,
-        max=MOST_WIDTH_PX,
+        min=MIN_WIDTH_PX,
+        max=MAX_WIDTH_PX,
         metavar="PX",
         help="Width of the picture or film in pixels.",
         show_default="1280; several side by side: 1920",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-MOST_LINES, LONGEST_LINE = 500, 2000
+MAX_LINES, LONGEST_LINE = 500, 2000
 """A name in an input may be a megabyte long, and each of a million entries may be wrong."""
 
 
@@ -34,8 +34,8 @@ class InputError(ModsimError):
 
 def _shortened(problems: Iterable[str]) -> tuple[str, ...]:
     lines = list(problems)
-    if len(lines) > MOST_LINES + 1:
-        lines = [*lines[:MOST_LINES], f"… and {len(lines) - MOST_LINES:,} more"]
+    if len(lines) > MAX_LINES + 1:
+        lines = [*lines[:MAX_LINES], f"… and {len(lines) - MAX_LINES:,} more"]
     half = LONGEST_LINE // 2
     return tuple(line if len(line) <= LONGEST_LINE else f"{line[:half]} … {line[-half:]}" for line in lines)
 

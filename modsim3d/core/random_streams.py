@@ -124,7 +124,7 @@ _STREAMS_IN_TURN, _ROWS_AS_A_STREAM = 20, 25
 # In turn, every stream is drawn over all the steps: so many rows may be drawn at most, and so many for each one of use.
 _ROWS_DRAWN, _ROWS_DRAWN_FOR_ONE = 5_000, 8
 _WORDS_KEPT = 65_536
-_LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
+_MIN_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
 GRID = 2.0**-20
 """Step of the numbers that the detector draws: coarse against the rounding of a function, fine against any noise."""
 
@@ -375,7 +375,7 @@ def _check_has_generators(purpose: Purpose) -> None:
 
 def normals(uniforms: Array) -> Array:
     """Standard normal numbers from uniform ones in [0, 1), of the same shape."""
-    result: Array = special.ndtri(np.maximum(uniforms, _LEAST_UNIFORM))
+    result: Array = special.ndtri(np.maximum(uniforms, _MIN_UNIFORM))
     return result
 
 

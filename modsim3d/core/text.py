@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
-MOST_NAMES = 6
+MAX_NAMES = 6
 
 
 def key_table(title: str, rows: Mapping[str, str]) -> str:
@@ -30,7 +30,7 @@ def _caption(title: str) -> str:
     return f'<caption style="text-align:left"><b>{escape(title)}</b></caption>'
 
 
-def listed(names: Sequence[str], most: int = MOST_NAMES) -> str:
+def listed(names: Sequence[str], most: int = MAX_NAMES) -> str:
     """Names with commas; of many only the first."""
     shown = ", ".join(names[:most])
     return f"{shown} and {len(names) - most} more" if len(names) > most else shown

@@ -23,9 +23,9 @@ from modsim3d.detector.draws import (
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Targets
 
-MOST_DRAWS = 10_000
+MAX_DRAWS = 10_000
 """Draws of the error of one box before its state counts as impossible for it."""
-_FIRST_DRAWS, _LEAST_DRAWS, _DRAWS_AT_ONCE = 4, 2, 2048  # of a box, of a box, of all boxes: they fit a cache
+_FIRST_DRAWS, _MIN_DRAWS, _DRAWS_AT_ONCE = 4, 2, 2048  # of a box, of a box, of all boxes: they fit a cache
 _SWEEPS = 10  # twice what four rows need
 
 
@@ -156,7 +156,7 @@ class BoxErrorSource:
         """Add to each of n boxes an error made from standard normal numbers of shape (n, 4 + `extra_normals`).
 
         Raises:
-            ModsimError: A box stays degenerate in `MOST_DRAWS` draws.
+            ModsimError: A box stays degenerate in `MAX_DRAWS` draws.
         """
         image, truth = true.frames.image_size_px, true.boxes_px
         if not len(truth):
@@ -225,9 +225,9 @@ class BoxErrorSource:
         pending, drawn, draws = np.arange(len(rows)), 0, _FIRST_DRAWS
         while len(pending):
             left = rows[pending]
-            if drawn == MOST_DRAWS:
+            if drawn == MAX_DRAWS:
                 raise ModsimError(self._hopeless(true, left[0]))
-            draws = min(max(min(draws, _DRAWS_AT_ONCE // len(left)), _LEAST_DRAWS), MOST_DRAWS - drawn)
+            draws = min(max(min(draws, _DRAWS_AT_ONCE // len(left)), _MIN_DRAWS), MAX_DRAWS - drawn)
             latent = self._redrawn_normals(streams, purposes, true, left, drawn, draws)
             truth = true.boxes_px[left]
             candidates = self.errors_px(true.state[left], sizes(truth), latent)
@@ -265,7 +265,7 @@ class BoxErrorSource:
         unit = "box sides" if self.relative[state] else "px"
         return (
             f"vessel '{targets.vessel_ids[targets.vessel[row]]}' at step {step} of camera '{frames.camera}': "
-            f"in {MOST_DRAWS} draws of the box error of state '{self.state_names[state]}' (mean {mean} "
+            f"in {MAX_DRAWS} draws of the box error of state '{self.state_names[state]}' (mean {mean} "
             f"{unit}) its box of {width:.4g} × {height:.4g} px never stays a pixel wide and high in the image; use "
             "a box_error that suits such boxes, or leave small ones out with the annotation's min_box_px"
         )

@@ -76,7 +76,7 @@ def _miss_rates(distributions: Array) -> Array:
 # ---- Which performance state the detector is in ----
 
 _BLOCK = 1024  # transitions drawn at a time: few enough for a short run, or for the first step of a live one
-_MOST_TRANSITIONS = 100_000_000
+_MAX_TRANSITIONS = 100_000_000
 _EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the transition at 0.6 s is due
 
 
@@ -133,7 +133,7 @@ class StateSequence:
         return self._states[transitions].astype(np.int64)
 
     def _extend(self, last: int) -> None:
-        if last > _MOST_TRANSITIONS:
+        if last > _MAX_TRANSITIONS:
             raise ModsimError(
                 f"the detector's state would change {last} times: choose a longer transition_interval_s"
                 + (f" than {self._interval_s:g}" if self._interval_s else "")

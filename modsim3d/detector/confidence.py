@@ -166,7 +166,7 @@ class Confidence:
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _REACH = 9.0  # standard deviations that the integrals go to
-_MOST_ROUNDS, _SETTLED = 400, 1e-10
+_MAX_ROUNDS, _SETTLED = 400, 1e-10
 
 
 def clipped_score(scores: Array, means: Array | float, std: float, threshold: float) -> Array:
@@ -218,7 +218,7 @@ def fit_clipped(sums: Array, low: float, high: float) -> tuple[Array, Array]:
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = (below * low + above * high + first) / number
         std = np.sqrt(np.maximum((below * low**2 + above * high**2 + second) / number - mean**2, 1e-12))
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             m_low, s_low = _tail((low - mean) / std, -1)
             m_high, s_high = _tail((high - mean) / std, 1)
             total = below * (mean + std * m_low) + above * (mean + std * m_high) + first
@@ -294,7 +294,7 @@ def drawn_levels(levels: Levels, confidence: Array, threshold: float, rng: np.ra
 
 # ---- What is known ----
 
-_LEAST_CHANCE, _NEAR = 1e-300, 1e-4
+_MIN_CHANCE, _NEAR = 1e-300, 1e-4
 
 
 def pair_likelihood(before: Array, low: Array, high: Array, correlation: Array, factor: float = 1.0) -> Array:
@@ -303,7 +303,7 @@ def pair_likelihood(before: Array, low: Array, high: Array, correlation: Array, 
     below, above = (part / factor for part in _standard(before, low, high, correlation))
     known = low == high
     density = -(np.where(known, below, 0.0) ** 2) / 2 - np.log(spread * factor)
-    chance = np.log(np.maximum(special.ndtr(above) - special.ndtr(below), _LEAST_CHANCE))
+    chance = np.log(np.maximum(special.ndtr(above) - special.ndtr(below), _MIN_CHANCE))
     result: Array = np.where(known, density, chance)
     return result
 

@@ -131,7 +131,7 @@ class BoxErrorLaw:
 
 
 _LN_2 = math.log(2)
-_MOST_COUNTED = 16
+_MAX_COUNTED = 16
 
 
 def keyed_uniforms(
@@ -225,7 +225,7 @@ def poisson_quantile(uniforms: Array, mean: Array) -> Indices:
     """Least k with Pr(Poisson(mean) <= k) >= u; 0 where the mean is 0. Shapes (n,)."""
     counts = np.zeros(len(uniforms), dtype=np.int64)
     some = (mean > 0).nonzero()[0]
-    for _ in range(_MOST_COUNTED):  # to count up is faster than the inverse, and enough for most
+    for _ in range(_MAX_COUNTED):  # to count up is faster than the inverse, and enough for most
         if not len(some):
             return counts
         some = some[special.pdtr(counts[some], mean[some]) < uniforms[some]]

@@ -14,9 +14,9 @@ from modsim3d.core.boxes import sizes
 from modsim3d.detector.draws import log2
 from modsim3d.detector.records import Targets
 
-MOST_LOG_ODDS = 30.0
+MAX_LOG_ODDS = 30.0
 """Beyond this a rate differs from 0 or 1 by less than 1e-13."""
-_LEAST_DISTANCE_M = 1.0
+_MIN_DISTANCE_M = 1.0
 
 
 def visible_fraction(targets: Targets) -> Array:
@@ -33,7 +33,7 @@ def size_px(targets: Targets) -> Array:
 
 def distance_m(targets: Targets) -> Array:
     """Depth before the camera, at least a metre, shape (n,)."""
-    return np.maximum(targets.depth_m, _LEAST_DISTANCE_M)
+    return np.maximum(targets.depth_m, _MIN_DISTANCE_M)
 
 
 ATTRIBUTES = {"visible_fraction": visible_fraction, "size_px": size_px, "distance_m": distance_m}
@@ -116,7 +116,7 @@ class Dropout:
         total = _sum(self.effects, targets)
         for state in self.own:
             total = np.where(states == state, _sum(self.effects_of(state), targets), total)
-        return np.clip(total, -MOST_LOG_ODDS, MOST_LOG_ODDS)
+        return np.clip(total, -MAX_LOG_ODDS, MAX_LOG_ODDS)
 
 
 def _sum(effects: tuple[Effect, ...], targets: Targets) -> Array:
@@ -139,7 +139,7 @@ def anchor(rate: float, log_odds: Array, weights: Array) -> float:
     """
     if not len(weights) or rate in (0.0, 1.0):
         return 0.0
-    low, high = -2 * MOST_LOG_ODDS, 2 * MOST_LOG_ODDS
+    low, high = -2 * MAX_LOG_ODDS, 2 * MAX_LOG_ODDS
     while high - low > 1e-12:
         middle = (low + high) / 2
         mean = float(np.sum(weights * shifted_rate(np.array(rate), log_odds + middle)) / np.sum(weights))

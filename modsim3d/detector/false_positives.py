@@ -305,8 +305,8 @@ class SceneSizes:
         return self.census.sizes_px(uniforms)
 
 
-_MOST_CHANGE_PX = 0.5  # of a true side: true sides are often whole pixels, and detected ones never
-_LEAST_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on the image's edge
+_MAX_CHANGE_PX = 0.5  # of a true side: true sides are often whole pixels, and detected ones never
+_MIN_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on the image's edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -447,7 +447,7 @@ class FalsePositiveSource:
         """
         half_planes, image = frames.sea_half_planes[frame], frames.image_size_px
         centres = self.options.placement.places(half_planes, image, uniforms[:, :DRAWS], drift_px)
-        halves = np.maximum(self._sizes_px(detected, len(frames), frame, uniforms[:, DRAWS]), _LEAST_SIDE_PX) / 2
+        halves = np.maximum(self._sizes_px(detected, len(frames), frame, uniforms[:, DRAWS]), _MIN_SIDE_PX) / 2
         return clip(np.concatenate([centres - halves, centres + halves], axis=1), image)
 
     def _sizes_px(self, detected: Targets, n_frames: int, frame: Indices, uniforms: Array) -> Array:
@@ -462,4 +462,4 @@ class FalsePositiveSource:
         starts = np.cumsum(count) - count
         source = starts[frame] + (uniforms * count[frame]).astype(np.int64)
         true = sizes(detected.boxes_px[source])
-        return true + _MOST_CHANGE_PX * (2 * low_uniforms(uniforms) - 1)
+        return true + _MAX_CHANGE_PX * (2 * low_uniforms(uniforms) - 1)

@@ -65,8 +65,8 @@ class PairNoise:
         return np.array(self._decays)
 
 
-_LEAST_CUT, _MOST_CUT = 0.3, 0.7
-LEAST_SPLIT_PX = 4.0
+_MIN_CUT, _MAX_CUT = 0.3, 0.7
+MIN_SPLIT_PX = 4.0
 """Narrower boxes are not split: each part is at least a pixel wide."""
 
 
@@ -122,14 +122,14 @@ class MergesAndSplits:
             nothing = np.empty(0, dtype=np.int64)
             return Events(nothing, nothing, np.empty(0), np.zeros(len(frames)))
         uniforms = target_uniforms(streams, Purpose.DOUBLE, frames, vessels)
-        long = single & self.looks_long(vessels.boxes_px) & (sizes(boxes_px)[:, 0] >= LEAST_SPLIT_PX)
+        long = single & self.looks_long(vessels.boxes_px) & (sizes(boxes_px)[:, 0] >= MIN_SPLIT_PX)
         doubled = np.flatnonzero(single & (uniforms[:, 0] < self.duplicates))
         split = np.flatnonzero(long & (uniforms[:, 0] >= 1 - self.splits))
         expected = self.duplicates * single + self.splits * long
         return Events(
             doubled,
             split,
-            _LEAST_CUT + (_MOST_CUT - _LEAST_CUT) * uniforms[split, 1],
+            _MIN_CUT + (_MAX_CUT - _MIN_CUT) * uniforms[split, 1],
             np.bincount(vessels.frame, weights=expected, minlength=len(frames)).astype(np.float64),
         )
 

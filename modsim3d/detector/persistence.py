@@ -29,7 +29,7 @@ NEVER_CHANGES_S = 1e9
 """A correlation time that no run is long enough to tell from an endless one."""
 _DECAY_STEP = 2.0**-40  # finer than the grid of drawn numbers: a decay close to one must stay what it is
 _DECAYS_KEPT = 4096  # steps take few different times
-_MOST_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the memory
+_MAX_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the memory
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class Walk:
         """Begin before the first step."""
         self._process, self._streams, self._clock = process, streams, clock
         self._camera, self._vessels = camera, vessels
-        self._next, self._stride = 0, max(1, min(_MOST_STEPS, _VESSEL_STEPS // max(len(vessels), 1)))
+        self._next, self._stride = 0, max(1, min(_MAX_STEPS, _VESSEL_STEPS // max(len(vessels), 1)))
         self._values = np.empty((len(vessels), process.width))
 
     def at(self, steps: Indices, vessel: Indices) -> Array:

@@ -27,14 +27,14 @@ from modsim3d.detector.draws import ERROR_NORMALS, ErrorDistribution, Normal
 _BITS = 30
 _POLYNOMIALS = ((1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)))
 """Degree, inner coefficients as bits, and first direction numbers, of each dimension after the first."""
-MOST_DIMENSIONS = 1 + len(_POLYNOMIALS)
+MAX_DIMENSIONS = 1 + len(_POLYNOMIALS)
 
 
 def sobol_points(dimensions: int, count: int, generator: np.random.Generator) -> Array:
     """The first points of a scrambled sequence, in [0, 1), shape (count, dimensions).
 
     Args:
-        dimensions: At most `MOST_DIMENSIONS`.
+        dimensions: At most `MAX_DIMENSIONS`.
         count: A power of two.
         generator: Draws the scrambling, as `qmc.Sobol` does with the generator that it spawns from the one it is given.
     """
@@ -78,9 +78,9 @@ by less than 0.005 of a standard deviation and standard deviations by less than 
 """
 _POINTS_AT_ONCE, _POINTS_IN_CACHE = 1 << 16, 1 << 14
 _ORDER = np.array([2, 3, 0, 1])  # e_w, e_h, e_x, e_y
-_LEAST_SIDE_PX = 1.0
+_MIN_SIDE_PX = 1.0
 _LOWER_TAIL, _NOT_SMALL, _UPPER_TAIL = -13.0, -1.0, 8.5
-_ROUNDING_PX, _NO_SPREAD, _LEAST_UNIFORM = 1e-9, 1e-30, 1e-50
+_ROUNDING_PX, _NO_SPREAD, _MIN_UNIFORM = 1e-9, 1e-30, 1e-50
 _PARTS_KEPT = 2  # as many as a sample of one state has
 _NORMAL = Normal()
 
@@ -155,7 +155,7 @@ def _uniforms(width: int, points: int, start: int, stop: int) -> Array:
 @functools.lru_cache(_PARTS_KEPT * ERROR_NORMALS)
 def _normals(width: int, points: int, start: int, stop: int, error: int) -> Array:
     """Standard normal numbers of one error from those uniform numbers, shape (rows, points)."""
-    normals: Array = special.ndtri(np.maximum(_uniforms(width, points, start, stop)[error], _LEAST_UNIFORM))
+    normals: Array = special.ndtri(np.maximum(_uniforms(width, points, start, stop)[error], _MIN_UNIFORM))
     normals.setflags(write=False)
     return normals
 
@@ -231,9 +231,9 @@ def _bounds(component: int, boxes: Array, images: Array, growth: Array, given: A
     axis = component % 2
     first, last = boxes[:, axis, None], boxes[:, 2 + axis, None]
     if component >= 2:
-        return _LEAST_SIDE_PX - (last - first) - given, np.full((len(boxes), 1), np.inf)
+        return _MIN_SIDE_PX - (last - first) - given, np.full((len(boxes), 1), np.inf)
     half, image = growth / 2, images[:, axis, None]
-    return _LEAST_SIDE_PX - last - half - given, image - _LEAST_SIDE_PX - first + half - given
+    return _MIN_SIDE_PX - last - half - given, image - _MIN_SIDE_PX - first + half - given
 
 
 def _far_from_bounds(component: int, boxes: Array, images: Array, growth: Array, given: Array, spread: Array) -> Mask:

@@ -256,12 +256,12 @@ def _column(name: str, values: list[Any], lengths: list[int]) -> Any:
 
 # ---- The horizon in an image ----
 
-MOST_PX = 1e7
+MAX_PX = 1e7
 UNKNOWN = (math.nan, math.nan, math.nan)
 """The half-plane of an image whose horizon is not known."""
 EVERYWHERE = np.array([0.0, 0.0, 1.0])
 """The half-plane of a sea that fills the image."""
-_DECIMALS, _LEAST_PX = 3, 1e-3
+_DECIMALS, _MIN_PX = 3, 1e-3
 
 
 def parse_horizon(text: str) -> tuple[float, ...]:
@@ -287,9 +287,9 @@ def half_plane(horizon: float | Sequence[float], sizes_px: Iterable[tuple[int, i
         InputError: It is no such line, or it lies below an image.
     """
     numbers = np.atleast_1d(np.asarray(horizon, dtype=np.float64))
-    if numbers.shape not in ((1,), (4,)) or not (np.abs(numbers) <= MOST_PX).all():
+    if numbers.shape not in ((1,), (4,)) or not (np.abs(numbers) <= MAX_PX).all():
         text = ", ".join(f"{number:g}" for number in numbers.ravel().tolist())
-        far = f"; no farther than {MOST_PX:,.0f}" if (np.abs(numbers) > MOST_PX).any() else ""
+        far = f"; no farther than {MAX_PX:,.0f}" if (np.abs(numbers) > MAX_PX).any() else ""
         raise InputError("--horizon", [_wanted(text) + far])
     x_1, y_1, x_2, y_2 = numbers.tolist() if len(numbers) == 4 else (0.0, numbers[0], 1.0, numbers[0])
     if x_1 == x_2:
@@ -323,7 +323,7 @@ def written_horizon(half_plane: Sequence[float], width_px: float) -> list[float]
     if not (b > 0 and math.isfinite(width_px)):  # NaN is not above 0
         return None
     rows = [round(-(a * x + c) / b, _DECIMALS) for x in (0.0, width_px)]
-    return rows if max(map(abs, rows)) <= MOST_PX else None
+    return rows if max(map(abs, rows)) <= MAX_PX else None
 
 
 def read_horizon(value: Any, width_px: float) -> tuple[float, float, float] | None:
@@ -336,10 +336,10 @@ def read_horizon(value: Any, width_px: float) -> tuple[float, float, float] | No
     numbers = value if isinstance(value, list) else [value]
     if not all(isinstance(each, int | float) and not isinstance(each, bool) for each in numbers):
         return None
-    if len(numbers) not in (1, 2, 4) or not all(-MOST_PX <= each <= MOST_PX for each in numbers):
+    if len(numbers) not in (1, 2, 4) or not all(-MAX_PX <= each <= MAX_PX for each in numbers):
         return None
     if len(numbers) == 4:
-        return None if abs(numbers[0] - numbers[2]) < _LEAST_PX else _below(*numbers)
+        return None if abs(numbers[0] - numbers[2]) < _MIN_PX else _below(*numbers)
     return _below(0.0, numbers[0], width_px, numbers[-1])
 
 

@@ -1,24 +1,25 @@
 """A camera: intrinsics with skew and non-square pixels, projection, lens distortion, horizon.
 
 Image: pixel (row i, column j) covers [j, j + 1) × [i, i + 1); the origin is the top-left corner of the top-left
-pixel, so the image is [0, width] × [0, height].
-"""
+pixel, so the image is [0, width] × [0, height]."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modsim3d.core.arrays import Array, read_only
+from modsim3d.core.arrays import Array, Indices, read_only
 from modsim3d.geometry.camera_poses import Mount
+
+# ---- A camera ----
 
 # ---- Lens distortion by the model of Brown ----
 
-MOST_ITERATIONS = 100
+MAX_ITERATIONS = 100
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Distortion:
         """The inverse of `distort`, by Newton's method, both of shape (..., 2); NaN where no ideal point is found."""
         ideal = np.array(distorted, dtype=np.float64)
         with np.errstate(all="ignore"):
-            for _ in range(MOST_ITERATIONS):
+            for _ in range(MAX_ITERATIONS):
                 error = self.distort(ideal) - distorted
                 (a, b), (c, d) = np.moveaxis(self.jacobian(ideal), (-2, -1), (0, 1))
                 step = np.stack([d * error[..., 0] - b * error[..., 1], a * error[..., 1] - c * error[..., 0]], axis=-1)
@@ -84,7 +85,7 @@ BORDER_POINTS = 64
 """Points on each side of the image at which a lens's field of view is measured."""
 BEND_PX = 1 / 256
 """Greatest distance between a curve that a lens makes of a straight edge and the chords that are drawn for it."""
-MOST_WINDOW = 10
+MAX_WINDOW = 10
 """Greatest size of the pinhole image of a distorted one, in sizes of the latter."""
 
 
@@ -218,7 +219,7 @@ class Intrinsics:
             return None
         low, high = self._window()
         size = float(np.max(high - low))
-        if not size <= MOST_WINDOW * max(self.image_size_px):
+        if not size <= MAX_WINDOW * max(self.image_size_px):
             return "the lens reaches only a part of the image: reduce the coefficients or the image size"
         window = self.pinhole.unproject(self.pinhole.image_border(), np.ones(4 * BORDER_POINTS))[:, :2]
         if not self.distortion.one_to_one(window):
@@ -263,3 +264,84 @@ class Camera:
     mount: Mount
     frame_rate_hz: float | None = None
     start_offset_s: float = 0.0
+
+
+# ---- Half-spaces that bound what a camera shows, and triangles cut by them ----
+
+
+def near_plane(intrinsics: Intrinsics) -> Array:
+    """The half-space c3 >= near_clip_m as rows (n, d) with n · p >= d, shape (1, 4)."""
+    return np.array([[0.0, 0.0, 1.0, intrinsics.near_clip_m]])
+
+
+@lru_cache(maxsize=64)
+def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
+    """The half-spaces that project to the image and a band of `guard_px` around it, shape (4, 4).
+
+    Each row is (n, d) with n · p >= d, read-only. The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera
+    coordinates; the others follow alike.
+    """
+    matrix, (width, height) = intrinsics.matrix, intrinsics.image_size_px
+    depth = matrix[2]
+    normals = [
+        matrix[0] + guard_px * depth,
+        (width + guard_px) * depth - matrix[0],
+        matrix[1] + guard_px * depth,
+        (height + guard_px) * depth - matrix[1],
+    ]
+    return read_only(np.column_stack([np.array(normals), np.zeros(4)]))
+
+
+def clip_triangles(triangles_camera: Array, half_spaces: Array) -> tuple[Array, Indices]:
+    """The parts of triangles that lie inside half-spaces, as triangles (Sutherland & Hodgman, 1974).
+
+    Args:
+        triangles_camera: In CCF, shape (T, 3, 3).
+        half_spaces: Rows (n, d), shape (P, 4): inside is n · p >= d.
+
+    Returns:
+        The parts, in the order and with the orientation of the triangles, shape (T', 3, 3); the triangle that each is a
+        part of, shape (T',).
+    """
+    kept, source = triangles_camera, np.arange(len(triangles_camera))
+    for plane in half_spaces:
+        height = kept @ plane[:3] - plane[3]
+        if not (height >= 0).all():
+            kept, cut = _clip_by(kept, height)
+            source = source[cut]
+    return kept, source
+
+
+def _clip_by(triangles: Array, height: Array) -> tuple[Array, Indices]:
+    """The parts of triangles (T, 3, 3) where a linear function, `height` (T, 3) at the corners, is not negative.
+
+    With the parts comes the triangle of each.
+    """
+    inside = height >= 0
+    count = inside.sum(axis=1)
+    whole, one, two = (np.flatnonzero(count == k) for k in (3, 1, 2))
+    # Turned so that the odd corner, the one inside or the one outside, comes first.
+    corners, heights = _turned(triangles, height, one, inside[one].argmax(axis=1))
+    tip = np.stack([corners[0], _crossing(corners, heights, 0, 1), _crossing(corners, heights, 0, 2)], axis=1)
+    corners, heights = _turned(triangles, height, two, inside[two].argmin(axis=1))
+    first, last = _crossing(corners, heights, 1, 0), _crossing(corners, heights, 2, 0)
+    near = np.stack([first, corners[1], corners[2]], axis=1)
+    far = np.stack([first, corners[2], last], axis=1)
+    source = np.concatenate([whole, one, two, two])
+    order = np.argsort(source, kind="stable")
+    return np.concatenate([triangles[whole], tip, near, far])[order], source[order]
+
+
+def _turned(triangles: Array, height: Array, rows: Indices, first: Indices) -> tuple[list[Array], list[Array]]:
+    """The corners of some triangles, three of shape (k, 3), and their heights, (k, 1), from the corner `first` on."""
+    places = [(first + i) % 3 for i in range(3)]
+    return [triangles[rows, place] for place in places], [height[rows, place][:, None] for place in places]
+
+
+def _crossing(corners: list[Array], heights: list[Array], inner: int, outer: int) -> Array:
+    """Points where edges leave the half-space, shape (k, 3).
+
+    Computed from the inner corner, so that two triangles with a common edge get exactly the same point.
+    """
+    share = heights[inner] / (heights[inner] - heights[outer])
+    return corners[inner] + share * (corners[outer] - corners[inner])

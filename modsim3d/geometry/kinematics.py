@@ -104,7 +104,7 @@ def _along(values: Array, dimensions: int) -> Array:
 TOLERANCE_M = 0.01
 """The least distance of hulls is at most this much too large."""
 _CORNERS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)])
-_MOST_HALVINGS = 40
+_MAX_HALVINGS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +215,7 @@ def least_hull_distance(tracks: HullTracks, one: int, other: int) -> tuple[float
     both = np.flatnonzero(np.isfinite(distance[:-1]) & np.isfinite(distance[1:]))
     begin, end, change = tracks.times_s[both], tracks.times_s[both + 1], at.most_change_m()[both]
     near, far = distance[both], distance[both + 1]
-    for _ in range(_MOST_HALVINGS):
+    for _ in range(_MAX_HALVINGS):
         open_ = (near + far - change) / 2 < best - TOLERANCE_M
         if best <= 0 or not open_.any():
             break

@@ -14,10 +14,10 @@ LOST = "is a number in scientific notation that has lost digits: write identitie
 ROUNDED = "are all numbers that single precision can hold: digits were lost, write identities as whole numbers"
 _FIRST_ROUNDED, _LAST_ROUNDED, _FEW_ROUNDED = 2**24, 2**53, 4
 """Smaller numbers are exact, larger ones are no MMSI; so many are all held by chance in one of 65,000 files of MMSI."""
-_MOST_DIGITS = 15
+_MAX_DIGITS = 15
 """No identity has more; readers refuse larger numbers."""
 _UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
-_LEAST_COVERED, _SLACK = 0.1, 1.05
+_MIN_COVERED, _SLACK = 0.1, 1.05
 """Shares of the span that the last time reaches in the right unit."""
 
 
@@ -34,7 +34,7 @@ def no_commas(first_line: str) -> str:
 def has_lost_digits(identity: str) -> bool:
     """Whether an identity is a number with fewer digits than it stands for, such as 2.19E+08 of a spreadsheet."""
     found = re.match(SCIENTIFIC, identity)
-    return found is not None and sum(map(str.isdigit, found[1])) <= float(found[2]) <= _MOST_DIGITS
+    return found is not None and sum(map(str.isdigit, found[1])) <= float(found[2]) <= _MAX_DIGITS
 
 
 def are_rounded(identities: Iterable[object]) -> bool:
@@ -51,6 +51,6 @@ def other_unit(times_s: Array, length_s: float) -> str:
     """Addition to a message on times, shape (n,), that leave a span from 0 to a length; empty if no unit fits."""
     last = float(np.max(times_s, initial=0.0))
     for name, count in _UNITS.items():
-        if last > _SLACK * length_s and _LEAST_COVERED * length_s <= last / count <= _SLACK * length_s:
+        if last > _SLACK * length_s and _MIN_COVERED * length_s <= last / count <= _SLACK * length_s:
             return f": they seem to be {name}, must be seconds"
     return ""

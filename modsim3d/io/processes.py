@@ -247,7 +247,7 @@ def may_fork() -> bool:
     return (len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()) == 1
 
 
-MOST_WORKERS = 1024
+MAX_WORKERS = 1024
 AHEAD = 3
 """Pieces that may wait for each worker; it bounds the memory."""
 
@@ -268,11 +268,11 @@ def worker_count(workers: WorkerCount, name: str = "workers") -> int:
         ModsimError: It is neither such a number nor `auto`.
     """
     if isinstance(workers, str) and workers == "auto":
-        return min(_usable_cpus(), MOST_WORKERS)
-    if isinstance(workers, Integral) and not isinstance(workers, bool) and 1 <= workers <= MOST_WORKERS:
+        return min(_usable_cpus(), MAX_WORKERS)
+    if isinstance(workers, Integral) and not isinstance(workers, bool) and 1 <= workers <= MAX_WORKERS:
         return int(workers)
     shown = repr(workers)[:60]
-    raise ModsimError(f"{name}: needs a number of processes from 1 to {MOST_WORKERS}, or 'auto' (got {shown})")
+    raise ModsimError(f"{name}: needs a number of processes from 1 to {MAX_WORKERS}, or 'auto' (got {shown})")
 
 
 def parse_workers(text: str) -> WorkerCount:

@@ -81,7 +81,7 @@ def join_path(*parts: object) -> str:
 def nearest(name: str, known: Iterable[str]) -> str:
     """A hint: the known name that was probably meant, or the known names."""
     name, names = str(name), [str(candidate) for candidate in known]
-    likely = names[:MOST_COMPARED] if len(name) <= LONGEST_COMPARED else []
+    likely = names[:MAX_COMPARED] if len(name) <= LONGEST_COMPARED else []
     close = difflib.get_close_matches(name, likely, n=1)
     if close:
         return f"did you mean '{close[0]}'?"
@@ -120,7 +120,7 @@ _PLAIN_WORDS = {
 
 MOST_PROBLEMS = 50
 """Most problems that are reported of one section."""
-MOST_COMPARED, LONGEST_COMPARED = 1000, 100
+MAX_COMPARED, LONGEST_COMPARED = 1000, 100
 """Names that are compared with a wrong one, and their length: comparing takes time by the square of the length."""
 _KINDS = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list", dict: "a mapping"}
 

@@ -20,7 +20,7 @@ from modsim3d.formats.labelled import Images
 
 SIGNIFICANT = 3.3
 """Standard errors from zero that an effect needs: one in a thousand reaches them by chance."""
-_LEAST_SPREAD = 1e-12
+_MIN_SPREAD = 1e-12
 
 Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "above_two", "capped"]
 """A `share` of a number of trials, another `fraction` from 0 to 1, a `mean`, a `positive` number, a `correlation`, a
@@ -112,7 +112,7 @@ class Column:
     @property
     def independent(self) -> Array:
         """Number of independent observations that spread like the replicates of a share or a rate, shape (...)."""
-        value, count = self.estimate, np.maximum(self.counts, _LEAST_SPREAD)
+        value, count = self.estimate, np.maximum(self.counts, _MIN_SPREAD)
         alone = value / count if self.kind == "rate" else value * (1 - value) / count
         found = spread(self.values[1:]) ** 2
         inflation = np.where(alone > 0, np.maximum(found / np.maximum(alone, 1e-300), 1.0), 1.0)

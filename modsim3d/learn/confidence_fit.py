@@ -82,8 +82,8 @@ _ROUNDS = 40
 _SETTLED = 1e-6
 """Gain in log-likelihood that is not worth a step."""
 _OCTAVE, _GOLDEN, _REFERENCE_SETTLED = 1.0, (np.sqrt(5) - 1) / 2, 0.01
-_LEAST_STD = 1e-4
-_MOST_CONDITION, _HALVINGS = 1e12, 12
+_MIN_STD = 1e-4
+_MAX_CONDITION, _HALVINGS = 1e12, 12
 _SCANNED, _SCAN_ROWS = 12, 20_000
 
 
@@ -251,7 +251,7 @@ class _Point:
         values = self.values.copy()
         spreads = slice(1, 2 * len(self.samples), 2)
         values += step
-        values[spreads] = np.maximum(values[spreads], np.maximum(self.values[spreads] / 2, _LEAST_STD))
+        values[spreads] = np.maximum(values[spreads], np.maximum(self.values[spreads] / 2, _MIN_STD))
         return replace(self, values=values)
 
     def likelihood(self) -> float:
@@ -300,7 +300,7 @@ def fit_slopes(
     steps = np.clip(_solved(curvature, gradients, inverse), -1, 1)
     steps[0] = 0.0
     thetas, kinds = point.values + steps, 2 * len(samples)
-    thetas[:, 1:kinds:2] = np.maximum(thetas[:, 1:kinds:2], _LEAST_STD)
+    thetas[:, 1:kinds:2] = np.maximum(thetas[:, 1:kinds:2], _MIN_STD)
     spread = sum(x.T @ x for x in (np.einsum("na,nap->np", *part[::2]) for part in point.derivatives()))
     errors = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0))
     return SlopeFit(point.form, thetas[:, :kinds:2], thetas[:, 1:kinds:2], thetas[:, kinds:], errors)
@@ -311,7 +311,7 @@ def _started(samples: Sequence[ObservedConfidences], form: SlopeForm, threshold:
     values = np.zeros(2 * len(samples) + len(form.names))
     for k, scores in enumerate(samples):
         mean, std = fit_clipped(clipped_sums(scores.values, threshold, 1.0).sum(axis=0)[None], threshold, 1.0)
-        values[2 * k : 2 * k + 2] = mean[0], max(std[0], _LEAST_STD)
+        values[2 * k : 2 * k + 2] = mean[0], max(std[0], _MIN_STD)
     return _Point(values, samples, (False,) * len(samples), form, threshold)
 
 
@@ -321,7 +321,7 @@ def _settled(point: _Point) -> _Point | None:
     likelihood = point.likelihood()
     for _ in range(_ROUNDS):
         gradient, curvature = point.newton()
-        if not np.isfinite(curvature).all() or np.linalg.cond(curvature) > _MOST_CONDITION:
+        if not np.isfinite(curvature).all() or np.linalg.cond(curvature) > _MAX_CONDITION:
             return None
         step: Array = np.linalg.solve(curvature + _ridge(curvature), gradient).astype(np.float64)
         if abs(gradient @ step) < _SETTLED:

@@ -10,9 +10,9 @@ from scipy import special
 
 from modsim3d.core.arrays import Array
 from modsim3d.detector import confidence
+from modsim3d.detector.chain import model_name
 from modsim3d.detector.confidence import LEVELS, SCORES, clipped_sums, fit_clipped, pair_likelihood
 from modsim3d.detector.confidence import ConfidenceLaw as Law
-from modsim3d.detector.parts import model_name
 from modsim3d.io.validation import LEAST
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, nested, widened
 from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeFit, SlopeForm, product_limit, shift_of
@@ -229,7 +229,7 @@ def quantile_scores(
 _STEP = 1e-4
 """Levels that a single confidence may have, above which its number counts as open between them."""
 _GRID, _ROUNDS, _NEAR = 40, 30, 1e-3
-_MOST_STEP, _SETTLED = 0.3, 1e-5
+_MAX_STEP, _SETTLED = 0.3, 1e-5
 _SHORTEST, _LONGEST = 0.05, 1000.0
 """Correlation times are sought between these multiples of the usual time between sightings."""
 
@@ -331,7 +331,7 @@ class ConsecutiveScores:
         for _ in range(_ROUNDS):
             gradient, curvature = (part.sum(axis=0) for part in self._derivatives(steps, best))
             curvature = curvature + max(0.0, 1e-9 - 2 * float(np.linalg.eigvalsh(curvature)[0])) * np.eye(2)
-            step = np.clip(np.linalg.solve(curvature, gradient), -_MOST_STEP, _MOST_STEP)
+            step = np.clip(np.linalg.solve(curvature, gradient), -_MAX_STEP, _MAX_STEP)
             best = np.clip(best + step, [low, -1.0], [high, 1.0])
             if np.abs(step).max() < _SETTLED:
                 break

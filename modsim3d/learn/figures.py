@@ -105,7 +105,7 @@ def average_precisions(ranking: Ranking, weights: Array) -> Array:
 
 CURVE_REPLICATES = 200
 """Average precision is computed again for each of at most so many replicates."""
-_LEAST_PROBABILITY = 1e-12
+_MIN_PROBABILITY = 1e-12
 
 
 class Rates(NamedTuple):
@@ -281,7 +281,7 @@ class Matches:
 
     def _entropy(self, image: Indices, chance: Array) -> Column:
         """Mean of −log p, given images (n,) and probabilities p (n,)."""
-        loss = -np.log(np.clip(chance, _LEAST_PROBABILITY, 1))
+        loss = -np.log(np.clip(chance, _MIN_PROBABILITY, 1))
         sums = self.resampling.sums(image, np.column_stack([np.ones(len(loss)), loss]))
         return Column(ratio(sums[:, 1], sums[:, 0]), "positive", np.array(float(len(loss))))
 

@@ -79,7 +79,7 @@ def _overlapped(labelled: LabelledSet, annotations: Indices, detections: Indices
     return np.unique(np.concatenate(found))
 
 
-LEAST_CONFIDENCE = 0.2
+MIN_CONFIDENCE = 0.2
 """Least confidence of a detection that counts, unless another is asked for."""
 
 
@@ -160,7 +160,7 @@ def least_confidence(labelled: LabelledSet, asked: float | None) -> float:
         ModsimError: One was asked for, and the detections have no confidences.
     """
     if labelled.scored:
-        return max(LEAST_CONFIDENCE if asked is None else asked, labelled.dropped_below)
+        return max(MIN_CONFIDENCE if asked is None else asked, labelled.dropped_below)
     if asked is not None:
         raise ModsimError(f"--confidence {asked:g} needs confidences, and {NOT_SCORED}: leave it out, and all count")
     return 0.0

@@ -29,11 +29,10 @@ from modsim3d.io.overwrite_guard import claimed
 from modsim3d.io.validation import Count, Number, Positive, Probability, Strict, describe, shown
 from modsim3d.learn import learn_detector as labelled_sets
 from modsim3d.learn.learn_detector import LearnOptions
-from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.learned import LearnSettings, uncertainty_file, uncertainty_text
 from modsim3d.learn.model_selection import left_out
 from modsim3d.learn.report import LearnReport, lead
 from modsim3d.learn.report_page import Sources, page_text, tables
-from modsim3d.learn.uncertainty import uncertainty_file, uncertainty_text
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
 

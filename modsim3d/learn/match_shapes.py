@@ -3,7 +3,7 @@
 Files do not say what a detection is. These rules read it from the boxes, in this order:
 
 - Two parts: two boxes side by side on an annotation, of which one may be its match, that together fit it better than
-  either does, with an IoU of at least `LEAST_FIT`. The larger part detects it.
+  either does, with an IoU of at least `MIN_FIT`. The larger part detects it.
 - One box around two: a box fits the box around two annotations that overlap better than either of the two, with at
   least that IoU, and no other detection matches either of them.
 - A second box: a false detection that the matching rule would let match an annotation which has a match already.
@@ -23,16 +23,16 @@ from modsim3d.core.boxes import areas, centres, intersections, iou, sizes, union
 from modsim3d.formats.labelled import NOBODY
 from modsim3d.formats.matching import Rule, image_pairs
 
-LEAST_FIT = 0.5
+MIN_FIT = 0.5
 """Least IoU of two parts together with the vessel, and of a box around two vessels with the one around their truth."""
-LEAST_ASPECT = 1.5
+MIN_ASPECT = 1.5
 """Least width over height of a vessel that may come out in two parts."""
-LEAST_WIDTH_PX = 4.0
+MIN_WIDTH_PX = 4.0
 """Narrower ones never do: each part is at least a pixel wide."""
-_LEAST_INSIDE = 0.5
+_MIN_INSIDE = 0.5
 _SAME_HEIGHT = 0.6
-_MOST_COMMON = 0.25
-_MOST_OF_WIDTH = 0.9
+_MAX_COMMON = 0.25
+_MAX_OF_WIDTH = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def two_parts(sought: SoughtBoxes, loose: Loose) -> Parts:
     """Annotations that two boxes side by side fit together."""
     first, place = loose.pairs(sought)
     part = _looks_part(loose.boxes_px[first], sought.boxes_px[place])
-    part &= (sought.aspect[place] >= LEAST_ASPECT) & (sizes(sought.boxes_px[place])[:, 0] >= LEAST_WIDTH_PX)
+    part &= (sought.aspect[place] >= MIN_ASPECT) & (sizes(sought.boxes_px[place])[:, 0] >= MIN_WIDTH_PX)
     first, place = first[part], place[part]
     own = sought.found[place] & _looks_part(sought.match_px[place], sought.boxes_px[place])
     a, b = _twos(np.where(sought.found[place], NOBODY, place))
@@ -128,10 +128,10 @@ def two_parts(sought: SoughtBoxes, loose: Loose) -> Parts:
         ]
     )
     true_px, together = sought.boxes_px[where], iou(unions(*boxes), sought.boxes_px[where])
-    apart = intersections(*boxes) <= _MOST_COMMON * np.minimum(*areas(boxes))
+    apart = intersections(*boxes) <= _MAX_COMMON * np.minimum(*areas(boxes))
     level = _common_height(*boxes) >= _SAME_HEIGHT
     better = together > np.maximum(*iou(boxes, true_px))
-    good = np.flatnonzero(apart & level & better & (together >= LEAST_FIT))
+    good = np.flatnonzero(apart & level & better & (together >= MIN_FIT))
     kept = good[best_of(together[good], ~where[good], rows[0, good], rows[1, good])]
     larger = areas(boxes)[:, kept].argmax(axis=0)
     return Parts(where[kept], rows[larger, kept], rows[1 - larger, kept])
@@ -139,9 +139,9 @@ def two_parts(sought: SoughtBoxes, loose: Loose) -> Parts:
 
 def _looks_part(boxes_px: Array, true_px: Array) -> Mask:
     """Mask of the boxes (m, 4) that lie on part of the width of annotations (m, 4)."""
-    inside = intersections(boxes_px, true_px) >= _LEAST_INSIDE * np.maximum(areas(boxes_px), 1e-9)
-    narrow = sizes(boxes_px)[:, 0] <= _MOST_OF_WIDTH * sizes(true_px)[:, 0]
-    part: Mask = inside & narrow & (_common_height(boxes_px, true_px) >= _LEAST_INSIDE)
+    inside = intersections(boxes_px, true_px) >= _MIN_INSIDE * np.maximum(areas(boxes_px), 1e-9)
+    narrow = sizes(boxes_px)[:, 0] <= _MAX_OF_WIDTH * sizes(true_px)[:, 0]
+    part: Mask = inside & narrow & (_common_height(boxes_px, true_px) >= _MIN_INSIDE)
     return part
 
 
@@ -230,7 +230,7 @@ class Overlapping:
         """Whether boxes (..., 4) fit the box around pairs (...) and better than either; and their IoU with it."""
         together = iou(boxes_px, self.union_px[pair])
         alone = (iou(boxes_px, sought.boxes_px[each[pair]]) for each in (self.larger, self.smaller))
-        fits: Mask = (together >= LEAST_FIT) & (together > np.maximum(*alone))
+        fits: Mask = (together >= MIN_FIT) & (together > np.maximum(*alone))
         return fits, together
 
 

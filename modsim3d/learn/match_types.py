@@ -21,8 +21,8 @@ from modsim3d.detector.records import DUPLICATE, FRAGMENT, MERGED, SPLIT
 from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
 from modsim3d.formats.matching import Matched, Rule
 from modsim3d.learn.match_shapes import (
-    LEAST_ASPECT,
-    LEAST_WIDTH_PX,
+    MIN_ASPECT,
+    MIN_WIDTH_PX,
     CommonBoxes,
     Loose,
     Overlapping,
@@ -39,9 +39,9 @@ from modsim3d.learn.match_shapes import (
 
 _NEIGHBOURS = 60
 _LONELY_NEEDED = 20
-MOST_MISTAKEN = 0.04
+MAX_MISTAKEN = 0.04
 """Share of the boxes of one vessel alone that may look like one around both before they tell nothing."""
-_LEAST_RECOGNIZED = 0.9
+_MIN_RECOGNIZED = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Recognition:
     @property
     def unambiguous(self) -> Mask:
         """Pairs whose boxes tell whether they are around both, shape (p,)."""
-        sure: Mask = (self.mistaken.max(axis=0) <= MOST_MISTAKEN) & (self.recognized >= _LEAST_RECOGNIZED)
+        sure: Mask = (self.mistaken.max(axis=0) <= MAX_MISTAKEN) & (self.recognized >= _MIN_RECOGNIZED)
         return sure
 
     @classmethod
@@ -138,7 +138,7 @@ def shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
         yield Loose(loose.row[kept], there[kept], boxes[kept])
 
 
-LEAST_OVERLAP = 0.05
+MIN_OVERLAP = 0.05
 """Least share of the smaller of two vessels inside the larger for which they may come out as one box."""
 
 
@@ -215,7 +215,7 @@ def _as_the_run_says(labelled: LabelledSet, sought: SoughtBoxes, rows: Indices, 
     kind_of_match = np.where(own, np.append(kind, NOBODY)[sought.row], NOBODY)
     merged = np.flatnonzero((kind_of_match == MERGED) & (place[np.append(results.partner, NOBODY)[sought.row]] >= 0))
     smaller = place[results.partner[sought.row[merged]]]
-    pairs = Overlapping.of(sought, LEAST_OVERLAP)
+    pairs = Overlapping.of(sought, MIN_OVERLAP)
     keys = _unordered(pairs.larger, pairs.smaller, len(rows))
     is_merged = np.isin(keys, _unordered(merged, smaller, len(rows)))
     single, split = own & (kind_of_match != MERGED), np.flatnonzero(kind_of_match == SPLIT)
@@ -248,7 +248,7 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
     row[parts.place] = parts.larger
     detected = replace(sought, row=row)  # a vessel in two parts is not missed
     left = loose.without(np.concatenate([parts.larger, parts.smaller]))
-    pairs = Overlapping.of(sought, LEAST_OVERLAP)
+    pairs = Overlapping.of(sought, MIN_OVERLAP)
     common = common_boxes(sought, left, pairs, whole)
     left = left.without(common.row)
     single = sought.found.copy()
@@ -322,7 +322,7 @@ def _ambiguous_pairs(detected: SoughtBoxes, pairs: Overlapping, recognition: Rec
         (np.ones(len(pairs)), pairs.larger, pairs.smaller),
         (recognition.mistaken[1], pairs.smaller, pairs.larger),
     ):
-        pair = np.flatnonzero(unsure & (mistaken > MOST_MISTAKEN) & detected.found[first])
+        pair = np.flatnonzero(unsure & (mistaken > MAX_MISTAKEN) & detected.found[first])
         found.append((first[pair], second[pair], detected.row[first[pair]], pairs.share[pair]))
     return VesselPairs(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
@@ -344,8 +344,8 @@ def _perhaps_parts(sought: SoughtBoxes, loose: Loose) -> Indices:
 
 def _long(sought: SoughtBoxes, single: Mask) -> Mask:
     """Mask of the single vessels that may come out in two parts, shape (n,)."""
-    wide = sizes(sought.boxes_px)[:, 0] >= LEAST_WIDTH_PX
-    return single & wide & (sought.aspect >= LEAST_ASPECT)
+    wide = sizes(sought.boxes_px)[:, 0] >= MIN_WIDTH_PX
+    return single & wide & (sought.aspect >= MIN_ASPECT)
 
 
 def _unordered(a: Indices, b: Indices, number: int) -> Indices:

@@ -24,8 +24,8 @@ from modsim3d.learn.persistence import Steps, frame_interval_s, steps_between
 
 _WHOLE_NEEDED = 10
 _REGULAR = 1e-8
-_LEAST_RATIO = 1e-6
-_LEAST_SHARE, _MEAN_TO_STD = 0.05, np.sqrt(np.pi / 2)
+_MIN_RATIO = 1e-6
+_MIN_SHARE, _MEAN_TO_STD = 0.05, np.sqrt(np.pi / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +103,8 @@ class ErrorFits:
         for k in range(4):
             sides = np.column_stack([np.ones(chosen.sum()), edges.sides_px[chosen, k]])
             found, _ = optimize.nnls(sides, _MEAN_TO_STD * np.abs(edges.errors_px[chosen, k] - model.mean[k]))
-            std[k], growth[k] = max(found[0], _LEAST_SHARE * model.std[k]), found[1]
-        return replace(model, std=std, growth=growth, unit="mixed", floor=_LEAST_SHARE * model.std)
+            std[k], growth[k] = max(found[0], _MIN_SHARE * model.std[k]), found[1]
+        return replace(model, std=std, growth=growth, unit="mixed", floor=_MIN_SHARE * model.std)
 
     def _start_of_heavy_mixed(self) -> ErrorModel | None:
         """From normal mixed errors, with the tails of errors over their standard deviations."""
@@ -130,7 +130,7 @@ def _regular(errors: Array) -> bool:
         return False
     matrix = np.cov(errors.T)
     std = np.sqrt(np.diag(matrix))
-    if not np.all(std > _LEAST_RATIO * std.max()):
+    if not np.all(std > _MIN_RATIO * std.max()):
         return False
     return bool(np.linalg.eigvalsh(matrix / np.outer(std, std))[0] > _REGULAR)
 

@@ -22,11 +22,11 @@ from modsim3d.learn.persistent_pairs import Displacements, Lag, OrderedFrames, f
 
 # ---- How fast false positives that stay drift along the horizon ----
 
-LEAST_TRACKS = 5
+MIN_TRACKS = 5
 """False positives seen in frames on end that a speed needs."""
-_LEAST_SEEN = 4
-_LEAST_ERROR = 0.005
-_MOST_TIMES = 9.0
+_MIN_SEEN = 4
+_MIN_ERROR = 0.005
+_MAX_TIMES = 9.0
 _ROBUST = float(np.pi / 2)
 """Variance of a median of normal numbers over that of their mean."""
 
@@ -53,7 +53,7 @@ class DriftSpeeds:
         rows = rows[np.argsort(track[rows], kind="stable")]
         found: list[tuple[int, float, float, int]] = []
         for ours in np.split(rows, np.flatnonzero(np.diff(track[rows])) + 1):
-            if len(ours) < _LEAST_SEEN:
+            if len(ours) < _MIN_SEEN:
                 continue
             time_s, along = times_s[sightings.image[ours]], sightings.along_px[ours]
             half = len(ours) // 2
@@ -65,8 +65,8 @@ class DriftSpeeds:
         image, square, error, frames = map(np.array, zip(*found, strict=True))
         # Two that passed close by each other may have been linked: too fast, or of no one speed.
         middle = float(np.median(square))
-        usual = square <= _MOST_TIMES * middle
-        weight = frames / (1 + _MOST_TIMES * error / max(middle, 1e-12))
+        usual = square <= _MAX_TIMES * middle
+        weight = frames / (1 + _MAX_TIMES * error / max(middle, 1e-12))
         return cls(image[usual], (square - error)[usual], weight[usual])
 
     @cached_property
@@ -78,7 +78,7 @@ class DriftSpeeds:
     def sure(self) -> bool:
         """Whether the speed is surely above 0: the interval of the mean square says so."""
         count = len(self.weight)
-        if count < LEAST_TRACKS:
+        if count < MIN_TRACKS:
             return False
         stray = self.weight * (self.square - self._mean_square)
         error = float(np.sqrt((stray**2).sum() * count / (count - 1)) / self.weight.sum())
@@ -93,7 +93,7 @@ class DriftSpeeds:
         sums = resampling.sums(self.image, np.column_stack([self.weight * self.square, self.weight]))
         square = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
         values = np.sqrt(np.maximum(square, 1e-12))
-        return Column(widened(values, values[0] * _LEAST_ERROR), "positive", np.array(float(len(self.weight))))
+        return Column(widened(values, values[0] * _MIN_ERROR), "positive", np.array(float(len(self.weight))))
 
 
 def _tracks(count: int, lag: Lag) -> Indices:

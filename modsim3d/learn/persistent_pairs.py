@@ -14,10 +14,10 @@ from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Resampling, widened
 from modsim3d.learn.matches import FalseSightings, Observed
 
 _NEAR = 0.5
-_LEAST_NEAR_PX = 4.0
-_MOST_RATIO = 2.0
+_MIN_NEAR_PX = 4.0
+_MAX_RATIO = 2.0
 _OF_THE_WAY = 0.25
-_MOST_OFF_GAP = 0.25
+_MAX_OFF_GAP = 0.25
 _LAGS = 28
 _FAR_PAIRS = 100_000
 _FAR_TRIES = 40_000
@@ -41,14 +41,14 @@ class Displacements:
     def between(cls, sightings: FalseSightings, first: Indices, second: Indices) -> Displacements:
         """Compare rows of false positives."""
         sides = sightings.sizes_px[first], sightings.sizes_px[second]
-        near = np.maximum(_NEAR * (sides[0] + sides[1]) / 2, _LEAST_NEAR_PX)
+        near = np.maximum(_NEAR * (sides[0] + sides[1]) / 2, _MIN_NEAR_PX)
         ratio = np.maximum(sides[0] / sides[1], sides[1] / sides[0])
         # The horizon moves in the image: simulated ones keep the share of the sea above them, wakes their depth.
         depths = [sightings.depth_px, sightings.centres_px[:, 1]]
         if np.isfinite(sightings.image_px).all():
             depths.append(sightings.level_px)
         down = np.min([np.abs(depth[second] - depth[first]) for depth in depths], axis=0)
-        alike: Mask = (down <= near[:, 1]) & (ratio <= _MOST_RATIO).all(axis=1)
+        alike: Mask = (down <= near[:, 1]) & (ratio <= _MAX_RATIO).all(axis=1)
         return cls(np.abs(sightings.along_px[second] - sightings.along_px[first]), near[:, 0], alike)
 
     def near(self, way_px: float) -> Mask:
@@ -115,7 +115,7 @@ class OrderedFrames:
         first, second = np.arange(len(self.images) - steps), np.arange(steps, len(self.images))
         apart = self.time_s[second] - self.time_s[first]
         same = self.sequence[first] == self.sequence[second]
-        kept = same & (np.abs(apart - steps * self.gap_s) <= _MOST_OFF_GAP * self.gap_s * max(1.0, steps / 4))
+        kept = same & (np.abs(apart - steps * self.gap_s) <= _MAX_OFF_GAP * self.gap_s * max(1.0, steps / 4))
         return first[kept], second[kept]
 
 

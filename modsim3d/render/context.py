@@ -21,7 +21,7 @@ GetAddress = Any
 """A ctypes function that gives the address of an OpenGL function."""
 
 _PLATFORM_SURFACELESS_MESA, _PLATFORM_DEVICE = 0x31DD, 0x313F
-_MOST_DEVICES = 64
+_MAX_DEVICES = 64
 
 
 @contextmanager
@@ -80,8 +80,8 @@ def _devices() -> list[Any]:
     from OpenGL import EGL
     from OpenGL.EGL.EXT.device_enumeration import eglQueryDevicesEXT
 
-    found, count = (EGL.EGLDeviceEXT * _MOST_DEVICES)(), (EGL.EGLint * 1)()
-    if not _result(eglQueryDevicesEXT, _MOST_DEVICES, found, count):
+    found, count = (EGL.EGLDeviceEXT * _MAX_DEVICES)(), (EGL.EGLint * 1)()
+    if not _result(eglQueryDevicesEXT, _MAX_DEVICES, found, count):
         return []
     return sorted(found[: count[0]], key=_is_software)
 

@@ -131,7 +131,7 @@ def _detections(rows: RunRows, frames: Indices) -> TrackerDetections:
 
 FIRST_STEPS, SPREAD_STEPS = 10, 20
 """Steps that are looked at: so many at the beginning, and so many over the whole run."""
-LEAST_AREA_PX = 1.0
+MIN_AREA_PX = 1.0
 LEVEL_DEG = 0.05
 """A camera that looks no farther from the horizontal is said to look along it."""
 HIDDEN, SMALL, BELOW, ABOVE, LEFT, RIGHT, BEHIND, ABSENT = range(8)
@@ -169,7 +169,7 @@ class Outlook:
 
         It is taken to where hulls intersect.
         """
-        unseen = analytic_occlusion(self.outlines, self.sight.camera.intrinsics).visible_px < LEAST_AREA_PX
+        unseen = analytic_occlusion(self.outlines, self.sight.camera.intrinsics).visible_px < MIN_AREA_PX
         return bool((self.outlines.boxed & ~unseen).any())
 
     def direction(self) -> str:
@@ -195,7 +195,7 @@ class Outlook:
         places = np.where(ahead, _beside(pinhole.project(points), pinhole.image_size_px), BEHIND)
         rows = self.outlines.boxed
         frame, vessel = self.outlines.frame[rows], self.outlines.occluder[rows]
-        places[frame, vessel] = np.where(self.outlines.areas_px[rows] < LEAST_AREA_PX, SMALL, HIDDEN)
+        places[frame, vessel] = np.where(self.outlines.areas_px[rows] < MIN_AREA_PX, SMALL, HIDDEN)
         return np.where(sight.others, places, ABSENT)
 
 

@@ -148,7 +148,7 @@ def _turned(vessels: PosesInWaves, carrier: int, by_rad: Array) -> PosesInWaves:
 
 
 Attitude = Literal["true", "measured"]
-MOST_RANGE_ERROR = 0.05
+MAX_RANGE_ERROR = 0.05
 """Greatest standard deviation of the inverse range, over the inverse range, at which a position is given.
 
 `script/campaign positions` measures what comes of it, and docs/positions.md says why it is so small."""
@@ -173,7 +173,7 @@ class Located:
         inverse_range_std_per_m: Its standard deviation, shape (n,).
         covariance_rad_per_m: Covariance of bearing and inverse range, shape (n,).
         positions_m: w1 and w2 of that point, shape (n, 2). NaN where the standard deviation of the inverse range is
-            more than `MOST_RANGE_ERROR` of it: a first-order covariance of the position would be wrong.
+            more than `MAX_RANGE_ERROR` of it: a first-order covariance of the position would be wrong.
         position_covariances_m2: Shape (n, 2, 2).
     """
 
@@ -369,7 +369,7 @@ def _given(
     no_bearing, no_range = beside | np.isnan(bearing), footless | np.isnan(inverse)
     bearing, inverse = np.where(no_bearing, np.nan, bearing), np.where(no_range, np.nan, inverse)
     deviation = np.sqrt(covariance[:, 1, 1])
-    placed = (inverse > horizon) & (deviation <= MOST_RANGE_ERROR * inverse) & ~no_bearing
+    placed = (inverse > horizon) & (deviation <= MAX_RANGE_ERROR * inverse) & ~no_bearing
     positions, spreads = first_order(bearing, np.where(placed, inverse, np.nan), covariance, cameras_m)
     return Located(
         bearing_rad=bearing,

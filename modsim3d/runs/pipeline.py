@@ -19,7 +19,7 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.runs.blocks import Block, CameraBlock, frames_of
 from modsim3d.runs.frames import Frame
 from modsim3d.runs.truth_check import check_block
-from modsim3d.scene.checks import place_problems
+from modsim3d.scene.reading import place_problems
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
 from modsim3d.truth.analytic import analytic_occlusion, rectangle_occlusion
@@ -32,7 +32,7 @@ from modsim3d.world.vessel_motion import PosesInWaves
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-BLOCK_VESSELS, MOST_BLOCK_STEPS = 8_000, 1_000
+BLOCK_VESSELS, MAX_BLOCK_STEPS = 8_000, 1_000
 """Most vessels times steps of a block, and most steps: few calls, but arrays that fit a cache."""
 
 Range = tuple[int, int]
@@ -199,7 +199,7 @@ class Simulation:
 
 def block_steps(scene: Scene) -> int:
     """How many steps of a scene make a block; no result depends on it."""
-    return max(1, min(MOST_BLOCK_STEPS, BLOCK_VESSELS // len(scene.vessels)))
+    return max(1, min(MAX_BLOCK_STEPS, BLOCK_VESSELS // len(scene.vessels)))
 
 
 def block_ranges(steps: int, block_steps: int) -> list[Range]:

@@ -25,7 +25,7 @@ from modsim3d.scene.scene import Scene
 
 # ---- How two files of the same name differ, in words ----
 
-_MOST_COLUMNS = 6
+_MAX_COLUMNS = 6
 SAME_ROWS = "the same rows, stored in other bytes"
 """What `difference` says of tables of another writer."""
 
@@ -44,7 +44,7 @@ def settings_difference(one: bytes, other: bytes, left_out: frozenset[str]) -> s
     """Entries that differ between two JSON objects, `left_out` aside; empty if none does."""
     first, second = (_flat(orjson.loads(text), left_out) for text in (one, other))
     keys = [key for key in sorted(first | second) if first.get(key) != second.get(key)]
-    said = [f"{key} {_shown(first, key)} against {_shown(second, key)}" for key in keys[:_MOST_COLUMNS]]
+    said = [f"{key} {_shown(first, key)} against {_shown(second, key)}" for key in keys[:_MAX_COLUMNS]]
     return _listed(said, len(keys))
 
 
@@ -79,7 +79,7 @@ def _of_tables(one: Path, other: Path) -> str:
         return SAME_ROWS
     rows = np.logical_or.reduce(list(differs.values())).sum()
     said = [f"{name} in {mask.sum()}{found[name][1]}" for name, mask in differs.items()]
-    return f"{rows} of {len(first)} rows differ: {_listed(said[:_MOST_COLUMNS], len(said))}"
+    return f"{rows} of {len(first)} rows differ: {_listed(said[:_MAX_COLUMNS], len(said))}"
 
 
 def _rows(path: Path) -> pa.Table:

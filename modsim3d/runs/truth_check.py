@@ -15,8 +15,8 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Purpose, Streams
 from modsim3d.scene.parts import NO_FILE
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.analytic import visible_areas
 from modsim3d.truth.crosscheck.comparison import Checked, Difference, SaidOfFrame, check_frame
-from modsim3d.truth.crosscheck.visible_areas import visible_areas
 from modsim3d.truth.record import Truth
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ STREAM_STEPS = 1000
 """A stream's first frames are checked, and then one in so many steps."""
 PIXELS_A_UNIT, VESSELS_A_UNIT = 8_000_000, 10
 """An image with so many pixels, and a scene with so many vessels, double the effort of a frame that is checked."""
-MOST_DRAWS = 3
+MAX_DRAWS = 3
 """How often a frame is drawn, until one has a vessel."""
 BATCH_FRAMES = 16
 """Frames that are checked together; it bounds the memory where all are."""
@@ -133,7 +133,7 @@ def _frame_of_part(scene: Scene, part: int) -> FrameKey:
     first, last = frames_taken(scene)[0][[ends[part], ends[part + 1] - 1]].tolist()
     steps = [scene.frame_steps(camera, first, last + 1) for camera in scene.cameras]
     taking = [index for index, own in enumerate(steps) if len(own)]
-    for _ in range(MOST_DRAWS):
+    for _ in range(MAX_DRAWS):
         index = taking[int(draw.integers(len(taking)))]
         step = int(steps[index][draw.integers(len(steps[index]))])
         if _has_a_vessel(scene, step, index):

@@ -115,7 +115,7 @@ def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, folder: Pa
 
 # ---- Vessels that a pose source draws ----
 
-MOST_NAMES = 3
+MAX_NAMES = 3
 
 
 def drawn_vessels(
@@ -166,9 +166,9 @@ def _label_problems(vessels: Sequence[Vessel], labels: Sequence[str] | None) -> 
         return
     for label in dict.fromkeys(vessel.label for vessel in vessels if vessel.label not in labels):
         names = [vessel.name for vessel in vessels if vessel.label == label]
-        more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+        more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
         yield (
-            f"draws vessels with the label '{label}' ({', '.join(names[:MOST_NAMES])}{more}), which is not one of the "
+            f"draws vessels with the label '{label}' ({', '.join(names[:MAX_NAMES])}{more}), which is not one of the "
             f"detector's labels ({nearest(label, labels)})"
         )
 

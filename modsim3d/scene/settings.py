@@ -18,7 +18,7 @@ from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.file.unread import unread_settings
 from modsim3d.detector.file.writing import is_miss_rate, with_miss_rate
 from modsim3d.detector.model import DetectorModel
-from modsim3d.io.strict_yaml import load_yaml, parse_yaml
+from modsim3d.io.strict_text import load_yaml, parse_yaml
 from modsim3d.io.validation import find_condition, join_path, kind_of, model_at, nearest
 from modsim3d.scene.keys import SceneKeys
 

@@ -32,7 +32,7 @@ LEVEL = 0.95
 """Confidence of the interval of a mean."""
 SPREAD_KEYS = ("hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "anees")
 """The scores whose spread is told."""
-LEAST_SEEDS, MOST_SEEDS = 2, 1000
+MIN_SEEDS, MAX_SEEDS = 2, 1000
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ def check_seeds(seeds: int, track_sets: Sequence[TrackSet], in_world: Sequence[P
     Raises:
         ModsimError: There are too few or too many seeds, or tracks that `modsim3d track` did not write.
     """
-    if not LEAST_SEEDS <= seeds <= MOST_SEEDS:
-        raise ModsimError(f"--seeds must be from {LEAST_SEEDS} to {MOST_SEEDS} (got {seeds})")
+    if not MIN_SEEDS <= seeds <= MAX_SEEDS:
+        raise ModsimError(f"--seeds must be from {MIN_SEEDS} to {MAX_SEEDS} (got {seeds})")
     unknown = [f"{path}" for path in in_world] + [each.name for each in track_sets if each.origin is None]
     if unknown:
         raise ModsimError(

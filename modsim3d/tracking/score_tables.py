@@ -24,7 +24,7 @@ from modsim3d.tracking.scores.breakdown import Bin, Breakdown
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode
 from modsim3d.tracking.scores.scored import Rules
 from modsim3d.tracking.scores.scoring import Scores, SubsetScores
-from modsim3d.tracking.world.encounters import MetVessel
+from modsim3d.tracking.world.scoring import MetVessel
 from modsim3d.view.pages import page
 
 # ---- Scores of tracks in the world ----

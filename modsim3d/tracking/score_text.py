@@ -83,7 +83,7 @@ MEANINGS = {
 
 # ---- What scores say, in one or two sentences that are made of the numbers and nothing else ----
 
-LEAST_OCCLUSIONS = 3
+MIN_OCCLUSIONS = 3
 """Fewer occlusions of a length say nothing about it."""
 
 
@@ -165,7 +165,7 @@ def _losses(lengths: Sequence[LengthBin]) -> list[str]:
         return ["No vessel that it followed went into an occlusion and came out of it."]
     if survived == every:
         return [f"It keeps its vessel through {'the only occlusion' if every == 1 else f'all {every} occlusions'}."]
-    many = [each for each in lengths if each.occlusions >= LEAST_OCCLUSIONS]
+    many = [each for each in lengths if each.occlusions >= MIN_OCCLUSIONS]
     if len(many) < 2:
         return [f"It keeps its vessel through {survived} of {counted(every, 'occlusion')}."]
     worst = min(many, key=lambda each: each.survived / each.occlusions)

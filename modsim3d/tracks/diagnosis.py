@@ -55,7 +55,7 @@ MOT = BoxForm("x, y, width, height with pixels from 1", TOP_LEFT.names, 1, from_
 
 _LOOKED_AT = 2000
 """Rows, spread over the file."""
-_LEAST_ROWS, _LEAST_CLOSE_ROWS = 8, 30
+_MIN_ROWS, _MIN_CLOSE_ROWS = 8, 30
 """Fewer rows may be false tracks, which fit nothing, or anything by chance; more are needed where little changes."""
 _FITS, _NEARER = 0.1, 0.6
 """Another reading is meant if half of its boxes are at most this share of the image's diagonal from known ones, and
@@ -70,12 +70,12 @@ _SIZES_PX = (
     *((1024, 768), (1280, 720), (1280, 1280), (1920, 1080), (2560, 1440), (3840, 2160), (1000, 1000), (100, 100)),
 )
 """Sizes to which images are often scaled for a detector or a tracker; halves and doubles of their own are tried too."""
-_MOST_NORMALISED, _PER_CENT, _MANY_PX = 2.0, 100, 400
+_MAX_NORMALISED, _PER_CENT, _MANY_PX = 2.0, 100, 400
 """Numbers up to these are shares, or may be in per cent if each side of the images has so many pixels or more."""
 _CLEARLY = 1.0
 """By how many standard deviations of a sign test boxes must be nearer to the truth too if a bias looks the same."""
 _LATE, _EXCHANGED = "frames are one too high", "x and y of the boxes are exchanged"
-_BEYOND_PX, _MOST_BEYOND = 5.0, 0.1
+_BEYOND_PX, _MAX_BEYOND = 5.0, 0.1
 """Boxes may reach beyond their image by so much, and so many of them by more, as those of boats that it cuts do."""
 _FITS_BETTER, _FOLLOWS = 0.2, 0.1
 """Another reading is meant if it leaves at most this share of such boxes; and width and height are corners if at most
@@ -194,7 +194,7 @@ def misreading(
             so boxes that another reading moves by little are wrong only if one brings them nearer to these too.
         only_forms: Whether nothing but the form of the boxes is in doubt.
     """
-    if len(rows.frame) < _LEAST_ROWS:
+    if len(rows.frame) < _MIN_ROWS:
         return None
     rows = rows.spread()
     diagonal_px = np.hypot(*rows.image_px.T)
@@ -206,7 +206,7 @@ def misreading(
         away = known.distances(reading.frame, reading.boxes_px) / diagonal_px
         both, half = np.isfinite(away) & np.isfinite(as_it_is), _median(away)
         least = _NEAR if reading.factor == _MUCH else _EXACT
-        many = _LEAST_ROWS if now > _MUCH * half and reading.factor != _CLOSE else _LEAST_CLOSE_ROWS
+        many = _MIN_ROWS if now > _MUCH * half and reading.factor != _CLOSE else _MIN_CLOSE_ROWS
         nearer = np.count_nonzero(away[both] < as_it_is[both]) >= _NEARER * np.count_nonzero(both)
         if half < best and now > max(reading.factor * half, least) and nearer and len(away) >= many:
             best, meant = half, reading
@@ -227,7 +227,7 @@ def agree(rows: BoxRows, known: KnownBoxes) -> bool:
     """Whether there are some boxes of which half, or more, lie near known ones."""
     rows = rows.spread()
     away = known.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / np.hypot(*rows.image_px.T)
-    return len(away) >= _LEAST_ROWS and _median(away) < _AGREE
+    return len(away) >= _MIN_ROWS and _median(away) < _AGREE
 
 
 def implausible(rows: BoxRows) -> Misreading | None:
@@ -237,13 +237,13 @@ def implausible(rows: BoxRows) -> Misreading | None:
     alone = len(np.unique(rows.frame)) == len(rows.frame)
     rows = rows.spread()
     numbers, image_px, now_px = rows.numbers, rows.image_px, rows.form.boxes_px(rows.numbers)
-    if np.abs(numbers).max() <= _MOST_NORMALISED:
+    if np.abs(numbers).max() <= _MAX_NORMALISED:
         return Misreading(f"the boxes are shares of the image, must be in pixels: {rows.form.meaning}", False)
     beyond = _beyond(now_px, image_px)
     size = " x ".join(f"{side:g}" for side in image_px[np.argmax(beyond)].tolist())
-    if len(numbers) < _LEAST_ROWS:
+    if len(numbers) < _MIN_ROWS:
         return None
-    if beyond.mean() <= _MOST_BEYOND:
+    if beyond.mean() <= _MAX_BEYOND:
         return _inside(rows, size, alone)
     found = f"{beyond.mean():.0%} of them reach beyond their images by more than {_BEYOND_PX:g} px"
     outside = np.asarray(((now_px[:, :2] >= image_px) | (now_px[:, 2:] <= 0)).any(axis=1))
@@ -258,7 +258,7 @@ def implausible(rows: BoxRows) -> Misreading | None:
             return Misreading(f"{reading.told}{either} ({found})", False)
     reach = "{:.4g}, {:.4g} to {:.4g}, {:.4g}".format(*now_px[:, :2].min(axis=0), *now_px[:, 2:].max(axis=0))
     reached = f"the first is of {size} px, and boxes reach from {reach}"
-    if outside.mean() > _MOST_BEYOND:
+    if outside.mean() > _MAX_BEYOND:
         told = f"{outside.mean():.0%} of the boxes lie outside their images: {reached}; is the size of the images right"
         return Misreading(f"{told} (--image-size or seqinfo.ini in MOT, width and height in COCO)?", False)
     return Misreading(f"boxes are not cut at the edge of the image: {found}; {reached}", True)
@@ -277,7 +277,7 @@ def _inside(rows: BoxRows, size: str, alone: bool) -> Misreading | None:
     most = np.abs(rows.numbers).max()
     if most <= _PER_CENT + rows.form.first_px and rows.image_px.min() >= _MANY_PX:
         reach = rows.form.boxes_px(rows.numbers).max()
-        edge = bool(reach > _TO_THE_EDGE * _PER_CENT and len(rows.numbers) >= _LEAST_CLOSE_ROWS)
+        edge = bool(reach > _TO_THE_EDGE * _PER_CENT and len(rows.numbers) >= _MIN_CLOSE_ROWS)
         told = f"all boxes lie within 100 x 100 of {size} px: are they in per cent? must be in pixels"
         return Misreading(told, not edge)
     return None
@@ -314,7 +314,7 @@ def _readings(rows: BoxRows) -> Iterator[_Reading]:
     yield from _close_readings(rows, as_it_is)
     others, plain = _other_forms(form), TOP_LEFT if form is MOT else form
     yield from _form_readings(rows)
-    if np.abs(numbers).max() <= _MOST_NORMALISED:
+    if np.abs(numbers).max() <= _MAX_NORMALISED:
         scaled = numbers * np.tile(rows.image_px, 2)
         for other in (plain, *others):
             told = f"the boxes are shares of the image ({other.meaning}), must be in pixels: {form.meaning}"

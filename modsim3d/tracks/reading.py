@@ -22,7 +22,7 @@ from modsim3d.io import input_files
 from modsim3d.io.atomic_write import write_files
 from modsim3d.io.input_files import open_input
 from modsim3d.io.overwrite_guard import claimed
-from modsim3d.io.strict_json import load_json
+from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import Count, Strict, describe, nearest, shown
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.files.run_file import FileEntry, Sha256, Text

@@ -64,7 +64,7 @@ class RowProblems:
 
 
 _NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
-_MOST_NUMBER = 1e15
+_MAX_NUMBER = 1e15
 """A larger number is no identity and no place, and neighbours of it cannot be told apart."""
 
 
@@ -139,7 +139,7 @@ class TextTable:
         values = np.asarray(pc.cast(cells, pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
         bad = ~_mask(good) if needed else ~(_mask(good) | _mask(empty))
         self.problems.refuse(bad, lambda row: f"{name} must be a number (got {self._shown(name, row)})")
-        too_large = np.abs(values) > _MOST_NUMBER
+        too_large = np.abs(values) > _MAX_NUMBER
         self.problems.refuse(too_large, lambda row: f"{name} must be at most 1e15 (got {self._shown(name, row)})")
         return np.where(too_large, np.nan, values)
 

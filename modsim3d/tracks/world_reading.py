@@ -24,7 +24,7 @@ from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.messages import local_metres, wrapped_deg
 from modsim3d.tracks.text_table import name_of, source_of
 from modsim3d.tracks.tracks import WorldTracks
-from modsim3d.tracks.world_rows import MOST_DEG, WorldRows, checked
+from modsim3d.tracks.world_rows import MAX_DEG, WorldRows, checked
 
 STATE = ("w1", "w2", "v1", "v2")
 IN_SCENE, ON_EARTH = ("w1_m", "w2_m"), ("latitude_deg", "longitude_deg")
@@ -180,10 +180,10 @@ def _positions_m(source: str, column: Callable[[str], Array], degrees: Array | N
             "origin: {latitude_deg: ..., longitude_deg: ...}, or give w1_m and w2_m"
         )
         raise InputError(source, [problem])
-    wrong = (np.abs(degrees) > (MOST_DEG[0], 360.0)).any(axis=1)
+    wrong = (np.abs(degrees) > (MAX_DEG[0], 360.0)).any(axis=1)
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        swapped = "" if (np.abs(degrees[:, 1]) > MOST_DEG[0]).any() else ": are latitude and longitude swapped?"
+        swapped = "" if (np.abs(degrees[:, 1]) > MAX_DEG[0]).any() else ": are latitude and longitude swapped?"
         got = f"(got {degrees[row, 0]:g} and {degrees[row, 1]:g})"
         raise InputError(source, [f"row {row + 2}: is no latitude and longitude in degrees {got}{swapped}"])
     return local_metres(degrees[:, 0], degrees[:, 1], run.scene.origin)

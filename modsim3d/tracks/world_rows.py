@@ -19,7 +19,7 @@ from modsim3d.world.encounters import hull_tracks
 
 # ---- Tracks in the world that are wrong as a whole ----
 
-_LOOKED_AT, _LEAST_ROWS, _LEAST_STEP_ROWS = 2000, 8, 30
+_LOOKED_AT, _MIN_ROWS, _MIN_STEP_ROWS = 2000, 8, 30
 """Rows, spread over the file; fewer fit by chance, and more are needed where little changes."""
 _FITS, _FITS_M, _NEARER, _MUCH, _STEP = 0.03, 50.0, 0.6, 3.0, 1.5
 """Another reading is meant if positions are at most this share of the vessels' extent from one, and this far, the gate
@@ -36,7 +36,7 @@ def world_misreading(time_s: Array, position_m: Array, hulls: HullTracks, own: t
     `hulls` are the vessels at all steps, and `own` the columns of those that carry cameras.
     """
     vessels_m = np.delete(hulls.centres_m, own, axis=1)
-    if len(time_s) < _LEAST_ROWS or np.isnan(vessels_m).all():
+    if len(time_s) < _MIN_ROWS or np.isnan(vessels_m).all():
         return ""
     rows = np.unique(np.linspace(0, len(time_s) - 1, _LOOKED_AT).astype(np.int64))
     step = np.rint(np.interp(time_s[rows], hulls.times_s, np.arange(len(hulls.times_s)))).astype(np.int64)
@@ -46,7 +46,7 @@ def world_misreading(time_s: Array, position_m: Array, hulls: HullTracks, own: t
     best = limit = min(_FITS * extent_m, _FITS_M)
     for told, places_m, at in _readings(position_m[rows], step, hulls, own):
         away = _nearest_m(places_m, vessels_m[at])
-        factor, least = (_MUCH, _LEAST_ROWS) if at is step else (_STEP, _LEAST_STEP_ROWS)
+        factor, least = (_MUCH, _MIN_ROWS) if at is step else (_STEP, _MIN_STEP_ROWS)
         half, nearer = float(np.median(away)), ((away < as_it_is) & (away < limit)).mean() >= _NEARER
         if half < best and now > factor * half and nearer and len(rows) >= least:
             best, meant = half, told
@@ -83,7 +83,7 @@ def _nearest_m(position_m: Array, vessels_m: Array) -> Array:
 FAR_M = 100_000.0
 """Tracks that are all farther than that from where vessels are have another unit or another order."""
 SHOWN_PROBLEMS = 5
-MOST_DEG = (90.0, 180.0)
+MAX_DEG = (90.0, 180.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,7 @@ def _check_place(rows: WorldRows, run: StoredRun) -> None:
             ("latitude and longitude seem to be swapped", rows.degrees[:, ::-1]),
             ("latitude and longitude seem to be radians, must be degrees", np.rad2deg(rows.degrees)),
         ):
-            if (np.abs(degrees) <= MOST_DEG).all() and near(local_metres(degrees[:, 0], degrees[:, 1], origin)):
+            if (np.abs(degrees) <= MAX_DEG).all() and near(local_metres(degrees[:, 0], degrees[:, 1], origin)):
                 raise InputError(rows.source, [f"{problem}: {reason}"])
     elif near(rows.position_m / 1000):
         problem += ": they seem to be millimetres, must be metres"

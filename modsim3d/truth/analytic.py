@@ -2,8 +2,7 @@
 
 The visible region of a vessel is its silhouette minus the silhouettes of the solids that can hide it. Areas and boxes
 are exact, not rounded to pixels. Where no plane is between the convex hulls of two solids, they have no order, and what
-is visible of them is unknown (NaN).
-"""
+is visible of them is unknown (NaN)."""
 
 from __future__ import annotations
 
@@ -21,6 +20,8 @@ from modsim3d.truth.occlusion import HiddenPixels, Occlusion
 from modsim3d.truth.occlusion_order import Order, order_of, overlapping_pairs
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.silhouettes import in_image, silhouette_polygons
+
+# ---- Truth from geometry alone, without a renderer ----
 
 # ---- Occlusion of polygons by polygons ----
 
@@ -304,3 +305,25 @@ def _within(polygon: shapely.Geometry, band_px: float, x: Array, y: Array) -> Ma
     shapely.prepare(grown)
     inside: Mask = shapely.contains_xy(grown, x, y)
     return inside
+
+
+# ---- Visible parts by exact geometry, where it tells ----
+
+
+def visible_areas(outlines: Outlines, intrinsics: Intrinsics, supersample: int) -> tuple[Array, Array]:
+    """The area of the visible part of each row, and by how much its pixels may differ, both (n,) in image pixels.
+
+    NaN where geometry does not tell: meshes, what overlaps one in the image, and solids that intersect. Only pixels on
+    a boundary, of the silhouette or of its visible part, may count otherwise than by their share of the area.
+    """
+    areas, bounds = np.full((2, len(outlines)), np.nan)
+    convex = np.flatnonzero(outlines.convex)
+    some = outlines.take(convex)
+    regions = visible_regions(some, intrinsics)
+    areas[convex] = occlusion_of_regions(some, regions).visible_px
+    boundaries = (boundary_pixels(each, supersample) for each in (regions.silhouettes, regions.visible))
+    bounds[convex] = sum(boundaries) / supersample**2
+    first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
+    mesh = ~outlines.convex
+    areas[first[mesh[second]]] = areas[second[mesh[first]]] = np.nan
+    return areas, bounds

@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask, extents, ranges
-from modsim3d.geometry.camera import Intrinsics
-from modsim3d.geometry.clipping import clip_triangles, guard_planes
+from modsim3d.geometry.camera import Intrinsics, clip_triangles, guard_planes
 from modsim3d.render.id_pass import IdRenderer, Ids, Region, Sheet
 from modsim3d.truth.outlines import OutlinePart, Outlines
 from modsim3d.truth.silhouettes import cut_faces, faces_towards

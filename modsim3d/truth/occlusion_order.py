@@ -201,7 +201,7 @@ def _begins_within(place: Indices, side: Indices, rows: Indices, others: Indices
 TOUCHING_M = 1e-7
 """Solids that overlap by less are taken to touch: rounding must not turn neighbours at a quay into a collision."""
 
-MOST_COORDINATES = 4_000_000
+MAX_COORDINATES = 4_000_000
 """Most coordinates of vertices along axes that are computed at once; it bounds the memory."""
 
 
@@ -306,7 +306,7 @@ def _pairs_that_matter(outlines: Outlines) -> tuple[Indices, Indices]:
 
 def _in_turns(pairs: Indices, a: Solid, b: Solid) -> list[Indices]:
     """Pairs of two kinds of solid in portions whose coordinates along the axes fit into memory."""
-    most = max(1, MOST_COORDINATES // (axis_count(a, b) * (len(a.vertices) + len(b.vertices))))
+    most = max(1, MAX_COORDINATES // (axis_count(a, b) * (len(a.vertices) + len(b.vertices))))
     return np.array_split(pairs, -(-len(pairs) // most))
 
 

@@ -15,9 +15,8 @@ import numpy as np
 import shapely
 
 from modsim3d.core.arrays import Array, Indices, Mask, run_starts
-from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.camera import Intrinsics, clip_triangles, guard_planes
 from modsim3d.geometry.camera_poses import CameraPoses
-from modsim3d.geometry.clipping import clip_triangles, guard_planes
 from modsim3d.truth.silhouettes import cut_faces, doubled_face_areas, in_image, share_in_image, silhouette_polygons
 from modsim3d.world.bodies import Bodies
 from modsim3d.world.vessels import Solid
@@ -25,7 +24,7 @@ from modsim3d.world.vessels import Solid
 BESIDE = 1e-6
 """Metres times pixels by which a solid must be outside the image, so that rounding errors bring no corner into it."""
 
-MOST_VERTICES = 12_000
+MAX_VERTICES = 12_000
 """Most vertices of bodies that are projected together: few calls, but arrays that fit a cache."""
 
 
@@ -155,7 +154,7 @@ def _outline(
     intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies, measured: bool
 ) -> tuple[dict[str, Any], OutlinePart]:
     """The columns of `Outlines` for bodies with the same faces, and the part that they form."""
-    steps = max(1, MOST_VERTICES // bodies.vertices_m[..., 0].size)
+    steps = max(1, MAX_VERTICES // bodies.vertices_m[..., 0].size)
     portions = [slice(first, first + steps) for first in range(0, len(bodies.present), steps)]
     found = [_portion(intrinsics, camera_poses.at(some), bodies.at(some), measured) for some in portions]
     if len(found) == 1:
@@ -294,7 +293,7 @@ def _projected_areas(pixels: Array, solid: Solid) -> Array:
 
 INSIDE = 2 * np.pi
 """A closed mesh subtends the whole sphere of 4π at a point inside, and 0 at a point outside."""
-MOST_TRIANGLES = 100_000
+MAX_TRIANGLES = 100_000
 """Most triangles times points that are looked at together; it bounds the memory."""
 
 
@@ -316,7 +315,7 @@ def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, 
         within = np.all((places > low) & (places < high), axis=-1) & some.present
         for body in np.flatnonzero(within.any(axis=0)).tolist():
             frames, triangles = np.flatnonzero(within[:, body]), some.vertices_m[body][some.solid.faces]
-            for some_frames in np.array_split(frames, -(-len(frames) * len(triangles) // MOST_TRIANGLES)):
+            for some_frames in np.array_split(frames, -(-len(frames) * len(triangles) // MAX_TRIANGLES)):
                 inside = np.abs(solid_angle(places[some_frames, body], triangles)) > INSIDE
                 found += [(frame, int(some.occluder[body])) for frame in some_frames[inside][:1].tolist()]
     return min(found, default=None)

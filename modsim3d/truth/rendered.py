@@ -44,7 +44,7 @@ from modsim3d.truth.silhouettes import Spans, counts_and_boxes, joined_spans, sp
 DEPTH_ERROR = 1e-4
 """Solids that are apart by less than this share of their distance are left to the depth buffer. Its 24 bits hold depths
 a thousand times more precisely, but it interpolates them across triangles that may be seen almost edge-on."""
-MOST_ROUNDS = 64
+MAX_ROUNDS = 64
 """Solids one behind the other in the longest chain whose order is looked for."""
 
 
@@ -122,7 +122,7 @@ def _ranks(near: Indices, far: Indices, count: int) -> Indices:
     Where pairs run in a circle, there is no such number; then some pair has ranks that do not rise.
     """
     ranks = np.zeros(count, dtype=np.int64)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         behind = ranks[near] + 1
         if (ranks[far] >= behind).all():
             break
@@ -130,7 +130,7 @@ def _ranks(near: Indices, far: Indices, count: int) -> Indices:
     return ranks
 
 
-MOST_LINES = 32_768
+MAX_LINES = 32_768
 """Most scan lines of silhouettes that are treated at once: few calls, but arrays that fit a cache."""
 
 
@@ -158,11 +158,11 @@ def spans_of_frame(spans: Spans, outlines: Outlines, frame: int) -> Spans:
 
 
 def _portions(outlines: Outlines, supersample: int) -> list[tuple[int, int]]:
-    """Runs of whole frames that have about `MOST_LINES` scan lines together, one at least: first row and stop."""
+    """Runs of whole frames that have about `MAX_LINES` scan lines together, one at least: first row and stop."""
     heights = (outlines.boxes_px[:, 3] - outlines.boxes_px[:, 1]) * supersample
     before = np.cumsum(heights) - heights
     begins = run_starts(outlines.frame)
-    portion = before[begins] // MOST_LINES
+    portion = before[begins] // MAX_LINES
     later = begins[1:][np.diff(portion) != 0]
     return list(pairwise([0, *later.tolist(), len(outlines)]))
 

@@ -12,8 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from modsim3d.core.arrays import Array, Indices, Mask, ranges, run_starts
-from modsim3d.geometry.camera import Intrinsics
-from modsim3d.geometry.clipping import clip_triangles, near_plane
+from modsim3d.geometry.camera import Intrinsics, clip_triangles, near_plane
 from modsim3d.geometry.kinematics import union_of
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.world.vessels import Solid, once_a_solid
@@ -338,7 +337,7 @@ def spans_of_ids(ids: NDArray[np.uint32]) -> Spans:
 # ---- The pixels of closed solids that need not be convex ----
 
 HALF = SUBPIXELS // 2
-MOST_CROSSINGS = 200_000
+MAX_CROSSINGS = 200_000
 """Edges times scan lines that are computed at once; it bounds the memory."""
 
 
@@ -409,10 +408,10 @@ class _Edges:
 
     def portions(self) -> list[_Edges]:
         """The edges of some silhouettes after the others."""
-        if self.lines.sum() < MOST_CROSSINGS:
+        if self.lines.sum() < MAX_CROSSINGS:
             return [self]
         crossings = np.cumsum(np.bincount(self.row, self.lines))
-        limits = np.searchsorted(self.row, np.flatnonzero(np.diff(crossings // MOST_CROSSINGS)) + 1)
+        limits = np.searchsorted(self.row, np.flatnonzero(np.diff(crossings // MAX_CROSSINGS)) + 1)
         columns = [np.split(getattr(self, field.name), limits) for field in fields(self)]
         return [_Edges(*some) for some in zip(*columns, strict=True)]
 

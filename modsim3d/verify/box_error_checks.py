@@ -11,10 +11,10 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import clip, inside_image, move, sizes
 from modsim3d.detector.box_error import symmetric_root
+from modsim3d.detector.chain import DetectorPart, model_name
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, ERROR_NORMALS, standardised
-from modsim3d.detector.merges_and_splits import LEAST_SPLIT_PX
+from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
-from modsim3d.detector.parts import DetectorPart, model_name
 from modsim3d.detector.persistence import Persistence, with_share
 from modsim3d.detector.records import TRUE
 from modsim3d.verify.class_checks import correlation_note, turn_before
@@ -26,10 +26,10 @@ from modsim3d.verify.parameters import Parameter
 
 # ---- How long box errors persist ----
 
-LEAST_PAIRS = 100
+MIN_PAIRS = 100
 _REPLAYS, _REPLAYS_AT_ONCE = 300, 50
-_MOST_DRAWS = 2000
-_KNOWN, _LEAST_SHARE = 10.0, 1e-3
+_MAX_DRAWS = 2000
+_KNOWN, _MIN_SHARE = 10.0, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def box_persistence(
     if not fits:
         return None
     now, before = _frame_pairs(model, evidence, fits)
-    if len(now) < LEAST_PAIRS:
+    if len(now) < MIN_PAIRS:
         return None
     # A wrong mean or spread would look like a correlation, so the sample's own are removed.
     whitened = np.concatenate([_own_scale(fit.step.whitened) for fit in fits])
@@ -91,7 +91,7 @@ def box_persistence(
         known = error / math.sqrt(len(replayed.products))
     # Truncation leaves part of a correlation: replays show which, or the boxes do where the correlation is small.
     share = left / asked if abs(left) > _KNOWN * known else float(_shares_left(fits, now, before).mean())
-    scale = 1 / max(share, _LEAST_SHARE)
+    scale = 1 / max(share, _MIN_SHARE)
     off = product - left
     return Estimate(asked + off * scale, asked, error * scale, len(now), statistic=off / error, possible=CORRELATION)
 
@@ -181,7 +181,7 @@ def replayed_errors(law: ErrorParameters, sample: StateErrors, latent: Array, rn
     root = _root(law)
     standard = standardised(law.distribution, latent) @ root.T
     bad = np.nonzero(~inside_image(move(boxes, means + stds * standard), images))
-    for _ in range(_MOST_DRAWS):
+    for _ in range(_MAX_DRAWS):
         if not len(bad[0]):
             break
         rows = bad[1]
@@ -198,14 +198,14 @@ def _root(law: ErrorParameters) -> Array:
     return symmetric_root(covariance) / law.std[:, None]
 
 
-LEAST_DETECTIONS = 150
+MIN_DETECTIONS = 150
 """Box errors of a state with fewer true detections are not tested."""
-LEAST_WORTH = 300
+MIN_WORTH = 300
 """Persistent errors are tested where they are worth so many independent ones.
 
 They come in clumps: a few vessels that keep theirs stray farther than a law with their variance and skewness.
 """
-MOST_SHAPE_ERROR = 1.0
+MAX_SHAPE_ERROR = 1.0
 """A number of the distribution itself is tested up to this standard error, in its own units."""
 _ROUNDING_PX = 1e-6
 _CONDITION = 1e8
@@ -277,7 +277,7 @@ def with_known_errors(model: DetectorModel, evidence: Evidence) -> Mask:
     if not rule.splits:
         return usable
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
-    narrow = rule.looks_long(truth[found.instance]) & (sizes(found.boxes_px)[:, 0] < LEAST_SPLIT_PX)
+    narrow = rule.looks_long(truth[found.instance]) & (sizes(found.boxes_px)[:, 0] < MIN_SPLIT_PX)
     left_out = np.random.default_rng(0).random(len(narrow)) < rule.splits
     return usable & ~(narrow & left_out)
 
@@ -292,7 +292,7 @@ def _is_singular(state: PerformanceState) -> bool:
 
 
 def _fit(state: PerformanceState, evidence: Evidence, rows: Indices, table: MomentTable) -> StateFit | None:
-    if len(rows) < LEAST_DETECTIONS or _is_singular(state):
+    if len(rows) < MIN_DETECTIONS or _is_singular(state):
         return None
     law, found, instances = ErrorParameters.of(state.box_error), evidence.true_detections, evidence.instances
     sample = StateErrors(found.errors_px[rows], found.instance[rows], instances.boxes_px, instances.image_px)
@@ -311,8 +311,8 @@ def _state_checks(
     parameters = []
     for k, (name, asked) in enumerate(zip(law.names(), law.numbers(), strict=True)):
         measure = None if fit is None else _estimate(fit, k, replayed)
-        few = measure is not None and replayed is not None and measure.count < LEAST_WORTH
-        few |= fit is not None and name in law.likelihood.shape_names and fit.step.errors[k] > MOST_SHAPE_ERROR
+        few = measure is not None and replayed is not None and measure.count < MIN_WORTH
+        few |= fit is not None and name in law.likelihood.shape_names and fit.step.errors[k] > MAX_SHAPE_ERROR
         path, unit = f"states.{state.name}.box_error.{name}", "" if k >= 8 else "sides" if law.relative else "px"
         parameters.append(
             Parameter(path, DetectorPart.BOX_ERROR, None if few else measure, float(asked), unit, state.name)

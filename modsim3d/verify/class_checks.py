@@ -10,11 +10,11 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.detector.chain import DetectorPart, model_name
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import cumulative, log2
 from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Effect, FactorTable, Slope
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import DetectorPart, model_name
 from modsim3d.detector.persistence import Persistence
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import CORRELATION, SHARE, Estimate, Exact, Measure, Rate
@@ -128,9 +128,9 @@ def variance_of_sum(
 
 
 BACKGROUND = "background"
-LEAST_CHANCES = 30
+MIN_CHANCES = 30
 """Independent instances of a label in a state, below which its column is not tested."""
-LEAST_PAIRS = 100
+MIN_PAIRS = 100
 _SHARED_NOTE = "not tested where vessels keep a share of their noise"
 
 
@@ -225,7 +225,7 @@ def _share(
     model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, low: Array, high: Array
 ) -> Measure | None:
     """How often a uniform number was between the bounds `low` and `high` of each row, shapes (n,)."""
-    if len(rows) < LEAST_CHANCES:
+    if len(rows) < MIN_CHANCES:
         return None
     probability = high - low
     spread = probability * (1 - probability)
@@ -244,7 +244,7 @@ def _share(
         factor = max(asked / alone, 1.0)
     else:
         factor = inflation(*evidence.instances.tracks(rows), model.persistence.class_s, spread, covariance)
-    if len(rows) / factor < LEAST_CHANCES:
+    if len(rows) / factor < MIN_CHANCES:
         return None
     mean, count = float(probability.mean()), int(happened.sum())
     if np.ptp(probability) < 1e-12:
@@ -296,7 +296,7 @@ def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOut
     before = rows_before[now]
     some = expected.passed[before] & (expected.missed[now] > 0) & (expected.missed[now] < 1)
     now, before = now[some], before[some]
-    if len(now) < LEAST_PAIRS:
+    if len(now) < MIN_PAIRS:
         return None
     p, p_before = expected.missed[now], expected.missed[before]
     was_missed = instances.outcome[before] == -1
@@ -320,7 +320,7 @@ def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOut
     )
 
 
-LEAST_MISSES = 30
+MIN_MISSES = 30
 
 
 def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array) -> list[Parameter]:
@@ -378,7 +378,7 @@ def _effect(
     rows = np.flatnonzero(passed & (missed > 0) & (missed < 1))
     p = missed[rows]
     happened = instances.outcome[rows] == -1
-    if happened.sum() < LEAST_MISSES:
+    if happened.sum() < MIN_MISSES:
         return None
     spread, amount = p * (1 - p), column[rows]
     group = instances.state[rows] * len(model.labels) + instances.label[rows]

@@ -11,6 +11,7 @@ from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
+from modsim3d.detector.chain import DetectorPart, model_name
 from modsim3d.detector.confidence import (
     LEVELS,
     SCORES,
@@ -23,7 +24,6 @@ from modsim3d.detector.confidence import (
     pair_score,
 )
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import DetectorPart, model_name
 from modsim3d.verify.class_checks import correlation_note, lag_pairs, turn_before
 from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, unknown_rest_note
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact, Measure
@@ -31,10 +31,10 @@ from modsim3d.verify.parameters import Law, Parameter
 
 # ---- What confidence that persists does to its checks ----
 
-LEAST_PAIRS = 100
-_STEP, _LEAST_LEVEL = 1e-4, 1e-12
+MIN_PAIRS = 100
+_STEP, _MIN_LEVEL = 1e-4, 1e-12
 _HARDLY_ANY = 0.02
-_MOST_CORRELATION = 1 - 1e-9
+_MAX_CORRELATION = 1 - 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ def latent_bounds(model: DetectorModel, evidence: Evidence) -> tuple[Array, Arra
         if levels is None:
             continue
         below, above = levels
-        middle = special.ndtri(np.clip((below + above) / 2, _LEAST_LEVEL, 1 - _LEAST_LEVEL))
+        middle = special.ndtri(np.clip((below + above) / 2, _MIN_LEVEL, 1 - _MIN_LEVEL))
         wide = above - below > _STEP
         low[rows] = np.where(wide, special.ndtri(below), middle)
         high[rows] = np.where(wide, special.ndtri(above), middle)
@@ -112,12 +112,12 @@ def score_persistence(model: DetectorModel, evidence: Evidence) -> Estimate | No
     now = np.flatnonzero((before >= 0) & ~np.isnan(low))
     now = now[low[before[now]] == high[before[now]]]
     before = before[now]
-    if len(now) < LEAST_PAIRS:
+    if len(now) < MIN_PAIRS:
         return None
     times_s = evidence.instances.time_s[evidence.true_detections.instance]
     tau = model.persistence.confidence_s
     kept = np.exp(-(times_s[now] - times_s[before]) / tau) if tau > 0 else np.zeros(len(now))
-    score = pair_score(low[before], low[now], high[now], np.minimum(kept, _MOST_CORRELATION))
+    score = pair_score(low[before], low[now], high[now], np.minimum(kept, _MAX_CORRELATION))
     information, asked = float((score**2).sum()), float(kept.mean())
     if information <= 0:
         return None
@@ -129,7 +129,7 @@ def score_persistence(model: DetectorModel, evidence: Evidence) -> Estimate | No
 
 _FAR, _STEPS = 4.5, 8  # an estimate farther off than this is refined by so many Newton steps
 _SINGULAR = 1e10
-LEAST_DETECTIONS = 50
+MIN_DETECTIONS = 50
 """Independent detections that a number needs."""
 _LEVELS = 100
 """Means at which the integrals are computed; those between are interpolated."""
@@ -170,7 +170,7 @@ class Clipped:
             Estimate(
                 found[k], asked[k], errors[k], count, third[k] / errors[k] ** 3, z[k], k == 1, AMOUNT if k == 1 else ANY
             )
-            if self.kept is None or count >= LEAST_DETECTIONS
+            if self.kept is None or count >= MIN_DETECTIONS
             else None
             for k, count in enumerate(counts)
         ]
@@ -323,7 +323,7 @@ def _quantiles(
     scores: QuantileScores, slopes: list[Slope], found: ScoredDetections, threshold: float, kept: KeptScores | None
 ) -> list[Number]:
     independent = len(found.scores) / (1.0 if kept is None else kept.of_shares)
-    if slopes or independent < LEAST_DETECTIONS:
+    if slopes or independent < MIN_DETECTIONS:
         return [("law", 0.0, None)]
     law = Law.of(found.scores, scores.quantiles.clip(threshold, 1))
     return [("law", 0.0, law if kept is None else replace(law, count=independent))]
@@ -335,11 +335,11 @@ def _normal(
     count, own = len(found.scores), [slope for _, slope, _ in slopes]
     names = ["mean", "std", *(name for name, _, _ in slopes)]
     measures: Sequence[Measure | None] = [None] * len(names)
-    if scores.std == 0 and count >= LEAST_DETECTIONS:
+    if scores.std == 0 and count >= MIN_DETECTIONS:
         shift = sum((slope * amount for _, slope, amount in slopes), np.zeros(count))
         wrong = int((np.abs(found.scores - np.clip(scores.mean + shift, threshold, 1)) > 1e-12).sum())
         return [("std", 0.0, Exact(wrong, count))]
-    if count >= LEAST_DETECTIONS:
+    if count >= MIN_DETECTIONS:
         design = np.column_stack([np.ones(count), *(amount for _, _, amount in slopes)])
         measures = Clipped(found.scores, design, threshold, kept).measures(np.array([scores.mean, *own]), scores.std)
     return list(zip(names, [scores.mean, scores.std, *own], measures, strict=True))

@@ -16,10 +16,10 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.detector.chain import model_name
 from modsim3d.detector.confidence import LEVELS, SCORES, drawn_levels
 from modsim3d.detector.draws import poisson_quantile
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import model_name
 from modsim3d.detector.records import FALSE_POSITIVE
 from modsim3d.detector.truncation import Accepted, accepted_errors
 from modsim3d.verify.class_checks import expected_outcomes
@@ -216,9 +216,9 @@ class StateFit:
 # ---- What is left of each random draw of a run once its law is taken away ----
 
 NO_VESSEL = -1
-_LEAST_OF_STATE = 30
+_MIN_OF_STATE = 30
 """Rows of a state with fewer are left out: they cannot show the state's own mean and spread."""
-_LEAST_LEVEL = 1e-12
+_MIN_LEVEL = 1e-12
 _MANY, _NO_CAP = 10.0, 1 << 30
 _CAP = 0.9
 """Level at which small Poisson numbers are capped: products of rare large ones have no nearly normal sum."""
@@ -376,7 +376,7 @@ def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
             levels = None if check is None else check(scores, found.scores, shift)
             if levels is not None:
                 level = drawn_levels(levels, found.scores, model.confidence_threshold, rng)
-                parts.append((*place, special.ndtri(np.clip(level, _LEAST_LEVEL, 1 - _LEAST_LEVEL))))
+                parts.append((*place, special.ndtri(np.clip(level, _MIN_LEVEL, 1 - _MIN_LEVEL))))
     if not parts:
         return none_of(Draw.CONFIDENCE, "")
     image, vessel, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
@@ -393,7 +393,7 @@ def _standardised(
     for s in np.unique(state):
         rows = np.flatnonzero(state == s)
         spread = values[rows].std(axis=0)
-        if len(rows) >= _LEAST_OF_STATE and (spread > 0).all():
+        if len(rows) >= _MIN_OF_STATE and (spread > 0).all():
             scaled[rows], kept[rows] = (values[rows] - values[rows].mean(axis=0)) / spread, True
     if not kept.any():
         return none_of(draw, "")

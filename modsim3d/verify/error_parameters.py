@@ -11,16 +11,16 @@ from scipy import special
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
+from modsim3d.detector.chain import model_name
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, BoxErrorLaw, ErrorDistribution, Normal, StudentT, size_factors
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
-from modsim3d.detector.parts import model_name
 
 # ---- Likelihoods of standardised box errors ----
 
 FIRST, SECOND = np.triu_indices(4)
 PLAIN = 14
 """Statistics of mean and covariance: four values and ten products."""
-_MOST_FREEDOM, _LEVELS = 1e4, 400
+_MAX_FREEDOM, _LEVELS = 1e4, 400
 
 
 class ErrorLikelihood(Protocol):
@@ -91,7 +91,7 @@ class StudentTLikelihood:
 
     def reshaped(self, distribution: StudentT, step: Array) -> ErrorDistribution:
         """ν − 2 times the exponential of the step, shape (1,)."""
-        return StudentT(min(2 + (distribution.degrees_of_freedom - 2) * float(np.exp(step[0])), _MOST_FREEDOM))
+        return StudentT(min(2 + (distribution.degrees_of_freedom - 2) * float(np.exp(step[0])), _MAX_FREEDOM))
 
     def statistics(self, distribution: StudentT, correlation: Array, standardised: Array) -> Array:
         """Weighted values and products, and the derivative by ν but for a constant, shape (..., 15)."""
@@ -144,7 +144,7 @@ def directions(correlation: Array) -> Array:
     return weights
 
 
-_LEAST_EIGENVALUE, _LEAST_GROWTH = 1e-3, 1e-6
+_MIN_EIGENVALUE, _MIN_GROWTH = 1e-3, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +229,7 @@ class ErrorParameters:
         for value, (i, j) in zip(step[8:PLAIN], ERROR_PAIRS, strict=True):
             correlation[i, j] = correlation[j, i] = np.clip(correlation[i, j] + value, -0.99, 0.99)
         growth, shape = self.growth.copy(), PLAIN + len(self.growing)
-        growth[self.growing] = np.maximum(growth[self.growing] + step[PLAIN:shape], _LEAST_GROWTH)
+        growth[self.growing] = np.maximum(growth[self.growing] + step[PLAIN:shape], _MIN_GROWTH)
         return replace(
             self,
             mean=self.mean + step[:4] * self.std,
@@ -249,9 +249,9 @@ def parameter_names() -> list[str]:
 def _definite(correlation: Array) -> Array:
     """A correlation matrix, or the nearest one where a step has left what correlations can be."""
     values, vectors = np.linalg.eigh(correlation)
-    if values[0] >= _LEAST_EIGENVALUE:
+    if values[0] >= _MIN_EIGENVALUE:
         return correlation
-    nearest = (vectors * np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T
+    nearest = (vectors * np.maximum(values, _MIN_EIGENVALUE)) @ vectors.T
     scale = np.sqrt(np.diag(nearest))
     result: Array = nearest / np.outer(scale, scale)
     return result

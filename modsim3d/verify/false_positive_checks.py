@@ -11,13 +11,12 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, sizes, unions
 from modsim3d.core.random_streams import Streams
-from modsim3d.detector.chain import clutter_of, clutter_rates
+from modsim3d.detector.chain import DetectorPart, clutter_of, clutter_rates
 from modsim3d.detector.draws import select
 from modsim3d.detector.false_positive_placement import DRAWS
 from modsim3d.detector.false_positives import FrameCounts, persistent_false_positives
-from modsim3d.detector.merges_and_splits import LEAST_SPLIT_PX, MergesAndSplits
+from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX, MergesAndSplits
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import DetectorPart
 from modsim3d.detector.records import (
     DUPLICATE,
     FALSE_POSITIVE,
@@ -36,8 +35,8 @@ from modsim3d.verify.parameters import Law, Parameter
 
 # ---- Checks of where false positives are ----
 
-LEAST_FALSE = 50
-LEAST_LIFETIMES = 20
+MIN_FALSE = 50
+MIN_LIFETIMES = 20
 """Least length of a run in lifetimes, times the mean number at a time, for which lifetimes are tested."""
 _DRAWS_EACH = 40
 _REPLAYS = 150
@@ -76,7 +75,7 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
         boxes = source.boxes_px(seen.frames, _kept(seen), again, rng.random((len(again), DRAWS + 1)))
         drawn.append(_places_and_sizes(seen.frames, again, boxes))
     values, expected = np.concatenate(found), np.concatenate(drawn)
-    if len(values) < LEAST_FALSE:
+    if len(values) < MIN_FALSE:
         return [None] * 4
     worth = len(values) * _DRAWS_EACH // (_DRAWS_EACH + 1)  # the draws too are a sample
     return [Law(_distance(values[:, k], expected[:, k]), worth) for k in range(4)]
@@ -126,7 +125,7 @@ def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Es
         return None
     apart = images.time_s[now] - images.time_s[before]
     common = np.minimum(persistent[now], persistent[before])
-    if float((common * apart).sum()) < LEAST_LIFETIMES * lifetime:
+    if float((common * apart).sum()) < MIN_LIFETIMES * lifetime:
         return None
 
     def correlation(numbers: Array) -> float:
@@ -315,7 +314,7 @@ def second_box_candidates(model: DetectorModel, evidence: Evidence) -> tuple[Ind
     other = np.array([of[int(chance)] for chance in instances[split]], dtype=np.int64)
     placed[split] += sizes(clutter.boxes_px[other])[:, 0]  # both parts together
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
-    return single, model.merges_and_splits.looks_long(truth[instances]) & (placed >= LEAST_SPLIT_PX)
+    return single, model.merges_and_splits.looks_long(truth[instances]) & (placed >= MIN_SPLIT_PX)
 
 
 def _extras(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:

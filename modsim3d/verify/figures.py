@@ -82,7 +82,7 @@ def expected_run_lengths(miss_probability: Array, again: Array, before: Indices,
     return expected
 
 
-_MOST_DOTS = 1200
+_MAX_DOTS = 1200
 _BINS = 10
 
 
@@ -146,7 +146,7 @@ def _law(found: dict[str, TestResult], path: str, measured: bool) -> Law:
 
 def _scatter(errors: Array, pair: tuple[int, int], laws: list[Law], name: str, unit: str) -> str:
     i, j = pair
-    shown = errors[:: max(1, len(errors) // _MOST_DOTS)]
+    shown = errors[:: max(1, len(errors) // _MAX_DOTS)]
     outlines = [None if law is None else charts.ellipse(law[0][[i, j]], law[1][np.ix_(pair, pair)]) for law in laws]
     x = np.concatenate([shown[:, i], *(outline[0] for outline in outlines if outline)])
     y = np.concatenate([shown[:, j], *(outline[1] for outline in outlines if outline)])

@@ -109,7 +109,7 @@ def _lagged(place: Indices, columns: Array, length: int) -> Array:
 
 # ---- Whether the numbers of false positives spread as they should ----
 
-LEAST_STRETCHES = 20
+MIN_STRETCHES = 20
 """Independent stretches with one false positive each, below which their spread is not tested."""
 
 
@@ -162,7 +162,7 @@ def _spread(expected: ExpectedClutter, state: Indices, found: Indices, window: I
     together = float((np.bincount(window, rest) ** 2).sum() - (rest**2).sum())
     spread = 2 * float((of_windows**2).sum()) - 2 * float((variance**2 * (1 - dispersion) / mean).sum())
     worth = float(of_windows.sum()) ** 2 / max(float((of_windows**2).sum()), 1e-300)
-    if worth < LEAST_STRETCHES or spread <= 0:
+    if worth < MIN_STRETCHES or spread <= 0:
         return None
     total, asked = float(of_windows.sum()), float(variance.sum() / mean.sum())
     error = spread**0.5
@@ -233,11 +233,11 @@ class SumDrift:
 
 
 GROUP = "independence"
-LEAST_PAIRS = 200
+MIN_PAIRS = 200
 """Independent pairs of residuals below which their correlation is not tested."""
-LEAST_WORTH, LEAST_PERSISTENT_WORTH = 100, 300
+MIN_WORTH, MIN_PERSISTENT_WORTH = 100, 300
 """Independent residuals below which they are not tested; persistent ones come in clumps, so more are needed."""
-_LEAST_EVENTS = 10.0
+_MIN_EVENTS = 10.0
 _FORGOTTEN = 10.0
 """Correlation times after which residuals count as independent: 5e-5 of a correlation is left."""
 _CANDIDATES = 40
@@ -326,7 +326,7 @@ def _earlier_times(residuals: Residuals, evidence: Evidence, memory: Memory) -> 
     sums = lag_sums(ours.values, ours.variance, ours.third, series, images.step[ours.image])
     inflation = memory.inflation(2)
     lags = np.arange(len(sums.product))
-    tested = np.flatnonzero((lags >= memory.first_lag) & (sums.pairs >= LEAST_PAIRS * inflation))
+    tested = np.flatnonzero((lags >= memory.first_lag) & (sums.pairs >= MIN_PAIRS * inflation))
     if not len(tested) or not _worth(ours, memory, 2):
         return None, ""
     z = sums.product[tested] / np.sqrt(sums.variance[tested] * inflation)
@@ -365,17 +365,17 @@ def _within_images(residuals: Residuals, evidence: Evidence, memory: Memory) -> 
 def _of_groups(residuals: Residuals, group: Indices, memory: Memory) -> Estimate | None:
     sums = group_sums(residuals.values, residuals.variance, residuals.third, group)
     inflation = memory.inflation(2)
-    enough = _worth(residuals, memory, 2) and sums.pairs[0] >= LEAST_PAIRS * inflation
+    enough = _worth(residuals, memory, 2) and sums.pairs[0] >= MIN_PAIRS * inflation
     return _estimate(sums, 0, inflation) if enough else None
 
 
 def _worth(residuals: Residuals, memory: Memory, power: int) -> float:
     """Independent residuals that are worth as much as these, or as their products (2); 0 if they are too few."""
     inflation, variance = memory.inflation(power), residuals.variance
-    if float(variance.sum()) < _LEAST_EVENTS * inflation:
+    if float(variance.sum()) < _MIN_EVENTS * inflation:
         return 0.0
     worth = float(variance.sum()) ** 2 / float((variance**2).sum()) / inflation
-    return worth if worth >= (LEAST_WORTH if memory.correlation_s <= 0 else LEAST_PERSISTENT_WORTH) else 0.0
+    return worth if worth >= (MIN_WORTH if memory.correlation_s <= 0 else MIN_PERSISTENT_WORTH) else 0.0
 
 
 def _order_in_time(residuals: Residuals, evidence: Evidence, memory: Memory) -> Found:

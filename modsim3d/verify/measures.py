@@ -17,7 +17,7 @@ from modsim3d.core.statistics import exact_bounds
 
 # ---- Tail probabilities and their inverses ----
 
-LEAST_SKEW = 1e-3
+MIN_SKEW = 1e-3
 """Below this a distribution is taken for normal."""
 RARE_SKEW = 1.0
 """Above this a statistic counts events of which less than one is expected."""
@@ -49,7 +49,7 @@ def skewed_tails(z: float, skewness: float) -> tuple[float, float]:
     Pearson's type III has the first three moments right; of a sample variance of normal numbers it is the law. So has a
     Poisson number with mean 1 / skewness²; of rare events it is the law, and that none happens is nothing unusual.
     """
-    if abs(skewness) < LEAST_SKEW:
+    if abs(skewness) < MIN_SKEW:
         return float(special.ndtr(z)), float(special.ndtr(-z))
     if skewness < 0:
         above, below = skewed_tails(-z, -skewness)
@@ -64,7 +64,7 @@ def skewed_tails(z: float, skewness: float) -> tuple[float, float]:
 
 def skewed_quantile(tail: float, skewness: float) -> float:
     """The z with Pr(Z ≥ z) = tail < 1/e; infinite where none is so rare: less than nothing cannot happen."""
-    if abs(skewness) < LEAST_SKEW:
+    if abs(skewness) < MIN_SKEW:
         return -float(special.ndtri(tail))
     if skewness < -RARE_SKEW:
         return math.inf

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask, run_starts
+from modsim3d.detector.chain import DetectorPart
 from modsim3d.detector.classification import transitions_before
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import DetectorPart
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.measures import Exact, Rate
 from modsim3d.verify.parameters import Occupancy, Parameter

@@ -6,8 +6,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from modsim3d.detector.chain import CONFUSION, MARKOV_CHAIN, DetectorPart, used_models
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, DetectorPart, used_models
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.verify.box_error_checks import fit_checks, state_fits
 from modsim3d.verify.class_checks import EFFECT_CHECKS, class_checks

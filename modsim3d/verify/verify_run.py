@@ -1,12 +1,19 @@
-"""A run held against its detector file: what `modsim3d.verify_run` returns, and writes."""
+"""A run held against its detector file: what `modsim3d.verify_run` returns; its verdicts as rows, JSON and a page."""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
+
+import orjson
 
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import column_table
+from modsim3d.core.text import column_table, counted
 from modsim3d.detector.file.reading import find_detector
+from modsim3d.io.atomic_write import write_files
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.files.stored_tables import detections_of, truth_of
@@ -14,8 +21,249 @@ from modsim3d.runs.pipeline import detector_inputs
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.evidence import CameraEvidence, Evidence
-from modsim3d.verify.report import FILES, HEADER, conclusion, row_of, write_report
+from modsim3d.verify.figures import error_scatters, miss_lengths, reliability, timelines
+from modsim3d.verify.measures import Exact
+from modsim3d.verify.parameters import (
+    DIFFERS,
+    FALLS_SHORT,
+    OBEYS,
+    OVERALL_ALPHA,
+    UNCHECKED,
+    UNTESTED,
+    TestResult,
+    Verification,
+)
 from modsim3d.verify.verification import CheckedRun, verify_evidence
+from modsim3d.view.pages import charts, page
+from modsim3d.view.pages.provenance import Provenance, file_input, run_inputs, run_seeds, run_versions
+
+# ---- The verdicts on a run as terminal rows, `verify.json` and a page ----
+
+FORMAT = 1
+FILES = ("verify.json", "verify.html")
+HEADER = ("parameter", "asked", "measured", "interval", "noticed from", "verdict")
+
+
+def groups_of(verification: Verification) -> dict[str, list[TestResult]]:
+    """The verdicts by part of the detector, in order."""
+    groups: dict[str, list[TestResult]] = {}
+    for verdict in verification.verdicts:
+        groups.setdefault(verdict.parameter.group, []).append(verdict)
+    return groups
+
+
+def row_of(verdict: TestResult) -> tuple[str, ...]:
+    """A verdict as cells under `HEADER`."""
+    parameter = verdict.parameter
+    unit = f" {parameter.unit}" if parameter.unit else ""
+    asked, promised = _number(verdict.asked) + unit, parameter.promised
+    if verdict.measured is None or verdict.interval is None:
+        return parameter.name, asked if math.isfinite(verdict.asked) else "–", "–", "–", "–", verdict.verdict
+    if isinstance(parameter.measure, Exact):
+        wrong = "{} of {} wrong".format(*_counts(parameter.measure))
+        return parameter.name, "always" if parameter.asked is None else asked, wrong, "exact", "once", verdict.verdict
+    asked = asked if promised is None else f"{_number(promised)}, by rule {asked}"
+    interval = " … ".join(map(_number, verdict.interval))
+    return parameter.name, asked, _number(verdict.measured), interval, _noticed(verdict), verdict.verdict
+
+
+def notes_of(verification: Verification) -> list[str]:
+    """Further notes for the reader."""
+    return [f"{name}: {note}" for name, note in named_notes(verification)]
+
+
+def named_notes(verification: Verification) -> list[tuple[str, str]]:
+    """The names of parameters, and what a reader should know of each."""
+    notes = []
+    for verdict in verification.verdicts:
+        parameter = verdict.parameter
+        if verdict.verdict == FALLS_SHORT and parameter.promised is not None:
+            short = (
+                f"asked for is {_number(parameter.promised)}; the rule of eq. 7.35 gives {_number(verdict.asked)} on "
+                f"this run, {_number(parameter.promised - verdict.asked)} short of it; measured "
+                f"{_number(verdict.measured or 0.0)}"
+            )
+            notes.append((parameter.name, short))
+        elif parameter.note and verdict.verdict != FALLS_SHORT:
+            notes.append((parameter.name, parameter.note))
+    return notes
+
+
+def conclusion(verification: Verification) -> str:
+    """The outcome in a sentence."""
+    tested = sum(verdict.verdict not in (UNTESTED, UNCHECKED) for verdict in verification.verdicts)
+    cause = verification.cause
+    if cause is None:
+        short = sum(verdict.verdict == FALLS_SHORT for verdict in verification.verdicts)
+        also = f"; {short} obey the thesis's rule and fall short of what is asked for" if short else ""
+        return f"The run obeys its detector file: nothing in {tested} tests speaks against it{also}."
+    measure = cause.parameter.measure
+    said = f"asked {_number(cause.asked)}, measured {_number(cause.measured or 0.0)}"
+    if isinstance(measure, Exact):
+        said = "wrong {} times of {}".format(*_counts(measure))
+    return (
+        f"The run does NOT obey the detector file: {len(verification.failed)} of {tested} tests fail. What stands out "
+        f"is {cause.parameter.name}: {said}."
+    )
+
+
+def _counts(measure: Exact) -> tuple[str, str]:
+    return f"{measure.wrong}", f"{measure.count:.0f}"
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}".replace("-", "−").replace("inf", "∞")
+
+
+def _noticed(verdict: TestResult) -> str:
+    below, above = verdict.noticed
+    if below is not None and above is not None and abs(below - above) <= 0.1 * above:
+        return f"± {_number(max(below, above))}"
+    parts = [f"−{_number(below)}"] if below is not None else []
+    parts += [f"+{_number(above)}"] if above is not None else []
+    return " ".join(parts) or "–"
+
+
+def report_data(verified: CheckedRun) -> dict[str, Any]:
+    """Content of `verify.json`."""
+    verification = verified.verification
+    cause = verification.cause
+    return {
+        "format": FORMAT,
+        "scene": verified.run.scene.name,
+        "detector": str(verified.detector) if verified.detector else str(Path("scene") / "detector"),
+        "obeys": verification.obeys,
+        "cause": cause.parameter.name if cause else None,
+        "overall_alpha": OVERALL_ALPHA,
+        "alpha": verification.alpha,
+        "parameters": [_entry(verdict) for verdict in verification.verdicts],
+    }
+
+
+def _entry(verdict: TestResult) -> dict[str, Any]:
+    parameter, measure = verdict.parameter, verdict.parameter.measure
+    return {
+        "name": parameter.name,
+        "group": parameter.group,
+        "state": parameter.state,
+        "in_file": parameter.in_file,
+        "unit": parameter.unit,
+        "asked": _finite(verdict.asked),
+        "promised": parameter.promised,
+        "measured": _finite(verdict.measured),
+        "interval": verdict.interval,
+        "p_value": verdict.p_value,
+        "strength": _finite(measure.strength()) if measure else None,
+        "effective_count": _finite(measure.count) if measure else None,
+        "noticed_below": verdict.noticed[0],
+        "noticed_above": verdict.noticed[1],
+        "verdict": verdict.verdict,
+        "note": parameter.note,
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else value
+
+
+def write_report(verified: CheckedRun, folder: StrPath, command: str | None = None) -> None:
+    """Write `verify.json` and `verify.html` into a folder; the page names the command, or the call if it is None."""
+    target = as_path(folder, "folder")
+    data = orjson.dumps(report_data(verified), option=orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY) + b"\n"
+    write_files(dict(zip((target / name for name in FILES), (data, _page(verified, command)), strict=True)))
+
+
+def _page(verified: CheckedRun, command: str | None) -> str:
+    verification, model, evidence = verified.verification, verified.model, verified.evidence
+    found, false = evidence.true_detections, evidence.false_detections
+    body = [
+        page.paragraph(conclusion(verification), "lead" if verification.obeys else "bad"),
+        page.paragraph(
+            f"{verified.run.steps} steps, {len(evidence.instances.state)} chances to detect a vessel, "
+            f"{len(found.instance)} true detections, {len(false.frame_row)} false ones. Each interval holds the values "
+            "that its test would not have rejected; the level of all tests together is "
+            f"{OVERALL_ALPHA:.0%}. “Noticed from” is the smallest change of the file that this run would have shown, "
+            "with 90 % power.",
+            "soft",
+        ),
+        page.tiles(_results(verification)),
+        *([page.heading("What fails"), _table(verification.failed)] if verification.failed else []),
+        page.heading("Performance states"),
+        *timelines(model, evidence),
+        page.heading("Box errors"),
+        *error_scatters(verification, model, evidence),
+        page.heading("Misses and confidence"),
+        charts.figure(
+            [miss_lengths(model, evidence), reliability(evidence)],
+            "Left: how many frames in a row a vessel is missed; line: expected. Right: share of true ones among the "
+            "detections of each confidence, with 95 % intervals; one that is a probability follows the dashes.",
+        ),
+    ]
+    body += [page.heading("Every test"), *(_group(name, found) for name, found in groups_of(verification).items())]
+    if notes_of(verification):
+        body += [page.heading("Notes"), *_notes(verification)]
+    title = f"{verified.run.scene.name}: does the run obey its detector file?"
+    return page.page(title, body, _provenance(verified, command))
+
+
+def _notes(verification: Verification) -> Iterator[str]:
+    """The notes, each once with the names that it is about."""
+    names: dict[str, list[str]] = {}
+    for name, note in named_notes(verification):
+        names.setdefault(note, []).append(name)
+    yield page.listed(f"{found[0]}: {note}" for note, found in names.items() if len(found) == 1)
+    for note, found in names.items():
+        if len(found) > 1:
+            yield page.folded(f"{note[0].upper()}{note[1:]}: {len(found)} entries", page.paragraph(", ".join(found)))
+
+
+def _provenance(verified: CheckedRun, command: str | None) -> Provenance:
+    run, given = verified.run, verified.detector
+    call = f"modsim3d.verify_run({str(run.folder)!r}{'' if given is None else f', {str(given)!r}'}).write(…)"
+    named = () if given is None else (file_input("detector file that it is held against", given),)
+    return Provenance(
+        page="verification: does a run obey its detector file?",
+        made_by=command or f"{call} from Python",
+        inputs=(*named, *run_inputs(run)),
+        seeds=run_seeds(run),
+        options=(("Level", f"{OVERALL_ALPHA:.0%} for all tests together, {verified.verification.alpha:.2g} for each"),),
+        made_before=run_versions(run),
+    )
+
+
+def _results(verification: Verification) -> list[tuple[str, str, str]]:
+    """The tiles: how many tests passed, failed, and could not be made."""
+    count = Counter(verdict.verdict for verdict in verification.verdicts)
+    unmade = count[UNTESTED] + count[UNCHECKED]
+    tested = len(verification.verdicts) - unmade
+    found = [
+        ("Passed", f"{tested - count[DIFFERS]:,}", f"of {tested:,} tests"),
+        ("Failed", f"{count[DIFFERS]:,}", "tests in which the run speaks against its file"),
+        ("Not tested", f"{unmade:,}", "too little seen, or a model without a check"),
+    ]
+    if count[FALLS_SHORT]:
+        found.append(("Fall short", f"{count[FALLS_SHORT]:,}", "obey the thesis's rule, not the rate asked for"))
+    return found
+
+
+def _group(name: str, verdicts: Sequence[TestResult]) -> str:
+    """The tests of a part of the detector, folded; those that fail stand at the top of the page too."""
+    count = Counter(verdict.verdict for verdict in verdicts)
+    said = [f"{counted(count[OBEYS], 'test')} passed"] if count[OBEYS] else []
+    said += [f"{count[DIFFERS]:,} failed"] if count[DIFFERS] else []
+    said += [f"{count[FALLS_SHORT]:,} fall short of the asked rate"] if count[FALLS_SHORT] else []
+    said += [f"{count[UNTESTED]:,} not tested: too little seen"] if count[UNTESTED] else []
+    said += [f"{count[UNCHECKED]:,} without a check"] if count[UNCHECKED] else []
+    passed = " (all within the interval of their test)" if count[OBEYS] == len(verdicts) else ""
+    return page.folded(f"{name.capitalize()}: {', '.join(said)}{passed}", _table(verdicts))
+
+
+def _table(verdicts: Sequence[TestResult]) -> str:
+    bad = {index for index, verdict in enumerate(verdicts) if verdict.fails}
+    return page.table([row_of(verdict) for verdict in verdicts], HEADER, bad)
+
+
+# ---- A run held against its detector file ----
 
 
 class VerifiedRun(CheckedRun):

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 # ---- A scene from above ----
 
-MOST_TRACK_POINTS = 1500
+MAX_TRACK_POINTS = 1500
 MARGIN = 0.06
 """Margin around everything that is shown, as a share of the map."""
-LEAST_ASPECT, MOST_ASPECT = 0.65, 2.4
+MIN_ASPECT, MAX_ASPECT = 0.65, 2.4
 REACH, REACH_M = 1.5, 2000.0
 """A camera ashore is on the map unless it is farther from the traffic than this many of its extents, and metres."""
 NEAR, NEAR_M = 0.06, 50.0
@@ -52,7 +52,7 @@ class BirdsEye:
     @cached_property
     def track_steps(self) -> Indices:
         """The steps at which tracks have a point, shape (n,)."""
-        return np.unique(np.rint(np.linspace(0, self.steps - 1, min(self.steps, MOST_TRACK_POINTS))).astype(np.int64))
+        return np.unique(np.rint(np.linspace(0, self.steps - 1, min(self.steps, MAX_TRACK_POINTS))).astype(np.int64))
 
     @cached_property
     def track_times_s(self) -> Array:
@@ -101,7 +101,7 @@ class BirdsEye:
         shown = shapely.box(*(low - near), *(high + near))
         low, high = _bounds([np.array([low, high]), *cameras, *_corners(each & shown for each in self.land)])
         middle, size = (low + high) / 2, (high - low) * (1 + 2 * MARGIN)
-        size = np.maximum(size, [size[1] * LEAST_ASPECT, size[0] / MOST_ASPECT])
+        size = np.maximum(size, [size[1] * MIN_ASPECT, size[0] / MAX_ASPECT])
         (x0, y0), (x1, y1) = (middle - size / 2).tolist(), (middle + size / 2).tolist()
         return x0, x1, y0, y1
 
@@ -250,7 +250,7 @@ class VesselMark:
 
     def __init__(self, sheet: MapSheet, index: int) -> None:
         """Draw the whole track, and put the rest where `show` finds it."""
-        from modsim3d.view.map_key import ArrowSymbol, HullSymbol  # it needs matplotlib
+        from modsim3d.view.map_names import ArrowSymbol, HullSymbol  # it needs matplotlib
 
         birds_eye, scene = sheet.birds_eye, sheet.birds_eye.scene
         self._sheet, self._index, self._vessel = sheet, index, scene.vessels[index]

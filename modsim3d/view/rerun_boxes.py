@@ -266,9 +266,9 @@ def _frames(rows: RunRows, steps: Indices) -> Iterator[tuple[int, int, slice, sl
 
 # ---- The world of a run in a recording ----
 
-MOST_NAMES = 10
+MAX_NAMES = 10
 """Names of more vessels would lie on each other; they are shown for the vessel under the pointer."""
-MOST_FACES = 5000
+MAX_FACES = 5000
 """A hull with more faces would make a large file; it is left out, and its box stays."""
 NEAREST = 0.4
 """The share of the vessels that are seen at first."""
@@ -363,9 +363,9 @@ class Space:
             centers=[[0, 0, height / 2]],
             colors=[colour],
             labels=[vessel.name],
-            show_labels=len(self.log.scene.vessels) <= MOST_NAMES,
+            show_labels=len(self.log.scene.vessels) <= MAX_NAMES,
         )
-        if len(vessel.solid.faces) > MOST_FACES:
+        if len(vessel.solid.faces) > MAX_FACES:
             return [box]
         return [box, self._mesh((vessel.solid.vertices * vessel.extents_m)[vessel.solid.faces], colour)]
 

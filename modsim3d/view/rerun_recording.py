@@ -131,7 +131,7 @@ def _path(log: Log, parts: list[str]) -> str:
 
 # ---- What a camera sees, in a recording ----
 
-MOST_PX = 1280
+MAX_PX = 1280
 """The greatest width of a picture; the viewer stretches it to the size of the camera's image."""
 SKY, SEA, FIRST = 0, 1, 2
 """Colours of a picture by their number; the first occluder's comes after those of sky and sea."""
@@ -139,7 +139,7 @@ EDGE = 0.35
 """Light of the lines around silhouettes, so that the boxes stand out."""
 HALF = 128
 """The opacity of the horizon, which lies over the vessels."""
-MOST_COLOURS = 256 - FIRST
+MAX_COLOURS = 256 - FIRST
 """More occluders than this share colours."""
 
 
@@ -232,7 +232,7 @@ def simple(rings_px: Sequence[Array], tolerance_px: float) -> list[Array]:
 
 def picture_scale(camera: Camera) -> float:
     """Pixels of a camera's picture in a pixel of its image."""
-    return min(1.0, MOST_PX / camera.intrinsics.image_size_px[0])
+    return min(1.0, MAX_PX / camera.intrinsics.image_size_px[0])
 
 
 def picture_size(camera: Camera) -> tuple[int, int]:
@@ -244,7 +244,7 @@ def picture_size(camera: Camera) -> tuple[int, int]:
 def png(seen: Seen, vessels: int) -> bytes:
     """The picture of a frame as a PNG file: sky, sea, and silhouettes darker than the boxes on them."""
     picture, written = paint(seen), BytesIO()
-    owners = [palette.darker(colour_of(i, vessels)) for i in range(MOST_COLOURS)]
+    owners = [palette.darker(colour_of(i, vessels)) for i in range(MAX_COLOURS)]
     picture.putpalette([*chain.from_iterable([palette.SKY, palette.SEA, *owners])])
     # imageio passes no palette on. In RGB, this takes 2 to 4 times as long and 1.4 to 1.8 times the bytes.
     picture.save(written, "PNG")
@@ -265,7 +265,7 @@ def paint(seen: Seen) -> Image.Image:
     if len(sea):
         fill(picture, [sea], SEA)
     for each in seen.silhouettes:
-        fill(picture, [ring * scale for ring in each.rings_px], FIRST + each.occluder % MOST_COLOURS)
+        fill(picture, [ring * scale for ring in each.rings_px], FIRST + each.occluder % MAX_COLOURS)
     return picture
 
 

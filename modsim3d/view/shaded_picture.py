@@ -27,7 +27,7 @@ from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, RenderStyle, backd
 
 FAINTEST, BRIGHTEST = 0.35, 1.2
 """Brightness of the middle of the faintest light that an eye sees, and of a strong light."""
-MOST_PX = 4.0
+MAX_PX = 4.0
 """Radius of the strongest light at a width of 1280."""
 
 
@@ -51,7 +51,7 @@ def draw_lights(rgb: Floats, solids: Solids, window: Window, speeds_m_s: Array, 
 
 def _glow(rgb: Floats, place_px: Array, light: SeenLight, unit_px: float) -> None:
     """A bright point in a halo. Its radius and its brightness grow with the logarithm of the light, as eyes see it."""
-    radius_px = max(1.0, unit_px * min(0.7 + 0.75 * light.decades, MOST_PX))
+    radius_px = max(1.0, unit_px * min(0.7 + 0.75 * light.decades, MAX_PX))
     peak = min(FAINTEST + 0.4 * light.decades, BRIGHTEST)
     reach = math.ceil(8 * radius_px)
     height, width = rgb.shape[:2]

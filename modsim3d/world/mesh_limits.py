@@ -62,7 +62,7 @@ def check_reference(reference: str, what: str) -> None:
 
 CHUNK_BYTES = 2**20
 MAX_PARTS = 1000
-MOST_DIGITS = 18
+MAX_DIGITS = 18
 """Of a number in a header; Python reads no number of thousands of digits."""
 MAX_LINE_BYTES = 2**16
 """Greatest length of a header, and of a line with many corners."""
@@ -126,7 +126,7 @@ def read_ply(file: BinaryIO, size: int) -> bytes:
         words = line.split()
         if words[:1] == ["element"]:
             number = words[2] if len(words) == 3 else ""
-            if not (number.isdecimal() and len(number) <= MOST_DIGITS) or words[1] in counts:
+            if not (number.isdecimal() and len(number) <= MAX_DIGITS) or words[1] in counts:
                 raise Refused(f"has the line {line[:80]!r} in its header; 'element NAME COUNT' is needed, each once")
             counts[words[1]] = int(number)
     check_faces(counts.get("face", 0))

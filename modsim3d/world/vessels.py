@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, ValidationError, field_validator
 from modsim3d.core.arrays import Array, Indices, read_only
 from modsim3d.core.errors import InputError
 from modsim3d.io.plugins import SHAPES, Plugin, failed, load_plugin
-from modsim3d.io.strict_json import load_json
+from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import MOST_PROBLEMS, Limits, Strict, describe, join_path, kind_of, shown
 from modsim3d.world.mesh_limits import MAX_COORDINATE, Refused, check_faces, check_vertices
 
@@ -302,7 +302,7 @@ def _without_farthest_part(solid: Solid, extents: Array) -> tuple[int, Array]:
 
 SAME_VERTEX = 1e-7
 """Vertices that are closer than this, in units of the box, are merged: STL repeats each, in single precision."""
-MOST_FACES_OF_CONVEX = 64
+MAX_FACES_OF_CONVEX = 64
 """A convex mesh with more faces is treated as not convex, because sorting by its planes would take too long."""
 EXTENTS = ("length", "beam", "height")
 
@@ -348,7 +348,7 @@ def to_solid(vertices: Array, faces: Indices, forward: str, up: str) -> Solid:
     closed = closed and volume != 0.0
     vertices.setflags(write=False)
     faces.setflags(write=False)
-    convex = closed and len(faces) <= MOST_FACES_OF_CONVEX and _is_convex(vertices, abs(volume))
+    convex = closed and len(faces) <= MAX_FACES_OF_CONVEX and _is_convex(vertices, abs(volume))
     return Solid(vertices, faces, convex=convex, closed=closed, file_box=FileBox(extents, forward, up))
 
 

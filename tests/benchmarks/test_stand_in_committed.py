@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.stand_in.films import Film, all_films
 from benchmarks.stand_in.page import page
-from benchmarks.stand_in.rungs import LEAST_CONFIDENCE, RUNGS, learn_rung
+from benchmarks.stand_in.rungs import MIN_CONFIDENCE, RUNGS, learn_rung
 from benchmarks.stand_in.scores import open_film, real_detections, scored_tracks, scores_of
 from benchmarks.stand_in.stored import restore_films
 from modsim3d.core.errors import ModsimError
@@ -35,7 +35,7 @@ def test_the_page_is_made_of_the_results() -> None:
 def test_a_film_scores_as_it_did(film: Film) -> None:
     opened = open_film(film)
     place = [each["name"] for each in RESULTS["films"]].index(NAME)
-    real = real_detections(opened, LEAST_CONFIDENCE)
+    real = real_detections(opened, MIN_CONFIDENCE)
     for tracker in ("reference", "sort"):
         again = scores_of(opened, scored_tracks(opened, real, tracker))
         for key, found in RESULTS["scores"][tracker].items():

@@ -26,7 +26,7 @@ from modsim3d.campaign.workers import ThisProcess
 from modsim3d.cli.campaign import exit_status
 from modsim3d.cli.campaign_text import print_crashed
 from modsim3d.core.errors import ModsimError, OutputError
-from modsim3d.io.locks import locked_folder
+from modsim3d.io.overwrite_guard import locked_folder
 from tests.campaign.campaigns import checked_campaign
 from tests.cli.conftest import Modsim3d
 from tests.cli.test_json import documented

@@ -22,13 +22,13 @@ from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.learn.bootstrap import Interval
+from modsim3d.learn.learned import correlated
 from modsim3d.learn.learning import LearnResult
-from modsim3d.learn.uncertainty import correlated
 from modsim3d.scene.settings import choose_detector
 from tests.campaign.campaigns import checked_campaign, run_campaign_file
 
 MANY, FEW, DRAWS = 160, 12, 800
-LEAST_KNOWN = 8.0
+MIN_KNOWN = 8.0
 SETTINGS = {"detector.miss_rate": 0.2}
 
 
@@ -70,7 +70,7 @@ def drawn_numbers(drawn: list[dict[str, Any]], state: str | None, name: str) -> 
 
 def _unknown(interval: Interval) -> bool:
     """Whether a standard deviation is known to less than a factor: draws are held within ten times the estimate."""
-    return bool(np.any(interval.high > LEAST_KNOWN * interval.estimate))
+    return bool(np.any(interval.high > MIN_KNOWN * interval.estimate))
 
 
 @pytest.mark.parametrize("name", ["many", "few"])

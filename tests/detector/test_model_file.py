@@ -10,7 +10,7 @@ import pytest
 from modsim3d.core.errors import InputError
 from modsim3d.detector.confidence import NormalScores
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from tests.detector.detector_builders import all_bytes, detector_data, make_frames, run
 from tests.detector.test_chain import scattered_targets
 

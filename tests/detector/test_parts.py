@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from modsim3d.core.arrays import Array
-from modsim3d.detector.chain import Detector
+from modsim3d.detector.chain import MODELS, Detector, DetectorPart, model_name, used_models
 from modsim3d.detector.false_positives import CLUTTER_MODELS, FalsePositiveRates, FrameCounts, PerImage
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.parts import MODELS, DetectorPart, model_name, used_models
 from modsim3d.detector.records import KINDS
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.learn.learned import LEARNERS, models_and_learners

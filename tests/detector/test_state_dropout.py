@@ -10,11 +10,10 @@ import pytest
 from scipy import special
 
 from modsim3d.core.errors import InputError
-from modsim3d.detector.chain import Detector, target_statistics
+from modsim3d.detector.chain import Detector, target_statistics, used_models
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import select
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.parts import used_models
 from modsim3d.detector.records import TRUE, CameraFrames, Targets
 from modsim3d.formats.labelled_video.detect_truth import check_needs
 from modsim3d.verify.class_checks import class_checks

@@ -17,7 +17,7 @@ from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.file.unread import dead_lines, unread_settings
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Detections, Targets
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.scene.settings import Setting, changed
 from tests.detector.detector_builders import all_bytes, clock, detector_data, state_data
 from tests.detector.test_docs import sections

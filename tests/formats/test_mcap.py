@@ -263,7 +263,7 @@ def test_covariances_are_those_of_the_inertial_unit(tracker) -> None:
 
 
 def test_the_same_run_gives_the_same_bytes_whatever_the_blocks(run, out, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(pipeline, "MOST_BLOCK_STEPS", 3)
+    monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 3)
     again = export(run, tmp_path / "again")
     assert sorted(str(path.relative_to(again)) for path in again.rglob("*") if path.is_file()) == sorted(FILES)
     for name in FILES:

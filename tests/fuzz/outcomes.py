@@ -15,7 +15,7 @@ from modsim3d.cli.terminal import say_error
 from modsim3d.core.errors import InputError, ModsimError
 
 ACCEPTED, REFUSED, FAILED = "accepted", "refused", "failed"
-MOST_LINES, MOST_CHARACTERS = 502, 2010
+MAX_LINES, MAX_CHARACTERS = 502, 2010
 """Most lines of a message, and most characters of a line, without the folder of the input."""
 _UNSEEN = ("Cc", "Cs", "Zl", "Zp")
 _TURNING = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
@@ -75,10 +75,10 @@ def message_fault(error: ModsimError, folder: str = "") -> str:
         return "holds a line break"
     if any(unicodedata.category(sign) in _UNSEEN or sign in _TURNING for sign in output.replace("\n", "")):
         return "holds control characters"
-    if len(texts) > MOST_LINES:
-        return f"has more than {MOST_LINES} lines"
-    if any(len(text.replace(folder, "")) > MOST_CHARACTERS for text in texts):
-        return f"has a line of more than {MOST_CHARACTERS} characters"
+    if len(texts) > MAX_LINES:
+        return f"has more than {MAX_LINES} lines"
+    if any(len(text.replace(folder, "")) > MAX_CHARACTERS for text in texts):
+        return f"has a line of more than {MAX_CHARACTERS} characters"
     return ""
 
 

@@ -24,8 +24,8 @@ from tests.fuzz.outcomes import FAILED, Outcome, outcome_of, place_of
 from tests.fuzz.readers import READERS
 from tests.fuzz.runs import write_files
 
-MOST_CPU_S = 2.0
-MOST_BYTES = 10**9
+MAX_CPU_S = 2.0
+MAX_BYTES = 10**9
 """Most processor time and most memory above the warm process that a case may take."""
 KILLED_CPU_S, KILLED_WALL_S = 10.0, 300.0
 """A case that takes more is a hang: its process is ended."""
@@ -48,9 +48,9 @@ def within_limits(result: Result) -> Outcome:
     """The outcome, or a failure if the case took too much."""
     if result.outcome.verdict == FAILED:
         return result.outcome
-    if result.cpu_s > MOST_CPU_S:
+    if result.cpu_s > MAX_CPU_S:
         return Outcome(FAILED, f"{result.cpu_s:.1f} s of processor time; {result.outcome.said}", "time")
-    if result.memory_bytes > MOST_BYTES:
+    if result.memory_bytes > MAX_BYTES:
         return Outcome(FAILED, f"{result.memory_bytes / 1e6:.0f} MB; {result.outcome.said}", "memory")
     return result.outcome
 
@@ -128,7 +128,7 @@ def _work(reader: str, numbers: Sequence[int], clock: mmap.mmap, results: Connec
     with tempfile.TemporaryDirectory(prefix="modsim3d_fuzz_", dir=_fast_folder()) as name:
         folder = Path(name)
         warm_up(reader, folder)
-        limit = memory_bytes("VmSize") + 2 * MOST_BYTES
+        limit = memory_bytes("VmSize") + 2 * MAX_BYTES
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         warm, batch = memory_bytes("VmRSS"), list[Result]()
         for number in numbers:

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.geometry.camera import Distortion, Intrinsics
+from modsim3d.geometry.camera import Distortion, Intrinsics, clip_triangles, guard_planes, near_plane
 from modsim3d.geometry.camera_poses import Mount, camera_R_parent, poses_ashore, poses_on_board
-from modsim3d.geometry.clipping import clip_triangles, guard_planes, near_plane
 
 LEGACY = Intrinsics.from_lens(0.05, (1e-5, 1e-5), (1800, 1200), (3600, 2400))
 SKEWED = Intrinsics((900.0, 1300.0), (410.0, 290.0), (800, 600), skew=25.0)

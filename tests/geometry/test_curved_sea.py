@@ -138,7 +138,7 @@ def test_run_warns_once_with_how_many_and_how_far(tmp_path, monkeypatch, capsys)
 def test_blocks_of_one_step_give_the_same_bytes(tmp_path, monkeypatch, sea):
     scene = load_scene(far_scene(tmp_path, steps=5, sea=sea))
     run_scene(scene, tmp_path / "whole")
-    monkeypatch.setattr(simulate, "MOST_BLOCK_STEPS", 1)
+    monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 1)
     run_scene(scene, tmp_path / "single")
     for name in ("run.json", "truth.parquet", "detections.parquet"):
         assert (tmp_path / "single" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

@@ -56,7 +56,7 @@ GRID = np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 7)] * 2), axis=-1)
 
 @pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
 def test_newtons_method_needs_few_steps(lens, monkeypatch):
-    monkeypatch.setattr("modsim3d.geometry.camera.MOST_ITERATIONS", 6)
+    monkeypatch.setattr("modsim3d.geometry.camera.MAX_ITERATIONS", 6)
     np.testing.assert_allclose(lens.undistort(lens.distort(GRID)), GRID, rtol=0, atol=1e-13)
 
 

@@ -25,7 +25,7 @@ from modsim3d.learn.voyage.logs.reading import read_log
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.options import Options
-from modsim3d.scene.ais.report import warning
+from modsim3d.scene.ais.scene_folder import warning
 from modsim3d.scene.ais.traffic import read_traffic
 from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.world_reading import ODOMETRY, read_world_tracks

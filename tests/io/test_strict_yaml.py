@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from modsim3d.core.errors import InputError
-from modsim3d.io.strict_yaml import parse_yaml
+from modsim3d.io.strict_text import parse_yaml
 
 
 def test_a_text_that_is_read_again_gives_a_value_of_its_own() -> None:

@@ -17,8 +17,7 @@ from modsim3d.formats.reading.mot import number_lines, sequence_info
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.io.input_files import read_text
 from modsim3d.io.misreadings import has_lost_digits, no_commas
-from modsim3d.io.strict_json import load_json
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_json, load_yaml
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.poses.replay import load_poses
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.io.processes import MOST_WORKERS, open_workers, parse_workers, worker_count
+from modsim3d.io.processes import MAX_WORKERS, open_workers, parse_workers, worker_count
 from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
@@ -30,7 +30,7 @@ def test_numbers_are_taken_as_they_are() -> None:
     assert [parse_workers(text) for text in ("1", "16", "auto")] == [1, 16, "auto"]
 
 
-@pytest.mark.parametrize("wrong", [0, -1, 2.0, True, None, "2", "AUTO", "", MOST_WORKERS + 1])
+@pytest.mark.parametrize("wrong", [0, -1, 2.0, True, None, "2", "AUTO", "", MAX_WORKERS + 1])
 def test_anything_else_is_one_clear_error(wrong: Any) -> None:
     with pytest.raises(ModsimError, match="needs a number of processes from 1 to 1024, or 'auto'"):
         worker_count(wrong)

@@ -12,8 +12,7 @@ from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeForm, _Point, product_limit
-from modsim3d.learn.learned import Learned
-from modsim3d.learn.uncertainty import uncertainty_text
+from modsim3d.learn.learned import Learned, uncertainty_text
 from tests.learn.scored_sets import detected, detector, learned_from, truth_of
 
 SLOPES = {"visibility_slope": 0.4, "size_slope": 0.06, "size_reference_px": 64}

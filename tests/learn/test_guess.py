@@ -16,7 +16,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.detector.file.reading import load_detector, parse_detector, shipped_detectors
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel
 from modsim3d.io.input_files import data_folder
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import conditions_in
 from modsim3d.learn.guess import ConditionChange, guessed
 from tests.cli.bad_input.builders import Call

@@ -7,9 +7,9 @@ from typing import Any, cast, get_args
 import numpy as np
 import pytest
 
+from modsim3d.detector.chain import MODELS, DetectorPart
 from modsim3d.detector.false_positives import CLUTTER_MODELS, PerImage
 from modsim3d.detector.file.schema_models import DropoutSection
-from modsim3d.detector.parts import MODELS, DetectorPart
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LEARNERS, LearnSettings

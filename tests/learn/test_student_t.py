@@ -20,7 +20,7 @@ from modsim3d.formats.matching import Rule
 from modsim3d.learn.bootstrap import resample
 from modsim3d.learn.box_errors.fit import ErrorFit, slopes
 from modsim3d.learn.box_errors.laws import ErrorSample, heavy_tails, learned_errors
-from modsim3d.learn.box_errors.matched_edges import LEAST_DEGREES, ErrorModel, MatchedEdges, Unit, fit_student_t
+from modsim3d.learn.box_errors.matched_edges import MIN_DEGREES, ErrorModel, MatchedEdges, Unit, fit_student_t
 from modsim3d.learn.box_errors.persistence import correlation_left
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LearnSettings
@@ -144,7 +144,7 @@ def test_errors_without_a_likeliest_t_law_stay_normal() -> None:
     flat = t_errors(400, 3.0)
     flat[:, 3] = flat[:, 2]
     assert not heavy_tails(at_sea(flat), "px", 0.0)
-    assert fitted(np.random.default_rng(1).standard_cauchy((400, 4))).model.freedom < LEAST_DEGREES + 0.01
+    assert fitted(np.random.default_rng(1).standard_cauchy((400, 4))).model.freedom < MIN_DEGREES + 0.01
 
 
 def test_directions_show_how_the_normal_numbers_behind_t_errors_persist() -> None:

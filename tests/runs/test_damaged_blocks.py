@@ -17,7 +17,7 @@ BLOCK, STEPS = 100, 240  # three blocks
 @pytest.fixture(scope="module", autouse=True)
 def short_blocks():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline, "MOST_BLOCK_STEPS", BLOCK)
+        patch.setattr(pipeline, "MAX_BLOCK_STEPS", BLOCK)
         yield
 
 

@@ -35,7 +35,7 @@ BLOCK, STEPS = 75, 150  # two blocks
 @pytest.fixture(scope="module", autouse=True)
 def short_blocks():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline, "MOST_BLOCK_STEPS", BLOCK)
+        patch.setattr(pipeline, "MAX_BLOCK_STEPS", BLOCK)
         yield
 
 

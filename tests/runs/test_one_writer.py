@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from modsim3d.core.errors import OutputError
-from modsim3d.io.locks import LOCK_FILE, locked_file, locked_folder
+from modsim3d.io.overwrite_guard import LOCK_FILE, locked_file, locked_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene

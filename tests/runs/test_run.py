@@ -214,7 +214,7 @@ def test_blocks_of_any_size_give_the_same_frames(renderer):
 
 
 def test_interrupted_run_goes_on_to_the_same_bytes(scene, finished, tmp_path, monkeypatch):
-    monkeypatch.setattr(pipeline, "MOST_BLOCK_STEPS", 250)
+    monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 250)
     folder = tmp_path / "killed"
     done = []
 

@@ -76,7 +76,7 @@ def test_every_kind_of_detection_is_labelled(run: Path) -> None:
 def test_blocks_of_another_length_change_no_byte(
     folder: Path, run: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(simulate, "MOST_BLOCK_STEPS", 37)
+    monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 37)
     modsim3d.run_scene(scene, folder / "short_blocks")
     assert contents(folder / "short_blocks") == contents(run)
 
@@ -102,7 +102,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     def stop(steps: int) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(simulate, "MOST_BLOCK_STEPS", 250)
+    monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 250)
     with pytest.raises(KeyboardInterrupt):
         modsim3d.run_scene(scene, folder / "resumed", progress=stop)
     result = modsim3d.run_scene(scene, folder / "resumed", resume=True)
@@ -181,7 +181,7 @@ def test_an_interrupted_run_has_a_page_whose_tables_are_those_of_its_frames(
     def stop_at_once(steps: int) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(simulate, "MOST_BLOCK_STEPS", 250)
+    monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 250)
     with pytest.raises(KeyboardInterrupt):
         modsim3d.run_scene(scene, folder / "cut", progress=stop_at_once)
     assert command(monkeypatch, "report", str(folder / "cut")) == 0

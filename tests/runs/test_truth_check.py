@@ -345,7 +345,7 @@ def test_a_vessel_without_a_pixel_is_annotated_in_mode_0_unless_a_filter_is_set(
 def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path: Path, monkeypatch: Any) -> None:
     scene = load_scene(write_boats(tmp_path, steps=9))
     plain = run_scene(scene, tmp_path / "plain")
-    monkeypatch.setattr("modsim3d.runs.pipeline.MOST_BLOCK_STEPS", 2)
+    monkeypatch.setattr("modsim3d.runs.pipeline.MAX_BLOCK_STEPS", 2)
     assert run_scene(scene, tmp_path / "blocks").checked == plain.checked
     assert run_scene(scene, tmp_path / "workers", workers=2).checked == plain.checked
 

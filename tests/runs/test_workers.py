@@ -33,7 +33,7 @@ def children(pid: int) -> list[int]:
 
 
 BLOCK_STEPS = 10
-SHORT_BLOCKS = f"import modsim3d.runs.pipeline as pipeline; pipeline.MOST_BLOCK_STEPS = {BLOCK_STEPS}"
+SHORT_BLOCKS = f"import modsim3d.runs.pipeline as pipeline; pipeline.MAX_BLOCK_STEPS = {BLOCK_STEPS}"
 STALLING_WORKER = f"""
 import os, time
 import modsim3d.runs.workers as workers
@@ -67,7 +67,7 @@ def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_blo
     assert "Traceback" not in said
     kept = {path.name: path.read_bytes() for path in parts.glob("truth_*.npz")}
     assert kept
-    monkeypatch.setattr(pipeline, "MOST_BLOCK_STEPS", BLOCK_STEPS)
+    monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", BLOCK_STEPS)
     scene = load_scene("simulation_2", steps=55)
     resumed = run_scene(scene, tmp_path / "run", resume=True)
     ranges = [name.removesuffix(".npz").split("_")[1:] for name in kept]

@@ -145,7 +145,7 @@ def test_blocks_of_one_step_give_the_same_bytes(tmp_path, monkeypatch, detector)
     cameras = {"C0": {"frame_rate_hz": 2.5, "start_offset_s": 1.0}, "C1": {"frame_rate_hz": 4, "start_offset_s": 0.7}}
     scene = load_scene(rig(tmp_path, detector=detector, **cameras))
     run_scene(scene, tmp_path / "whole")
-    monkeypatch.setattr(simulate, "MOST_BLOCK_STEPS", 1)  # the first have no frame of any camera
+    monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 1)  # the first have no frame of any camera
     run_scene(scene, tmp_path / "single")
     names = sorted(path.name for path in (tmp_path / "whole").iterdir() if path.is_file() and path.name != "run.log")
     assert len(names) == 10

@@ -17,7 +17,7 @@ from modsim3d.detector.confidence import NormalScores
 from modsim3d.detector.file.reading import load_detector
 from modsim3d.detector.file.writing import detector_text
 from modsim3d.io.input_files import data_folder
-from modsim3d.io.strict_yaml import load_yaml, parse_yaml
+from modsim3d.io.strict_text import load_yaml, parse_yaml
 from modsim3d.io.validation import conditions_in
 from modsim3d.runs.repeat_run import repeat_run
 from modsim3d.runs.run import detect_run, run_scene

@@ -14,7 +14,7 @@ from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import OcclusionEpisode
 from modsim3d.tracking.scores.scoring import Part, SubsetScores
 from modsim3d.tracking.trackers.names import BUILT_IN
-from modsim3d.tracking.world.encounters import MetVessel
+from modsim3d.tracking.world.scoring import MetVessel
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "trackers.md").read_text(encoding="utf-8")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from stonesoup.metricgenerator.ospametric import GOSPAMetric, OSPAMetric
 from stonesoup.types.state import State
 
-from modsim3d.tracking.scores.set_distances import distances, gospa_frame, mean_gospa, mean_ospa, ospa_frame
+from modsim3d.tracking.scores.errors import distances, gospa_frame, mean_gospa, mean_ospa, ospa_frame
 
 CUTOFF = 10.0
 POWERS = (1.0, 2.0, 3.5)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from modsim3d.core.errors import ModsimError
+from modsim3d.tracking.scores.errors import Gospa, Ospa, gospa, ospa
 from modsim3d.tracking.scores.scored import LARGEST_CUTOFF, Rules, Scored, SetDistance
-from modsim3d.tracking.scores.set_distances import Gospa, Ospa, gospa, ospa
 from tests.tracking.hand_made import box, hand_made
 
 RULES = Rules(set_distance=SetDistance(cutoff=10))

@@ -15,8 +15,8 @@ from stonesoup.types.groundtruth import GroundTruthPath, GroundTruthState
 from stonesoup.types.state import State
 from stonesoup.types.track import Track
 
+from modsim3d.tracking.scores.errors import Siap, siap
 from modsim3d.tracking.scores.scored import Rules, Scored
-from modsim3d.tracking.scores.set_distances import Siap, siap
 from modsim3d.tracks.tracks import Similarity
 from tests.tracking.hand_made import box, hand_made
 

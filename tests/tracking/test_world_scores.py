@@ -18,9 +18,8 @@ from modsim3d.tracking.score_page import score_page
 from modsim3d.tracking.score_run import score_run
 from modsim3d.tracking.scores.errors import nees
 from modsim3d.tracking.scores.scored import SetDistance
-from modsim3d.tracking.world.encounters import Quartiles, quartiles
 from modsim3d.tracking.world.following import TrackEstimates, WorldTruth
-from modsim3d.tracking.world.scoring import OverVessels, WorldScores, score_world
+from modsim3d.tracking.world.scoring import OverVessels, Quartiles, WorldScores, quartiles, score_world
 from modsim3d.tracks.tracks import WorldTracks
 from tests.tracks.sea_runs import (
     ANCHORED,

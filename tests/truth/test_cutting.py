@@ -7,7 +7,7 @@ import pytest
 import shapely
 from scipy.spatial.transform import Rotation
 
-from modsim3d.geometry.clipping import clip_triangles, guard_planes, near_plane
+from modsim3d.geometry.camera import clip_triangles, guard_planes, near_plane
 from modsim3d.truth import outlines as outlines_module
 from modsim3d.truth.buffer_drawing import subdivided, triangles_of, within_guard
 from modsim3d.truth.scan_conversion import facing

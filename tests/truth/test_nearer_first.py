@@ -169,7 +169,7 @@ def test_frames_in_portions_have_the_truth_of_all_at_once(renderer, monkeypatch)
     camera = scene.cameras[0]
     outlines = scene.sight(camera, np.arange(100, 112)).outlines()
     whole = rendered_occlusion(outlines, camera.intrinsics, renderer)
-    monkeypatch.setattr(rendered, "MOST_LINES", 400)
+    monkeypatch.setattr(rendered, "MAX_LINES", 400)
     assert len(rendered._portions(outlines, 1)) > 4
     assert_same(rendered_occlusion(outlines, camera.intrinsics, renderer), whole)
 
@@ -178,7 +178,7 @@ def test_steps_that_are_projected_in_portions_have_the_outlines_of_all_at_once(m
     scene = load_scene("strait", mode=2)
     sight = scene.sight(scene.cameras[0], np.arange(100, 112))
     whole = sight.outlines()
-    monkeypatch.setattr(projection, "MOST_VERTICES", 400)
+    monkeypatch.setattr(projection, "MAX_VERTICES", 400)
     assert_same_outlines(sight.outlines(), whole)
 
 

@@ -197,7 +197,7 @@ def test_order_does_not_depend_on_how_solids_are_grouped_or_how_many_are_looked_
     parts = tuple(
         OutlinePart(replace(part.solid), rows, part.vertices_camera[rows], part.vertices_px[rows]) for rows in groups
     )
-    monkeypatch.setattr(occlusion_order, "MOST_COORDINATES", 2_000)
+    monkeypatch.setattr(occlusion_order, "MAX_COORDINATES", 2_000)
     for name in ("first", "second", "first_can_hide", "second_can_hide", "intersecting"):
         np.testing.assert_array_equal(getattr(order_of(replace(outlines, parts=parts)), name), getattr(whole, name))
 

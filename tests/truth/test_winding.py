@@ -48,7 +48,7 @@ def assert_same_spans(one, other):
 
 @pytest.mark.parametrize("most", [300, 200_000])
 def test_convex_solids_have_the_spans_of_convex_scan_conversion(monkeypatch, most):
-    monkeypatch.setattr("modsim3d.truth.silhouettes.MOST_CROSSINGS", most)
+    monkeypatch.setattr("modsim3d.truth.silhouettes.MAX_CROSSINGS", most)
     pixels, _ = seen(shoebox(), 1)
     expected, odd = scan_convert(pixels, shoebox(), SIZE)
     assert len(odd) == 0

@@ -25,7 +25,7 @@ from modsim3d.verify.measures import (
     skewed_tails,
 )
 from modsim3d.verify.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Law, Occupancy, Parameter, judge
-from modsim3d.verify.report import conclusion
+from modsim3d.verify.verify_run import conclusion
 
 
 def test_the_interval_of_a_rate_is_clopper_and_pearsons():

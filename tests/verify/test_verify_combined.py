@@ -11,7 +11,7 @@ from modsim3d.core.boxes import sizes
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.scene.reading import load_scene
-from modsim3d.verify.box_error_checks import LEAST_DETECTIONS, box_error_checks, with_known_errors
+from modsim3d.verify.box_error_checks import MIN_DETECTIONS, box_error_checks, with_known_errors
 from modsim3d.verify.class_checks import class_checks
 from modsim3d.verify.confidence_checks import confidence_checks
 from modsim3d.verify.error_fit import MomentTable
@@ -20,8 +20,8 @@ from modsim3d.verify.false_positive_checks import clutter_checks
 from modsim3d.verify.figures import run_lengths
 from modsim3d.verify.measures import Estimate, Exact
 from modsim3d.verify.parameters import Parameter, judge
-from modsim3d.verify.report import conclusion, row_of
 from modsim3d.verify.state_checks import state_checks
+from modsim3d.verify.verify_run import conclusion, row_of
 from tests.detector_variants import Data, thesis_data, variant
 
 
@@ -114,7 +114,7 @@ def test_box_errors_are_not_tested_where_the_largest_boxes_were_kept(many: ManyD
     found = box_error_checks(model, evidence, table)
     of_good = [p for p in found if p.name.startswith("states.good.")]
     assert of_good and all(p.measure is None and "max_detections was reached" in p.note for p in of_good)
-    enough = np.bincount(evidence.instances.state[evidence.true_detections.instance], minlength=4) >= LEAST_DETECTIONS
+    enough = np.bincount(evidence.instances.state[evidence.true_detections.instance], minlength=4) >= MIN_DETECTIONS
     assert enough.sum() > 1
     assert any(p.measure is not None for p in found if p.name.startswith("states.") and p not in of_good)
 

@@ -18,9 +18,8 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.parameters import FALLS_SHORT
-from modsim3d.verify.report import write_report
 from modsim3d.verify.verification import verify_evidence
-from modsim3d.verify.verify_run import verify_run
+from modsim3d.verify.verify_run import verify_run, write_report
 from tests.detector_changes import single_changes
 from tests.detector_variants import CHANGES, thesis_data, variant
 

@@ -15,7 +15,7 @@ from modsim3d.cli import main
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
-from modsim3d.view.films.layout import FilmLayout
+from modsim3d.view.films.plan import FilmLayout
 from modsim3d.view.pictures import id_buffer
 from tests.scenes import crossing
 

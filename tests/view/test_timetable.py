@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.view.films.plan import LEAST_RATE, Timetable
+from modsim3d.view.films.plan import MIN_RATE, Timetable
 
 MOST = 60
 
@@ -50,4 +50,4 @@ def test_whatever_the_steps_each_frame_is_shown_when_it_is_due(durations, speed,
 
 
 def test_slow_films_have_a_rate_that_players_like():
-    assert Timetable.of(np.array([3600.0, 3600.0]), 1.0, MOST).rate >= LEAST_RATE
+    assert Timetable.of(np.array([3600.0, 3600.0]), 1.0, MOST).rate >= MIN_RATE

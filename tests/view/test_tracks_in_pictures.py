@@ -17,7 +17,7 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracks.tracks import Similarity
 from modsim3d.view import palette
-from modsim3d.view.films.layout import FilmLayout
+from modsim3d.view.films.plan import FilmLayout
 from modsim3d.view.followed_tracks import FollowedTracks
 from tests.scenes import crossing
 from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, with_false, write_csv

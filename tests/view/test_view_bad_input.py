@@ -139,7 +139,7 @@ def cut_short(scene, folder, blocks):
 
 
 def test_an_interrupted_run_is_drawn_as_far_as_it_goes_and_says_so(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(pipeline, "MOST_BLOCK_STEPS", 250)
+    monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 250)
     scene = load_scene(write_scene(tmp_path, {"boat": ([10, 4, 3], [[0, 250, 10], [999, 250, 12]])}, 400))
     cut_short(scene, tmp_path / "cut", 1)
     arguments = (tmp_path / "cut", "--film", "scene", "--every", 50, "--format", "png", "--width", 160)

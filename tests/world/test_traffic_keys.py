@@ -129,13 +129,13 @@ def test_wrong_key_is_named(changes, message):
 
 
 def test_crowd_without_room_is_an_error_after_a_bounded_time(monkeypatch):
-    monkeypatch.setattr("modsim3d.world.traffic.clearance.MOST_WORK", 3_000_000)
+    monkeypatch.setattr("modsim3d.world.traffic.clearance.MAX_WORK", 3_000_000)
     with pytest.raises(InputError, match=r"too many vessels for the water or the time: [0-9]+ found room so far"):
         draw(traffic_keys(leisure__bay__per_km2=5), seed=77, steps=200)
 
 
 def test_comparing_many_vessels_takes_long_in_a_short_drive_too(monkeypatch):
-    monkeypatch.setattr("modsim3d.world.traffic.clearance.MOST_WORK", 1_000_000)
+    monkeypatch.setattr("modsim3d.world.traffic.clearance.MAX_WORK", 1_000_000)
     pond = {"polygon_m": [[0, 0], [300, 0], [300, 300], [0, 300]], "per_km2": 500, "kinds": "kayak"}
     with pytest.raises(InputError, match=r"too many vessels for the water or the time: [0-9]+ found room so far"):
         draw({"leisure": {"pond": pond}}, steps=2, land={})

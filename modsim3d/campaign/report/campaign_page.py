@@ -19,7 +19,7 @@ from modsim3d.campaign.ranking import WorstRun, worst_runs
 from modsim3d.campaign.report.coverage import coverage_sections, trace_sections
 from modsim3d.campaign.report.parameter_charts import over_seeds, parameter_sections, seed_cells
 from modsim3d.campaign.report.words import (
-    MOST_KEYS,
+    MAX_KEYS,
     Score,
     condition_cells,
     constant,
@@ -49,7 +49,7 @@ from modsim3d.view.pages.charts import ChartInterval, span_of, strip
 
 # ---- What is compared ----
 
-MOST_ROWS = 200
+MAX_ROWS = 200
 """Of a table."""
 CRASHED_RUNS = "crashed runs"
 
@@ -61,11 +61,11 @@ def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
     crashed = _crashed(plan, table)
     places = [(c, t) for c in range(len(plan.conditions)) for t in range(len(plan.keys.trackers))]
     remark = ""
-    if len(places) > MOST_ROWS:
+    if len(places) > MAX_ROWS:
         worst = _badness(scores[0], found[0].mean)
-        places = sorted(sorted(places, key=lambda each: worst[each])[:MOST_ROWS])
+        places = sorted(sorted(places, key=lambda each: worst[each])[:MAX_ROWS])
         remark = (
-            f" The {MOST_ROWS} rows of {worst.size:,} with the worst {scores[0].name} are shown; "
+            f" The {MAX_ROWS} rows of {worst.size:,} with the worst {scores[0].name} are shown; "
             "modsim3d campaign-table has all."
         )
     keys, judged = varying(plan), _judged(plan)
@@ -85,7 +85,7 @@ def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
         )
         for c, t in places
     ]
-    columns = keys if len(keys) <= MOST_KEYS else ["condition"]
+    columns = keys if len(keys) <= MAX_KEYS else ["condition"]
     header = (*columns, "tracker", *(score.name for score in scores), "seeds", CRASHED_RUNS)
     bad = {place for place, each in enumerate(places) if crashed[each]}
     return [
@@ -165,9 +165,9 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
             f"{each.seeds:,}",
             number(each.variance_ratio),
         )
-        for each in found[:MOST_ROWS]
+        for each in found[:MAX_ROWS]
     ]
-    columns = keys if len(keys) <= MOST_KEYS else ["condition"]
+    columns = keys if len(keys) <= MAX_KEYS else ["condition"]
     header = ("score", *columns, "difference", "mean [interval]", "against 0", "seeds", "variance ratio")
     return [
         page.heading("Differences between trackers"),
@@ -197,7 +197,7 @@ WORST = 5
 """Runs that are shown with a picture."""
 WIDTH_PX, QUALITY = 960, 82
 """Of a picture: pixels, and of JPEG."""
-MOST_ERRORS, MOST_NUMBERS = 20, 8
+MAX_ERRORS, MAX_NUMBERS = 20, 8
 
 
 def worst_sections(
@@ -274,9 +274,9 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
             f"{len(found):,}",
             error,
             listed(list(dict.fromkeys(row["tracker"] for row in found))),
-            listed([str(row["run"]) for row in found], MOST_NUMBERS),
+            listed([str(row["run"]) for row in found], MAX_NUMBERS),
         )
-        for error, found in ordered[:MOST_ERRORS]
+        for error, found in ordered[:MAX_ERRORS]
     ]
     said = (
         f"{counted(len(crashed), 'run')} of {len(table):,} crashed. Means and charts are of the other runs; "
@@ -286,7 +286,7 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
     again = (
         f"modsim3d campaign-run {shlex.quote(str(path))} {first} --out {shlex.quote(str(path / 'runs' / str(first)))}"
     )
-    more = f" The {MOST_ERRORS} most frequent errors are shown." if len(ordered) > MOST_ERRORS else ""
+    more = f" The {MAX_ERRORS} most frequent errors are shown." if len(ordered) > MAX_ERRORS else ""
     return [
         page.heading("Runs that crashed"),
         page.paragraph(said, "soft"),

@@ -29,8 +29,8 @@ from modsim3d.view.pages.provenance import shown_path
 
 # ---- The sections of a page that trace each requirement to its runs ----
 
-_MOST_RANGES = 6
-_MOST_ROWS = 200
+_MAX_RANGES = 6
+_MAX_ROWS = 200
 """Of a table; the files of the campaign have all."""
 _DIGITS = 16
 """Hexadecimal digits of a checksum on the page; `plan.json` has all."""
@@ -60,7 +60,7 @@ def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
     trackers = table["tracker"].to_numpy(zero_copy_only=False)
     runs, seeds, looks = (table[name].to_numpy() for name in ("run", "traffic_seed", "detector_seed"))
     names, rows = {each.label for each in plan.keys.trackers}, []
-    for verdict in verdicts[:_MOST_ROWS]:
+    for verdict in verdicts[:_MAX_ROWS]:
         labels = [verdict.tracker]
         if verdict.tracker not in names:  # a difference between two
             requirement = plan.keys.require[verdict.requirement]
@@ -83,8 +83,8 @@ def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
 
 
 def _left_out(count: int, file: str) -> Iterator[str]:
-    if count > _MOST_ROWS:
-        yield page.paragraph(f"{count - _MOST_ROWS} more are in {file}.")
+    if count > _MAX_ROWS:
+        yield page.paragraph(f"{count - _MAX_ROWS} more are in {file}.")
 
 
 def numbers_in_words(numbers: Indices) -> str:
@@ -98,8 +98,8 @@ def numbers_in_words(numbers: Indices) -> str:
     ends = np.flatnonzero(steps != 1)
     firsts, lasts = numbers[np.append(0, ends + 1)], numbers[np.append(ends, -1)]
     ranges = [f"{a}" if a == b else f"{a}–{b}" for a, b in zip(firsts, lasts, strict=True)]
-    more = f" and {len(ranges) - _MOST_RANGES} ranges more" if len(ranges) > _MOST_RANGES else ""
-    return ", ".join(ranges[:_MOST_RANGES]) + more + (f" ({len(found)} of them)" if len(found) > 1 else "")
+    more = f" and {len(ranges) - _MAX_RANGES} ranges more" if len(ranges) > _MAX_RANGES else ""
+    return ", ".join(ranges[:_MAX_RANGES]) + more + (f" ({len(found)} of them)" if len(found) > 1 else "")
 
 
 def _conditions(folder: CampaignFolder) -> Iterator[str]:
@@ -107,7 +107,7 @@ def _conditions(folder: CampaignFolder) -> Iterator[str]:
     yield "<h3>Conditions</h3>"
     rows = []
     conditions = folder.facts["conditions"]
-    for number, each in enumerate(conditions[:_MOST_ROWS]):
+    for number, each in enumerate(conditions[:_MAX_ROWS]):
         values = ", ".join(f"{key} {text_of(value)}" for key, value in each["values"].items())
         sums = (each[name][:_DIGITS] for name in ("truth_sha256", "detector_sha256"))
         rows.append([f"{number}", each["scene"], values or "as it is", *sums])

@@ -113,7 +113,7 @@ def by_level(cells: Array, index: Indices, levels: int) -> MeanGrid:
 
 # ---- The parameters that a campaign varies ----
 
-MOST_LEVELS = 12
+MAX_LEVELS = 12
 """Numbers of a grid that are shown one by one."""
 BINS = 6
 """Stretches into which drawn numbers are put."""
@@ -192,14 +192,14 @@ def _parameter(key: str, values: Sequence[Sequence[Any]], span: Range | None, re
     numbers = np.array([[np.nan if value is None else float(value) for value in row] for row in values])
     known = np.unique(numbers[np.isfinite(numbers)])
     log = bool(known[0] > 0 and np.log10(known[-1] / known[0]) >= DECADES) if span is None else span.scale == "log"
-    if len(known) <= MOST_LEVELS:
+    if len(known) <= MAX_LEVELS:
         index = np.where(np.isfinite(numbers), np.searchsorted(known, numbers), -1)
         names = [f"{value:g}" for value in known]
         places_of = known
     else:
         index, names, places_of = _binned(numbers, known, log)
     numbers, index = (np.repeat(each, repeat, axis=0) for each in (numbers, index))
-    return VariedKey(key, tuple(names), index, numbers, places_of, len(known) > MOST_LEVELS, log)
+    return VariedKey(key, tuple(names), index, numbers, places_of, len(known) > MAX_LEVELS, log)
 
 
 def _binned(numbers: Array, known: Array, log: bool) -> tuple[Indices, list[str], Array]:
@@ -212,19 +212,19 @@ def _binned(numbers: Array, known: Array, log: bool) -> tuple[Indices, list[str]
     return np.where(np.isfinite(numbers), index, -1), names, middles
 
 
-MOST_SCORES, MOST_PARAMETERS, MOST_PAIRS, MOST_SHOWN_TRACKERS = 3, 8, 10, 6
+MAX_SCORES, MAX_PARAMETERS, MAX_PAIRS, MAX_SHOWN_TRACKERS = 3, 8, 10, 6
 CHART_PX = 500
 """Width of a chart with its margin."""
-MOST_DOTS = 400
+MAX_DOTS = 400
 """Of a tracker in a chart."""
-LEAST_SEEDS = 3
+MIN_SEEDS = 3
 """A mean of drawn numbers rests on at least so many seeds."""
 
 
 def parameter_sections(plan: Plan, table: pa.Table) -> list[str]:
     """Charts of each required score against each parameter, and heat maps of the first score."""
-    parameters, scores = parameters_of(plan, table), required_scores(plan)[:MOST_SCORES]
-    trackers = [each.label for each in plan.keys.trackers][:MOST_SHOWN_TRACKERS]
+    parameters, scores = parameters_of(plan, table), required_scores(plan)[:MAX_SCORES]
+    trackers = [each.label for each in plan.keys.trackers][:MAX_SHOWN_TRACKERS]
     if not parameters or not len(table):
         return []
     cells = {score.column: seed_cells(plan, table, score.column)[:, :, : len(trackers)] for score in scores}
@@ -234,13 +234,13 @@ def parameter_sections(plan: Plan, table: pa.Table) -> list[str]:
     )
     parts = [page.heading("Scores against what is varied"), page.paragraph(caption, "soft"), legend(trackers)]
     parts.append('<div style="display: flex; flex-wrap: wrap; gap: 0 1.5rem">')
-    for parameter in parameters[:MOST_PARAMETERS]:
+    for parameter in parameters[:MAX_PARAMETERS]:
         drawings = [_chart(parameter, score, cells[score.column], trackers) for score in scores]
         figure = charts.figure(drawings, _remark(parameter, plan, parameters, scores))
         parts.append(f'<div style="max-width: {CHART_PX * len(scores)}px">{figure}</div>')
     parts.append("</div>")
-    if len(parameters) > MOST_PARAMETERS:
-        rest = ", ".join(each.key for each in parameters[MOST_PARAMETERS:])
+    if len(parameters) > MAX_PARAMETERS:
+        rest = ", ".join(each.key for each in parameters[MAX_PARAMETERS:])
         parts.append(page.paragraph(f"Not shown: {rest}.", "soft"))
     return parts + _heat_maps(parameters, scores[0], cells[scores[0].column], trackers)
 
@@ -289,7 +289,7 @@ def _lines(parameter: VariedKey, score: Score, cells: Array, found: MeanGrid, ti
     """Lines with bands through the levels; where numbers are drawn, dots of the seeds too."""
     dots = _dots(parameter, cells) if parameter.binned else []
     if parameter.binned:
-        found = found.with_least(LEAST_SEEDS)
+        found = found.with_least(MIN_SEEDS)
     y = span_of(
         [*found.mean.flat, *found.low.flat, *found.high.flat, *score.thresholds, *(v for d in dots for v in d[1])]
     )
@@ -337,7 +337,7 @@ def _dots(parameter: VariedKey, cells: Array) -> list[tuple[Array, Array]]:
     x = mean_of(parameter.numbers, 1)
     x = np.log10(x) if parameter.log else x
     y = mean_of(cells, 1)
-    every = -(-len(x) // MOST_DOTS)
+    every = -(-len(x) // MAX_DOTS)
     found = []
     for tracker in range(y.shape[1]):
         known = np.flatnonzero(np.isfinite(x) & np.isfinite(y[:, tracker]))[::every]
@@ -349,8 +349,8 @@ def _heat_maps(parameters: Sequence[VariedKey], score: Score, cells: Array, trac
     pairs = [pair for pair in combinations(parameters, 2) if not tied(*pair)]
     if not pairs:
         return []
-    shown = pairs[:MOST_PAIRS]
-    remark = f" The first {MOST_PAIRS} of {len(pairs)} pairs are shown." if len(pairs) > MOST_PAIRS else ""
+    shown = pairs[:MAX_PAIRS]
+    remark = f" The first {MAX_PAIRS} of {len(pairs)} pairs are shown." if len(pairs) > MAX_PAIRS else ""
     parts = [
         page.heading("Two at a time"),
         page.paragraph(

@@ -28,7 +28,7 @@ from modsim3d.view.pages.provenance import Input, Provenance, file_input, folder
 
 USUAL = ("hota", "deta", "assa", "id_switches")
 """Scores that the table of means always has."""
-MOST_KEYS = 4
+MAX_KEYS = 4
 """Keys that have columns of their own in a table."""
 UNITS = {
     "_px": "px",
@@ -160,7 +160,7 @@ def in_words(values: Mapping[str, Any], keys: Sequence[str]) -> str:
 def condition_cells(plan: Plan, place: int, keys: Sequence[str]) -> list[str]:
     """The values of some keys in a condition, as cells of a table; one cell if there are many keys."""
     values = values_of(plan, place)
-    return [shown(values.get(key)) for key in keys] if len(keys) <= MOST_KEYS else [in_words(values, keys)]
+    return [shown(values.get(key)) for key in keys] if len(keys) <= MAX_KEYS else [in_words(values, keys)]
 
 
 def number(value: float | None) -> str:
@@ -209,7 +209,7 @@ SIGNS: dict[Outcome, str] = {"met": "✓ met", "failed": "✗ failed", "undecide
 ORDER: tuple[Outcome, ...] = ("failed", "undecided", "met")
 OFTEN_EMPTY = ("crashed runs", "runs with nothing to score", "seeds without a value")
 """Columns that are left out where they say nothing."""
-MOST_OPEN, MOST_ROWS = 12, 200
+MAX_OPEN, MAX_ROWS = 12, 200
 """Verdicts on a requirement that are shown at once, and at all."""
 
 
@@ -269,7 +269,7 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> list[str]:
 
 def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> list[str]:
     ordered = sorted(found, key=lambda each: ORDER.index(each.outcome))
-    shown = ordered[:MOST_ROWS]
+    shown = ordered[:MAX_ROWS]
     limit, least = _limit(requirement)
     span = span_of([limit, *(_or_nan(value) for each in shown for value in (each.estimate, each.low, each.high))])
     what = "mean"
@@ -277,7 +277,7 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
         what, span = "share of seeds", (max(0.0, span[0]), min(1.0, span[1]))
     keys = varying(plan)
     groups = groups_of(plan, requirement)
-    columns = [*(keys if len(keys) <= MOST_KEYS else ["condition"]), *groups]
+    columns = [*(keys if len(keys) <= MAX_KEYS else ["condition"]), *groups]
     levels = ", ".join(dict.fromkeys(percent(each.confidence) for each in shown)) or percent(requirement.confidence)
     interval = f"{what} [interval, each end {levels}]"
     header = ("tracker", *columns, "outcome", interval, _axis(limit, least, span), *OFTEN_EMPTY, "seeds")
@@ -286,15 +286,15 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
     bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
     notes = {place: _note(each, limit) for place, each in enumerate(shown)}
     table = page.table(kept, names, markup=(len(columns) + 3,), bad=bad, notes=notes)
-    if len(rows) > MOST_OPEN:
+    if len(rows) > MAX_OPEN:
         first = sum(each.outcome != "met" for each in shown)
-        opened = 0 < first <= MOST_OPEN
+        opened = 0 < first <= MAX_OPEN
         table = page.folded(f"All {counted(len(rows), 'verdict')}, failed ones first", table, opened=opened)
     elif all(each.outcome == "met" for each in found):
         table = page.folded(f"{counted(len(rows), 'verdict')}, all met", table)
     parts = [table]
-    if len(ordered) > MOST_ROWS:
-        parts.append(page.paragraph(f"{len(ordered) - MOST_ROWS:,} more verdicts are in verdicts.json.", "soft"))
+    if len(ordered) > MAX_ROWS:
+        parts.append(page.paragraph(f"{len(ordered) - MAX_ROWS:,} more verdicts are in verdicts.json.", "soft"))
     return parts
 
 

@@ -135,9 +135,9 @@ def judging_problems(
             yield f"{whose} {condition} has no other {part.group}: leave it out"
 
 
-MOST_CONDITIONS = 10_000
+MAX_CONDITIONS = 10_000
 """Each is read and checked before the first run, and is a row of the tables."""
-MOST_RUNS = 5_000_000
+MAX_RUNS = 5_000_000
 _ELSEWHERE = {
     "seed": "seeds",
     "detector_seed": "seeds",
@@ -233,14 +233,14 @@ def _size_problems(keys: CampaignKeys) -> Iterator[str]:
     """A plan that is too large to be made, with its numbers."""
     count = count_conditions(keys.scenes, keys.vary)
     runs = count * keys.seeds.traffic * keys.seeds.detector * len(keys.trackers)
-    if count > MOST_CONDITIONS:
+    if count > MAX_CONDITIONS:
         yield (
-            f"vary: {count:,} conditions, and at most {MOST_CONDITIONS:,} are possible: take fewer values, pairs in "
+            f"vary: {count:,} conditions, and at most {MAX_CONDITIONS:,} are possible: take fewer values, pairs in "
             "place of grid, or draw values with uniform or latin_hypercube"
         )
-    elif runs > MOST_RUNS:
+    elif runs > MAX_RUNS:
         yield (
-            f"{runs:,} runs, and at most {MOST_RUNS:,} are possible: {counted(count, 'condition')} × "
+            f"{runs:,} runs, and at most {MAX_RUNS:,} are possible: {counted(count, 'condition')} × "
             f"{counted(keys.seeds.traffic, 'traffic seed')} × {counted(keys.seeds.detector, 'detector seed')} × "
             f"{counted(len(keys.trackers), 'tracker')}"
         )

@@ -295,7 +295,7 @@ def is_bounded(score: str, keys: ScoreKeys) -> bool:
 
 # ---- Checks the search of a campaign before its first trial ----
 
-MOST_CHOSEN_SEEDS = 1_000
+MAX_CHOSEN_SEEDS = 1_000
 """Each seed is a category of the estimator, whose time grows with their number."""
 NOT_SEARCHED = ("seed", "detector_seed", "steps", "scene", "tracker")
 
@@ -325,8 +325,8 @@ def search_problems(keys: CampaignKeys) -> Iterator[str]:
 
 
 def _range_problems(plan: Plan, search: SearchKeys) -> Iterator[str]:
-    if search.seeds > MOST_CHOSEN_SEEDS:
-        yield f"search.seeds: at most {MOST_CHOSEN_SEEDS:,} can be chosen from (got {search.seeds:,})"
+    if search.seeds > MAX_CHOSEN_SEEDS:
+        yield f"search.seeds: at most {MAX_CHOSEN_SEEDS:,} can be chosen from (got {search.seeds:,})"
     for key in search.over:
         if key in NOT_SEARCHED:
             yield f"search.over: '{key}' cannot be searched; search.seeds is the number of seeds to choose from"

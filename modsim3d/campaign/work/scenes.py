@@ -17,10 +17,9 @@ from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.file.reading import content_of, find_detector, shipped_detectors
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.input_files import data_folder, file_sha256
-from modsim3d.io.strict_json import load_json
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_json, load_yaml
 from modsim3d.io.validation import shown
-from modsim3d.learn.uncertainty import uncertainty_file
+from modsim3d.learn.learned import uncertainty_file
 from modsim3d.runs.run import VERSIONED
 from modsim3d.scene.reading import find_scene, load_scene, shipped_scenes
 from modsim3d.scene.scene import Scene

@@ -35,7 +35,7 @@ from modsim3d.detector.model import DetectorModel, Performance, PerformanceState
 from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.records import Gates
 from modsim3d.io.input_files import data_folder
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import describe, kind_of, nearest, shown
 
 # ---- Which file a detector's path or name stands for ----

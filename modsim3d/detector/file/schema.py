@@ -184,14 +184,14 @@ def _one_of(models: Collection[str], what: str) -> AfterValidator:
     )
 
 
-LEAST_DEGREES, MOST_DEGREES = 2.1, 1000.0
+MIN_DEGREES, MAX_DEGREES = 2.1, 1000.0
 
 
 def _freedom_problems(value: float) -> list[str]:
-    if LEAST_DEGREES <= value <= MOST_DEGREES:
+    if MIN_DEGREES <= value <= MAX_DEGREES:
         return []
     return [
-        f"is {value:.6g}, must be from {LEAST_DEGREES:g} to {MOST_DEGREES:g}: near 2 Student's t has hardly "
+        f"is {value:.6g}, must be from {MIN_DEGREES:g} to {MAX_DEGREES:g}: near 2 Student's t has hardly "
         "a covariance, and with more it is normal (law normal), so that no run could show the number"
     ]
 

@@ -12,11 +12,11 @@ from modsim3d.detector.confidence import PrecisionRecall
 from modsim3d.detector.dropout import ATTRIBUTES
 from modsim3d.io.validation import MOST, NotNegative, Number, Positive, Probability, Strict, nearest
 
-MOST_PER_IMAGE = 1000
+MAX_PER_IMAGE = 1000
 """False positives, which all take memory; a detector has a few."""
-PerImage = Annotated[float, Field(strict=True, ge=0, le=MOST_PER_IMAGE)]
-LEAST_LIFETIME_S = 0.01
-Lifetime = Annotated[float, Field(strict=True, ge=LEAST_LIFETIME_S, le=MOST)]
+PerImage = Annotated[float, Field(strict=True, ge=0, le=MAX_PER_IMAGE)]
+MIN_LIFETIME_S = 0.01
+Lifetime = Annotated[float, Field(strict=True, ge=MIN_LIFETIME_S, le=MOST)]
 Fraction = Annotated[float, Field(strict=True, ge=0, lt=1)]
 
 

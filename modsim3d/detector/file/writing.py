@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from modsim3d.core.errors import InputError
-from modsim3d.io.strict_yaml import NUMBERS
+from modsim3d.io.strict_text import NUMBERS
 from modsim3d.io.validation import nearest, shown
 
 

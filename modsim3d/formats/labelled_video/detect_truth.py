@@ -24,8 +24,7 @@ from modsim3d.detector.file.unread import dead_lines
 from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.labelled import FileIds, LabelledSet, half_plane
 from modsim3d.formats.labelled_video.detecting import VideoChunk, count_part, detected_parts, tables_of
-from modsim3d.formats.labelled_video.targets import TargetBoxes, sought_in
-from modsim3d.formats.labelled_video.videos import FileClasses, Video, to_labels, videos_of
+from modsim3d.formats.labelled_video.targets import FileClasses, TargetBoxes, Video, sought_in, to_labels, videos_of
 from modsim3d.formats.reading.builder import ReadOptions, check_whole
 from modsim3d.formats.reading.pair import read_truth
 from modsim3d.formats.writing.mot import detection_text, sequence_text

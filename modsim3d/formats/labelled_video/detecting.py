@@ -18,8 +18,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock
 from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.formats.labelled import EVERYWHERE
-from modsim3d.formats.labelled_video.targets import TargetBoxes
-from modsim3d.formats.labelled_video.videos import Video
+from modsim3d.formats.labelled_video.targets import TargetBoxes, Video
 from modsim3d.runs.counts import Counts, detection_counts
 from modsim3d.runs.files.table_columns import BOX_SIDES, COLUMNS, TableColumn
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS, detection_columns, named, numbers

@@ -21,9 +21,9 @@ from modsim3d.io.misreadings import ROUNDED, are_rounded
 from modsim3d.io.validation import shown
 
 MOST_PROBLEMS = 20
-MOST_PX = 1e7
+MAX_PX = 1e7
 """A larger coordinate is no place in an image, and its square would leave no digits."""
-MOST_NUMBER = 1e15
+MAX_NUMBER = 1e15
 """A larger number is no identity, distance or time, and neighbours of it cannot be told apart."""
 _HALF_CHARACTER = re.compile("[\ud800-\udfff]")
 
@@ -98,7 +98,7 @@ class Problems:
         raise InputError(self.source, told)
 
 
-def is_number(value: Any, least: float = -MOST_NUMBER, most: float = MOST_NUMBER) -> TypeGuard[float]:
+def is_number(value: Any, least: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> TypeGuard[float]:
     """Whether a value of JSON is a number in a range: not true or false, NaN, or a number of 400 digits."""
     return isinstance(value, int | float) and not isinstance(value, bool) and least <= value <= most
 
@@ -125,8 +125,8 @@ def valid_box(values: Any, where: str, problems: Problems) -> bool:
         problems.add(f"{where}: bbox must be [x, y, width, height] in pixels (got {shown(values)})")
         return False
     _, _, width, height = values
-    if not all(is_number(value, -MOST_PX, MOST_PX) for value in values):
-        problems.add(f"{where}: bbox must be in pixels, at most {MOST_PX:g} (got {shown(values)})")
+    if not all(is_number(value, -MAX_PX, MAX_PX) for value in values):
+        problems.add(f"{where}: bbox must be in pixels, at most {MAX_PX:g} (got {shown(values)})")
     elif width <= 0 or height <= 0:
         problems.add(f"{where}: bbox has no area: width {width:g}, height {height:g}")
     else:
@@ -306,7 +306,7 @@ def labelled_set(
 # ---- Which images COCO results name ----
 
 ID = int | str
-_MOST_DIGITS = 18
+_MAX_DIGITS = 18
 """Of a file's name that is a number."""
 
 
@@ -356,7 +356,7 @@ def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
     for row, name in enumerate(names):
         path = PurePosixPath(name.replace("\\", "/"))
         names_of: set[ID] = {name, str(path), path.name}
-        number: set[ID] = {int(path.stem)} if path.stem.isdecimal() and len(path.stem) <= _MOST_DIGITS else set()
+        number: set[ID] = {int(path.stem)} if path.stem.isdecimal() and len(path.stem) <= _MAX_DIGITS else set()
         for key in names_of:
             files[key].append(row)
         for key in names_of | {path.stem} | number:

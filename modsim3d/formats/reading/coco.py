@@ -24,9 +24,9 @@ from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import FileIds, LabelledSet, read_horizon
 from modsim3d.formats.reading.builder import (
     ID,
-    MOST_NUMBER,
+    MAX_NUMBER,
+    MAX_PX,
     MOST_PROBLEMS,
-    MOST_PX,
     NO_OPTIONS,
     AnnotationRows,
     Confidences,
@@ -43,10 +43,10 @@ from modsim3d.formats.reading.builder import (
 )
 from modsim3d.io.input_files import COCO_BYTES_PER_VALUE, read_text
 from modsim3d.io.misreadings import LOST
-from modsim3d.io.strict_json import check_values, composed_values, parse_json
+from modsim3d.io.strict_text import check_values, composed_values, parse_json
 from modsim3d.io.validation import nearest, shown
 
-_MOST_NAMES = 1000
+_MAX_NAMES = 1000
 """The search for a similar name among more of them takes seconds."""
 
 
@@ -206,7 +206,7 @@ def _image(
 ) -> bool:
     """Append an image, whose sequence is numbered; False with a problem if it cannot be used."""
     known, given = problems.count, [entry.get("width"), entry.get("height")]
-    size_px = [float(side) for side in given if is_number(side, _LEAST_PX, MOST_PX)]
+    size_px = [float(side) for side in given if is_number(side, _MIN_PX, MAX_PX)]
     if len(size_px) < 2:
         got = f"{shown(given[0])} and {shown(given[1])}"
         problems.add(f"{where}: width and height must be pixels, above 0 (got {got})")
@@ -232,7 +232,7 @@ def _image(
     return True
 
 
-_LEAST_PX = 1e-6
+_MIN_PX = 1e-6
 
 
 def _is_id(value: Any) -> TypeGuard[ID]:
@@ -272,15 +272,15 @@ def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: 
         return known[value]
     # The search for similar names takes long: not for problems that will not be shown, and not among very many.
     hint = (
-        f" ({nearest(shown(value), map(shown, islice(known, _MOST_NAMES)))})" if problems.count < MOST_PROBLEMS else ""
+        f" ({nearest(shown(value), map(shown, islice(known, _MAX_NAMES)))})" if problems.count < MOST_PROBLEMS else ""
     )
     problems.add(f"{where}: unknown {key} {shown(value)}{hint}" if key in entry else f"{where}: {key} is missing")
     return None
 
 
-_LEAST_LOST, _MANY_LOST = 1e7, 1e4
+_MIN_LOST, _MANY_LOST = 1e7, 1e4
 """A number with a point or an exponent, so large and with so many zeros, stands for other identities too."""
-_MOST = {"visible_fraction": 1 + 1e-6, "distance_m": MOST_NUMBER}
+_MOST = {"visible_fraction": 1 + 1e-6, "distance_m": MAX_NUMBER}
 
 
 def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) -> float:
@@ -306,7 +306,7 @@ def _identity(entry: Mapping[str, Any], where: str, problems: Problems) -> ID | 
     key = "track_id" if "track_id" in entry else "instance_id"
     identity = entry.get(key)
     if isinstance(identity, float) and identity.is_integer():
-        if identity >= _LEAST_LOST and identity % _MANY_LOST == 0:
+        if identity >= _MIN_LOST and identity % _MANY_LOST == 0:
             problems.add(f"{where}: {key} {LOST} (got {identity:g})")
         identity = int(identity)
     if identity is None or isinstance(identity, str):

@@ -24,8 +24,8 @@ from modsim3d.core.boxes import from_top_left
 from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading.builder import (
-    MOST_NUMBER,
-    MOST_PX,
+    MAX_NUMBER,
+    MAX_PX,
     NO_OPTIONS,
     NOT_GIVEN,
     AnnotationRows,
@@ -111,15 +111,15 @@ def _is_number(text: str) -> bool:
     return True
 
 
-_MOST_CLASSES = 10_000
+_MAX_CLASSES = 10_000
 """A larger number is no class but something else."""
 _TINY = 1e-6
 _UNKNOWN = -1
 _MANY_EMPTY = 2
 """A sequence that is so many times longer than what has boxes may not be annotated to its end."""
 _RANGES = {
-    "imWidth": (_TINY, MOST_PX),
-    "imHeight": (_TINY, MOST_PX),
+    "imWidth": (_TINY, MAX_PX),
+    "imHeight": (_TINY, MAX_PX),
     "frameRate": (_TINY, 1e6),
     "seqLength": (0.0, MAX_FRAMES),
 }
@@ -240,13 +240,13 @@ def _class_names(annotated: Lines, detected: Lines, labels: tuple[str, ...]) -> 
     if not any(_class_of(numbers) >= 1 for _, numbers in detected):
         return {}
     found = {_class_of(numbers) for _, numbers in annotated + detected}
-    return _named(sorted(number for number in found if 1 <= number <= _MOST_CLASSES), labels)
+    return _named(sorted(number for number in found if 1 <= number <= _MAX_CLASSES), labels)
 
 
 def _all_class_names(annotated: Lines, labels: tuple[str, ...]) -> dict[int, str]:
     """Names of the classes from 1 to the largest number; none if no line names a class."""
     classes = (_class_of(numbers) for _, numbers in annotated)
-    return _named(range(1, max((number for number in classes if number <= _MOST_CLASSES), default=0) + 1), labels)
+    return _named(range(1, max((number for number in classes if number <= _MAX_CLASSES), default=0) + 1), labels)
 
 
 def _named(classes: Iterable[int], labels: tuple[str, ...]) -> dict[int, str]:
@@ -257,7 +257,7 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
     rows = AnnotationRows(_corners)
     for where, numbers in lines:
         if not is_number(numbers[1], NOT_GIVEN) or numbers[1] != int(numbers[1]):
-            low = "-1 or more" if numbers[1] < NOT_GIVEN else f"at most {MOST_NUMBER:g}"
+            low = "-1 or more" if numbers[1] < NOT_GIVEN else f"at most {MAX_NUMBER:g}"
             wanted = "a whole number" if is_number(numbers[1], NOT_GIVEN) else low
             problems.add(f"{where}: identity must be {wanted} (got {numbers[1]:g})")
             continue
@@ -307,8 +307,8 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
             problems.hint = f"{spanned}, and up to {MAX_FRAMES:,} where seqLength in a seqinfo.ini says so"
         elif frame == 0:
             problems.hint = problems.hint or "frames count from 1, and in this file perhaps from 0"
-    elif number > _MOST_CLASSES:
-        problems.add(f"{where}: class must be at most {_MOST_CLASSES} (got {numbers[7]:g})")
+    elif number > _MAX_CLASSES:
+        problems.add(f"{where}: class must be at most {_MAX_CLASSES} (got {numbers[7]:g})")
     elif to_label and number not in to_label:
         got = f"{numbers[7]:g}" if len(numbers) > 7 else "none"
         problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {got})")

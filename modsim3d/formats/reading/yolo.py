@@ -20,7 +20,7 @@ from modsim3d.core.boxes import corner_form
 from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import (
-    MOST_PX,
+    MAX_PX,
     NO_OPTIONS,
     AnnotationRows,
     Confidences,
@@ -35,7 +35,7 @@ from modsim3d.formats.reading.builder import (
 )
 from modsim3d.formats.reading.mot import number_lines
 from modsim3d.io.input_files import MAX_IMAGE_BYTES, composed, note_input, read_text
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import shown
 
 # ---- Images of a folder and how large they are ----
@@ -88,8 +88,8 @@ def image_size_px(path: Path) -> tuple[float, float]:
         raise InputError(source, [f"cannot be read: {error}"]) from None
     except Exception as error:  # PIL lets errors of many kinds through for damaged files
         raise InputError(source, [f"cannot be read: {shown(str(error))}"]) from None
-    if not (0 < width <= MOST_PX and 0 < height <= MOST_PX):
-        raise InputError(source, [f"width and height must be from 1 to {MOST_PX:g} pixels (got {width} and {height})"])
+    if not (0 < width <= MAX_PX and 0 < height <= MAX_PX):
+        raise InputError(source, [f"width and height must be from 1 to {MAX_PX:g} pixels (got {width} and {height})"])
     return (height, width) if lying else (width, height)
 
 
@@ -177,8 +177,8 @@ def _place(
     """Image, label and box of a line; None with a problem if it has none."""
     number, x, y, width, height = numbers[:5]
     box_px = [x * size_px[0], y * size_px[1], width * size_px[0], height * size_px[1]]
-    if not 0 <= number < _MOST_CLASSES or number != int(number):
-        problems.add(f"{where}: class must be a whole number from 0 to {_MOST_CLASSES - 1} (got {number:g})")
+    if not 0 <= number < _MAX_CLASSES or number != int(number):
+        problems.add(f"{where}: class must be a whole number from 0 to {_MAX_CLASSES - 1} (got {number:g})")
     elif max(abs(x), abs(y), width, height) > 2:
         problems.add(
             f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {shown(numbers[1:5])})"
@@ -188,7 +188,7 @@ def _place(
     return None
 
 
-_MOST_CLASSES = 10_000
+_MAX_CLASSES = 10_000
 """A larger number is no class but something else."""
 _LISTS, _TABLES = ("classes.txt", "obj.names"), ("data.yaml", "dataset.yaml")
 """Files that name the classes, beside the labels or above: a name on each line, or all in one; `names` of YAML."""
@@ -264,7 +264,7 @@ def _listed_names(path: Path) -> tuple[str, ...]:
 
 def _tabled_names(path: Path, names: Any) -> tuple[str, ...]:
     if isinstance(names, dict):
-        if any(type(key) is not int or not 0 <= key < _MOST_CLASSES for key in names):
+        if any(type(key) is not int or not 0 <= key < _MAX_CLASSES for key in names):
             raise InputError(f"data {path}", [f"names: must be numbered 0, 1, ... (got {shown(list(names))})"])
         names = [names.get(number, f"class_{number}") for number in range(max(names, default=-1) + 1)]
     wrong = [name for name in names if isinstance(name, dict | list)] if isinstance(names, list) else [names]

@@ -35,7 +35,7 @@ from modsim3d.truth.full_frame import vessel_masks
 
 _BLOCK_FRAMES = 50
 """Frames whose solids are in memory at a time."""
-_MOST_CHARACTERS = 7
+_MAX_CHARACTERS = 7
 """Of a number in the encoding, 5 bits each: images have fewer than 2^34 pixels."""
 
 
@@ -173,9 +173,9 @@ def _text(counts: Indices) -> str:
     """Counts as COCO's `rleToString` writes them: from the fourth on as differences, 5 bits a character."""
     values = counts.copy()
     values[3:] -= counts[1:-2]
-    characters = np.zeros((len(values), _MOST_CHARACTERS), dtype=np.uint8)
+    characters = np.zeros((len(values), _MAX_CHARACTERS), dtype=np.uint8)
     more = np.ones(len(values), dtype=bool)
-    for place in range(_MOST_CHARACTERS):
+    for place in range(_MAX_CHARACTERS):
         bits = values & 31
         values >>= 5
         last = values == np.where(bits & 16, -1, 0)

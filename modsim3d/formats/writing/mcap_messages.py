@@ -113,7 +113,7 @@ def message_types() -> Typestore:
 # ---- Times of steps in ROS's nanoseconds ----
 
 NANO = 1_000_000_000
-MOST_S = 2**31 - 1
+MAX_S = 2**31 - 1
 """ROS keeps seconds in 32 bits with a sign, and a bag holds no negative times."""
 _UNIT, _EXACT = Decimal("1e-9"), Context(prec=40)
 
@@ -131,7 +131,7 @@ def stamps_ns(timestamps: Sequence[str], source: str) -> Indices:
     stamps = [_nanoseconds(text) for text in timestamps]
     for text, stamp in zip(timestamps, stamps, strict=True):
         if stamp is None:
-            problem = f"time {text} s: ROS knows times from 0 to {MOST_S} s; count the times of the poses from 0"
+            problem = f"time {text} s: ROS knows times from 0 to {MAX_S} s; count the times of the poses from 0"
             raise InputError(source, [problem])
     ns = np.array(stamps, dtype=np.int64)
     same = np.flatnonzero(np.diff(ns) <= 0)
@@ -149,7 +149,7 @@ def _nanoseconds(text: str) -> int | None:
         ns = int(Decimal(text).quantize(_UNIT, ROUND_HALF_EVEN, _EXACT).scaleb(9, _EXACT))
     except InvalidOperation:
         return None
-    return ns if 0 <= ns < (MOST_S + 1) * NANO else None
+    return ns if 0 <= ns < (MAX_S + 1) * NANO else None
 
 
 @dataclass(frozen=True, eq=False)

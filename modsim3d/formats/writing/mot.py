@@ -33,7 +33,7 @@ ALL_SET, CLASS_SET = "modsim3d-all", "modsim3d-class"
 SCORED, DISTRACTOR = 1, 8
 """Classes of the format: the only one that evaluators score, and one whose matches they leave out."""
 UNKNOWN = -1
-_LEAST_IOU = 0.5
+_MIN_IOU = 0.5
 """From here on evaluators match a track to a distractor."""
 
 
@@ -156,7 +156,7 @@ def _near_scored(truth: SequenceTruth) -> Mask:
     for row in np.flatnonzero(~truth.annotated).tolist():
         first, stop = np.searchsorted(truth.frame[scored], (truth.frame[row], truth.frame[row] + 1))
         others = truth.boxes_px[scored[first:stop]]
-        near[row] = (iou(others, truth.boxes_px[[row]]) >= _LEAST_IOU).any()
+        near[row] = (iou(others, truth.boxes_px[[row]]) >= _MIN_IOU).any()
     return near
 
 

@@ -23,7 +23,7 @@ from modsim3d.learn.bootstrap import (
 )
 from modsim3d.learn.box_errors.fit import ErrorFit
 from modsim3d.learn.box_errors.laws import ChosenLaw, ErrorSample, LearnedErrors, choose_law, learned_errors, plain_unit
-from modsim3d.learn.box_errors.matched_edges import LEAST_DEGREES, ErrorModel, MatchedEdges, Unit
+from modsim3d.learn.box_errors.matched_edges import MIN_DEGREES, ErrorModel, MatchedEdges, Unit
 from modsim3d.learn.box_errors.persistence import WhiteErrors, consecutive_errors, correlation_left, white_errors
 from modsim3d.learn.matches import ErrorFits, ErrorSource, Observed, Pairs, kept_share
 from modsim3d.learn.persistence import Consecutive, LagTable, vessel_noise, why_none
@@ -288,9 +288,9 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
                 f"states.{name}.box_error: as if matching cut off nothing; too many boxes fail the matching to tell "
                 "how far errors spread beyond it"
             )
-        if law.heavy and fit is not None and fit.model.freedom <= LEAST_DEGREES * (1 + 1e-3):
+        if law.heavy and fit is not None and fit.model.freedom <= MIN_DEGREES * (1 + 1e-3):
             notes.append(
-                f"states.{name}.box_error: degrees_of_freedom at the least that is fitted, {LEAST_DEGREES:g}; tails so "
+                f"states.{name}.box_error: degrees_of_freedom at the least that is fitted, {MIN_DEGREES:g}; tails so "
                 "heavy leave the spread of the errors uncertain"
             )
         forms.append(StateErrorForm(law.unit, source, "student_t" if law.heavy else "normal"))

@@ -18,7 +18,7 @@ _BOXES, _POINTS = 512, 64
 _POINTS_FOR_EACH = 8
 _SCREENED_AT_ONCE, _STRETCH = 4096, 1.5
 _NEAR_SHARE = 0.25
-_LEAST_PASSING = 1e-3
+_MIN_PASSING = 1e-3
 _LEVELS = np.linspace(-7, 7, 1025)
 
 
@@ -72,7 +72,7 @@ class Gate:
         """Log-probability to pass of each box, shape (n,), and mean statistics of what fails over it, (n, s)."""
         standard = drawn(model, self.normal)
         fails = _fails(model, self.sample, standard)
-        chance = np.maximum(1 - fails.mean(axis=1), _LEAST_PASSING)
+        chance = np.maximum(1 - fails.mean(axis=1), _MIN_PASSING)
         box, point = np.nonzero(fails)
         found = model.statistics(standard[box, point])
         sums = np.stack([np.bincount(box, each, minlength=len(chance)) for each in found.T], axis=1)
@@ -230,7 +230,7 @@ def _log_density(model: ErrorModel, zeta: Array) -> Array:
 
 
 _STEPS, _ENOUGH = 30, 0.01
-_LONGEST_STEP, _MOST_TIMES, _WORSE = 0.5, 4.0, 1.5
+_LONGEST_STEP, _MAX_TIMES, _WORSE = 0.5, 4.0, 1.5
 _DIFFERENCE = 0.25
 _HOPE, _MARGIN = 4.0, 10.0
 _MANY_MORE = 1.2
@@ -346,7 +346,7 @@ def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None, least: float
         if size > longest:
             step *= longest / size
         last, model = model, model.with_numbers(numbers + step)
-        if np.any(model.std > _MOST_TIMES * start.std) or not np.isfinite(model.numbers()).all():
+        if np.any(model.std > _MAX_TIMES * start.std) or not np.isfinite(model.numbers()).all():
             model = last
             break
         found = slopes(model, edges, gate)

@@ -32,7 +32,7 @@ T_NEEDED = MIXED_NEEDED = 100
 """Errors of a state that a choice between distributions needs."""
 _GROWTHS, _GROWTHS_SIGNIFICANT = 4, 18.5
 """Numbers that mixed errors have more, and what chi-square of so many exceeds once in a thousand times."""
-_MOST_ALIKE, _ALIKE = 1.1, 0.1
+_MAX_ALIKE, _ALIKE = 1.1, 0.1
 
 
 def excess(kept: float) -> float:
@@ -149,7 +149,7 @@ def _mixed_may_be_heavy(fits: ErrorFits, plain: ChosenLaw) -> bool:
 def _sides_differ(edges: MatchedEdges) -> bool:
     """Whether widths or heights differ so much that errors could follow them."""
     low, high = np.quantile(edges.sides_px, [0.1, 0.9], axis=0)
-    return bool(np.any(high > _MOST_ALIKE * low))
+    return bool(np.any(high > _MAX_ALIKE * low))
 
 
 def _rough_value(fits: ErrorFits, relative: bool) -> float:

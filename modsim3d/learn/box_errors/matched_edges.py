@@ -191,10 +191,10 @@ class MatchedEdges:
 # ---- Numbers of a distribution of box errors ----
 
 Unit = Literal["px", "relative", "mixed"]
-LEAST_DEGREES, MOST_DEGREES = 2.1, 200.0
+MIN_DEGREES, MAX_DEGREES = 2.1, 200.0
 """Bounds of ν: with 2 there is no covariance; with more than 200 the distribution is as good as normal."""
 _FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
-_MOST_ARTANH = 4.0
+_MAX_ARTANH = 4.0
 _MEANS, _STDS, _PAIRS, _FREEDOM = slice(0, 4), slice(4, 8), slice(8, 14), 14
 
 
@@ -319,14 +319,14 @@ class ErrorModel:
             held[_STDS] = (self.std <= self.floor) & (score[_STDS] <= 0)
             held[14:18] = (self.growth <= 0) & (score[14:18] <= 0)
         if self.heavy:
-            low, high = self.freedom <= LEAST_DEGREES * (1 + 1e-9), self.freedom >= MOST_DEGREES * (1 - 1e-9)
+            low, high = self.freedom <= MIN_DEGREES * (1 + 1e-9), self.freedom >= MAX_DEGREES * (1 - 1e-9)
             held[-1] = (low and score[-1] < 0) or (high and score[-1] > 0)
         return held
 
     def with_numbers(self, numbers: Array) -> ErrorModel:
         """Distribution with other numbers, shape (p,), held where a distribution has them."""
         correlation = np.eye(4)
-        values = np.tanh(np.clip(numbers[_PAIRS], -_MOST_ARTANH, _MOST_ARTANH))
+        values = np.tanh(np.clip(numbers[_PAIRS], -_MAX_ARTANH, _MAX_ARTANH))
         correlation[_FIRST, _SECOND] = correlation[_SECOND, _FIRST] = values
         return replace(
             self,
@@ -334,7 +334,7 @@ class ErrorModel:
             std=np.maximum(np.exp(numbers[_STDS]), self.floor),
             correlation=_definite(correlation),
             growth=np.maximum(numbers[14:18], 0.0) if self.unit == "mixed" else self.growth,
-            freedom=float(np.clip(2 + np.exp(numbers[-1]), LEAST_DEGREES, MOST_DEGREES)) if self.heavy else np.inf,
+            freedom=float(np.clip(2 + np.exp(numbers[-1]), MIN_DEGREES, MAX_DEGREES)) if self.heavy else np.inf,
         )
 
 
@@ -352,7 +352,7 @@ def _definite(correlation: Array) -> Array:
 # ---- Student's t distribution of four components by maximum likelihood ----
 
 _STEPS, _ENOUGH = 500, 1e-6
-_LEAST_SHARE = 1e-6
+_MIN_SHARE = 1e-6
 
 
 class StudentTFit(NamedTuple):
@@ -370,7 +370,7 @@ def fit_student_t(errors: Array) -> StudentTFit | None:
     maximises the likelihood over ν.
     """
     mean, scatter, nu, last = errors.mean(axis=0), np.cov(errors.T, bias=True), 10.0, -np.inf
-    least = _LEAST_SHARE * np.linalg.eigvalsh(scatter)
+    least = _MIN_SHARE * np.linalg.eigvalsh(scatter)
     for _ in range(_STEPS):
         values = np.linalg.eigvalsh(scatter)
         if values[0] <= max(least[0], 1e-12 * values[-1]):
@@ -409,6 +409,6 @@ def _likeliest_degrees(q: Array) -> tuple[float, float]:
         each = special.gammaln(nu / 2 + 2) - special.gammaln(nu / 2) - 2 * np.log(np.pi * nu)
         return float((nu / 2 + 2) * np.log1p(q / nu).sum() - len(q) * each)
 
-    bounds = np.log(LEAST_DEGREES), np.log(MOST_DEGREES)
+    bounds = np.log(MIN_DEGREES), np.log(MAX_DEGREES)
     found = optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 1e-6})
     return float(np.exp(found.x)), -float(found.fun)

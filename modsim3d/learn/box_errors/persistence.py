@@ -22,7 +22,7 @@ _ROUNDS = 4
 """Rounds in which a correlation time and what follows from it settle."""
 _STEPS_NEEDED = 20
 """Steps within a state that its errors are whitened from, instead of from the distribution."""
-_LEAST_CHANGE = 1e-6
+_MIN_CHANGE = 1e-6
 _REACH = 3.0
 """An edge counts if it is so many standard deviations inside the border; sides shrink by fewer to a pixel."""
 _EDGES = 2 ** np.arange(4)
@@ -137,7 +137,7 @@ def _shapes_of_changes(
             continue
         before, after = (_standard(pairs, model, each[ours]) for each in (steps.earlier, steps.later))
         change = after - correlation[ours, None] * before
-        change /= np.sqrt(np.maximum(1 - correlation[ours] ** 2, _LEAST_CHANGE))[:, None]
+        change /= np.sqrt(np.maximum(1 - correlation[ours] ** 2, _MIN_CHANGE))[:, None]
         shapes.append(change.T @ change / len(change))
     return shapes
 

@@ -20,14 +20,14 @@ from modsim3d.world.poses.base import Poses
 from modsim3d.world.vessel_motion import PosesInWaves
 
 COLUMNS = ("roll_rad", "pitch_rad", "heading_rad")
-MOST_APART_S = 2.0
+MAX_APART_S = 2.0
 """Angles are linear between rows that are no further apart; in a longer gap they are not known."""
 _NEAR_S = 1e-6
-_UNDER_WAY, _MOST_OFF = 1.0, np.pi / 4
+_UNDER_WAY, _MAX_OFF = 1.0, np.pi / 4
 """Metres a second above which the scene knows a heading, and how far headings may be off it."""
 _FOUR_TURNS = 8 * np.pi
 """Headings may go on counting where a vessel turns round. Larger ones do so, or are degrees."""
-_MOST_TURN = 1.0
+_MAX_TURN = 1.0
 """A larger heading that changes by more radians between two rows, and in a second, is in degrees."""
 
 
@@ -50,7 +50,7 @@ class Attitude:
         """Whether the attitude is known at some times, shape (k,)."""
         after = np.clip(np.searchsorted(self.time_s, times_s), 1, len(self.time_s) - 1)
         last, first = self.time_s[after - 1], self.time_s[after]
-        inside = (times_s >= last) & (times_s <= first) & (first - last <= MOST_APART_S)
+        inside = (times_s >= last) & (times_s <= first) & (first - last <= MAX_APART_S)
         at_a_row = np.minimum(np.abs(times_s - last), np.abs(times_s - first)) <= _NEAR_S
         known: Mask = inside | at_a_row
         return known
@@ -70,7 +70,7 @@ def _check(time_s: Array, angles_rad: Array, source: str, where: Sequence[str]) 
         raise InputError(source, [f"{where[late[0] + 1]}: its time must be later than that of the row before"])
     headings = angles_rad[:, 2]
     turns, gaps_s = (np.abs(np.diff(column, prepend=column[:1])) for column in (headings, time_s))
-    turns_as_degrees = (np.abs(headings) > _FOUR_TURNS) & (turns > _MOST_TURN * np.maximum(gaps_s, 1.0))
+    turns_as_degrees = (np.abs(headings) > _FOUR_TURNS) & (turns > _MAX_TURN * np.maximum(gaps_s, 1.0))
     wrong = (np.abs(angles_rad[:, :2]) > np.pi / 2).any(axis=1) | turns_as_degrees
     if wrong.any():
         first = int(np.argmax(wrong))
@@ -123,7 +123,7 @@ def read_attitude(path: Path, scene: Scene) -> Attitude:
         problem = f"its rows are {spans[0]} after the scene's first step, and {scene.title} is {spans[1]}"
         raise InputError(source, [problem])
     outside = ((times < 0) | (times > clock.length_s)).mean()
-    if outside > 0.5 and np.median(np.diff(times)) > MOST_APART_S and (unit := other_unit(times, clock.length_s)):
+    if outside > 0.5 and np.median(np.diff(times)) > MAX_APART_S and (unit := other_unit(times, clock.length_s)):
         raise InputError(source, [f"{outside:.0%} of its rows are after {scene.title}, of {clock.length_s:g} s{unit}"])
     _check_headings(times, heading, scene, carriers[0], source)
     return Attitude(carriers[0], times, np.column_stack([angles[:, :2], heading]))
@@ -140,7 +140,7 @@ def _check_headings(times_s: Array, headings_rad: Array, scene: Scene, vessel: s
     under_way = (times_s >= every_s[0]) & (times_s <= every_s[-1]) & (np.interp(times_s, every_s, speeds) > _UNDER_WAY)
     known = np.interp(times_s, every_s, np.unwrap(poses.headings_rad[steps, column]))
     off = np.abs(np.angle(np.exp(1j * (headings_rad - known))))[under_way]
-    if len(off) and np.median(off) > _MOST_OFF:
+    if len(off) and np.median(off) > _MAX_OFF:
         degrees = ", in radians: are these degrees?" if np.abs(headings_rad).max() > 2 * np.pi else ""
         problem = (
             f"its headings are {np.degrees(np.median(off)):.0f}° off those of '{vessel}' in {scene.title}: heading_rad "

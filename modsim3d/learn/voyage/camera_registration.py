@@ -11,7 +11,7 @@ import numpy as np
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.io.validation import nearest, shown
-from modsim3d.learn.learn_detector import LEAST_CONFIDENCE
+from modsim3d.learn.learn_detector import MIN_CONFIDENCE
 from modsim3d.learn.voyage.attitude import Attitude
 from modsim3d.learn.voyage.clock import read_reports
 from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, CameraLog, Correction
@@ -153,7 +153,7 @@ FIXED_NAMES = tuple(SHORT_OF.get(name, name) for name in SHARED_NAMES if name no
 """What `fixed` takes: the parameters that are registered, by their names without units."""
 OFFSETS_M = 5.0
 """How far positions of AIS are expected to be off for as long as a vessel is seen: antennas, late reports."""
-MOST_NOISE_M = 100.0
+MAX_NOISE_M = 100.0
 """Positions that are worse do not tell which vessel a camera sees."""
 _SIZES = frozenset({"length", "beam", "air draft"})
 
@@ -171,8 +171,8 @@ def position_noise_m(scene: Scene, given: float | None) -> float:
     """
     if given is None:
         return POSITION_M if is_from_ais(scene) else 0.0
-    if not 0 <= given <= MOST_NOISE_M:
-        raise InputError("--position-noise", [f"must be metres from 0 to {MOST_NOISE_M:g} (got {given:g})"])
+    if not 0 <= given <= MAX_NOISE_M:
+        raise InputError("--position-noise", [f"must be metres from 0 to {MAX_NOISE_M:g} (got {given:g})"])
     return given
 
 
@@ -192,7 +192,7 @@ class Registering:
 
     fixed: tuple[str, ...] = ()
     position_m: float = 0.0
-    least_confidence: float = LEAST_CONFIDENCE
+    least_confidence: float = MIN_CONFIDENCE
     attitude: Attitude | None = None
     known: KnownMeans = NOTHING_KNOWN
 

@@ -14,9 +14,9 @@ import numpy as np
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.io.misreadings import other_unit
-from modsim3d.io.strict_json import load_json
+from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import shown
-from modsim3d.learn.voyage.logs.log import LEAST_UNIX_S, Clock, DetectionLog, utc_s
+from modsim3d.learn.voyage.logs.log import MIN_UNIX_S, Clock, DetectionLog, utc_s
 from modsim3d.scene.ais.options import time_text
 from modsim3d.scene.ais.scene_folder import REPORT, REPORT_TIMES
 from modsim3d.scene.scene import Scene
@@ -147,7 +147,7 @@ class SceneClock:
         """The clock of a scene; one made by `modsim3d ais` has the start beside it, and poses may have Unix times."""
         reports = read_reports(scene.path)
         first_s = float(scene.timestamps(0, 1)[0])
-        start_s = reports.start_s if reports is not None else first_s if first_s >= LEAST_UNIX_S else None
+        start_s = reports.start_s if reports is not None else first_s if first_s >= MIN_UNIX_S else None
         return cls(float(scene.times_s(scene.steps - 1, scene.steps)[0]), first_s, start_s)
 
     def span(self, clock: Clock) -> str:

@@ -24,7 +24,7 @@ from modsim3d.scene.ais.options import time_text
 from modsim3d.view.pages.charts import svg, svg_text
 
 _STEPS_DEG = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0)
-_MOST_BINS = 9
+_MAX_BINS = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Coverage:
     def bearings_deg(self) -> Array:
         """Edges of cells of bearing, at round numbers, ascending."""
         low, high = self.bearing_deg.min(), self.bearing_deg.max()
-        step = next((each for each in _STEPS_DEG if (high - low) / each <= _MOST_BINS - 1), _STEPS_DEG[-1])
+        step = next((each for each in _STEPS_DEG if (high - low) / each <= _MAX_BINS - 1), _STEPS_DEG[-1])
         edges: Array = np.arange(np.floor(low / step), np.floor(high / step) + 2) * step
         return edges
 
@@ -266,7 +266,7 @@ def _stretch(
 _CELL = (78.0, 34.0)
 _LEFT, _TOP, _BELOW = 96.0, 20.0, 36.0
 _SKETCH_WIDTH, _TITLE = 400.0, 16.0
-_AROUND, _LEAST_PX = 8.0, 240.0
+_AROUND, _MIN_PX = 8.0, 240.0
 _MATCHED, _MISSED, _UNMATCHED = "#2f7fc1", "#d0312d", "#e08a00"
 _LOW, _HIGH = np.array([208, 49, 45]), np.array([47, 127, 193])
 
@@ -344,7 +344,7 @@ class _Part:
         """That around a box, eight times as wide as its longer side, and in the image."""
         whole, high = size_px.tolist()
         left, top, right, bottom = box_px.tolist()
-        width = min(max(_AROUND * max(right - left, bottom - top), _LEAST_PX), whole)
+        width = min(max(_AROUND * max(right - left, bottom - top), _MIN_PX), whole)
         tall = width * high / whole
         x = min(max((left + right - width) / 2, 0.0), whole - width)
         y = min(max((top + bottom - tall) / 2, 0.0), high - tall)

@@ -22,9 +22,9 @@ from modsim3d.scene.scene import Scene
 
 # ---- The covariance of box errors without that part ----
 
-_LEAST_PART = 1e-3
+_MIN_PART = 1e-3
 """A replicate whose rest is not positive keeps this share of a variance."""
-_MOST_CORRELATION = 0.999
+_MAX_CORRELATION = 0.999
 _ALIKE = 0.15
 """By which share standard deviations as measured may differ from those of the law."""
 _FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
@@ -101,12 +101,12 @@ def less_noise(
     if np.linalg.eigvalsh(rest[0])[0] <= 0:
         taken, part, rest = np.zeros(4, dtype=bool), np.zeros_like(part), whole
     variance = np.einsum("bii->bi", products)
-    least = np.maximum(np.einsum("bii->bi", rest), _LEAST_PART * variance)
+    least = np.maximum(np.einsum("bii->bi", rest), _MIN_PART * variance)
     shrunk = np.sqrt(least / np.where(variance > 0, variance, 1.0))
     shrunk = np.where(taken, np.minimum(shrunk, 1.0), 1.0)
     shrunk_products = products * shrunk[:, :, None] * shrunk[:, None, :]
     left = rest / np.where(shrunk_products > 0, shrunk_products, 1.0)
-    left = np.clip(left[:, _FIRST, _SECOND], -_MOST_CORRELATION, _MOST_CORRELATION)
+    left = np.clip(left[:, _FIRST, _SECOND], -_MAX_CORRELATION, _MAX_CORRELATION)
     correlation = np.where(taken[_FIRST] | taken[_SECOND], left, correlation)
     correlation[1:, ~(taken[_FIRST] & taken[_SECOND])] = np.nan  # with errors of truth in it, it tells no interval
     result = replace(
@@ -199,10 +199,10 @@ def time_left(entry: Entry, part: Array, gap_s: float) -> Entry:
     return replace(entry, column=replace(entry.column, values=np.where(part > 0, time_s, entry.column.values)))
 
 
-_MOST_FRAMES = 500
+_MAX_FRAMES = 500
 """Frames that errors of truth are drawn in: they change over minutes."""
-_LEAST_PAIRS = 10
-_MOST_LOST = 0.02
+_MIN_PAIRS = 10
+_MAX_LOST = 0.02
 """Where matching cuts off more boxes than this for each match, errors as measured are too small."""
 _TO_STD = 1.4826
 """Median absolute number to standard deviation of normal numbers."""
@@ -345,7 +345,7 @@ def take_off_truth_noise(
         lost = box_errors.used[index].lost
         measured = _measured(learned, ours, relative)
         at_least = _changes(learned, ours, relative, of_truth.change, noise.position_s)
-        cut_off = lost > _MOST_LOST
+        cut_off = lost > _MAX_LOST
         states.append(less_noise(errors, found, pairs.sides_px[ours], level, measured, at_least, cut_off))
     box_s, share = box_errors.box_s, box_errors.box_vessel_share
     slow = box_s is not None and float(box_s.estimate) * _SLOW <= noise.position_s
@@ -395,7 +395,7 @@ class _Jacobians:
         moved = np.full(len(pairs), -1)
         places, found = [np.empty(0, dtype=np.int64)], [np.empty((0, 4, 8))]
         for number, view in enumerate(views):
-            some = np.unique(np.linspace(0, len(view.images) - 1, _MOST_FRAMES).round().astype(np.int64))
+            some = np.unique(np.linspace(0, len(view.images) - 1, _MAX_FRAMES).round().astype(np.int64))
             frame = np.full(len(labelled.images), -1)
             frame[view.images[some]] = some
             place = np.flatnonzero((frame[pairs.image] >= 0) & (identity >= 0))
@@ -415,7 +415,7 @@ class _Jacobians:
     def errors(self, pairs: Pairs, chosen: Mask, relative: bool, noise: TruthNoise) -> TruthErrors | None:
         """Errors of truth of some pairs; None of too few."""
         ours = chosen[self.place]
-        if ours.sum() < _LEAST_PAIRS:
+        if ours.sum() < _MIN_PAIRS:
             return None
         unit_px = pairs.sides_px[self.place[ours]] if relative else np.ones((int(ours.sum()), 4))
         columns = self.jacobians[ours], self.time_s[ours], self.vessel[ours]
@@ -436,7 +436,7 @@ def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting
     """
     pairs, place = learned.observed.pairs, np.flatnonzero(ours)
     steps = steps_between(learned.observed.labelled, pairs.rows[place])
-    if len(steps) < _LEAST_PAIRS:
+    if len(steps) < _MIN_PAIRS:
         return np.full(4, np.nan)
     errors = pairs.errors(ours, relative)
     apart = np.abs(errors[steps.later] - errors[steps.earlier])

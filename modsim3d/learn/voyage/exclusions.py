@@ -28,7 +28,7 @@ SLOW_KN, SLOW_STALE_S = 2.0, 180.0
 (ITU-R M.1371-5, Annex 1, Tables 1 and 2)."""
 LYING_M_S = 0.25
 """A slower vessel does not move between its reports, which come every three minutes."""
-MOST_KN = 60.0
+MAX_KN = 60.0
 """A vessel that would be faster has jumped, unless the scene was made with another limit."""
 BEYOND_S = 3.0
 """A vessel is there for so long before its first place and after its last one: clocks and reports may be late."""
@@ -139,9 +139,9 @@ class ReportAge:
         apart_s = np.minimum(np.abs(times_s - at_s[before]), np.abs(times_s - at_s[after]))
         way_m = places_m[after] - places_m[before]
         speed = np.linalg.norm(way_m, axis=1) / span
-        way_m[~inside & (speed > MOST_KN * KNOT_M_S)] = 0
+        way_m[~inside & (speed > MAX_KN * KNOT_M_S)] = 0
         known.reason[Reason.OFF][:, column], known.beyond[:, column] = off, beyond
-        known.reason[Reason.JUMP][:, column] = there & (speed > MOST_KN * KNOT_M_S)
+        known.reason[Reason.JUMP][:, column] = there & (speed > MAX_KN * KNOT_M_S)
         known.since_s[:, column] = np.where(off | beyond, apart_s, 0.0)
         known.guessed.present[:, column] = off | beyond
         from_which = np.where(late, after, before)

@@ -12,7 +12,7 @@ from modsim3d.core.paths import StrPath, as_path
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, usual_method
 from modsim3d.io.input_files import inputs_noted
-from modsim3d.learn.learn_detector import LEAST_CONFIDENCE, LearnOptions, least_confidence
+from modsim3d.learn.learn_detector import MIN_CONFIDENCE, LearnOptions, least_confidence
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.learning import LearnResult
 from modsim3d.learn.model_selection import left_out
@@ -166,7 +166,7 @@ def learn_voyage(
         stretches = parse_stretches(empty, SceneClock.of(loaded).start_s) if empty else ()
         check_stretches(stretches, read.time_s)
         if registration is None:
-            least = LEAST_CONFIDENCE if confidence is None else confidence
+            least = MIN_CONFIDENCE if confidence is None else confidence
             registration = Registering(parse_fixed(fixed), position_m, least, measured, parse_known(known))
             check_known(registration.known, registration.fixed)
         voyage = labelled_voyage(read, VoyageOptions(registration, stale_limit_s(loaded, stale_s), measured))

@@ -20,7 +20,7 @@ from modsim3d.tracks.diagnosis import MOT, TOP_LEFT, BoxForm, BoxRows, implausib
 from modsim3d.truth.occlusion_order import hull_vertices
 from modsim3d.world.vessels import Solid
 
-_MOST_OUTSIDE = 0.01
+_MAX_OUTSIDE = 0.01
 """Share of the boxes that may lie outside the image."""
 ONE_LABEL = "vessel"
 """What all vessels are called where a log names no classes and the scene has several."""
@@ -203,7 +203,7 @@ def _check_boxes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> lis
     rows = BoxRows(log.form.numbers_of(log.boxes_px), log.form, sizes.astype(np.float64), *[log.frame] * 3)
     if (odd := implausible(rows)) and not odd.slight:
         raise InputError(log.source, [odd.told])
-    if not outside.any() or outside.mean() <= _MOST_OUTSIDE:
+    if not outside.any() or outside.mean() <= _MAX_OUTSIDE:
         return [f"{log.source}: {odd.told}"] if odd else []
     first = int(np.argmax(outside))
     frame = int(log.frame[first])

@@ -14,7 +14,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses, world_R_vehicle
 from modsim3d.geometry.curved_sea import lowered
-from modsim3d.io.strict_json import load_json
+from modsim3d.io.strict_text import load_json
 from modsim3d.learn.voyage.log_to_scene import hull_of, stacked
 from modsim3d.scene.ais.scene_folder import REPORT
 from modsim3d.scene.scene import Scene
@@ -218,7 +218,7 @@ _SEEN = np.array([[1, 0, 0, 0], [0, 1, 0, 0.5]])
 """What registration looks at: bearing and waterline, from centre x, centre y, width and height."""
 _MOVED = slice(6, 8)
 """The `PARAMETERS` that registration finds of a vessel."""
-_LEAST_M = 0.01
+_MIN_M = 0.01
 _SEEN_PX = 3.0
 """Standard deviation of errors of bearing and waterline; it hardly matters where a vessel is seen often."""
 
@@ -291,7 +291,7 @@ class TruthErrors:
             rows = np.flatnonzero(self.moved == number)
             slopes = self.jacobians[rows][..., _MOVED]
             seen = (_SEEN @ slopes).reshape(-1, 2) / _SEEN_PX
-            expected_m = max(float(self.noise.std[self.vessel[rows[0]], 0]), _LEAST_M)
+            expected_m = max(float(self.noise.std[self.vessel[rows[0]], 0]), _MIN_M)
             inverse = np.linalg.inv(seen.T @ seen + np.eye(2) / expected_m**2)
             fits.append((rows, slopes, seen / _SEEN_PX @ inverse))
         return fits

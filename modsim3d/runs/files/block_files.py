@@ -24,7 +24,7 @@ from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.io.atomic_write import written_whole
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files import table_columns, tables
-from modsim3d.runs.files.row_checks import MOST_DEPTH_M, ROUNDING, frames_taken
+from modsim3d.runs.files.row_checks import MAX_DEPTH_M, ROUNDING, frames_taken
 from modsim3d.runs.files.run_file import Column, frame_lines, string_texts
 from modsim3d.runs.tracker_view import TRACKER_INPUT, tracker_lines
 from modsim3d.scene.scene import Scene
@@ -223,7 +223,7 @@ def _has_values(truth: Truth, scene: Scene) -> bool:
         (truth.visible_px, 0.0, most_px, True),
         (truth.visible_fraction, 0.0, 1 + ROUNDING, True),
         (truth.in_frame_fraction, 0.0, 1 + ROUNDING, True),
-        (truth.depth_m, -MOST_DEPTH_M, MOST_DEPTH_M, False),
+        (truth.depth_m, -MAX_DEPTH_M, MAX_DEPTH_M, False),
         (truth.occluder_px, 0.0, hidden, False),
     )
     boxes = _in_image(truth.full_boxes_px, sizes_px) & (unseen | _in_image(truth.visible_boxes_px, sizes_px))

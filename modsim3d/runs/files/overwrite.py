@@ -12,7 +12,7 @@ from typing import Any, TypedDict
 
 import orjson
 
-from modsim3d.io.locks import LOCK_FILE
+from modsim3d.io.overwrite_guard import LOCK_FILE
 
 RUN_FILE, LOG_FILE = "run.json", "run.log"
 UNFINISHED = "unfinished"

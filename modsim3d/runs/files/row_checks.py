@@ -33,8 +33,8 @@ from modsim3d.scene.scene import Scene
 
 ROUNDING = 1e-6
 """Relative error that sums of areas and boxes in another form may have."""
-MOST_DEPTH_M = 4 * MAX_COORDINATE_M
-MOST_ERROR_PX = 1e12
+MAX_DEPTH_M = 4 * MAX_COORDINATE_M
+MAX_ERROR_PX = 1e12
 OF_NO_VESSEL = (FALSE_POSITIVE, PERSISTENT)
 """Kinds of detections that belong to no vessel."""
 
@@ -212,7 +212,7 @@ def _check_visibility(rows: TableRows, scene: Scene, most_px: Array) -> None:
     rows.numbers("visible_px", 0.0, silhouette_px * (1 + ROUNDING) + ROUNDING, nullable=True)
     rows.numbers("visible_fraction", 0.0, 1 + ROUNDING, nullable=True)
     rows.numbers("in_frame_fraction", 0.0, 1 + ROUNDING, nullable=True)
-    rows.numbers("depth_m", -MOST_DEPTH_M, MOST_DEPTH_M)
+    rows.numbers("depth_m", -MAX_DEPTH_M, MAX_DEPTH_M)
     rows.filled("occluded_by")
     occluders, wrong = Occluders.of(rows.table, scene.occluder_names), np.zeros(len(rows.table), dtype=bool)
     wrong[occluders.hidden[occluders.name == NOBODY]] = True
@@ -248,7 +248,7 @@ def check_detections(rows: TableRows, scene: Scene) -> None:
             apart > ROUNDING * size_px[:, i % 2],
             f"that of the box from {BOX_SIDES[i % 2]} to {BOX_SIDES[i % 2 + 2]}",
         )
-    errors = np.column_stack([rows.numbers(name, -MOST_ERROR_PX, MOST_ERROR_PX, nullable=True) for name in ERRORS])
+    errors = np.column_stack([rows.numbers(name, -MAX_ERROR_PX, MAX_ERROR_PX, nullable=True) for name in ERRORS])
     for i, name in enumerate(ERRORS):
         one_missing = np.isnan(errors[:, i]) != np.isnan(errors[:, 0])
         rows.refuse(name, one_missing, "a number like the other errors of the box, or null like them")

@@ -17,8 +17,7 @@ import orjson
 
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.io.atomic_write import sync_file, sync_folder, written_whole
-from modsim3d.io.locks import LOCK_FILE, locked_folder
-from modsim3d.io.overwrite_guard import identities, identity, is_inside
+from modsim3d.io.overwrite_guard import LOCK_FILE, identities, identity, is_inside, locked_folder
 from modsim3d.runs.files import block_files, tables
 from modsim3d.runs.files.block_files import (
     OWN_SHIP,

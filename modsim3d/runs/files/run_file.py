@@ -16,7 +16,7 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError, RunDirectoryError
 from modsim3d.detector.draws import ErrorUnit
 from modsim3d.io.input_files import file_sha256
-from modsim3d.io.strict_json import load_json
+from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import Count, Number, Strict, describe, shown
 from modsim3d.runs.counts import Counts
 from modsim3d.scene.scene import Scene

@@ -23,7 +23,7 @@ from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS, TR
 from modsim3d.scene.scene import Scene
 
 ROW_GROUP_ROWS = 65_536
-MOST_WAITING = 64
+MAX_WAITING = 64
 """So many small tables wait to be written before they are joined: a table of one row takes thousands of bytes."""
 
 FRAMES, TRUTH, DETECTIONS = (schema_of(name) for name in ("frames", "truth", "detections"))
@@ -165,7 +165,7 @@ class TableWriter:
         """
         self._waiting.append(table)
         self._rows += len(table)
-        if len(self._waiting) == MOST_WAITING:
+        if len(self._waiting) == MAX_WAITING:
             self._waiting = [pa.concat_tables(self._waiting).combine_chunks()]
         while self._rows > ROW_GROUP_ROWS:  # at least one row is left for close()
             self._write_group(ROW_GROUP_ROWS)

@@ -167,7 +167,7 @@ class Reader:
 
 
 BACKLOG_BYTES = 1 << 26
-MOST_READERS = 32
+MAX_READERS = 32
 PATIENCE = 10
 """Times `wait_s` that a reader may take nothing: systems hand lines over in lumps of 100 kB, so a tracker that needs
 half a second for each seems to take nothing for more than a minute."""
@@ -402,9 +402,9 @@ class LineServer:
         except (BlockingIOError, ConnectionError):  # it has gone already
             return
         name = f"{place[0]} port {place[1]}"
-        if len(self._readers) == MOST_READERS:
+        if len(self._readers) == MAX_READERS:
             connection.close()
-            self._warn(f"reader {name} is turned away: there are {MOST_READERS} already")
+            self._warn(f"reader {name} is turned away: there are {MAX_READERS} already")
             return
         try:
             reader = Reader(connection, name, self._header, self._backlog.first)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from modsim3d.core.arrays import Array
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.scene.ais.messages import Particulars
 
 # ---- Groups of ship types and the typical dimensions of each ----
@@ -53,7 +53,7 @@ def group_of(text: str) -> str:
 
 MAX_LENGTH_M, MAX_BEAM_M = 460.0, 125.0
 """No ship was longer than Seawise Giant, 458 m, or wider than Pioneering Spirit, 124 m."""
-LEAST_M = 0.1
+MIN_M = 0.1
 """Tables give dimensions in metres, or in tenths of them; no length or beam below is believed."""
 
 
@@ -140,10 +140,10 @@ def _extent(
         limit_m: Greater lengths or beams are not believed.
     """
     total = one_m + other_m
-    good = np.flatnonzero((total >= LEAST_M) & (total <= limit_m) & (np.minimum(one_m, other_m) >= 0))
+    good = np.flatnonzero((total >= MIN_M) & (total <= limit_m) & (np.minimum(one_m, other_m) >= 0))
     good = good[np.maximum(one_m, other_m)[good] < most_m]
     if len(good):
         last = good[-1]
         return float(total[last]), (float(one_m[last]), float(other_m[last]))
-    given = np.flatnonzero((whole_m >= LEAST_M) & (whole_m <= limit_m))
+    given = np.flatnonzero((whole_m >= MIN_M) & (whole_m <= limit_m))
     return (float(whole_m[given[-1]]) if len(given) else None), None

@@ -13,7 +13,7 @@ from modsim3d.scene.ais.hulls import ship_types
 from modsim3d.scene.ais.messages import SeaRegion
 
 COMMAND_LINE = "command line"
-LEAST_VALUE, MOST_VALUE = 1e-6, 1e9
+MIN_VALUE, MAX_VALUE = 1e-6, 1e9
 """Of every time and speed: a microsecond, and 30 years."""
 
 
@@ -65,14 +65,14 @@ class Options:
             InputError: With every problem found.
         """
         problems = [
-            f"--{name}: must be above 0, from {LEAST_VALUE:g} to {MOST_VALUE:g} (got {value:g})"
+            f"--{name}: must be above 0, from {MIN_VALUE:g} to {MAX_VALUE:g} (got {value:g})"
             for name, value in (
                 ("time-step", self.time_step_s),
                 ("max-gap", self.max_gap_s),
                 ("max-speed", self.max_speed_kn),
                 ("duration", self.duration_s),
             )
-            if value is not None and not LEAST_VALUE <= value <= MOST_VALUE
+            if value is not None and not MIN_VALUE <= value <= MAX_VALUE
         ]
         if self.end_s is not None and self.duration_s is not None:
             problems.append("--end and --duration: only one of them can be given")

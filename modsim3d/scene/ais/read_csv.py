@@ -22,7 +22,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.io.input_files import MAX_BAD_ROWS, open_input
 from modsim3d.io.misreadings import LOST, SCIENTIFIC, has_lost_digits, no_commas
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import shown
 from modsim3d.scene.ais.messages import Chunk, Particulars, Positions
 
@@ -30,7 +30,7 @@ from modsim3d.scene.ais.messages import Chunk, Particulars, Positions
 
 TABLE = Path(__file__).with_name("layouts.yaml")
 NEEDED = ("time", "mmsi", "latitude", "longitude")
-LEAST_NAMES = 3
+MIN_NAMES = 3
 """A header with fewer known names is of some other kind of file."""
 
 
@@ -78,7 +78,7 @@ def layout_of(header: Sequence[str]) -> Layout | None:
     """
     best = max(layouts(), key=lambda layout: (-len(layout.missing(header)), len(layout.found(header))))
     telling = [name for name in best.found(header).values() if len(name.strip()) > 1]  # any table may have an A and a B
-    return best if len(telling) >= LEAST_NAMES else None
+    return best if len(telling) >= MIN_NAMES else None
 
 
 def _plain_name(name: str) -> str:
@@ -93,7 +93,7 @@ SENTENCE = re.compile(rb"[!$][A-Z]{2}VD[MO],")
 LOOKED_AT_LINES = 200
 """A log of sentences may begin with comments or sentences of other instruments."""
 LONGEST_LINE, LOOKED_AT_BYTES = 1 << 20, 1 << 22
-MOST_COLUMNS = 500
+MAX_COLUMNS = 500
 """A header with more names is no table of AIS, which have up to thirty; each costs memory in every row."""
 SHOWN_COLUMNS = 40
 
@@ -140,8 +140,8 @@ def recognise(path: Path) -> Layout | None:
             f"is none of the formats that are read: NMEA sentences (!AIVDM,...) or CSV with the columns of {known}"
         )
         raise InputError(source_of(path), [problem + no_commas(lines[0].decode("utf-8", "replace"))])
-    if len(header) > MOST_COLUMNS:
-        problem = f"looks like {layout.name} CSV, but has {len(header):,} columns, more than {MOST_COLUMNS}"
+    if len(header) > MAX_COLUMNS:
+        problem = f"looks like {layout.name} CSV, but has {len(header):,} columns, more than {MAX_COLUMNS}"
         raise InputError(source_of(path), [problem])
     if missing := layout.missing(header):
         names = ", ".join(shown(name)[1:-1] for name in header[:SHOWN_COLUMNS])
@@ -176,7 +176,7 @@ NUMBER = r"^[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?$"
 MOTION = ("latitude", "longitude", "speed", "course", "heading")
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
 PARTICULARS = ("name", "ship_type", *SIZES)
-MOST_CHARACTERS = 120
+MAX_CHARACTERS = 120
 """Of a name or a ship type, which have 20 in the messages. All are stored as wide as the widest, so the rest is cut."""
 FIRST_S, LAST_S = 631_152_000.0, 4_102_444_800.0
 """Reports are from 1990 to 2099; others have a wrong clock."""
@@ -331,7 +331,7 @@ def _particulars(table: pa.Table, mmsi: Indices, times_s: Array, rows: Mask) -> 
     last = reported.group_by(["mmsi", *PARTICULARS], use_threads=False).aggregate([("time", "max")])
 
     def words(name: str) -> Any:
-        texts = [_text(cell).strip()[:MOST_CHARACTERS] for cell in last.column(name)]
+        texts = [_text(cell).strip()[:MAX_CHARACTERS] for cell in last.column(name)]
         return np.array(["" if text == NOT_SAID else text for text in texts], dtype=object)
 
     return Particulars(

@@ -102,7 +102,7 @@ CHUNK_MESSAGES, SHOWN_PROBLEMS = 200_000, 5
 LONGEST_LINE, READ_AT_ONCE = 2048, 1 << 20
 """A sentence has at most 82 characters and a tag block 80; a line of JSON around them takes a thousand. The time
 to search a line grows with its square."""
-MOST_PARTS, MOST_PENDING = 9, 1000
+MAX_PARTS, MAX_PENDING = 9, 1000
 """Parts of a message, by the standard, and messages that wait for parts: sequence numbers and channels are few."""
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard")
 TIME_NEEDED = (
@@ -110,7 +110,7 @@ TIME_NEEDED = (
     r"(\c:1423133048*hh\!AIVDM,...), or with a Unix time, in seconds or milliseconds, or a date and time such as "
     "2024-01-04T10:00:00Z before or after each sentence"
 )
-FEW_BEATS, MOST_BEATS, LOOSE_BEAT = 50, 10_000, 0.3
+FEW_BEATS, MAX_BEATS, LOOSE_BEAT = 50, 10_000, 0.3
 """Positions that are looked at, and how far a mean of unit vectors is from 0 where seconds are any."""
 MINUTE = re.compile(r"\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])([01]\d|2[0-3])[0-5]\d")
 """A date and time as yymmddHHMM. Unix times of more than a minute do not all look like that: they count on after 59."""
@@ -210,7 +210,7 @@ def _messages(stream: IO[bytes], rows: _Rows) -> Iterator[list[_Part]]:
             rows.drop("incomplete", part.line, "other parts of this message are missing")
             parts.clear()
         parts[sentence.frag_num] = part
-        if len(pending) > MOST_PENDING:
+        if len(pending) > MAX_PENDING:
             _give_up(pending.pop(next(iter(pending))), rows)
         if len(parts) == sentence.frag_cnt:
             yield [parts[place] for place in sorted(parts)]
@@ -241,8 +241,8 @@ def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:
             if not isinstance(sentence, AISSentence) or not sentence.is_valid or not _tag_holds(line.tag):
                 none = ": its tag block has none" if line.tag and "*" not in line.tag else ""
                 rows.drop("checksum", number, f"does not match its checksum{none}")
-            elif not 1 <= sentence.frag_num <= sentence.frag_cnt <= MOST_PARTS:
-                rows.drop("undecodable", number, f"a message has 1 to {MOST_PARTS} parts")
+            elif not 1 <= sentence.frag_num <= sentence.frag_cnt <= MAX_PARTS:
+                rows.drop("undecodable", number, f"a message has 1 to {MAX_PARTS} parts")
             else:
                 tag = line.tag and line.tag.rpartition("*")[0]
                 time_s = time_beside(tag, line.before, line.after)
@@ -338,7 +338,7 @@ def _decode(parts: list[_Part], time_s: float, rows: _Rows) -> None:
         else:
             if kind in POSITIONS:
                 names = ("lat", "lon", "speed", "course", "heading")
-                if len(rows.beats) < MOST_BEATS and time_s % 60 and message.second < 60:
+                if len(rows.beats) < MAX_BEATS and time_s % 60 and message.second < 60:
                     rows.beats.append(time_s - message.second)
                 rows.positions.append((mmsi, time_s, *(float(getattr(message, name)) for name in names), line))
             if kind in PARTICULARS:

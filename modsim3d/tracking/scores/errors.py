@@ -1,16 +1,21 @@
-"""How far tracks are from the vessels that they follow, and whether their covariances say so."""
+"""How far tracks are from the vessels that they follow, if their covariances say so, and distances of whole sets."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
-from modsim3d.core.arrays import Array
-from modsim3d.core.boxes import errors_between
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.core.arrays import Array, Indices, extents, ranges
+from modsim3d.core.boxes import centres, errors_between
+from modsim3d.tracking.scores.scored import Scored, frame_lengths_s, stretches
 
-_LEAST_CONDITION = 1e-12
+# ---- How far tracks are from the vessels that they follow, and whether their covariances say so ----
+
+_MIN_CONDITION = 1e-12
 
 
 @dataclass(frozen=True)
@@ -90,7 +95,7 @@ def nees_or_infinity(error: Array, covariance: Array) -> Array:
     squares = np.full(len(error), np.nan)
     given = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(error).all(axis=1))
     spread = np.linalg.eigvalsh(covariance[given])
-    regular = (spread[:, 0] > 0) & (spread[:, 0] >= _LEAST_CONDITION * spread[:, -1])
+    regular = (spread[:, 0] > 0) & (spread[:, 0] >= _MIN_CONDITION * spread[:, -1])
     squares[given[~regular]] = np.inf
     good = given[regular]
     squares[good] = nees(error[good], covariance[good])
@@ -107,3 +112,257 @@ def _pair_errors(scored: Scored) -> tuple[Array, Array]:
 
 def _root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+# ---- GOSPA and OSPA in the image ----
+
+
+class GospaParts(NamedTuple):
+    """GOSPA with α = 2 and what it consists of; in one frame gospa^p = localisation + missed + false.
+
+    Attributes:
+        gospa: The distance, in the unit of the cutoff c.
+        localisation: Sum of the p-th powers of the distances of pairs closer than c.
+        missed: c^p / 2 for each vessel without a track closer than c.
+        false: c^p / 2 for each track without a vessel closer than c.
+    """
+
+    gospa: float
+    localisation: float
+    missed: float
+    false: float
+
+
+def gospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> GospaParts:
+    """GOSPA of one frame (Rahmathullah et al. (2017), definition 1 and proposition 1, with α = 2).
+
+    A pair at c or beyond costs c^p, as much as a missed vessel and a false track, and is counted as these.
+
+    Args:
+        distance: Of each of n vessels to each of m tracks, shape (n, m); n and m may be 0.
+        cutoff: c > 0, in the unit of the distance.
+        power: p ≥ 1.
+    """
+    vessels, tracks = distance.shape
+    close = _paired(distance, cutoff, power)
+    close = close[close < cutoff]
+    alone = cutoff**power / 2
+    parts = float((close**power).sum()), alone * (vessels - len(close)), alone * (tracks - len(close))
+    return GospaParts(sum(parts) ** (1 / power), *parts)
+
+
+def ospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> float:
+    """OSPA of one frame (Schuhmacher et al. (2008)), at most the cutoff; 0 for two empty sets.
+
+    The arguments are those of `gospa_frame`.
+    """
+    more, fewer = max(distance.shape), min(distance.shape)
+    if not more:
+        return 0.0
+    paired = float((_paired(distance, cutoff, power) ** power).sum())
+    return float(((paired + cutoff**power * (more - fewer)) / more) ** (1 / power))
+
+
+def mean_gospa(distances: Iterable[Array], cutoff: float, power: float = 1.0) -> GospaParts | None:
+    """Means over frames of GOSPA and of each part, which add up to it if p = 1; None without frames.
+
+    With p > 1 the parts are means of p-th powers, and GOSPA the mean of p-th roots, so they do not add up.
+    """
+    frames = [gospa_frame(distance, cutoff, power) for distance in distances]
+    return GospaParts(*np.mean(frames, axis=0).tolist()) if frames else None
+
+
+def mean_ospa(distances: Iterable[Array], cutoff: float, power: float = 1.0) -> float | None:
+    """Mean of OSPA over frames; None without frames."""
+    frames = [ospa_frame(distance, cutoff, power) for distance in distances]
+    return float(np.mean(frames)) if frames else None
+
+
+def distances(vessels: Array, tracks: Array) -> Array:
+    """Euclidean distances of points (n, 2) and (m, 2), shape (n, m)."""
+    offset = vessels[:, None] - tracks
+    return np.hypot(offset[..., 0], offset[..., 1])
+
+
+def _paired(distance: Array, cutoff: float, power: float) -> Array:
+    """min(d, c) of the pairs of the assignment with the smallest sum of p-th powers, shape (min(n, m),)."""
+    cut = np.minimum(distance, cutoff)
+    found: Array = cut[linear_sum_assignment(cut**power)]
+    return found
+
+
+@dataclass(frozen=True)
+class Gospa:
+    """Means over frames of GOSPA with α = 2 and of its parts; None without frames.
+
+    Attributes:
+        gospa: The distance, in pixels.
+        gospa_localisation: What the errors of centres add, in px^p.
+        gospa_missed: What missed vessels add, in px^p.
+        gospa_false: What false tracks add, in px^p.
+    """
+
+    gospa: float | None
+    gospa_localisation: float | None
+    gospa_missed: float | None
+    gospa_false: float | None
+
+
+@dataclass(frozen=True)
+class Ospa:
+    """Mean over frames of OSPA, in pixels; None without frames."""
+
+    ospa: float | None
+
+
+def gospa(scored: Scored) -> Gospa:
+    """GOSPA of the centres of boxes, mean over all frames; one without vessels and tracks counts 0.
+
+    The formula is that of `gospa_frame`. Parts are means of p-th powers: with p = 1 they add up to GOSPA.
+    """
+    rule = scored.rules.set_distance
+    parts = mean_gospa(_frames(scored), rule.cutoff, rule.power)
+    return Gospa(*parts) if parts else Gospa(None, None, None, None)
+
+
+def ospa(scored: Scored) -> Ospa:
+    """OSPA of the centres of boxes, mean over all frames; one without vessels and tracks counts 0.
+
+    The formula is that of `ospa_frame`.
+    """
+    rule = scored.rules.set_distance
+    return Ospa(mean_ospa(_frames(scored), rule.cutoff, rule.power))
+
+
+def _frames(scored: Scored) -> Iterator[Array]:
+    """Distances in pixels of the vessels' and the tracks' centres in each frame, shapes (n, m)."""
+    vessels, tracks = scored.truth, scored.tracks
+    a_px, b_px = centres(vessels.boxes_px), centres(tracks.boxes_px)
+    places = (column.tolist() for each in (vessels, tracks) for column in extents(each.frame, scored.frames))
+    for a, n, b, m in zip(*places, strict=True):
+        yield distances(a_px[a : a + n], b_px[b : b + m])
+
+
+# ---- SIAP ----
+
+_TIME_DECIMALS = 9
+"""Sums of times in another order differ in their last bits: they are rounded to so many decimals."""
+
+
+@dataclass(frozen=True)
+class Siap:
+    """Attributes of the single integrated air picture, over all frames; None where there is nothing to divide by.
+
+    Attributes:
+        siap_completeness: Share of vessels, counted in each frame, with a track.
+        siap_ambiguity: Tracks for each vessel that has one.
+        siap_spuriousness: Share of tracks, counted in each frame, without a vessel.
+        siap_positional_accuracy_px: Mean distance of a track's centre from that of its vessel.
+        siap_id_changes_per_s: Changes of the track that one has to make to stay on each vessel, as few as possible, for
+            each second in which the vessel has a track.
+        siap_longest_track_share: The longest stretch that one track stays on each vessel without a break, as a share of
+            the vessel's time, sums over vessels.
+    """
+
+    siap_completeness: float | None
+    siap_ambiguity: float | None
+    siap_spuriousness: float | None
+    siap_positional_accuracy_px: float | None
+    siap_id_changes_per_s: float | None
+    siap_longest_track_share: float | None
+
+
+def siap(scored: Scored) -> Siap:
+    """Assign each track in each frame to the vessel that it is most similar to, if it is similar enough.
+
+    This is not the one matching of the other scores. A track that is assigned to a vessel that is not scored is left
+    out. A track that loses its vessel and finds it again is no change, but two stretches; in Stone Soup 1.9.1 it is a
+    change and one stretch.
+    """
+    following = scored.following
+    vessel, track, spurious = _assigned(scored)
+    scored_vessels = len(scored.truth_rows)
+    followed = len(np.unique(vessel))
+    error_px = centres(following.tracks.boxes_px[track]) - centres(following.truth.boxes_px[vessel])
+    place, length_s = _places(scored)
+    identity = following.truth.identity[vessel]
+    changes = _changes(identity, following.truth.frame[vessel], following.tracks.identity[track])
+    longest_s = _longest_s(identity, place[vessel], following.tracks.identity[track], length_s)
+    return Siap(
+        _ratio(followed, scored_vessels),
+        _ratio(len(vessel), followed),
+        _ratio(spurious, len(vessel) + spurious),
+        _ratio(float(np.hypot(error_px[:, 0], error_px[:, 1]).sum()), len(vessel)),
+        _ratio(changes, float(length_s[np.unique(place[vessel])].sum())),
+        _ratio(round(longest_s, _TIME_DECIMALS), round(float(length_s.sum()), _TIME_DECIMALS)),
+    )
+
+
+def _assigned(scored: Scored) -> tuple[Indices, Indices, int]:
+    """Rows of the scored vessels to which tracks are assigned and of these, shapes (a,); number of tracks to none."""
+    truth, tracks, similarity = scored.following.truth, scored.following.tracks, scored.following.similarity
+    rows = np.flatnonzero(np.isin(tracks.frame, scored.frames))
+    first, count = extents(truth.frame, tracks.frame[rows])
+    vessel, track = ranges(first, count), np.repeat(rows, count)
+    alike = similarity(truth.boxes_px[vessel], tracks.boxes_px[track])
+    other = scored.following.truth_row[track] != vessel  # decides where two vessels are as similar as each other
+    order = np.lexsort((vessel, other, ~truth.scored[vessel], -alike, track))
+    order = order[alike[order] >= similarity.least - np.finfo(float).eps]
+    _, best = np.unique(track[order], return_index=True)
+    vessel, track = vessel[order[best]], track[order[best]]
+    counted = truth.scored[vessel]
+    return vessel[counted], track[counted], len(rows) - len(track)
+
+
+def _places(scored: Scored) -> tuple[Indices, Array]:
+    """Place of each vessel's row among the scored ones by identity and frame, shape (n,), and their times, (p,)."""
+    truth, rows = scored.following.truth, scored.truth_rows
+    rows = rows[np.lexsort((truth.frame[rows], truth.identity[rows]))]
+    place = np.full(len(truth), -1)
+    place[rows] = np.arange(len(rows))
+    return place, frame_lengths_s(scored, truth.frame[rows])
+
+
+def _changes(identity: Indices, frame: Indices, track: Indices) -> int:
+    """The least number of changes of the track over the frames in which each identity has one; arguments (a,)."""
+    tracked, place = np.unique(np.column_stack([identity, frame]), axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    group, place = _by_track(identity, track, place)
+    found = stretches(group, place)
+    reach = np.arange(len(tracked))  # the place up to which a track that is there at a place stays
+    lengths = found.last - found.first + 1
+    np.maximum.at(reach, place, np.repeat(place[found.last], lengths))
+    held, at = 0, 0
+    while at < len(reach):  # to take the track that stays longest is best; each turn is one held track, not one row
+        held, at = held + 1, int(reach[at]) + 1
+    return held - len(np.unique(identity))
+
+
+def _longest_s(identity: Indices, place: Indices, track: Indices, length_s: Array) -> float:
+    """Sum over identities of the longest time that one track stays on them.
+
+    Args:
+        identity: Of the vessel of each assignment, shape (a,).
+        place: Place of its row in the times, shape (a,).
+        track: Identity of the track, shape (a,).
+        length_s: Time that each place stands for, shape (p,).
+    """
+    vessel = np.zeros(len(length_s), dtype=np.int64)
+    vessel[place] = identity
+    group, place = _by_track(identity, track, place)
+    found, before_s = stretches(group, place), np.append(0, np.cumsum(length_s))
+    stretch_s = before_s[place[found.last] + 1] - before_s[place[found.first]]
+    longest_s = np.zeros(int(identity.max(initial=-1)) + 1)
+    np.maximum.at(longest_s, vessel[place[found.first]], stretch_s)
+    return float(longest_s.sum())
+
+
+def _by_track(identity: Indices, track: Indices, place: Indices) -> tuple[Indices, Indices]:
+    """Number of each pair of a vessel and a track and the places, in order of pair and place, shapes (a,)."""
+    _, group = np.unique(np.column_stack([identity, track]), axis=0, return_inverse=True)
+    order = np.lexsort((place, group.reshape(-1)))
+    return group.reshape(-1)[order], place[order]
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    return part / whole if whole else None

@@ -15,10 +15,9 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.scores.association import Clear, Hota, Identity, clear_of, hota_of, identity_of, sequence
 from modsim3d.tracking.scores.breakdown import Breakdown, breakdown
 from modsim3d.tracking.scores.continuity import Continuity, continuity
-from modsim3d.tracking.scores.errors import Errors, errors
+from modsim3d.tracking.scores.errors import Errors, Gospa, Ospa, Siap, errors, gospa, ospa, siap
 from modsim3d.tracking.scores.occlusions import Hidden, OcclusionEpisode, Survival, hidden, occlusions, survival
 from modsim3d.tracking.scores.scored import Rules, Scored
-from modsim3d.tracking.scores.set_distances import Gospa, Ospa, Siap, gospa, ospa, siap
 from modsim3d.tracks.tracks import Tracks
 from modsim3d.tracks.true_tracks import follow
 

@@ -90,7 +90,7 @@ class Tracker(Strict):
 
 _BUFFER_RATE_HZ = 30
 """The library counts `lost_track_buffer` in frames of this rate, whatever the camera's."""
-_LEAST_PERIODS_KEPT = 1.5
+_MIN_PERIODS_KEPT = 1.5
 """The library drops what is lost for too long before it matches: tracks must outlive the time between two frames."""
 
 FrameCount = Annotated[int, Field(strict=True, ge=1, le=1000)]
@@ -164,7 +164,7 @@ class _LibraryTracker(Tracker):
             "xyxy": state_representations.XYXYStateEstimator,
             "xcycsr": state_representations.XCYCSRStateEstimator,
         }
-        kept_s = max(self.lost_s, _LEAST_PERIODS_KEPT / camera.rate_hz)
+        kept_s = max(self.lost_s, _MIN_PERIODS_KEPT / camera.rate_hz)
         return getattr(trackers, self.library_name)(
             lost_track_buffer=math.ceil(kept_s * _BUFFER_RATE_HZ - 1e-6),
             frame_rate=camera.rate_hz,

@@ -14,7 +14,7 @@ from pydantic_core import PydanticSerializationError
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.plugins import TRACKERS, Plugin, failed, load_plugin
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import Strict, describe
 from modsim3d.scene.settings import plain
 from modsim3d.tracking.trackers.interface import Tracker

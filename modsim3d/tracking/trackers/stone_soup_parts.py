@@ -41,7 +41,7 @@ _STATE = 6
 _MEASURED = (0, 2, 4, 5)
 _LARGEST_CLUTTER_SHARE = 0.25
 """Of the image's width and height, up to which the sizes of false detections are taken to go."""
-_LEAST_SIDE_PX = 1.0
+_MIN_SIDE_PX = 1.0
 
 
 class OrderedSet(MutableSet[Any]):
@@ -158,7 +158,7 @@ class ImageTracker:
         state = np.array([track.state_vector for track in shown], dtype=np.float64).reshape(-1, _STATE)
         covariance = np.array([track.covar for track in shown], dtype=np.float64)
         box = state[:, _MEASURED]
-        box[:, 2:] = np.maximum(box[:, 2:], _LEAST_SIDE_PX)
+        box[:, 2:] = np.maximum(box[:, 2:], _MIN_SIDE_PX)
         seen = [_last_update(track) == time for track in shown]
         return TrackedFrame(
             np.array([self._numbers[track.id] for track in shown], dtype=np.int64),

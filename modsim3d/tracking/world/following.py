@@ -14,7 +14,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.geometry.kinematics import HullTracks, velocities
 from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.tracking.scores.set_distances import distances
+from modsim3d.tracking.scores.errors import distances
 from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.tracks.true_tracks import best_pairs
 from modsim3d.world.encounters import hull_tracks

@@ -1,8 +1,8 @@
-"""All scores of tracks in the world."""
+"""Scores of tracks in the world, and of meetings with own ship."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Self
 
@@ -11,16 +11,150 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.statistics import t_bounds
+from modsim3d.geometry.kinematics import closest_approach
 from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.detector_seeds import LEVEL
-from modsim3d.tracking.scores.errors import nees_or_infinity
+from modsim3d.tracking.scores.errors import GospaParts, mean_gospa, nees_or_infinity
 from modsim3d.tracking.scores.scored import SetDistance
-from modsim3d.tracking.scores.set_distances import GospaParts, mean_gospa
-from modsim3d.tracking.world.encounters import ENCOUNTER_M, MetVessel, met_vessels, quartiles
 from modsim3d.tracking.world.following import WorldFollowing, WorldTruth, follow_in_world
 from modsim3d.tracks.tracks import WorldTracks
+from modsim3d.world.encounters import encounter
+
+# ---- Vessels that met own ship ----
+
+ENCOUNTER_M = 1852.0
+"""One nautical mile: vessels that do not come nearer have not met own ship."""
+
+
+@dataclass(frozen=True)
+class MetVessel:
+    """A vessel that came nearer to own ship, and how near.
+
+    Times are seconds since the scene's first step, distances those of the centres.
+
+    Attributes:
+        own_ship: ID of own ship.
+        vessel: ID of the vessel.
+        kind: What own ship has to do by COLREG when the vessel is first seen, or when both are first there if no
+            camera sees it before the closest approach: a name of `motion.encounters.Encounter` in small letters.
+        closest_m: Distance at the closest approach.
+        closest_s: Its time.
+        passed: Whether the two draw away again; otherwise the run ends, or one of them leaves, while they come nearer.
+        seen_s: First step at which a camera sees the vessel; None if never.
+        seen_m: Distance from own ship then.
+        established_s: First time at which a track follows the vessel while a camera sees it; None if never.
+        established_m: Distance from own ship then.
+        time_left_s: From then to the closest approach, negative after it.
+    """
+
+    own_ship: str
+    vessel: str
+    kind: str
+    closest_m: float
+    closest_s: float
+    passed: bool
+    seen_s: float | None
+    seen_m: float | None
+    established_s: float | None
+    established_m: float | None
+    time_left_s: float | None
+
+    @property
+    def expected(self) -> bool:
+        """Whether a tracker could have followed it in time: it passed, and a camera saw it before."""
+        return self.passed and self.seen_s is not None and self.seen_s < self.closest_s
+
+    @property
+    def in_time(self) -> bool:
+        """Whether a track followed it before the closest approach."""
+        return self.time_left_s is not None and self.time_left_s > 0
+
+
+def met_vessels(following: WorldFollowing, within_m: float = ENCOUNTER_M) -> tuple[MetVessel, ...]:
+    """All encounters of own ships, in the order of own ships and vessels.
+
+    A vessel that only draws away from own ship, since both are there, has not met her.
+    """
+    own_ships = following.truth.own_ships
+    vessels = [index for index in range(len(following.truth.names)) if index not in own_ships]
+    return tuple(met for own in own_ships for vessel in vessels for met in _met(following, own, vessel, within_m))
+
+
+def _met(following: WorldFollowing, own: int, vessel: int, within_m: float) -> Iterator[MetVessel]:
+    truth = following.truth
+    centres_m, times_s = truth.hulls.centres_m, truth.times_s
+    closest_m, closest_s = closest_approach(times_s, centres_m[:, own], centres_m[:, vessel])
+    together = np.flatnonzero(np.isfinite(centres_m[:, [own, vessel]]).all(axis=(1, 2)))
+    if not len(together) or closest_m > within_m or closest_s <= times_s[together[0]]:
+        return
+    seen = np.flatnonzero(truth.scored[:, vessel])
+    first = seen[0] if len(seen) and times_s[seen[0]] < closest_s else together[0]
+    established_s = _established_s(following, vessel)
+    yield MetVessel(
+        own_ship=truth.names[own],
+        vessel=truth.names[vessel],
+        kind=_kind(truth, int(first), own, vessel),
+        closest_m=closest_m,
+        closest_s=closest_s,
+        passed=bool(closest_s < times_s[together[-1]]),
+        seen_s=float(times_s[seen[0]]) if len(seen) else None,
+        seen_m=_apart_m(truth, float(times_s[seen[0]]), own, vessel) if len(seen) else None,
+        established_s=established_s,
+        established_m=None if established_s is None else _apart_m(truth, established_s, own, vessel),
+        time_left_s=None if established_s is None else closest_s - established_s,
+    )
+
+
+def _established_s(following: WorldFollowing, vessel: int) -> float | None:
+    """When a track is first on the vessel: the time of its estimate, which may be later than the step."""
+    steps = np.flatnonzero(following.found[:, vessel])
+    if not len(steps):
+        return None
+    step = int(steps[0])
+    row = following.followed_by[step, vessel]
+    return float(max(following.truth.times_s[step], following.tracks.time_s[row]))
+
+
+def _apart_m(truth: WorldTruth, time_s: float, own: int, vessel: int) -> float | None:
+    """Distance of a vessel from own ship; None if one of them is not there."""
+    one, other = truth.positions_at(np.full(2, time_s), np.array([own, vessel]))
+    apart = float(np.hypot(*(other - one)))
+    return apart if np.isfinite(apart) else None
+
+
+def _kind(truth: WorldTruth, step: int, own: int, vessel: int) -> str:
+    centres_m, headings_rad = truth.hulls.centres_m[step], truth.hulls.headings_rad[step]
+    kind = encounter(centres_m[own], float(headings_rad[own]), centres_m[vessel], float(headings_rad[vessel]))
+    return kind.name.lower()
+
+
+@dataclass(frozen=True)
+class Quartiles:
+    """Quartiles over encounters, in which a vessel that is not established in time is worse than all others.
+
+    Attributes:
+        lower: A quarter of the encounters is worse; None if that is not established in time.
+        median: Half of them is worse.
+        upper: Three quarters are worse.
+    """
+
+    lower: float | None
+    median: float | None
+    upper: float | None
+
+
+def quartiles(values: list[float | None]) -> Quartiles:
+    """Quartiles of values, None for never; of n values each is one of them, the lower of two."""
+    if not values:
+        return Quartiles(None, None, None)
+    known: Array = np.array([-np.inf if value is None else value for value in values])
+    found = np.quantile(known, (0.25, 0.5, 0.75), method="inverted_cdf").tolist()
+    return Quartiles(*(value if np.isfinite(value) else None for value in found))
+
+
+# ---- All scores of tracks in the world ----
 
 # ---- Errors of tracks in the world ----
 

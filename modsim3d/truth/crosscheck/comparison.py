@@ -31,7 +31,7 @@ LENS_EDGE_PX = 1 / 32
 """The same with a lens, whose curves are drawn as chords."""
 DEPTH_SHARE = 2.0**-20
 """Depths that differ by a smaller share of the nearest corner's are equal, beside what moved corners change."""
-MOST_PAIRS = 2_000_000
+MAX_PAIRS = 2_000_000
 """Most pixels times triangles that are looked at together; it bounds the memory."""
 
 
@@ -46,7 +46,7 @@ def possible_ids(drawing: Drawing, x: Indices, y: Indices) -> tuple[Indices, Mas
     """The m IDs of a drawing, 0 first, ascending, and whether each may be seen at k pixels, shapes (m,) and (k, m)."""
     solids, solid = occurring(drawing.occluder, int(drawing.occluder.max(initial=-1)) + 1)
     points = _straight(drawing, x, y)
-    step = max(1, MOST_PAIRS // max(len(solid), 1))
+    step = max(1, MAX_PAIRS // max(len(solid), 1))
     parts = [
         _possible(drawing, solid, len(solids), points[first : first + step]) for first in range(0, len(points), step)
     ]

@@ -90,7 +90,7 @@ def _storable(ticks: int) -> list[int]:
 
 
 FORMATS = ("mp4", "gif", "png")
-MOST_RATE = {"mp4": 60, "gif": 50, "png": 1_000_000}
+MAX_RATE = {"mp4": 60, "gif": 50, "png": 1_000_000}
 """Pictures a second: what screens show, what browsers show of a GIF; of PNG files, every frame."""
 ENCODER_THREADS = 2
 """A fixed number, as the encoder's bytes depend on it."""

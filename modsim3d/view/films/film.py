@@ -13,7 +13,7 @@ from PIL import Image
 from modsim3d.io.atomic_write import encoded, put_in_place
 from modsim3d.io.processes import WorkerCount, Workers, open_workers
 from modsim3d.runs.selection import Selection, StepFrames
-from modsim3d.view.films.files import MOST_RATE, EncodedFrame, film_palette, write_film
+from modsim3d.view.films.files import MAX_RATE, EncodedFrame, film_palette, write_film
 from modsim3d.view.films.plan import FilmPlan, Timetable
 from modsim3d.view.films.renderer import FilmRenderer, open_film_renderer
 
@@ -33,7 +33,7 @@ class Showing:
     @classmethod
     def of(cls, selection: Selection, kind: str, speed: float) -> Showing:
         """The steps of a selection in a film of one of `FORMATS`; at a high speed some are left out."""
-        timetable = Timetable.of(selection.durations_s, speed, MOST_RATE[kind])
+        timetable = Timetable.of(selection.durations_s, speed, MAX_RATE[kind])
         shown = [step for step, repeats in zip(selection.steps, timetable.repeats, strict=True) if repeats]
         return cls(selection.steps if kind == "png" else tuple(shown), timetable)
 

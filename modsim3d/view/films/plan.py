@@ -1,4 +1,4 @@
-"""The contents of a film's pictures: kinds, cameras, parts of their images, layers."""
+"""The contents of a film's pictures (kinds, cameras, parts of their images, layers), and its sheet."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property, lru_cache
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import intersections
@@ -15,24 +17,133 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.runs.counts import NOTHING_WRONG, Outcome, frame_outcomes
 from modsim3d.runs.selection import Selection
 from modsim3d.scene.scene import Scene
-from modsim3d.view.films.layout import FilmLayout
+from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.map_marks import BirdsEye
 from modsim3d.view.map_picture import map_height_px
-from modsim3d.view.pictures.canvas import Box, Window
+from modsim3d.view.pictures.canvas import MIN_TEXT_PX, NOMINAL_PX, TEXT_PX, Box, Window, font, words_apart
 from modsim3d.view.pictures.layers import CORNERS, DETECTIONS, SCENE, Layers
-from modsim3d.view.pictures.legend import LegendEntry, detection_entries, id_entries, vessel_entries
+from modsim3d.view.pictures.legend import LegendEntry, detection_entries, id_entries, legend, vessel_entries
 from modsim3d.view.sea_and_sky import PLAIN_STYLE, RenderStyle
+
+# ---- The sheet of a film ----
+
+GAP_PX = 4
+KEY_SHARE = 0.12
+"""Height of the legend, as a share of what is above it, from which on it is set smaller."""
+SEVERAL = 0.7
+"""However narrow a panel, its text is as large as in one of this share of the sheet."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilmLayout:
+    """The places of everything on the sheet; its sides are even, as films need them.
+
+    Attributes:
+        width: Width of the whole sheet in pixels.
+        columns: Number of panels side by side.
+        aspects: Width over height of each panel, row by row.
+        entries: Entries of the legend at the bottom.
+        enlarged: Size of text and lines, as a multiple of the usual one.
+    """
+
+    width: int
+    columns: int
+    aspects: tuple[float, ...]
+    entries: tuple[LegendEntry, ...]
+    enlarged: float = 1.0
+
+    @property
+    def text_px(self) -> int:
+        """Size of the text around the panels."""
+        return max(MIN_TEXT_PX, round(self.enlarged * TEXT_PX * self.width / NOMINAL_PX))
+
+    @property
+    def head_px(self) -> int:
+        """Height of the line at the top."""
+        return 2 * self.text_px
+
+    @property
+    def title_px(self) -> int:
+        """Height of the titles above a row of panels; a single panel has none."""
+        return round(1.7 * self.text_px) if len(self.aspects) > 1 else 0
+
+    @property
+    def nominal_width(self) -> int:
+        """Width of the picture for which lines and text of a panel are meant; at least its own, if not enlarged."""
+        return round(self.enlarged * max(self.panel_width, SEVERAL * self.width))
+
+    @property
+    def panel_width(self) -> int:
+        """Width of each panel."""
+        return (self.width - (self.columns - 1) * GAP_PX) // self.columns
+
+    @property
+    def panel_sizes(self) -> list[tuple[int, int]]:
+        """Width and height of each panel in pixels."""
+        return [(self.panel_width, max(1, round(self.panel_width / aspect))) for aspect in self.aspects]
+
+    @cached_property
+    def _places(self) -> list[tuple[int, int]]:
+        sizes, places, y = self.panel_sizes, [], self.head_px
+        for first in range(0, len(sizes), self.columns):
+            row = sizes[first : first + self.columns]
+            y += self.title_px
+            places += [(i * (self.panel_width + GAP_PX), y) for i in range(len(row))]
+            y += max(height for _, height in row) + GAP_PX
+        return places
+
+    @cached_property
+    def _blank(self) -> Image.Image:
+        bottom = max(y + height for (_, y), (_, height) in zip(self._places, self.panel_sizes, strict=True))
+        key = legend(self.entries, self.width, self.text_px, KEY_SHARE * bottom)
+        height = bottom + key.height
+        sheet = Image.new("RGB", (self.width, height + height % 2), palette.PAPER)
+        if key.height:
+            sheet.paste(key, (0, bottom))
+        return sheet
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the whole sheet in pixels; both are even."""
+        return self._blank.size
+
+    def compose(self, head: str, titles: Sequence[str], panels: Sequence[Image.Image]) -> Image.Image:
+        """One picture of the film, from pictures of the sizes `panel_sizes`; a single panel shows no title."""
+        sheet = self._blank.copy()
+        draw = ImageDraw.Draw(sheet)
+        draw.text(
+            (self.text_px // 2, self.text_px // 3),
+            words_apart(head, self.text_px),
+            fill=palette.INK,
+            font=font(self.text_px),
+        )
+        for title, panel, (x, y) in zip(titles, panels, self._places, strict=True):
+            sheet.paste(panel, (x, y))
+            if self.title_px:
+                sheet.paste(_title(title, (self.panel_width, self.title_px), self.text_px), (x, y - self.title_px))
+        return sheet
+
+
+@lru_cache(maxsize=64)
+def _title(text: str, size: tuple[int, int], text_px: int) -> Image.Image:
+    """A strip of paper with a title, which it cuts if it is wider; most titles stay for a whole film."""
+    strip = Image.new("RGB", size, palette.PAPER)
+    ImageDraw.Draw(strip).text((text_px // 2, text_px // 4), text, fill=palette.INK, font=font(text_px))
+    return strip
+
+
+# ---- The contents of a film's pictures ----
 
 KINDS = ("detections", "scene", "ids", "corners", "map")
 ALL = ("detections", "scene", "ids")
 TITLES = {"detections": "truth and detections", "ids": "who is at each pixel", "corners": "projected corners"}
 """Titles of panels whose kind's name says too little."""
-MOST_COLUMNS = 3
+MAX_COLUMNS = 3
 WIDTH_PX, SEVERAL_WIDTH_PX = 1280, 1920
-LEAST_CROP = 0.02
+MIN_CROP = 0.02
 """Share of an image that is shown around vessels, however small they are."""
-LEAST_ASPECT, MOST_ASPECT = 4 / 3, 8 / 3
+MIN_ASPECT, MAX_ASPECT = 4 / 3, 8 / 3
 """Width over height of the part of an image that is shown around vessels, if the image is not smaller."""
 
 
@@ -98,7 +209,7 @@ class FilmPlan:
         elif set(self.kinds) & {"scene", "corners"}:
             entries += vessel_entries(names)
         panels = self.panels()
-        several = len(self.kinds) if len(self.kinds) > 1 else min(len(panels), MOST_COLUMNS)
+        several = len(self.kinds) if len(self.kinds) > 1 else min(len(panels), MAX_COLUMNS)
         aspects = tuple(self._aspect(scene, place, kind) for place, kind in panels)
         return FilmLayout(self.width, self.columns or several, aspects, tuple(entries), self.enlarged)
 
@@ -162,9 +273,7 @@ def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
     )
 
 
-def part_around(
-    boxes_px: Array, image_size_px: tuple[int, int], margin: float = 0.15, least: float = LEAST_CROP
-) -> Box:
+def part_around(boxes_px: Array, image_size_px: tuple[int, int], margin: float = 0.15, least: float = MIN_CROP) -> Box:
     """The part of an image around boxes; all of it if there are none.
 
     Args:
@@ -176,7 +285,7 @@ def part_around(
     size = np.array(image_size_px, dtype=np.float64)
     low, high = (boxes_px[:, :2].min(axis=0), boxes_px[:, 2:].max(axis=0)) if len(boxes_px) else (0 * size, size)
     width, height = np.minimum((1 + margin) * (high - low) + least * size, size)
-    shown = np.minimum([max(width, height * LEAST_ASPECT), max(height, width / MOST_ASPECT)], size)
+    shown = np.minimum([max(width, height * MIN_ASPECT), max(height, width / MAX_ASPECT)], size)
     corner = np.clip((low + high - shown) / 2, 0, size - shown)
     (x, y), (right, bottom) = corner.tolist(), (corner + shown).tolist()
     return x, y, right, bottom
@@ -200,7 +309,7 @@ def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:
 
 # ---- When each frame of a film is shown ----
 
-LEAST_RATE = 5
+MIN_RATE = 5
 """Frames per second; slower films show each frame several times, as some players stumble over long frames."""
 SAME_S = 1e-6
 """Steps that differ by less are of the same length."""
@@ -222,7 +331,7 @@ class Timetable:
     def of(cls, durations_s: Array, speed: float, most_rate: int) -> Timetable:
         """The pace of frames that stand for given durations.
 
-        Steps of one length, at a rate from `LEAST_RATE` to `most_rate`, give one picture a frame. Otherwise each
+        Steps of one length, at a rate from `MIN_RATE` to `most_rate`, give one picture a frame. Otherwise each
         picture shows the frame that is due at its time.
 
         Args:
@@ -232,7 +341,7 @@ class Timetable:
         """
         film_s = durations_s / speed
         shortest = float(film_s.min())
-        repeats = max(1, math.ceil(LEAST_RATE * shortest - SAME_S))
+        repeats = max(1, math.ceil(MIN_RATE * shortest - SAME_S))
         rate = min(Fraction(repeats / shortest).limit_denominator(1000), Fraction(most_rate))
         if np.ptp(film_s) <= SAME_S and repeats / shortest <= most_rate + SAME_S:
             return cls(rate, np.full(len(film_s), repeats))

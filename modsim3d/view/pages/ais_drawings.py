@@ -17,20 +17,20 @@ from modsim3d.view.pages.charts import colour_of, nice_ticks, svg, svg_text, tic
 WIDTH = 1100.0
 LEFT, RIGHT, TOP, BOTTOM = 56.0, 20.0, 8.0, 30.0
 MARGIN = 0.05
-LEAST_ASPECT, MOST_ASPECT = 0.45, 0.75
+MIN_ASPECT, MAX_ASPECT = 0.45, 0.75
 """Height of the map over its width."""
 NOT_FAR = 0.2
 """A position that was removed as a jump enlarges the map by at most this share of it; others are on its edge."""
-LEAST_EXTENT_M = 200.0
-MOST_POINTS, MOST_OF_A_VESSEL = 60_000, 400
-MOST_NAMES = 40
+MIN_EXTENT_M = 200.0
+MAX_POINTS, MAX_OF_A_VESSEL = 60_000, 400
+MAX_NAMES = 40
 LETTER_PX, LINE_PX = 6.2, 12.0
 """Width of a letter of a name, roughly, and the height of its line."""
-MOST_LANES = 60
+MAX_LANES = 60
 KILOMETRES_FROM_M = 10_000.0
 CROWD = 100
 """Of more vessels the triangles are half as large, and reports are left out."""
-LANE_PX, LANE_LEFT, MOST_LETTERS = 16.0, 190.0, 26
+LANE_PX, LANE_LEFT, MAX_LETTERS = 16.0, 190.0, 26
 """Of the chart of presence: height of a lane, its left end, and letters of a name."""
 
 
@@ -51,8 +51,8 @@ class _MapArea:
     @classmethod
     def around(cls, places_m: Array) -> _MapArea:
         low, high = places_m.min(axis=0), places_m.max(axis=0)
-        size = np.maximum((high - low) * (1 + 2 * MARGIN), LEAST_EXTENT_M)
-        size = np.maximum(size, [size[1] / MOST_ASPECT, size[0] * LEAST_ASPECT])
+        size = np.maximum((high - low) * (1 + 2 * MARGIN), MIN_EXTENT_M)
+        size = np.maximum(size, [size[1] / MAX_ASPECT, size[0] * MIN_ASPECT])
         west, south = ((low + high - size) / 2).tolist()
         scale = (WIDTH - LEFT - RIGHT) / float(size[0])
         return cls(west, south, scale, float(size[1]) * scale + TOP + BOTTOM)
@@ -85,7 +85,7 @@ def traffic_map(traffic: AisTraffic) -> str:
     shown_m = np.concatenate([*(vessel.places_m for vessel in traffic.vessels), camera_m])
     area = _MapArea.around(np.concatenate([shown_m, _not_far(jumps_m, shown_m)]))
     crowded = len(traffic.vessels) > CROWD
-    most = max(2, min(MOST_OF_A_VESSEL, MOST_POINTS // len(traffic.vessels)))
+    most = max(2, min(MAX_OF_A_VESSEL, MAX_POINTS // len(traffic.vessels)))
     parts = [_grid(area), _region(traffic, area), _camera(traffic, area)]
     parts += [
         _vessel(vessel, area, most, colour_of(index), crowded=crowded) for index, vessel in enumerate(traffic.vessels)
@@ -103,7 +103,7 @@ def traffic_map(traffic: AisTraffic) -> str:
         "AIS does not say where land is.",
         " The dashed frame is the region, where it is on the map." if traffic.options.region else "",
         f" Of long tracks at most {most} points are drawn." if _any_longer(traffic, most) else "",
-        f" The {MOST_NAMES} longest vessels have names." if len(traffic.vessels) > MOST_NAMES else "",
+        f" The {MAX_NAMES} longest vessels have names." if len(traffic.vessels) > MAX_NAMES else "",
     ]
     drawing = svg(WIDTH, round(area.height, 1), "map of the traffic", "\n".join(part for part in parts if part))
     return _wide(drawing, "".join(caption))
@@ -224,7 +224,7 @@ def _names(traffic: AisTraffic, area: _MapArea) -> str:
     ends = area.place(np.concatenate([vessel.places_m[-1:] for vessel in traffic.vessels])).tolist()
     taken = [(x - 9, y + 4, 18.0) for x, y in ends]
     texts = []
-    longest = sorted(traffic.vessels, key=lambda vessel: (-vessel.hull.length_m, vessel.mmsi))[:MOST_NAMES]
+    longest = sorted(traffic.vessels, key=lambda vessel: (-vessel.hull.length_m, vessel.mmsi))[:MAX_NAMES]
     for vessel in longest:
         name = vessel_name(vessel)
         ((x, y),) = area.place(vessel.places_m[-1:]).tolist()
@@ -244,7 +244,7 @@ def _names(traffic: AisTraffic, area: _MapArea) -> str:
 
 def presence_chart(traffic: AisTraffic, caption: str) -> str:
     """A lane for each vessel: bars while it is in the scene, and dots at its reports."""
-    shown = sorted(traffic.vessels, key=lambda vessel: (len(vessel.steps), vessel.mmsi))[:MOST_LANES]
+    shown = sorted(traffic.vessels, key=lambda vessel: (len(vessel.steps), vessel.mmsi))[:MAX_LANES]
     shown = sorted(shown, key=lambda vessel: vessel.mmsi)
     times = traffic.grid.times_s
     span_s = max(float(times[-1]), 1e-9)
@@ -262,14 +262,14 @@ def presence_chart(traffic: AisTraffic, caption: str) -> str:
 
 def _lane(vessel: VesselTrack, y: float, times_s: Array, scale: float) -> str:
     """The name of a vessel, and when it is there and reports, at a row of the drawing; `scale` is pixels per second."""
-    name = html.escape(vessel_name(vessel)[:MOST_LETTERS])
+    name = html.escape(vessel_name(vessel)[:MAX_LETTERS])
     parts = [f'<text x="{LANE_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{name}</text>']
     for piece in np.split(vessel.steps, np.flatnonzero(np.diff(vessel.steps) > 1) + 1):
         first, last = float(times_s[piece[0]]), float(times_s[piece[-1]])
         box = f'x="{LANE_LEFT + first * scale:.1f}" width="{max((last - first) * scale, 1.0):.1f}"'
         parts.append(f'<rect {box} y="{y - 5:.1f}" height="10" rx="2" fill="{colour_of(0)}" fill-opacity="0.35"/>')
     inside = vessel.reported_s[(vessel.reported_s >= 0) & (vessel.reported_s <= times_s[-1])]
-    inside = inside[:: max(1, -(-len(inside) // MOST_OF_A_VESSEL))]
+    inside = inside[:: max(1, -(-len(inside) // MAX_OF_A_VESSEL))]
     dots = "".join(f"M{LANE_LEFT + s * scale:.1f} {y:.1f}h0" for s in inside.tolist())
     if dots:
         parts.append(f'<path d="{dots}" stroke="{colour_of(0)}" stroke-width="3" stroke-linecap="round"/>')

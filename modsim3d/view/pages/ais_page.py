@@ -10,14 +10,14 @@ import numpy as np
 from modsim3d.core.text import counted
 from modsim3d.scene.ais.gathering import SHOWN_PROBLEMS
 from modsim3d.scene.ais.options import Options, time_text
-from modsim3d.scene.ais.report import REASONS, messages_read, messages_used, summary_rows, warning
+from modsim3d.scene.ais.scene_folder import REASONS, messages_read, messages_used, summary_rows, warning
 from modsim3d.scene.ais.traffic import AisTraffic
 from modsim3d.scene.ais.vessel_track import VesselTrack
 from modsim3d.view.pages import page
-from modsim3d.view.pages.ais_drawings import MOST_LANES, presence_chart, traffic_map
+from modsim3d.view.pages.ais_drawings import MAX_LANES, presence_chart, traffic_map
 from modsim3d.view.pages.provenance import Provenance, file_input
 
-MOST_ROWS = 200
+MAX_ROWS = 200
 NOT_SHIPS = "not_a_ship"
 GUESSED = {
     "type": "type",
@@ -137,7 +137,7 @@ def _left_out(traffic: AisTraffic) -> list[str]:
     if not lost:
         return [*parts, page.paragraph(f"None: every vessel with a position is in the scene.{also}")]
     why = Counter(lost.values())
-    if len(lost) > MOST_ROWS:  # too many to name: a log of a day, cut to a region
+    if len(lost) > MAX_ROWS:  # too many to name: a log of a day, cut to a region
         groups = Counter(reason.rpartition(" (")[0] or reason for reason in lost.values())
         rows = [
             (reason, f"{count:,}") for reason, count in sorted(groups.items(), key=lambda item: (-item[1], item[0]))
@@ -204,7 +204,7 @@ def _times(traffic: AisTraffic) -> list[str]:
         *("gaps", "longest gap, s", "steps", "share of all steps"),
     )
     rows = [_time_row(vessel, traffic) for vessel in traffic.vessels]
-    shown = "" if len(rows) <= MOST_LANES else f", of the {MOST_LANES} vessels that are absent for longest"
+    shown = "" if len(rows) <= MAX_LANES else f", of the {MAX_LANES} vessels that are absent for longest"
     chart = presence_chart(traffic, f"When each vessel is in the scene{shown}. Dots are its reports.")
     return [page.heading("Between the reports"), page.paragraph(said), chart, *_limited(rows, header)]
 
@@ -283,9 +283,9 @@ def _farthest(traffic: AisTraffic) -> str:
 
 def _limited(rows: Sequence[Sequence[str]], header: Sequence[str]) -> list[str]:
     """A table of the first rows, and a line that says how many there are."""
-    parts = [page.table(rows[:MOST_ROWS], header)]
-    if len(rows) > MOST_ROWS:
-        parts.append(page.paragraph(f"The first {MOST_ROWS} of {len(rows):,}; report.json has all vessels.", "soft"))
+    parts = [page.table(rows[:MAX_ROWS], header)]
+    if len(rows) > MAX_ROWS:
+        parts.append(page.paragraph(f"The first {MAX_ROWS} of {len(rows):,}; report.json has all vessels.", "soft"))
     return parts
 
 

@@ -19,7 +19,7 @@ from modsim3d.view.pages.tables import scrolling
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999933", "#882255")
 """Colours that colour-blind people can tell apart: Okabe & Ito (2008), and two of Tol (2021)."""
-MOST_DOTS, MOST_POINTS = 1500, 800
+MAX_DOTS, MAX_POINTS = 1500, 800
 CHI_SQUARE_95 = 5.991
 """The 95 % point of chi-square with two degrees of freedom."""
 _MARGIN = (44.0, 12.0, 14.0, 34.0)  # left, right, top, bottom
@@ -234,7 +234,7 @@ def _along(recall: Array, precision: Array) -> Indices:
     """Indices of points that lie evenly along a curve: most detections may be false, and lie at its end."""
     steps = np.abs(np.diff(recall, prepend=recall[0])) + np.abs(np.diff(precision, prepend=precision[0]))
     walked = np.cumsum(steps)
-    return np.unique(np.append(np.searchsorted(walked, np.linspace(0, walked[-1], MOST_POINTS)), len(recall) - 1))
+    return np.unique(np.append(np.searchsorted(walked, np.linspace(0, walked[-1], MAX_POINTS)), len(recall) - 1))
 
 
 def error_scatter(groups: Mapping[str, Array], colours: Sequence[str], x_label: str, y_label: str, caption: str) -> str:
@@ -249,7 +249,7 @@ def error_scatter(groups: Mapping[str, Array], colours: Sequence[str], x_label: 
     reach = max(float(np.quantile(np.abs(everything), 0.995)) * 1.15, 1.05 * widest, 1e-6)
     axes, content = Axes((-reach, reach), (-reach, reach)), ""
     for colour, (name, errors) in zip(colours, groups.items(), strict=True):
-        shown = errors[:: max(1, len(errors) // MOST_DOTS)]
+        shown = errors[:: max(1, len(errors) // MAX_DOTS)]
         content += dots(axes, shown[:, 0], shown[:, 1], colour)
         if name in rims:
             content += line(axes, *rims[name], colour)

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 UNKNOWN = "–"
 """What stands for a number that is not known."""
-LEAST_STACKED, LEAST_DENSE = 4, 9
+MIN_STACKED, MIN_DENSE = 4, 9
 """A table of so many columns is shown as a list of rows on a phone, or is printed small."""
 TABLE_STYLE = """
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
@@ -45,7 +45,7 @@ _UNIT = re.compile(r" ?(?:°|%|px|m|s)(?!\S)")
 _PADS = re.compile(f"[{_DIGIT}{_POINT}]+")
 _LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")
 """Words such as keys and checksums, which may be broken."""
-_MOST_WORDS = 3
+_MAX_WORDS = 3
 _LONGEST = 28
 """Letters of a cell that is never broken."""
 NO_NOTES: Mapping[int, str] = MappingProxyType({})
@@ -83,7 +83,7 @@ def table(
         for place, column in enumerate(columns)
     ]
     right += [False] * (len(header) - len(right))
-    labels = header if len(header) >= LEAST_STACKED else [""] * len(columns)
+    labels = header if len(header) >= MIN_STACKED else [""] * len(columns)
     lines = [f"<table{_shape(len(header))}>"]
     if header:
         names = (f"<th{_class(each)}>{html.escape(name)}</th>" for name, each in zip(header, right, strict=False))
@@ -98,7 +98,7 @@ def table(
         if note := notes.get(number):
             lines.append(f'<tr><td colspan="{len(shown)}" class="soft">{html.escape(note)}</td></tr>')
     written = "\n".join([*lines, "</tbody>", "</table>"])
-    return scrolling(written) if len(header) >= LEAST_STACKED else written
+    return scrolling(written) if len(header) >= MIN_STACKED else written
 
 
 def scrolling(content: str) -> str:
@@ -115,7 +115,7 @@ def is_numeric(column: Sequence[str]) -> bool:
 def _is_number(cell: str) -> bool:
     if _START.match(cell) is None or _CHECKSUM.search(cell):
         return False
-    return len(re.findall(r"[^\W\d_]{2,}", cell)) <= _MOST_WORDS
+    return len(re.findall(r"[^\W\d_]{2,}", cell)) <= _MAX_WORDS
 
 
 def aligned(column: Sequence[str]) -> list[str]:
@@ -178,9 +178,9 @@ def _in_number(cell: str) -> str:
 
 
 def _shape(columns: int) -> str:
-    if columns < LEAST_STACKED:
+    if columns < MIN_STACKED:
         return ""
-    return ' class="stack dense"' if columns >= LEAST_DENSE else ' class="stack"'
+    return ' class="stack dense"' if columns >= MIN_DENSE else ' class="stack"'
 
 
 def _class(numeric: bool, cell: str = "") -> str:

@@ -60,7 +60,7 @@ class Window:
 
 NOMINAL_PX = 1280
 """Width of a picture for which the sizes below are meant."""
-TEXT_PX, LEAST_TEXT_PX = 15, 11
+TEXT_PX, MIN_TEXT_PX = 15, 11
 SMALL_TEXT_PX = 11
 """Up to this size, words stand twice as far apart."""
 LINE_PX = 2.0
@@ -96,7 +96,7 @@ class Canvas:
         self.picture = picture
         self.draw = ImageDraw.Draw(picture)
         self.unit = (width_px or picture.width) / NOMINAL_PX
-        self.text_px = max(LEAST_TEXT_PX, round(TEXT_PX * self.unit))
+        self.text_px = max(MIN_TEXT_PX, round(TEXT_PX * self.unit))
         self._pad = max(2, round(self.text_px * 0.27))
 
     def line_px(self, weight: float = 1.0) -> int:

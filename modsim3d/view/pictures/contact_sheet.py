@@ -147,7 +147,7 @@ COLUMNS = 2
 GAP_PX, CAPTION_PX = 16, 68
 TITLE_PX, CAPTION_TEXT_PX, TEXT_PX = 30, 26, 20
 """Sizes of text, which a page shows at about 60 %."""
-LEAST_TEXT_PX = 17
+MIN_TEXT_PX = 17
 """Of a long caption; one that is longer still is cut."""
 NOMINAL_WIDTH_PX = 1700
 """Width of a picture for which the lines and the text of a panel are meant."""
@@ -203,8 +203,8 @@ def _tile(highlight: Highlight, camera_view: CameraView, id_renderer: AnyIdRende
     draw = ImageDraw.Draw(tile)
     inset = _inset(camera_view, window)
     caption, room = _caption(highlight, frame), PANEL_PX[0] - inset.width - GAP_PX
-    fitting = (size for size in range(CAPTION_TEXT_PX, LEAST_TEXT_PX, -1) if text_size(caption, size)[2] <= room)
-    size = next(fitting, LEAST_TEXT_PX)
+    fitting = (size for size in range(CAPTION_TEXT_PX, MIN_TEXT_PX, -1) if text_size(caption, size)[2] <= room)
+    size = next(fitting, MIN_TEXT_PX)
     draw.text((0, 2), _shortened(caption, size, room), fill=palette.INK, font=font(size))
     place = f"{frame.camera}, {frame.timestamp} s, detector {frame.state}"
     draw.text((0, CAPTION_PX - TEXT_PX - 10), place, fill=palette.SOFT_INK, font=font(TEXT_PX))

@@ -20,7 +20,7 @@ from modsim3d.view.pictures.frame_picture import hatch_hidden
 from modsim3d.view.pictures.legend import letters
 from modsim3d.view.pictures.plain import Solids, background
 
-MOST_IN_PNG = 2**16 - 1
+MAX_IN_PNG = 2**16 - 1
 GAP_PX, MIN_SIDE_PX = 4, 200
 
 
@@ -34,8 +34,8 @@ def write_id_buffer(image: IdImage, path: Path) -> None:
         with written_whole(path) as partial, partial.open("wb") as file:
             np.save(file, image.ids)
         return
-    if int(image.ids.max(initial=0)) > MOST_IN_PNG:
-        raise ModsimError(f"{path}: a PNG holds IDs up to {MOST_IN_PNG}; give --out a name that ends in .npy")
+    if int(image.ids.max(initial=0)) > MAX_IN_PNG:
+        raise ModsimError(f"{path}: a PNG holds IDs up to {MAX_IN_PNG}; give --out a name that ends in .npy")
     with written_whole(path) as partial:
         partial.write_bytes(encoded(image.ids.astype(np.uint16)))
 

@@ -15,11 +15,11 @@ from modsim3d.view import palette
 from modsim3d.view.followed_tracks import TRAIL_S
 from modsim3d.view.outcome_words import NAMES
 from modsim3d.view.palette import Colour
-from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, Box, Canvas, font, text_size, words_apart
+from modsim3d.view.pictures.canvas import MIN_TEXT_PX, Box, Canvas, font, text_size, words_apart
 from modsim3d.view.pictures.frame_picture import draw_detection, draw_tether
 from modsim3d.view.pictures.layers import Layers
 
-LEAST_SHARE, MOST_ROOM = 0.7, 2.0
+MIN_SHARE, MAX_ROOM = 0.7, 2.0
 """How small the text of a crowded legend may become, as a share of its size, and how far it may exceed its room."""
 MARKS = (Outcome.MISLABELLED, Outcome.BELOW_HALF_IOU, Outcome.OFF_VESSEL)
 """Of a vessel's detections, in the order of the legend."""
@@ -85,17 +85,17 @@ def letters(index: int) -> str:
 def legend(entries: Sequence[LegendEntry], width: int, text_px: int, room_px: float = math.inf) -> Image.Image:
     """A strip of the given width, as high as its entries need: 0 without any.
 
-    A legend that needs more than `room_px` is set in smaller type. If it then needs more than `MOST_ROOM` times as
+    A legend that needs more than `room_px` is set in smaller type. If it then needs more than `MAX_ROOM` times as
     much, the last names are left out and counted; what lines and marks mean is always there.
     """
-    least_px = min(text_px, max(LEAST_TEXT_PX, round(LEAST_SHARE * text_px)))
+    least_px = min(text_px, max(MIN_TEXT_PX, round(MIN_SHARE * text_px)))
     for size in range(text_px, least_px - 1, -1):
         rows = _rows(entries, width, size)
         if len(rows) * _line_px(size) <= room_px:
             break
     names = sum(entry.style == "filled" for entry in entries)
     shown = names
-    while shown > 1 and len(rows) * _line_px(size) > MOST_ROOM * room_px:
+    while shown > 1 and len(rows) * _line_px(size) > MAX_ROOM * room_px:
         shown -= 1
         rows = _rows(_without_last_names(entries, names - shown), width, size)
     line = _line_px(size)

@@ -30,13 +30,13 @@ ANNOTATED, DETECTED = 1, 2
 """What is so of a row of the truth, as bits of the column `flags`."""
 COUNTS = ("seen", "annotated", MISSED, FALSE, MISLABELLED, BAD, OFF)
 VESSEL_COUNTS = ("seen", "fraction", MISSED, MISLABELLED, BAD, OFF)
-MOST_BINS, LEAST_BINS, MOST_CELLS = 6000, 1000, 600_000
+MAX_BINS, MIN_BINS, MAX_CELLS = 6000, 1000, 600_000
 """Bins of steps, and bins times vessels: as fine as any screen, and small."""
 
 
 def steps_in_a_bin(steps: int, vessels: int) -> int:
     """Number of shown steps in each bin of an overview; the last bin may have fewer."""
-    most = min(max(MOST_CELLS // max(vessels, 1), LEAST_BINS), MOST_BINS)
+    most = min(max(MAX_CELLS // max(vessels, 1), MIN_BINS), MAX_BINS)
     return max(1, -(-steps // most))
 
 

@@ -20,7 +20,7 @@ from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, in_qua
 
 # ---- The tables of a run in parts of its shown steps ----
 
-MOST_SHOWN, SHOWN_ROWS, MOST_ROWS = 250, 8_000, 400_000
+MAX_SHOWN, SHOWN_ROWS, MAX_ROWS = 250, 8_000, 400_000
 """Of a part: shown steps; shown steps times vessels; all steps times vessels. Little is unpacked at once."""
 
 
@@ -42,7 +42,7 @@ class PartRows:
 def shown_in_a_part(scene: Scene, every: int) -> int:
     """Number of shown steps in each part but the last."""
     vessels = max(len(scene.vessels), 1)
-    return max(1, min(MOST_SHOWN, SHOWN_ROWS // vessels, MOST_ROWS // (vessels * every)))
+    return max(1, min(MAX_SHOWN, SHOWN_ROWS // vessels, MAX_ROWS // (vessels * every)))
 
 
 def parts(run: StoredRun, every: int, count: Callable[[RunRows], None]) -> Iterator[PartRows]:

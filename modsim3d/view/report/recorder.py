@@ -246,7 +246,7 @@ def _rings(shape: Any) -> list[list[list[float]]]:
 
 _DECIMAL = re.compile(r"(-?)(\d+)\.(\d+)")
 LONGEST_DIFFERENCE = 2**31
-MOST_DIGITS = 15
+MAX_DIGITS = 15
 """Whole numbers up to here are exact in the browser."""
 
 
@@ -259,7 +259,7 @@ def clock(timestamps: Sequence[str]) -> tuple[dict[str, Any], Columns]:
     if all(map(_DECIMAL.fullmatch, timestamps)):
         units = [_in_units(text, decimals) for text in timestamps]
         differences = np.diff(units, prepend=units[0])
-        exact = max(map(abs, units)) < 10**MOST_DIGITS and np.abs(differences).max(initial=0) < LONGEST_DIFFERENCE
+        exact = max(map(abs, units)) < 10**MAX_DIGITS and np.abs(differences).max(initial=0) < LONGEST_DIFFERENCE
         if exact and all(said(unit, decimals) == text for unit, text in zip(units, timestamps, strict=True)):
             facts = {"decimals": decimals, "first": units[0]}
             return facts, {"clock": Coded(differences.astype(np.int32), by=ROW_BEFORE)}

@@ -21,7 +21,7 @@ from modsim3d.truth.outlines import OutlinePart, Outlines
 from modsim3d.world.vessels import Solid
 
 Signs = NDArray[np.int8]
-MOST_FACES = 300_000
+MAX_FACES = 300_000
 """Number of faces that are looked at together: few calls, little memory."""
 
 
@@ -75,7 +75,7 @@ def silhouette_edges(outlines: Outlines, intrinsics: Intrinsics) -> Edges:
 
 def _in_turns(part: OutlinePart, members: Indices) -> Iterator[OutlinePart]:
     """Parts with some members of one, so that their faces fit into memory."""
-    size = max(1, MOST_FACES // max(1, len(part.solid.faces)))
+    size = max(1, MAX_FACES // max(1, len(part.solid.faces)))
     for first in range(0, len(members), size):
         some = members[first : first + size]
         yield OutlinePart(part.solid, part.rows[some], part.vertices_camera[some], part.vertices_px[some])

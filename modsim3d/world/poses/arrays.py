@@ -19,7 +19,7 @@ from modsim3d.world.poses.replay import MAX_PROBLEMS, RecordedPoses, check_pose_
 KEYS = ("positions_m", "headings_rad", "time_step_s", "times_s", "names")
 FILE = "poses.json"
 """The file in a copy of the scene that holds the arrays."""
-_LEAST_STEP_S, _MOST_S = 1e-9, 1e9
+_MIN_STEP_S, _MAX_S = 1e-9, 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,9 +182,9 @@ def _timestamps(section: Mapping[str, Any], steps: int, problems: list[str]) -> 
 
 def _step_problem(step_s: Any) -> str | None:
     number = isinstance(step_s, int | float | np.integer | np.floating) and not isinstance(step_s, bool)
-    if number and _LEAST_STEP_S <= step_s <= _MOST_S:
+    if number and _MIN_STEP_S <= step_s <= _MAX_S:
         return None
-    needed = f"a number of seconds from {_LEAST_STEP_S:g} to {_MOST_S:g} is needed"
+    needed = f"a number of seconds from {_MIN_STEP_S:g} to {_MAX_S:g} is needed"
     return f"poses.time_step_s: {needed} (got {shown(step_s)})"
 
 

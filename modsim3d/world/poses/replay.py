@@ -19,7 +19,7 @@ from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.io import input_files
 from modsim3d.io.input_files import read_text
-from modsim3d.io.strict_json import check_values, load_json, parse_json
+from modsim3d.io.strict_text import check_values, load_json, parse_json
 from modsim3d.io.validation import MAX_COORDINATE_M, Strict, join_path, nearest, shown
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys
 

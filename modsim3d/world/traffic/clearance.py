@@ -175,7 +175,7 @@ CROWDING = 3.0
 SMALL_CHANGE = 1.5
 """Cost up to which a changed track is taken without a look at larger changes."""
 LONGEST_INTERVAL_S = 1.0
-LAND_WORK, PAIR_WORK, MOST_WORK = 20, 2_000, 3_000_000_000
+LAND_WORK, PAIR_WORK, MAX_WORK = 20, 2_000, 3_000_000_000
 """Comparing a place with land, as other vessels; comparing two vessels at all, as places; and the work that may be done
 for a drive: about a minute."""
 
@@ -281,7 +281,7 @@ class Waters:
 
     def _count(self, work: int) -> None:
         self.work += work
-        if self.work > MOST_WORK:
+        if self.work > MAX_WORK:
             raise TooCrowded
 
     def _around(self, sweep: Sweep, steps: slice) -> list[int]:

@@ -169,8 +169,8 @@ def _conflicts(chart: Chart, name: str, track: Track) -> list[str]:
 # ---- The plan of a whole drive ----
 
 WHERE = "poses.traffic"
-MOST_VESSELS = 1000
-MOST_SECONDS = 2_000_000
+MAX_VESSELS = 1000
+MAX_SECONDS = 2_000_000
 """Vessels times the seconds of the drive."""
 AFTER_LAST_ENCOUNTER_S = 30.0
 
@@ -204,8 +204,8 @@ def plan(keys_json: str, setting: TrafficSetting) -> DrivePlan:
     """
     keys = TrafficSections.model_validate_json(keys_json)
     duration = _duration_s(keys, setting)
-    if duration > MOST_SECONDS:
-        raise refused([f": a drive of {duration:,.0f} s is too long: at most {MOST_SECONDS:,} s"])
+    if duration > MAX_SECONDS:
+        raise refused([f": a drive of {duration:,.0f} s is too long: at most {MAX_SECONDS:,} s"])
     waters = Waters.during(Land.of(setting.obstacles), duration, setting.time_step_s, keys.clearance_m)
     chart = Chart(keys, Streams(setting.seed), waters, {})
     problems = _problems(chart) + enter_own(chart, setting.own)
@@ -248,7 +248,7 @@ def _too_many(chart: Chart) -> list[str]:
     means = {f"encounters.{name}.count": float(meeting.count) for name, meeting in keys.encounters.items()}
     means |= {f"lanes.{name}.per_hour": expected_arrivals(keys, lane, duration)[0] for name, lane in keys.lanes.items()}
     means |= {f"leisure.{name}.per_km2": craft_on_average(chart, area) for name, area in keys.leisure.items()}
-    most = min(MOST_VESSELS, MOST_SECONDS / duration)
+    most = min(MAX_VESSELS, MAX_SECONDS / duration)
     if sum(means.values()) <= most:
         return []
     key = max(means, key=lambda name: means[name])

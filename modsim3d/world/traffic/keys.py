@@ -13,8 +13,8 @@ from modsim3d.io.validation import Metres, Number, Strict, nearest, shown
 from modsim3d.world.traffic.paths import SHARPEST_RAD, turns_rad
 from modsim3d.world.traffic.tracks import KindKeys, SpeedRange, rising, shipped_kinds
 
-MOST_WAYPOINTS, MOST_SECTIONS = 200, 100
-LEAST_LEG_M = 1.0
+MAX_WAYPOINTS, MAX_SECTIONS = 200, 100
+MIN_LEG_M = 1.0
 TURN_RAD = 6.3
 
 Place = tuple[Metres, Metres]
@@ -26,9 +26,9 @@ Clearance = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=
 
 def _route(waypoints: list[Place]) -> list[Place]:
     legs = np.diff(np.array(waypoints, dtype=np.float64), axis=0)
-    short = np.flatnonzero(np.hypot(legs[:, 0], legs[:, 1]) < LEAST_LEG_M)
+    short = np.flatnonzero(np.hypot(legs[:, 0], legs[:, 1]) < MIN_LEG_M)
     if len(short):
-        raise ValueError(f"waypoint {short[0] + 1} is less than {LEAST_LEG_M:g} m from the one before")
+        raise ValueError(f"waypoint {short[0] + 1} is less than {MIN_LEG_M:g} m from the one before")
     sharp = np.flatnonzero(np.abs(turns_rad(np.array(waypoints, dtype=np.float64))) > SHARPEST_RAD)
     if len(sharp):
         most = np.degrees(SHARPEST_RAD)
@@ -68,8 +68,8 @@ def _one_as_range(value: object) -> object:
     return (value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
-Route = Annotated[list[Place], Field(min_length=2, max_length=MOST_WAYPOINTS), AfterValidator(_route)]
-Polygon = Annotated[list[Place], Field(min_length=3, max_length=MOST_WAYPOINTS), AfterValidator(_area)]
+Route = Annotated[list[Place], Field(min_length=2, max_length=MAX_WAYPOINTS), AfterValidator(_route)]
+Polygon = Annotated[list[Place], Field(min_length=3, max_length=MAX_WAYPOINTS), AfterValidator(_area)]
 Mix = Annotated[dict[str, Share], BeforeValidator(_weights), AfterValidator(_some_weight)]
 """Kind → weight; a list of kinds, or one, where all weigh the same."""
 MetresRange = Annotated[
@@ -173,10 +173,10 @@ class TrafficSections(Strict):
         labels: Label of the shipped kinds → the label that takes its place, or one label for all vessels.
     """
 
-    own: dict[str, OwnKeys] = Field(default_factory=dict, max_length=MOST_SECTIONS)
-    lanes: dict[str, LaneKeys] = Field(default_factory=dict, max_length=MOST_SECTIONS)
-    leisure: dict[str, LeisureKeys] = Field(default_factory=dict, max_length=MOST_SECTIONS)
-    encounters: dict[str, EncounterKeys] = Field(default_factory=dict, max_length=MOST_SECTIONS)
+    own: dict[str, OwnKeys] = Field(default_factory=dict, max_length=MAX_SECTIONS)
+    lanes: dict[str, LaneKeys] = Field(default_factory=dict, max_length=MAX_SECTIONS)
+    leisure: dict[str, LeisureKeys] = Field(default_factory=dict, max_length=MAX_SECTIONS)
+    encounters: dict[str, EncounterKeys] = Field(default_factory=dict, max_length=MAX_SECTIONS)
     clearance_m: Clearance = 10.0
     duration_s: Seconds = 0.0
     wind_from_rad: Annotated[Number, Field(ge=-TURN_RAD, le=TURN_RAD)] | None = None

@@ -13,7 +13,7 @@ from shapely.ops import substring
 from modsim3d.core.arrays import Array
 from modsim3d.geometry.camera_poses import heading_of
 
-MOST_POINTS = 20_000
+MAX_POINTS = 20_000
 POINTS_A_RADIUS = 30
 """Points on a stretch as long as the turning radius."""
 SHARPEST_RAD = 2.6
@@ -129,7 +129,7 @@ def _evenly(line: Array, radius_m: float) -> VesselPath:
     steps = np.diff(line, axis=0)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
     total = float(along[-1])
-    spacing = max(radius_m / POINTS_A_RADIUS, total / MOST_POINTS)
+    spacing = max(radius_m / POINTS_A_RADIUS, total / MAX_POINTS)
     count = max(math.ceil(total / spacing), 8) + 1
     even = np.linspace(0.0, total, count)
     places = np.stack([np.interp(even, along, line[:, i]) for i in (0, 1)], axis=-1)

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from modsim3d.core.arrays import Array, Mask
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import Strict
 from modsim3d.world.traffic.paths import VesselPath
 from modsim3d.world.vessels import Extent, MeshName

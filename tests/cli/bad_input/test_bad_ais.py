@@ -13,7 +13,7 @@ import pytest
 from modsim3d.scene.ais.messages import reachable
 from modsim3d.scene.ais.options import time_text
 from modsim3d.scene.ais.read_csv import read_csv, recognise
-from modsim3d.scene.ais.read_nmea import MOST_PENDING, read_nmea
+from modsim3d.scene.ais.read_nmea import MAX_PENDING, read_nmea
 from modsim3d.scene.ais.traffic import AisTraffic
 from modsim3d.scene.ais.vessel_track import ReportedTrack, resample, steps_near
 from tests.cli.bad_input.builders import Call
@@ -243,8 +243,8 @@ def test_messages_that_never_end_do_not_stay_in_memory(tmp_path: Path, monkeypat
     path.write_text("".join([*lines, tagged("c:1423133048")]))
     monkeypatch.setattr("modsim3d.scene.ais.read_nmea.CHUNK_MESSAGES", 1)
     first, last = read_nmea(path)
-    assert first.dropped["incomplete"] == 3000 - MOST_PENDING
-    assert (last.dropped["incomplete"], len(first.positions)) == (MOST_PENDING, 1)
+    assert first.dropped["incomplete"] == 3000 - MAX_PENDING
+    assert (last.dropped["incomplete"], len(first.positions)) == (MAX_PENDING, 1)
 
 
 def test_a_part_beyond_the_number_of_parts_is_refused(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.io.locks import locked_file
+from modsim3d.io.overwrite_guard import locked_file
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.cli.conftest import Modsim3d

@@ -11,7 +11,7 @@ import pytest
 
 import modsim3d
 from modsim3d.formats.writing.mcap import FILES, Bag
-from modsim3d.io.locks import locked_file
+from modsim3d.io.overwrite_guard import locked_file
 from modsim3d.runs import pipeline
 from modsim3d.runs.run import run_scene
 from tests.cli.bad_input.builders import Call
@@ -114,7 +114,7 @@ def test_what_a_killed_command_has_left_is_no_hindrance(run, call: Call, tmp_pat
 
 
 def test_a_changed_table_is_told_though_it_is_read_in_parts(call: Call, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(pipeline, "MOST_BLOCK_STEPS", 1)
+    monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 1)
     run_scene(scene(), tmp_path / "run")
     table = tmp_path / "run" / "detections.parquet"
     table.write_bytes(table.read_bytes().replace(b"parquet-cpp-arrow", b"Parquet-cpp-arrow"))

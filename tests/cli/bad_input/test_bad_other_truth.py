@@ -203,7 +203,7 @@ def test_the_truth_is_not_written_over(call: Call, tmp_path: Path) -> None:
 
 
 def test_an_image_of_very_many_boxes_is_refused(refuse: Refuse, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(targets, "MOST_BOXES", 3)
+    monkeypatch.setattr(targets, "MAX_BOXES", 3)
     text = "".join(f"2,{track},10,20,30,40,1,1,1\n" for track in range(4))
     refuse(text, KNOWN, "image 'gt frame 2' has 4 boxes, and at most 3 can be compared")
 

@@ -16,8 +16,7 @@ import pytest
 from modsim3d.core.errors import InputError
 from modsim3d.io import input_files
 from modsim3d.io.input_files import open_input, read_text
-from modsim3d.io.strict_json import load_json
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_json, load_yaml
 from modsim3d.world.poses.replay import load_poses, read_steps
 from tests.cli.bad_input.builders import GOOD, Call, Inputs, Refused, at
 

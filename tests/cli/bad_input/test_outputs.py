@@ -11,7 +11,7 @@ import pytest
 
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.io.locks import locked_file, locked_folder
+from modsim3d.io.overwrite_guard import locked_file, locked_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.cli.bad_input.builders import CIRCULAR, Call, Inputs

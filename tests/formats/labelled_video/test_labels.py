@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modsim3d.formats.labelled_video.detect_truth import class_numbers
-from modsim3d.formats.labelled_video.videos import FileClasses, to_labels
+from modsim3d.formats.labelled_video.targets import FileClasses, to_labels
 
 
 def test_classes_of_mot_are_known_by_the_names_that_learning_gives_them() -> None:

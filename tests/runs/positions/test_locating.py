@@ -16,7 +16,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.geometry.camera_poses import heading_of, poses_on_board
 from modsim3d.runs.locating import (
     FOOT_OF_ERRORS,
-    MOST_RANGE_ERROR,
+    MAX_RANGE_ERROR,
     Located,
     Viewpoints,
     foot_errors,
@@ -237,7 +237,7 @@ def test_a_position_is_given_where_the_share_of_the_error_is_small(scene: Scene,
     boxes = np.stack([0 * bottom + 600, bottom - 40, 0 * bottom + 660, bottom], axis=-1)
     found = locate(replace(scene, sea=sea), "shore", 0, boxes)
     share = found.inverse_range_std_per_m / found.inverse_range_per_m
-    np.testing.assert_array_equal(np.isfinite(found.positions_m[:, 0]), (share > 0) & (share <= MOST_RANGE_ERROR))
+    np.testing.assert_array_equal(np.isfinite(found.positions_m[:, 0]), (share > 0) & (share <= MAX_RANGE_ERROR))
     given = np.isfinite(found.positions_m[:, 0])
     assert given.any() and not given.all() and (found.inverse_range_per_m < 0).any()
     assert (np.linalg.eigvalsh(found.position_covariances_m2[given]) > 0).all()
@@ -257,7 +257,7 @@ def test_first_order_ellipses_hold_where_they_are_given_and_not_far_beyond(scene
         truth, found = locate(exact, "shore", 0, box[None]), locate(scene, "shore", 0, boxes)
         inverse, estimate = truth.inverse_range_per_m[0], found.inverse_range_per_m
         share = found.inverse_range_std_per_m[0] / inverse
-        assert (share < MOST_RANGE_ERROR) == (bottom == 760)
+        assert (share < MAX_RANGE_ERROR) == (bottom == 760)
         error = np.where(
             estimate > 0, (1 / estimate - 1 / inverse) * estimate**2 / found.inverse_range_std_per_m, np.inf
         )

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from benchmarks.campaigns.positions import OUT, SCENES, SEEDS, look_at, page, position_law, problems
-from modsim3d.runs.locating import MOST_RANGE_ERROR
+from modsim3d.runs.locating import MAX_RANGE_ERROR
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def stored() -> dict[str, Any]:
 
 def test_the_stored_result_is_complete_and_within_bounds(stored: dict[str, Any]) -> None:
     assert problems(stored["rows"]) == []
-    assert stored["seeds"] == SEEDS and stored["most_range_error"] == MOST_RANGE_ERROR
+    assert stored["seeds"] == SEEDS and stored["most_range_error"] == MAX_RANGE_ERROR
     seen = {(row["scene"], row["sea"], row["attitude"], row["errors"]) for row in stored["rows"]}
     assert {name for name, *_ in seen} == set(SCENES) and len(SCENES) == 5
     for name in SCENES:

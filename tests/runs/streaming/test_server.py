@@ -224,7 +224,7 @@ def test_a_reader_that_ends_its_own_side_first_gets_everything() -> None:
 
 
 def test_one_reader_too_many_is_turned_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server_module, "MOST_READERS", 1)
+    monkeypatch.setattr(server_module, "MAX_READERS", 1)
     said: list[str] = []
     with serve(warn=said.append) as server:
         first = Background(lambda: rest_of(connect(server)))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from modsim3d.scene.ais.messages import SeaRegion
-from modsim3d.view.pages.ais_page import MOST_ROWS, ais_page
+from modsim3d.view.pages.ais_page import MAX_ROWS, ais_page
 from tests.scene.ais.ais_builders import SAMPLES, command, old_file, row, traffic_of
 
 
@@ -146,14 +146,14 @@ def test_lanes_show_when_a_vessel_is_there(traffic):
 
 
 def test_a_long_list_is_cut_and_vessels_left_out_are_counted_by_reason(tmp_path):
-    many = MOST_ROWS + 5
+    many = MAX_ROWS + 5
     rows = [row(10 * k, 56.0 + 0.001 * v, mmsi=219000000 + v) for v in range(many) for k in (0, 1)]
     rows += [row(0, 57.0, mmsi=220000000 + v) for v in range(many)]
     log = old_file(tmp_path, *rows)
     written = ais_page(traffic_of(log, region=SeaRegion.between(55, 11, 56.5, 13)))
     said = text_of(written).splitlines()
     assert f"{many} of {2 * many} vessels in the scene" in "\n".join(said)
-    assert f"The first {MOST_ROWS} of {many}; report.json has all vessels." in said
+    assert f"The first {MAX_ROWS} of {many}; report.json has all vessels." in said
     assert f"outside the region|{many}|" in said
     assert len(written) < 400_000
 

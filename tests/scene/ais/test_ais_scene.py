@@ -17,8 +17,15 @@ from modsim3d.geometry.camera_poses import camera_R_parent
 from modsim3d.io.input_files import data_folder
 from modsim3d.scene.ais.hulls import TABLE, group_of, hulls, ship_types
 from modsim3d.scene.ais.messages import Particulars, SeaRegion, local_metres
-from modsim3d.scene.ais.report import REASONS, messages_read, messages_used, report, summary_rows
-from modsim3d.scene.ais.scene_folder import detector_text, write_scene
+from modsim3d.scene.ais.scene_folder import (
+    REASONS,
+    detector_text,
+    messages_read,
+    messages_used,
+    report,
+    summary_rows,
+    write_scene,
+)
 from modsim3d.scene.ais.traffic import CLEARANCE_M, viewpoint
 from modsim3d.scene.ais.vessel_track import heading_rad
 from modsim3d.scene.reading import load_scene

@@ -37,14 +37,14 @@ def whole(mistaken_page: Path) -> Unpacked:
 @pytest.fixture(scope="module")
 def cut_page(run: StoredRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(part_columns, "MOST_SHOWN", PART)
+        patch.setattr(part_columns, "MAX_SHOWN", PART)
         return write_report(run, tmp_path_factory.mktemp("cut") / "cut.html")
 
 
 @pytest.fixture(scope="module")
 def page_with_files(run: StoredRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(part_columns, "MOST_SHOWN", PART)
+        patch.setattr(part_columns, "MAX_SHOWN", PART)
         return write_report(run, tmp_path_factory.mktemp("in files") / "run page.html", in_files=True)
 
 
@@ -131,8 +131,8 @@ def test_bins_hold_the_sums_of_their_steps(monkeypatch):
     whole = columns()
     assert whole["vessels.fraction"].sum() == shown.fraction.sum()
     assert whole["false"].sum() == (shown.outcome == 1).sum()
-    monkeypatch.setattr(overview, "MOST_BINS", 10)
-    monkeypatch.setattr(overview, "LEAST_BINS", 10)
+    monkeypatch.setattr(overview, "MAX_BINS", 10)
+    monkeypatch.setattr(overview, "MIN_BINS", 10)
     binned = columns()
     assert steps_in_a_bin(steps, vessels) == 5
     for name in (*overview.COUNTS, *(f"vessels.{each}" for each in overview.VESSEL_COUNTS)):

@@ -46,7 +46,7 @@ EPOCH_S = 1_577_836_800
 """Unix time of a scene's first step: 2020-01-01T00:00:00Z, the beginning of a minute."""
 NO_SPEED, NO_COURSE, NO_HEADING, NO_TURN = 102.3, 360.0, 511, -128.0
 FASTEST_KN = 102.2
-TURN_STEP, MOST_TURN = 4.733, 126
+TURN_STEP, MAX_TURN = 4.733, 126
 """The rate of turn in degrees a minute is sent as its root times this, and from 708° a minute on as 126."""
 HEADING_FROM_M = 45.0
 """From about 500 gross tonnage ships carry a gyrocompass, which measures the rate of turn."""
@@ -92,7 +92,7 @@ def turn_field(turn_deg_min: float) -> float:
 
     It is rounded to what the field can hold, since pyais takes 127 and 128 for codes with another meaning.
     """
-    coded = min(round(TURN_STEP * math.sqrt(abs(turn_deg_min))), MOST_TURN)
+    coded = min(round(TURN_STEP * math.sqrt(abs(turn_deg_min))), MAX_TURN)
     return math.copysign((coded / TURN_STEP) ** 2, turn_deg_min)
 
 

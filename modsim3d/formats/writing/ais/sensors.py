@@ -16,7 +16,7 @@ from scipy import signal
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals
 from modsim3d.geometry.kinematics import KNOT_M_S
-from modsim3d.io.strict_yaml import load_yaml
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.scene.ais.messages import places, wrapped_deg
 from modsim3d.scene.scene import Scene
 from modsim3d.world.vessels import Vessel
@@ -24,13 +24,13 @@ from modsim3d.world.vessels import Vessel
 # ---- Which vessels carry AIS, of which class, and under which number and name ----
 
 TABLE = Path(__file__).with_name("carriage.yaml")
-LEAST_LENGTH_M = 5.0
+MIN_LENGTH_M = 5.0
 """Shorter craft carry no AIS unless the scene says so."""
 MADE_UP_MMSI = 799_000_000
 """The country codes of ships go from 201 to 775 (ITU, table of maritime identification digits), so 799 is nobody's."""
 MADE_UP_NUMBERS = 1_000_000
 _MMSI = re.compile(r"[2-7]\d{8}|98\d{7}", re.ASCII)
-MOST_ENDS_M, MOST_SIDES_M = 511, 63
+MAX_ENDS_M, MAX_SIDES_M = 511, 63
 """The largest distances from the antenna to an end and to a side that fit a message; they mean this or more."""
 NO_CLASS = "none"
 
@@ -96,7 +96,7 @@ def usual(vessel: Vessel, own: bool) -> tuple[str, int]:
     kind = next(fitting, _table()["others"])
     if own:
         return "A", kind.get("ship_type", 0)
-    if kind.get("none") or vessel.length_m < LEAST_LENGTH_M:
+    if kind.get("none") or vessel.length_m < MIN_LENGTH_M:
         return NO_CLASS, kind.get("ship_type", 0)
     return ("A" if vessel.length_m >= kind["class_a_from_m"] else "B"), kind["ship_type"]
 
@@ -138,8 +138,8 @@ def antenna_sides(vessel: Vessel, ais_class: str) -> tuple[int, int, int, int]:
     """
     length, beam = max(round(vessel.length_m), 1), max(round(vessel.beam_m), 1)
     stern = round(length / 4) if ais_class == "A" else length // 2
-    ends = min(length - stern, MOST_ENDS_M), min(stern, MOST_ENDS_M)
-    return *ends, min(beam - beam // 2, MOST_SIDES_M), min(beam // 2, MOST_SIDES_M)
+    ends = min(length - stern, MAX_ENDS_M), min(stern, MAX_ENDS_M)
+    return *ends, min(beam - beam // 2, MAX_SIDES_M), min(beam // 2, MAX_SIDES_M)
 
 
 # ---- The tracks of vessels' antennas at whole seconds ----

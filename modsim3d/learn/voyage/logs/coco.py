@@ -15,7 +15,7 @@ from typing import Any
 from modsim3d.core.errors import InputError
 from modsim3d.formats.reading.builder import MOST_PROBLEMS, Confidences, ImageNames, Problems, image_names, is_number
 from modsim3d.io.input_files import read_text
-from modsim3d.io.strict_json import check_values, parse_json
+from modsim3d.io.strict_text import check_values, parse_json
 from modsim3d.io.validation import shown
 from modsim3d.learn.voyage.logs.log import MIXED, TIME_FORM, Clock, DetectionLog, LogOptions, LogRows, all_utc, time_of
 from modsim3d.scene.ais.options import time_text

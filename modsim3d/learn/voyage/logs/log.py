@@ -283,9 +283,9 @@ def _once(log: DetectionLog) -> DetectionLog:
 
 # ---- Times in logs ----
 
-LEAST_UNIX_S = 1e8
+MIN_UNIX_S = 1e8
 """A number of seconds from here on, March 1973, is Unix time: no scene lasts three years."""
-MOST_S = 1e11
+MAX_S = 1e11
 MIXED = "some times are UTC and others are not (from 1e8 on, seconds are Unix time; are these nanoseconds?)"
 TIME_FORM = "2024-01-04T10:00:00.250Z"
 """A time as messages show it."""
@@ -308,7 +308,7 @@ def seconds(text: str) -> float:
         number = float(text)
     except ValueError:
         return math.nan
-    return number if abs(number) <= MOST_S else math.nan
+    return number if abs(number) <= MAX_S else math.nan
 
 
 def time_of(value: object) -> tuple[float, bool]:
@@ -318,7 +318,7 @@ def time_of(value: object) -> tuple[float, bool]:
     number = seconds(str(value))
     if math.isnan(number):
         return (utc_s(value), True) if isinstance(value, str) else (math.nan, False)
-    return number, number >= LEAST_UNIX_S
+    return number, number >= MIN_UNIX_S
 
 
 def all_utc(utc: Sequence[bool]) -> bool | None:

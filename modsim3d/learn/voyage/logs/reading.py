@@ -16,10 +16,10 @@ from modsim3d.formats.reading.builder import Confidences, Problems
 from modsim3d.formats.reading.mot import number_lines, plain_lines, sequence_info
 from modsim3d.formats.writing.mcap_messages import DETECTIONS, VISION_MSGS
 from modsim3d.io.input_files import COCO_BYTES_PER_VALUE, FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES, note_input, read_text
-from modsim3d.io.strict_json import load_json
+from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import shown
 from modsim3d.learn.voyage.logs.coco import SECTIONS, read_coco_log, read_lines_log, read_thesis_log
-from modsim3d.learn.voyage.logs.log import LEAST_UNIX_S, NO_OPTIONS, Clock, DetectionLog, LogOptions, LogRows
+from modsim3d.learn.voyage.logs.log import MIN_UNIX_S, NO_OPTIONS, Clock, DetectionLog, LogOptions, LogRows
 from modsim3d.learn.voyage.logs.tables import read_table_log
 from modsim3d.runs.camera_sequences import camera_sequences
 from modsim3d.runs.files.overwrite import RUN_FILE, files_of_run
@@ -114,13 +114,13 @@ def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
     given = any(score is not None for _, score in scores)
     confidences = Confidences.of(scores, options.confidence_scale, problems) if given else None
     rows = LogRows(source, problems, confidences, CENTRE)
-    clock = Clock.UTC if messages and messages[0][1] >= LEAST_UNIX_S * _NANO else Clock.STAMP
+    clock = Clock.UTC if messages and messages[0][1] >= MIN_UNIX_S * _NANO else Clock.STAMP
     for topic, stamp, message in messages:
         where, camera = f"{topic} at {stamp / _NANO:.12g} s", _camera(topic)
         if topics[camera] != topic:
             which = f"{topic} and {topics[camera]} are both of camera {shown(camera)}"
             raise InputError(source, [f"{which}: give a bag with one topic of a camera"])
-        if (stamp >= LEAST_UNIX_S * _NANO) != (clock is Clock.UTC):
+        if (stamp >= MIN_UNIX_S * _NANO) != (clock is Clock.UTC):
             raise InputError(source, [f"{where}: some stamps are Unix time and others are not"])
         if rows.has(camera, stamp / _NANO):
             problems.add(f"{where}: another message has the same stamp")

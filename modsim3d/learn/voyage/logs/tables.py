@@ -19,7 +19,7 @@ from modsim3d.io.input_files import MAX_FRAMES, note_input, read_text
 from modsim3d.io.misreadings import no_commas
 from modsim3d.io.validation import shown
 from modsim3d.learn.voyage.logs.log import (
-    LEAST_UNIX_S,
+    MIN_UNIX_S,
     MIXED,
     TIME_FORM,
     Clock,
@@ -36,7 +36,7 @@ from modsim3d.tracks.text_table import RowProblems, TextTable
 
 _OFF = 0.25
 """A gap may be so much of an interval away from a whole number of them: times are often those of the file's writing."""
-_MOST_OFF = 0.05
+_MAX_OFF = 0.05
 """Share of the gaps that may be further off where the interval is taken from the times themselves."""
 
 
@@ -72,7 +72,7 @@ def filled(time_s: Array, rate_hz: float | None, source: str) -> Filled:
     interval = 1 / rate_hz if rate_hz else _usual(gaps)
     count = np.maximum(np.rint(gaps / interval), 1)
     off = np.abs(gaps / interval - count) > _OFF
-    if off.mean() > (0 if rate_hz else _MOST_OFF):
+    if off.mean() > (0 if rate_hz else _MAX_OFF):
         first = int(np.flatnonzero(off)[0])
         found = f"frames {gaps[first]:g} s apart after {time_s[first]:.12g} s"
         if rate_hz:
@@ -221,7 +221,7 @@ def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
         ),
     )
     table.problems.settle()
-    of_utc |= times >= LEAST_UNIX_S
+    of_utc |= times >= MIN_UNIX_S
     table.problems.refuse(
         ~of_utc & (name == "utc"),
         lambda row: (

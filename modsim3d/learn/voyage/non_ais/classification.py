@@ -26,12 +26,12 @@ from modsim3d.learn.voyage.non_ais.rates import (
     in_stretches,
     rates_of,
 )
-from modsim3d.learn.voyage.non_ais.tracklets import LEAST_S, DurationTypes, Things, kinds_of, things_of
+from modsim3d.learn.voyage.non_ais.tracklets import MIN_S, DurationTypes, Things, kinds_of, things_of
 
 # ---- Where a vessel without a transponder passes a known one ----
 
 _SAME_IOU = 0.5
-_NEAR, _LEAST_NEAR_PX = 0.25, 5.0
+_NEAR, _MIN_NEAR_PX = 0.25, 5.0
 """How far about a vessel its box may be off, in heights of it and in pixels."""
 _PASSES = 0.5
 """The largest share of the life of what passes a vessel in which the two are close."""
@@ -116,7 +116,7 @@ def _meetings(tracks: CrossingTracks, labelled: LabelledSet, rule: Rule) -> tupl
     pairs: list[tuple[Indices, Indices, Mask]] = [(none, none, np.empty(0, dtype=bool))]
     for row, track in image_pairs(known.image, tracks.image, len(labelled.images)):
         boxes, theirs = known.boxes_px[row], tracks.boxes_px[track]
-        near = np.maximum(_NEAR * (boxes[:, 3:] - boxes[:, 1:2]), _LEAST_NEAR_PX)
+        near = np.maximum(_NEAR * (boxes[:, 3:] - boxes[:, 1:2]), _MIN_NEAR_PX)
         touch = np.asarray(((boxes[:, :2] - near < theirs[:, 2:]) & (theirs[:, :2] < boxes[:, 2:] + near)).all(axis=1))
         reach_px = rule.most_distance_px if rule.method == "centre" else 0.0
         meet = touch | (np.linalg.norm(centres(boxes) - centres(theirs), axis=1) <= reach_px)
@@ -201,7 +201,7 @@ def _some(tracks: CrossingTracks, chosen: Mask) -> tuple[Indices, Array]:
 _LIKELY, _PERHAPS = 0.5, 0.1
 """Probabilities from which a thing is taken for a vessel, and from which it may be one."""
 _RUN_TIMES = 12.0
-_LEAST_RUNS = 24
+_MIN_RUNS = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +299,7 @@ class ClassifiedDetections:
         """Rates of false positives, resampled in runs that are long against the lifetimes of flicker."""
         images = self.observed.labelled.images
         spans = [float(np.ptp(images.time_s[images.sequence == s])) for s in np.unique(images.sequence)]
-        run_s = min(_RUN_TIMES * float(self.kinds.short_s[0]), float(np.nansum(spans)) / _LEAST_RUNS)
+        run_s = min(_RUN_TIMES * float(self.kinds.short_s[0]), float(np.nansum(spans)) / _MIN_RUNS)
         resampling = resample(images, replicates, seed, run_s)
         return self.rates(resampling, self.observed.image_state, self.observed.states)
 
@@ -326,7 +326,7 @@ class ClassifiedDetections:
 
 
 def classify_unmatched(
-    observed: Observed, stretches: tuple[TimeSpan, ...] = (), least_s: float = LEAST_S
+    observed: Observed, stretches: tuple[TimeSpan, ...] = (), least_s: float = MIN_S
 ) -> ClassifiedDetections:
     """Link the unmatched detections of a voyage and judge them.
 

@@ -21,7 +21,7 @@ from modsim3d.learn.matches import FalseSightings, Observed
 
 _SMALLEST = 0.25
 """Share of the matched boxes that are called small; errors of larger ones are often larger in pixels."""
-_LEAST_CHANGES = 20
+_MIN_CHANGES = 20
 _MUCH_SMALLER = 1 / 3
 """Boxes of a smaller share of their side err by less in proportion: nothing shows that errors stay as large."""
 TO_STD = 1.4826
@@ -73,7 +73,7 @@ def jitter_of(observed: Observed, longest_s: float) -> Jitter:
     of_two = np.maximum(side_px[1:], side_px[:-1])[near]
     changes = np.diff(pairs.error_px[order], axis=0)[near]
     small = of_two <= np.quantile(of_two, _SMALLEST) if len(of_two) else near[:0]
-    if np.count_nonzero(small) < _LEAST_CHANGES:
+    if np.count_nonzero(small) < _MIN_CHANGES:
         return STEADY
     spread = TO_STD * np.median(np.abs(changes[small]), axis=0)
     return Jitter(spread[:2], spread[2:], float(np.median(of_two[small])))
@@ -81,16 +81,16 @@ def jitter_of(observed: Observed, longest_s: float) -> Jitter:
 
 # ---- Things followed from frame to frame ----
 
-MOST_HIDDEN_S = 30.0
+MAX_HIDDEN_S = 30.0
 """The longest that a thing may be hidden."""
-_LEAST_SEEN = 5
+_MIN_SEEN = 5
 """Detections of a thing that may be missed for longer than usual."""
-_NEAR, _LEAST_NEAR_PX = 0.6, 5.0
+_NEAR, _MIN_NEAR_PX = 0.6, 5.0
 """How far off a box may lie, in sides of it, and in pixels."""
 _SPEED_SIDES_S = 1.0
 """How fast a thing may be, in lengths a second: a boat of 10 m at 20 knots makes one."""
-_MOST_WAY_SIDES = 2.0
-_MOST_LOG_RATIO = np.log(2.0)
+_MAX_WAY_SIDES = 2.0
+_MAX_LOG_RATIO = np.log(2.0)
 _GATE_STDS = 3.0
 """A box may also be as far off, and as much larger or smaller, as so many standard deviations of the jitter."""
 _ASPECT = 3.0
@@ -100,7 +100,7 @@ _VAGUE = 0.5
 _NOTHING = 1.001
 _BESIDE_PX = 5.0
 """A side so near to another detection's box may be hidden by what is there."""
-_MEMORY, _LEAST_MEMORY, _MEMORY_S = 12, 5, 6.0
+_MEMORY, _MIN_MEMORY, _MEMORY_S = 12, 5, 6.0
 """Detections that a velocity is made from; not many more than in so long, since what nears seems to go ever faster."""
 _AXES = np.array([0, 1, 0, 1])
 """Axis of the left, upper, right and lower side."""
@@ -125,7 +125,7 @@ class _Thing:
 
     def lost(self, now: float, longest_s: float) -> bool:
         """Whether it is another thing if it is seen again: it may be hidden for as long as it was followed."""
-        hidden_s = min(self.last_s - self.first_s, MOST_HIDDEN_S) if self.seen >= _LEAST_SEEN else 0.0
+        hidden_s = min(self.last_s - self.first_s, MAX_HIDDEN_S) if self.seen >= _MIN_SEEN else 0.0
         return now - self.last_s > max(longest_s, hidden_s) + 1e-9
 
     def expected(self, now: float) -> Array:
@@ -138,7 +138,7 @@ class _Thing:
         apart, expected = now - self.last_s, self.expected(now)
         usable = (sure & self.known).reshape(2, 2)
         self.seen += 1
-        memory = np.clip(_MEMORY_S / apart, _LEAST_MEMORY, _MEMORY)
+        memory = np.clip(_MEMORY_S / apart, _MIN_MEMORY, _MEMORY)
         self.told = np.minimum(self.told + usable.any(axis=0), memory)
         off = _offsets(measured[None], sure[None], expected[None], self.known[None])[0, 0] * usable.any(axis=0)
         # Gains of a straight line through the last detections, evenly spaced (Brookner (1998), section 1.2.10).
@@ -193,8 +193,8 @@ def _assigned(things: list[_Thing], now: float, measured: Array, sure: Mask, jit
     width, height = np.maximum(expected[:, 2:] - expected[:, :2], 1.0).T
     whole = known[:, 0] & known[:, 2]
     side = np.sqrt(np.where(whole, width, np.maximum(width, _ASPECT * height)) * height)
-    way = np.minimum(apart * _SPEED_SIDES_S, _MOST_WAY_SIDES) / np.sqrt(told)
-    near = np.maximum(_GATE_STDS * jitter.off_px(side), _LEAST_NEAR_PX)
+    way = np.minimum(apart * _SPEED_SIDES_S, _MAX_WAY_SIDES) / np.sqrt(told)
+    near = np.maximum(_GATE_STDS * jitter.off_px(side), _MIN_NEAR_PX)
     reach = np.maximum(_NEAR * side, near) + side * way
     off = np.linalg.norm(_offsets(measured, sure, expected, known), axis=-1) / reach
     fits = (off <= 1) & _alike(measured, sure, expected, known, jitter)
@@ -235,7 +235,7 @@ def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Ji
     usable = (sure[:, None] & known[None]).reshape(len(measured), len(expected), 2, 2).all(axis=2)
     found, whole = (np.maximum(each[..., 2:] - each[..., :2], 1.0) for each in (measured[:, None], expected[None]))
     near = np.abs(found - whole) <= _GATE_STDS * jitter.resized_px(np.sqrt(whole.prod(axis=-1)))
-    alike: Mask = (~usable | near | (np.abs(np.log(found / whole)) <= _MOST_LOG_RATIO)).all(axis=-1)
+    alike: Mask = (~usable | near | (np.abs(np.log(found / whole)) <= _MAX_LOG_RATIO)).all(axis=-1)
     return alike
 
 
@@ -293,9 +293,9 @@ def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
     return hidden
 
 
-MOST_GAP_S = 3.0
+MAX_GAP_S = 3.0
 """A thing that is not detected for longer is another one when it is detected again, unless it was followed as long."""
-LEAST_GAP_FRAMES = 3
+MIN_GAP_FRAMES = 3
 """Usual gaps between frames that a thing may be missed for in any case."""
 
 
@@ -342,7 +342,7 @@ def link(observed: Observed) -> Links:
     sightings, images = observed.false_sightings, observed.labelled.images
     time_s = images.time_s[sightings.image]
     gap_s = _usual_gap_s(images)
-    longest = max(MOST_GAP_S, (LEAST_GAP_FRAMES + 0.5) * gap_s)
+    longest = max(MAX_GAP_S, (MIN_GAP_FRAMES + 0.5) * gap_s)
     jitter = jitter_of(observed, longest)
     sides = Sides.of(sightings, observed.labelled.annotations, len(images))
     numbers, first = np.full(len(sightings), -1), 0

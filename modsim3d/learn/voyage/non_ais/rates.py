@@ -14,7 +14,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.io.validation import shown
 from modsim3d.learn.bootstrap import Column, Resampling, ratio
-from modsim3d.learn.voyage.logs.log import LEAST_UNIX_S, utc_s
+from modsim3d.learn.voyage.logs.log import MIN_UNIX_S, utc_s
 from modsim3d.scene.ais.options import time_text
 
 
@@ -239,7 +239,7 @@ def _stretch(part: str, start_s: float | None) -> TimeSpan | str:
     ends = [float(each) for each in seconds.groups()] if seconds else [utc_s(each) for each in part.split("/")]
     if len(ends) != 2 or any(math.isnan(each) for each in ends):
         return f"{_FORM} (got {shown(part)})"
-    utc = not seconds or min(ends) >= LEAST_UNIX_S
+    utc = not seconds or min(ends) >= MIN_UNIX_S
     if utc and start_s is None:
         return f"{part}: is in UTC, and the scene does not say when it starts: give seconds since its first step"
     zero = start_s if utc and start_s is not None else 0.0

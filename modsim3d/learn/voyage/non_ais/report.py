@@ -18,7 +18,7 @@ from modsim3d.learn.report import LearnReport
 from modsim3d.learn.states import each_its_own, parse_states
 from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections, classify_unmatched
 from modsim3d.learn.voyage.non_ais.rates import RateSource, StateRates, TimeSpan
-from modsim3d.learn.voyage.non_ais.tracklets import LEAST_RATIO, LEAST_S, Behaviour
+from modsim3d.learn.voyage.non_ais.tracklets import MIN_RATIO, MIN_S, Behaviour
 
 TITLE = "False positives in an image, where not everything that floats has a transponder"
 HEADER = (
@@ -63,7 +63,7 @@ def sentences(judged: ClassifiedDetections, rates: Sequence[StateRates]) -> Iter
         if longer := int(np.count_nonzero(judged.kinds.longer[judged.kinds.of_thing])):
             yield (
                 f"the rate of false positives may be an upper bound: {counted(longer, 'thing', 'things')} seen for "
-                f"longer than {judged.least_s / LEAST_RATIO:g} s may be vessels, and the frames do not tell"
+                f"longer than {judged.least_s / MIN_RATIO:g} s may be vessels, and the frames do not tell"
             )
     else:
         vessels = int(np.count_nonzero(judged.lasting >= 0.5))
@@ -76,7 +76,7 @@ def sentences(judged: ClassifiedDetections, rates: Sequence[StateRates]) -> Iter
             boxes = counted(ignored, "box", "boxes")
             yield f"{boxes} of known vessels that these pass are ignored, since one may hide the other"
         yield (
-            f"false positives are taken to last {judged.least_s / LEAST_RATIO:g} s on average at most; a buoy and a "
+            f"false positives are taken to last {judged.least_s / MIN_RATIO:g} s on average at most; a buoy and a "
             "false positive that stays look alike, and what lasts as long as vessels do counts as a "
             "vessel; only stretches in which the sea is known to be empty (--empty) can tell them apart"
         )
@@ -123,7 +123,7 @@ def learn_beside_unseen(
     settings: LearnSettings,
     options: LearnOptions,
     stretches: tuple[TimeSpan, ...] = (),
-    least_s: float = LEAST_S,
+    least_s: float = MIN_S,
 ) -> tuple[LearnReport, ClassifiedDetections]:
     """Learn a detector; detections that behave like a vessel which is not annotated are neither hits nor false.
 

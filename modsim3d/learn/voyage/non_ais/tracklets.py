@@ -12,13 +12,13 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.formats.labelled import Images
 from modsim3d.learn.voyage.non_ais.linking import TO_STD, Links
 
-_LEAST_SEEN = 5
+_MIN_SEEN = 5
 """Detections that are needed to see how a thing moves; with fewer nothing speaks against a vessel."""
-_MOST_OFF, _MOST_OFF_PX, _MOST_RESIZED = 0.35, 5.0, 0.4
+_MAX_OFF, _MAX_OFF_PX, _MAX_RESIZED = 0.35, 5.0, 0.4
 """Median distance from the middle of the detections before and after, in sides and in pixels; spread of log sides."""
-_LEAST_SHARE = 0.25
+_MIN_SHARE = 0.25
 """Share of the frames of its life in which a vessel is detected at least."""
-_ABOVE, _LEAST_ABOVE_PX = 0.25, 3.0
+_ABOVE, _MIN_ABOVE_PX = 0.25, 3.0
 """How far above the horizon a vessel's lower edge may seem to be, in heights and in pixels."""
 _UNSTEADY_STDS = 1.5
 """What does not exceed so many standard deviations of the jitter of known boxes is steady in any case."""
@@ -39,7 +39,7 @@ class Behaviour(IntEnum):
         return {
             Behaviour.LIKE_A_VESSEL: "nothing speaks against a vessel",
             Behaviour.ABOVE_THE_HORIZON: "lower edge above the horizon",
-            Behaviour.RARELY_SEEN: f"detected in less than {_LEAST_SHARE:.0%} of the frames",
+            Behaviour.RARELY_SEEN: f"detected in less than {_MIN_SHARE:.0%} of the frames",
             Behaviour.JUMPS: "moves unsteadily",
             Behaviour.CHANGES_SIZE: "changes its size",
         }[self]
@@ -94,10 +94,10 @@ def things_of(links: Links, images: Images) -> Things:
         cut = ends - time_s[stops - 1] < links.longest_gap_s if count else np.empty(0, dtype=bool)
     cut = cut | links.at_border[order][stops - 1] if count else cut
     behaviour = np.zeros(count, dtype=np.int64)
-    for thing in np.flatnonzero(detections >= _LEAST_SEEN).tolist():
+    for thing in np.flatnonzero(detections >= _MIN_SEEN).tolist():
         rows = order[starts[thing] : stops[thing]]
         whole = rows[links.whole[rows]]
-        rows = whole if len(whole) >= _LEAST_SEEN else rows[:0]
+        rows = whole if len(whole) >= _MIN_SEEN else rows[:0]
         behaviour[thing] = _behaviour(links, rows, detections[thing] / frames[thing]) if len(rows) else 0
     return Things(detections, first_image, frames, lasted, cut, behaviour)
 
@@ -106,18 +106,18 @@ def _behaviour(links: Links, rows: Indices, share: float) -> Behaviour:
     """How a thing behaves that was detected in some rows, in order of time, shape (n,)."""
     place, size, time_s = links.places_px[rows], links.sizes_px[rows], links.time_s[rows]
     below = links.bottom_px[rows]
-    if np.isfinite(below).any() and np.nanmedian(below + np.maximum(_ABOVE * size[:, 1], _LEAST_ABOVE_PX)) < 0:
+    if np.isfinite(below).any() and np.nanmedian(below + np.maximum(_ABOVE * size[:, 1], _MIN_ABOVE_PX)) < 0:
         return Behaviour.ABOVE_THE_HORIZON
-    if share < _LEAST_SHARE:
+    if share < _MIN_SHARE:
         return Behaviour.RARELY_SEEN
     part = ((time_s[1:-1] - time_s[:-2]) / (time_s[2:] - time_s[:-2]))[:, None]
     off = np.linalg.norm(place[1:-1] - (place[:-2] + part * (place[2:] - place[:-2])), axis=1)
     side = float(np.median(np.sqrt(size.prod(axis=1))))
-    if np.median(off) > max(_MOST_OFF * side, _MOST_OFF_PX, _UNSTEADY_STDS * float(links.jitter.off_px(side))):
+    if np.median(off) > max(_MAX_OFF * side, _MAX_OFF_PX, _UNSTEADY_STDS * float(links.jitter.off_px(side))):
         return Behaviour.JUMPS
     # A vessel that nears grows, but slowly.
     shares, pixels = (TO_STD * np.median(np.abs(np.diff(each, axis=0)), axis=0) for each in (np.log(size), size))
-    resized = (shares > np.sqrt(2) * _MOST_RESIZED) & (pixels > _UNSTEADY_STDS * links.jitter.resized_px(side))
+    resized = (shares > np.sqrt(2) * _MAX_RESIZED) & (pixels > _UNSTEADY_STDS * links.jitter.resized_px(side))
     return Behaviour.CHANGES_SIZE if resized.any() else Behaviour.LIKE_A_VESSEL
 
 
@@ -131,14 +131,14 @@ def _ends_s(images: Images) -> Array:
 
 # ---- Two kinds of durations ----
 
-LEAST_S = 30.0
+MIN_S = 30.0
 """What lasts as vessels do lasts so long on average at least."""
-LEAST_RATIO = 3.0
+MIN_RATIO = 3.0
 """And so many times as long as flicker that stays: that lasts no longer on average than the least over this."""
 _STEPS = 60
 _SURE = 6.0
 """Gain of log-likelihood by which the longer kind is there: by chance it is as large in one of 400 sets."""
-_LEAST_WEIGHT = 0.05
+_MIN_WEIGHT = 0.05
 """In a replicate without any of the few things that last, they are still known to be there."""
 _SINGLE, _SHORT, _LONG = range(3)
 
@@ -177,7 +177,7 @@ class DurationTypes:
         return (likely if self.found else self.longer) | self.unsteady
 
 
-def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = LEAST_S) -> DurationTypes:
+def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = MIN_S) -> DurationTypes:
     """Fit the mixture to the durations of N things, of which each has a weight in each replicate.
 
     Things that do not move like a vessel are left out, and are surely of no longer kind, however long they last.
@@ -194,7 +194,7 @@ def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = LEAS
     of_thing = of_thing.ravel()
     counts: Array = np.zeros((len(weights), len(values)))
     for row in range(len(weights)):
-        counts[row] = np.bincount(of_thing, perhaps * np.maximum(weights[row], _LEAST_WEIGHT), minlength=len(values))
+        counts[row] = np.bincount(of_thing, perhaps * np.maximum(weights[row], _MIN_WEIGHT), minlength=len(values))
     durations = _Durations(values[:, 0], values[:, 1], values[:, 2].astype(bool), counts, least_s / gap_s)
     two, both = durations.fit(with_long=False, rows=1), durations.fit(with_long=True)
     found = bool(len(values)) and bool(both.value[0] >= two.value[0] + _SURE)
@@ -202,7 +202,7 @@ def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = LEAS
     lasting = fit.shares[_LONG] if found else np.zeros_like(counts)
     long_s = fit.long * gap_s if found else np.full(len(weights), np.nan)
     lasted_s = (durations.frames - 1) * gap_s
-    longer = durations.perhaps & (lasted_s > least_s / LEAST_RATIO)
+    longer = durations.perhaps & (lasted_s > least_s / MIN_RATIO)
     unsteady = values[:, 3].astype(bool) & (lasted_s >= least_s)
     return DurationTypes(
         of_thing, lasting, fit.short * gap_s, long_s, found, longer, unsteady, durations.inflation(fit)
@@ -239,7 +239,7 @@ class _Durations:
         """The likeliest mixture of each row, with or without the longer kind."""
         counts = self.counts[:rows]
         amount: Array = np.tile([[0.5], [0.4], [0.1 if with_long else 0.0]], (1, len(counts)))
-        middle = max(1 + self.least / (2 * LEAST_RATIO), 1.1)
+        middle = max(1 + self.least / (2 * MIN_RATIO), 1.1)
         short, long = np.full(len(counts), middle), np.full(len(counts), 4 * self.least + 2)
         shares = np.zeros((3, *counts.shape))
         value = np.zeros(len(counts))
@@ -259,8 +259,8 @@ class _Durations:
             weighted = counts * shares
             total = np.maximum(counts.sum(axis=1), 1e-12)
             amount = weighted.sum(axis=2) / total
-            short = np.clip(self._mean(weighted[_SHORT]), 1.05, max(self.least / LEAST_RATIO, 1.1))
-            long = np.maximum(self._mean(weighted[_LONG]), np.maximum(self.least, LEAST_RATIO * short))
+            short = np.clip(self._mean(weighted[_SHORT]), 1.05, max(self.least / MIN_RATIO, 1.1))
+            long = np.maximum(self._mean(weighted[_LONG]), np.maximum(self.least, MIN_RATIO * short))
         return _Fit(shares, short, long, value)
 
     def inflation(self, fit: _Fit) -> float:

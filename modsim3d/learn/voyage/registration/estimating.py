@@ -24,7 +24,7 @@ from modsim3d.learn.voyage.registration.parameters import (
 # ---- Errors of positions that last ----
 
 LASTS_S = 300.0
-KNOT_S, MOST_KNOTS = 3.0, 60
+KNOT_S, MAX_KNOTS = 3.0, 60
 """The drift is linear between knots, of which a vessel has at most so many."""
 TINY = 1e-9
 ROUNDS = 4
@@ -71,7 +71,7 @@ def drift_axes(time_s: Array, vessel: Indices, constant: Array, noise_m: float) 
 def _hats(time_s: Array) -> Array:
     """A Gauss-Markov process of unit spread at n times, from unit normals, shape (n, K)."""
     first, last = float(time_s.min()), float(time_s.max())
-    knots = np.linspace(first, last, int(min((last - first) // KNOT_S + 1, MOST_KNOTS)) + 1)
+    knots = np.linspace(first, last, int(min((last - first) // KNOT_S + 1, MAX_KNOTS)) + 1)
     covariance = np.exp(-np.abs(knots[:, None] - knots) / LASTS_S)
     root = np.linalg.cholesky(covariance + TINY * np.eye(len(knots)))
     return np.stack([np.interp(time_s, knots, column) for column in root.T], axis=1)

@@ -34,7 +34,7 @@ OF_MEAN_ERRORS = np.array(
 """Each kind from the errors of the box in x, y, width and height in pixels, shape (6, 4)."""
 SIDE = np.array([0, 0, 0, 1, 0, 1])
 """Whether a kind's error grows with the box's width (0) or height (1)."""
-LEAST_PX = 0.3
+MIN_PX = 0.3
 BINS = 6
 
 
@@ -109,7 +109,7 @@ class SightingResiduals:
             size, absolute = np.log(self.size_px[rows]), np.abs(residuals_px[rows])
             bins = np.array_split(np.argsort(size, kind="stable"), min(BINS, max(len(rows) // 40, 1)))
             middle = np.array([np.median(size[some]) for some in bins])
-            typical = np.array([max(1.4826 * np.median(absolute[some]), LEAST_PX) for some in bins])
+            typical = np.array([max(1.4826 * np.median(absolute[some]), MIN_PX) for some in bins])
             spread[rows] = np.exp(np.interp(size, middle, np.log(typical)))
         return spread
 
@@ -232,10 +232,10 @@ GATE_SHARE = 0.3
 """A gate grows by this share of the box's size, as errors of boxes do."""
 SPREADS = 4.5
 """The last gates in spreads of the residuals."""
-MOST_ROUNDS = 10
+MAX_ROUNDS = 10
 SAME = 0.003
 """The matches stay if fewer than this share of them change."""
-LEAST_FIT = 10
+MIN_FIT = 10
 ROUGH = 4
 """Iterations of a rough fit."""
 
@@ -277,7 +277,7 @@ class Aligner:
         return aligned
 
     def until_stable(
-        self, aligned: Alignment, unknowns: Unknowns, *, tied: bool, rounds: int = MOST_ROUNDS
+        self, aligned: Alignment, unknowns: Unknowns, *, tied: bool, rounds: int = MAX_ROUNDS
     ) -> Alignment:
         """Match and fit until the matches stay, at most so many times."""
         for _ in range(rounds):
@@ -313,7 +313,7 @@ class Aligner:
         values = start
         for _ in range(2 if most else 1):  # the spreads follow from the residuals, which follow from the fit
             spreads = residuals.spreads_px(np.nan_to_num(residuals.px(self.model, values), nan=0.0))
-            if len(residuals.row) < LEAST_FIT or not unknowns.shared:
+            if len(residuals.row) < MIN_FIT or not unknowns.shared:
                 break
             values = fit(self.model, residuals, values, unknowns, spreads, tied=tied, most=most)
         return Alignment(values, sightings, residuals, spreads)

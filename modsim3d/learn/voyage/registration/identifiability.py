@@ -20,7 +20,7 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.learn.voyage.registration.parameters import SHARED, SHARED_NAMES, plausible
 
 LEVEL = 0.95
-MOST_DEGREES = 1e4
+MAX_DEGREES = 1e4
 FULL = 1e-9
 
 
@@ -138,7 +138,7 @@ def _degrees(reaches: Array, squares: Array, bread: Array) -> Array:
         spread = np.diag(squares[:, value]) - reach @ bread @ reach.T
         total = np.trace(spread)
         degrees[value] = total**2 / max(float((spread**2).sum()), 1e-300)
-    return np.clip(degrees, 1.0, MOST_DEGREES)
+    return np.clip(degrees, 1.0, MAX_DEGREES)
 
 
 def covering(known: Knowledge, others: Sequence[Array]) -> Knowledge:

@@ -24,7 +24,7 @@ from modsim3d.scene.scene import Scene
 # ---- The first guess ----
 
 CELL_RAD = np.radians(0.5)
-MOST_DOWN_RAD = np.radians(4.0)
+MAX_DOWN_RAD = np.radians(4.0)
 SIZE_RATIO = 2.5
 SEARCHED_FRAMES = 150
 APART_S = 2.0
@@ -156,13 +156,13 @@ def _votes(seen: _Seen, vessels: _Seen, most_turn_rad: float) -> tuple[int, floa
     side = np.remainder(seen.azimuth[box] - vessels.azimuth[row] + np.pi, 2 * np.pi) - np.pi
     down = seen.down[box] - vessels.down[row]
     ratio = np.abs(np.log(np.maximum(seen.width[box], 1e-6) / np.maximum(vessels.width[row], 1e-6)))
-    kept = (np.abs(side) < most_turn_rad) & (np.abs(down) < MOST_DOWN_RAD) & (ratio < np.log(SIZE_RATIO))
+    kept = (np.abs(side) < most_turn_rad) & (np.abs(down) < MAX_DOWN_RAD) & (ratio < np.log(SIZE_RATIO))
     side, down, box = side[kept], down[kept], box[kept]
     if not len(side):
         return 0, 0.0, 0.0
-    columns, rows = (int(2 * most // CELL_RAD) + 3 for most in (most_turn_rad, MOST_DOWN_RAD))
+    columns, rows = (int(2 * most // CELL_RAD) + 3 for most in (most_turn_rad, MAX_DOWN_RAD))
     column = ((side + most_turn_rad) // CELL_RAD).astype(int) + 1
-    level = ((down + MOST_DOWN_RAD) // CELL_RAD).astype(int) + 1
+    level = ((down + MAX_DOWN_RAD) // CELL_RAD).astype(int) + 1
     cells = np.bincount(column * rows + level, minlength=columns * rows)[: columns * rows].reshape(columns, rows)
     around = np.pad(cells, 1)
     smooth = np.sum([around[i : i + columns, j : j + rows] for i in range(3) for j in range(3)], axis=0)
@@ -173,12 +173,12 @@ def _votes(seen: _Seen, vessels: _Seen, most_turn_rad: float) -> tuple[int, floa
 
 # ---- When a registration cannot be known, and why ----
 
-LEAST_VESSELS, LEAST_MATCHES = 3, 30
-LEAST_BEARINGS_DEG = 3.0
+MIN_VESSELS, MIN_MATCHES = 3, 30
+MIN_BEARINGS_DEG = 3.0
 OVER_CHANCE = 1.5
-LEAST_SHARE = 0.15
+MIN_SHARE = 0.15
 """Least share of the detections that a registration has to explain."""
-_NEEDED = f"at least {LEAST_MATCHES} matches of {LEAST_VESSELS} vessels are needed"
+_NEEDED = f"at least {MIN_MATCHES} matches of {MIN_VESSELS} vessels are needed"
 _OTHERWISE = (
     "The log may be of another place, camera or time; its boxes may be in pixels of another size, or too far off; or "
     "what the scene says of the camera is: its place, its focal length, or its pitch, by more than 4°"
@@ -193,12 +193,12 @@ def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None
     """
     if not len(found.frame):
         raise ModsimError("registration: there are no detections")
-    if len(found.frame) < LEAST_MATCHES:
+    if len(found.frame) < MIN_MATCHES:
         raise ModsimError(f"registration: too little to go by: {counted(len(found.frame), 'detection')}, and {_NEEDED}")
     others = int(model.traffic.present.any(axis=0).sum()) - (model.traffic.carrier is not None)
-    if others < LEAST_VESSELS:
+    if others < MIN_VESSELS:
         raise ModsimError(
-            f"registration: the scene has {counted(others, 'vessel')} for the camera to see; at least {LEAST_VESSELS} "
+            f"registration: the scene has {counted(others, 'vessel')} for the camera to see; at least {MIN_VESSELS} "
             "are needed"
         )
     low, high = model.traffic.span_s
@@ -220,11 +220,11 @@ def check_search(voted: Search, model: BoxModel, found: BoxesAtTimes, clocks_s: 
     """
     _check_bearings(model, found.boxes_px, "detections")
     best = voted.guesses[0].votes if voted.guesses else 0
-    if best > OVER_CHANCE * voted.chance and best >= LEAST_SHARE * voted.searched:
+    if best > OVER_CHANCE * voted.chance and best >= MIN_SHARE * voted.searched:
         return
     around = search(model, found, clocks_s[:: max(len(clocks_s) // 20, 1)], np.pi, 1)
     most = around.guesses[0].votes if around.guesses else 0
-    if most > OVER_CHANCE * around.chance and most >= LEAST_SHARE * around.searched and most > 2 * best:
+    if most > OVER_CHANCE * around.chance and most >= MIN_SHARE * around.searched and most > 2 * best:
         turn = around.guesses[0].yaw_deg
         yaw_rad = np.arctan2(*(f(model.traffic.camera.mount.yaw_rad + np.radians(turn)) for f in (np.sin, np.cos)))
         raise ModsimError(
@@ -248,7 +248,7 @@ def check_matches(model: BoxModel, aligned: Alignment, names: tuple[str, ...]) -
     """
     seen = aligned.sightings
     vessels = np.unique(seen.vessel)
-    if len(vessels) < LEAST_VESSELS or len(seen) < LEAST_MATCHES:
+    if len(vessels) < MIN_VESSELS or len(seen) < MIN_MATCHES:
         who = ", ".join(names[vessel] for vessel in vessels) or "none"
         raise ModsimError(
             f"registration: too little to go by: {counted(len(seen), 'match', 'matches')} of "
@@ -263,10 +263,10 @@ def _check_bearings(model: BoxModel, boxes_px: Array, what: str) -> None:
     pixels = np.stack([(boxes_px[:, 0] + boxes_px[:, 2]) / 2, boxes_px[:, 3]], axis=-1)
     rays = lens.unproject(pixels, np.ones(len(pixels)))
     low, high = np.nanpercentile(np.degrees(np.arctan2(rays[:, 0], rays[:, 2])), [2, 98])
-    if high - low < LEAST_BEARINGS_DEG:
+    if high - low < MIN_BEARINGS_DEG:
         raise ModsimError(
             f"registration: all {what} lie within {high - low:.1f}° of one bearing; at least"
-            f" {LEAST_BEARINGS_DEG:g}° are needed to tell the clock, the yaw and the lens apart"
+            f" {MIN_BEARINGS_DEG:g}° are needed to tell the clock, the yaw and the lens apart"
         )
 
 
@@ -277,8 +277,8 @@ def _duration(seconds: float) -> str:
 
 
 CLOCK_STEP_S = 0.5
-MOST_TURN_DEG = 15.0
-MOST_GUESSES, LIKELY = 5, 0.6
+MAX_TURN_DEG = 15.0
+MAX_GUESSES, LIKELY = 5, 0.6
 """How many guesses are tried, and with how many votes in shares of the best one's."""
 STARTS_APART_S = 0.5
 """Starts whose clocks have come closer than this are the same."""
@@ -301,11 +301,11 @@ def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -
     """
     model, found, free = aligner.model, aligner.found, aligner.free
     clocks = np.arange(-searched_s, searched_s + CLOCK_STEP_S / 2, CLOCK_STEP_S) if "clock_s" in free else np.zeros(1)
-    voted = search(model, found, clocks, np.radians(MOST_TURN_DEG if "yaw_deg" in free else 2.0))
+    voted = search(model, found, clocks, np.radians(MAX_TURN_DEG if "yaw_deg" in free else 2.0))
     check_search(voted, model, found, clocks, scene)
     zero = {name: 0.0 for name in ("clock_s", "yaw_deg", "pitch_deg") if name not in free}
     tried, clocks_s = list[tuple[Array, Values]](), list[float]()
-    for guess in voted.guesses[:MOST_GUESSES]:
+    for guess in voted.guesses[:MAX_GUESSES]:
         if guess.votes < LIKELY * voted.guesses[0].votes:
             break
         rough = aligner.first(guess.values(len(model.hulls_m)).changed(**zero))

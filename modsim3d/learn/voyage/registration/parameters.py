@@ -130,7 +130,7 @@ WORTH = 3e-3
 AHEAD = ("ahead_m", "how far it is ahead of its reports, at its mean speed", "m")
 SLOW_M_S = 0.3
 SURE = 0.25
-LEAST_SPREAD = 1e-3
+MIN_SPREAD = 1e-3
 """The same of spreads within the steps, which then hardly change."""
 
 
@@ -208,7 +208,7 @@ def restricted_spreads(
     weight = PRIOR_VESSELS if expected.any() else 0.0
     for _ in range(ROUNDS):
         inverse = joint.copy()
-        inverse[own, own] += np.tile(1 / np.maximum(squares, LEAST_SPREAD**2), count)
+        inverse[own, own] += np.tile(1 / np.maximum(squares, MIN_SPREAD**2), count)
         covariance = np.linalg.pinv(inverse, hermitian=True)
         values, variances = (covariance @ pull)[own], covariance[own, own]
         sums = (values**2 + variances).reshape(count, 2).sum(axis=0)

@@ -135,7 +135,7 @@ class Registration:
 
 SEARCHED_S = 60.0
 FIRST_FRAMES = 150
-MOST_BOXES = 2500
+MAX_BOXES = 2500
 """Of more detections a fit takes frames that are evenly spread: those beside each other have nearly the same errors."""
 BY_RULE = ("mean_x_px", "mean_y_px")
 """Mean errors are zero, or given: in the images nothing else looks like yaw and pitch."""
@@ -194,7 +194,7 @@ def register(
     hiding = HidingBodies.of(scene, model)
     first = Aligner(model, hiding, given.some(FIRST_FRAMES), free, use_sizes)
     best, rivals = starts(first, searched_s, float(np.hypot(offsets_m or 0.0, noise_m)), scene)
-    some = given.some(max(int(len(given.times_s) * MOST_BOXES / len(given.frame)), FIRST_FRAMES))
+    some = given.some(max(int(len(given.times_s) * MAX_BOXES / len(given.frame)), FIRST_FRAMES))
     aligner = Aligner(model, hiding, some, free, use_sizes)
     aligned = aligner.until_stable(aligner.first(best), aligner.all_unknowns(), tied=True)
     check_matches(model, aligned, scene.vessel_names)
