@@ -189,7 +189,7 @@ def _status() -> int:
     try:
         check_memory()
         check_arguments(sys.argv[1:])
-        _asked(sys.argv[1:])(prog_name=_completed_name(), complete_var=COMPLETE_VARIABLE)
+        _asked(sys.argv[1:])(prog_name=_program_name(), complete_var=COMPLETE_VARIABLE)
     except SystemExit as ended:
         return int(ended.code or 0)
     except ModsimError as error:
@@ -208,9 +208,10 @@ def _status() -> int:
     return BAD_INPUT
 
 
-def _completed_name() -> str | None:
-    """The name that shells complete, which is not `python -m modsim3d`; None for the name that it was called by."""
-    return "modsim3d" if any("-completion" in argument for argument in sys.argv[1:]) else None
+def _program_name() -> str:
+    """The name in messages, whatever module Python was started with; shells complete only the short one."""
+    completing = any("-completion" in argument for argument in sys.argv[1:])
+    return "python -m modsim3d" if sys.argv[0].endswith("__main__.py") and not completing else "modsim3d"
 
 
 if __name__ == "__main__":
