@@ -8,7 +8,7 @@ from operator import or_
 import numpy as np
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.render.plain_ids import PlainIds
+from modsim3d.render.id_pass import PlainIds
 from modsim3d.runs.counts import NOTHING_WRONG, frame_outcomes
 from modsim3d.runs.frames import Frame
 from modsim3d.scene.scene import Scene

@@ -250,7 +250,7 @@ class VesselMark:
 
     def __init__(self, sheet: MapSheet, index: int) -> None:
         """Draw the whole track, and put the rest where `show` finds it."""
-        from modsim3d.view.map_names import ArrowSymbol, HullSymbol  # it needs matplotlib
+        from modsim3d.view.map_key import ArrowSymbol, HullSymbol  # it needs matplotlib
 
         birds_eye, scene = sheet.birds_eye, sheet.birds_eye.scene
         self._sheet, self._index, self._vessel = sheet, index, scene.vessels[index]

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from shapely import LineString, distance, points
 
-from modsim3d.render.id_pass import Region
-from modsim3d.render.plain_ids import PlainIds
+from modsim3d.render.id_pass import PlainIds, Region
 from modsim3d.truth.buffer_drawing import triangles_of
 from tests.scenes import INTRINSICS, outlines_of, random_places
 

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image, ImageDraw
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.render.plain_ids import PlainIds
+from modsim3d.render.id_pass import PlainIds
 from modsim3d.runs.counts import NOTHING_WRONG
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnnotationBbox
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.render.plain_ids import PlainIds
+from modsim3d.render.id_pass import PlainIds
 from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene

@@ -10,7 +10,7 @@ from operator import or_
 import numpy as np
 import pytest
 
-from modsim3d.render.plain_ids import PlainIds
+from modsim3d.render.id_pass import PlainIds
 from modsim3d.runs.counts import NOTHING_WRONG, Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import run_scene

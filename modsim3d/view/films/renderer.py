@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from modsim3d.core.arrays import Array, Indices
-from modsim3d.render.plain_ids import AnyIdRenderer
+from modsim3d.render.id_pass import AnyIdRenderer
 from modsim3d.runs.frames import Frame
 from modsim3d.runs.selection import StepFrames
 from modsim3d.scene.scene import Scene

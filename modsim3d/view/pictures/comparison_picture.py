@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from modsim3d.core.arrays import Mask
-from modsim3d.render.plain_ids import AnyIdRenderer
+from modsim3d.render.id_pass import AnyIdRenderer
 from modsim3d.view import palette
 from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import Box, Canvas, Window, font

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import areas, intersections, unions
 from modsim3d.io.atomic_write import encoded, put_in_place
-from modsim3d.render.plain_ids import AnyIdRenderer
+from modsim3d.render.id_pass import AnyIdRenderer
 from modsim3d.runs.counts import NOTHING_WRONG, Outcome, frame_outcomes, having
 from modsim3d.runs.files.stored_tables import StoredTables
 from modsim3d.runs.files.table_columns import BOX_SIDES

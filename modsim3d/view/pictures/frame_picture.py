@@ -10,8 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.render.id_pass import Ids, Region
-from modsim3d.render.plain_ids import AnyIdRenderer
+from modsim3d.render.id_pass import AnyIdRenderer, Ids, Region
 from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.frames import Frame
 from modsim3d.scene.scene import Scene

@@ -10,8 +10,7 @@ from PIL import Image
 from modsim3d.core.arrays import Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.atomic_write import encoded, written_whole
-from modsim3d.render.id_pass import Ids
-from modsim3d.render.plain_ids import AnyIdRenderer
+from modsim3d.render.id_pass import AnyIdRenderer, Ids
 from modsim3d.scene.sight import IdImage
 from modsim3d.view import palette
 from modsim3d.view.palette import Colour, obstacle_colour, vessel_colour

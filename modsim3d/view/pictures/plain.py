@@ -14,8 +14,7 @@ from PIL import Image, ImageDraw
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import RendererError
 from modsim3d.geometry.camera import Camera, Intrinsics
-from modsim3d.render.id_pass import Ids, Region
-from modsim3d.render.plain_ids import AnyIdRenderer, PlainIds
+from modsim3d.render.id_pass import AnyIdRenderer, Ids, PlainIds, Region
 from modsim3d.runs.pipeline import open_renderer
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
