@@ -1,4 +1,4 @@
-"""Tracks in a CSV file with a line of names."""
+"""Tracks in text: a CSV file with a line of names, or files of MOTChallenge, one a camera."""
 
 from __future__ import annotations
 

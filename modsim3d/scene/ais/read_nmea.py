@@ -8,7 +8,7 @@ A sentence gives only the second of the minute at which it was sent, so a log mu
 - a Unix time there, as the United States Coast Guard's and many receivers' logs have it: `1423133048 !AIVDM,...` or
   `!AIVDM,...*5C,r003669945,1423133048`.
 
-`beside` has the rules. All parts of a message may have the time, or only the first.
+`time_beside` has the rules. All parts of a message may have the time, or only the first.
 
 Of the message types of ITU-R M.1371-5, 1 to 3 (class A), 18 and 19 (class B) are positions of ships; 5, 19 and 24 are
 particulars; 4, 9, 11 and 21 are base stations, aircraft and aids to navigation. Type 27 gives positions to 0.1 minute
