@@ -309,7 +309,7 @@ def print_crashed(console: Console, table: pa.Table, folder: Path) -> None:
         print_prose(console, f"… and {len(found) - MAX_ERRORS:,} other errors", "dim", indent=2)
     number, quoted = found[0][2][0], shlex.quote(str(folder))
     out = shlex.quote(str(folder / RUNS_FOLDER / str(number)))
-    print_line(console, f"  the first again: modsim3d campaign-run {quoted} {number} --out {out}", "dim")
+    print_line(console, f"  the first again: modsim3d campaign reproduce {quoted} {number} --out {out}", "dim")
 
 
 def duration_text(seconds: float | None) -> str:

@@ -143,13 +143,6 @@ class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
     rectangles = "rectangles"
 
 
-class Render(str, Enum):  # noqa: UP042
-    """How much of an image is rendered."""
-
-    regions = "regions"
-    full = "full"
-
-
 def run_command(
     scene: SceneArgument,
     out: Annotated[
@@ -177,10 +170,6 @@ def run_command(
         ),
     ] = None,
     steps: StepsOption = None,
-    render: Annotated[
-        Render | None,
-        typer.Option(metavar="PART", help="What is rendered: regions where vessels overlap, or full images."),
-    ] = None,
     settings: SetOption = None,
     state: StateOption = None,
     state_from: FromOption = None,
@@ -208,7 +197,6 @@ def run_command(
             steps=steps,
             mode=mode,
             source=source.value if source else None,
-            render=render.value if render else None,
             settings=read_settings(settings or ()),
             state=state,
             state_from=state_from,

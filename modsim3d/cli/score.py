@@ -13,7 +13,9 @@ from modsim3d.cli.shared import (
     JsonOption,
     OverwriteOption,
     QuietOption,
+    SimilarityOption,
     VerboseOption,
+    parse_similarity,
     print_line,
     print_written,
     typed_command,
@@ -31,16 +33,13 @@ def score_command(
         list[Path],
         typer.Argument(metavar="TRACKS", help="Folders that `modsim3d track` wrote, or files of your own tracker."),
     ],
-    truth: Annotated[
+    vessels: Annotated[
         Literal["annotated", "full"],
-        typer.Option(help="annotated: vessels that the detector was given; full: all in the image, whole boxes."),
+        typer.Option(
+            help="Vessels that count: annotated, as the detector was given, or full, all in the image with whole boxes."
+        ),
     ] = "annotated",
-    similarity: Annotated[
-        Literal["iou", "centre"], typer.Option(help="How boxes are compared; centre: by distance over --scale.")
-    ] = "iou",
-    scale: Annotated[
-        float | None, typer.Option(metavar="PX", help="Distance of centres at which --similarity centre is 0.")
-    ] = None,
+    similarity: SimilarityOption = None,
     threshold: Annotated[
         float, typer.Option(metavar="S", help="Least similarity at which a track follows a vessel.")
     ] = 0.5,
@@ -86,7 +85,8 @@ def score_command(
 
     with timed("opening the run"):
         opened = open_run(run)
-    paths = [] if out is None else [out / name for name in FILES]
+    paths = [] if out is None else [out / file for file in FILES]
+    name, scale_px = parse_similarity(similarity)
     read = [*read_of_run(run), *tracks]
     tell_files(read)
     with claimed(paths, overwrite=overwrite, inputs=read):
@@ -94,9 +94,9 @@ def score_command(
             scores = score_run(
                 opened,
                 tracks,
-                truth=truth,
-                similarity=similarity,
-                scale_px=scale,
+                truth=vessels,
+                similarity=name,
+                scale_px=scale_px,
                 threshold=threshold,
                 gap_s=gap,
                 by_class=by_class,

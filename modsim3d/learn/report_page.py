@@ -17,7 +17,6 @@ from modsim3d.learn.box_errors import estimate
 from modsim3d.learn.box_errors.laws import CELLS, ErrorMoments
 from modsim3d.learn.figures import AveragePrecisions, Curve, Figures, Ranking, Rates
 from modsim3d.learn.learned import LearnSettings, models_and_learners
-from modsim3d.learn.matching_bias import Bias
 from modsim3d.learn.report import LearnReport, how_well, lead, learned_from, results
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages import charts, page
@@ -77,7 +76,6 @@ def tables(report: LearnReport, every: bool = False) -> list[Table]:
     found += [_label_errors(report, figures) for figures in detailed if several and every]
     found += [_confusion(report, figures) for figures in detailed]
     found += [*_shares(report), _parameters(report), *_long_run(report)]
-    found += [] if report.bias is None else [_bias(report.bias)]
     return [*found, _models()]
 
 
@@ -238,21 +236,6 @@ def _number(value: float, low: float, high: float) -> tuple[str, str]:
         return "–", "–"
     told = np.isfinite(low) and np.isfinite(high)
     return f"{value:.4g}", f"{low:.4g} to {high:.4g}" if told else "–"
-
-
-def _bias(bias: Bias) -> Table:
-    rows: list[tuple[float, Row]] = []
-    for each in bias.shifts:
-        for found in zip(*np.nonzero(np.atleast_1d(bias.significant(each))), strict=True):
-            place = found if np.ndim(each.shift) else ()
-            strength = abs(float(each.shift[place])) / float(each.error[place])
-            numbers = [float(values[place]) for values in (each.entry.estimate, each.again, each.corrected)]
-            cells = (each.entry.key.at(place), *(f"{number:.4g}" for number in numbers), f"{strength:.1f}")
-            rows.append((strength, cells))
-    rows.sort(key=lambda row: -row[0])
-    header = ("number", "learned", "learned again", "corrected", "standard errors")
-    title = "Bias of the matching, by simulating what was learned and learning again"
-    return Table(title, header, tuple(row for _, row in rows[:40]) or (("none is sure", "", "", "", ""),))
 
 
 def _used(report: LearnReport) -> Table:

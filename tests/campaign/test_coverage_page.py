@@ -104,8 +104,8 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
     versions = {**facts["versions"], **facts["conditions"][0]["trackers"]["sort"]["versions"]}
     assert "trackers" in versions
     assert all(lines_of(page)[name] == [version] for name, version in versions.items())
-    assert f"modsim3d campaign-run {result.folder.path} 0 --out run_0" in page
-    assert f"modsim3d campaign {result.folder.path}/campaign.yaml --out campaign_again" in page
+    assert f"modsim3d campaign reproduce {result.folder.path} 0 --out run_0" in page
+    assert f"modsim3d campaign run {result.folder.path}/campaign.yaml --out campaign_again" in page
     assert f"{RATE} differ from seed to seed" in page
 
 
@@ -118,7 +118,7 @@ def test_the_first_of_very_many_verdicts_are_shown_and_the_file_that_has_all_is_
 
 def test_a_campaign_without_requirements_or_rows_has_a_trace_too(result: CampaignResult) -> None:
     page = "\n".join(trace_sections(result.folder, result.table.slice(0, 0), []))
-    assert "no requirements" in page and "campaign-run" in page
+    assert "no requirements" in page and "campaign reproduce" in page
     verdict = Verdict(0, "hota", "sort", 0, "undecided", "", 0.95, None, None, None, 0)
     assert "none" in "\n".join(trace_sections(result.folder, result.table.slice(0, 0), [verdict]))
 

@@ -19,7 +19,7 @@ from tests.campaign.small_campaign import small_campaign
 from tests.cli.conftest import Modsim3d
 
 KEYS = {"scene": "harbour", "steps": 3, "trackers": ["reference"], "require": [{"score": "hota", "at_least": 0.9}]}
-COMMANDS = (["campaign-status"], ["campaign-table"], ["campaign-report"], ["campaign-run", "0", "--out", "again"])
+COMMANDS = (["status"], ["table"], ["report"], ["reproduce", "0", "--out", "again"])
 
 
 @pytest.fixture(scope="module")

@@ -6,25 +6,24 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.cli.main import COMMANDS
 from tests.cli.conftest import Modsim3d
-from tests.cli.test_help import GROUP, OPTIONS
+from tests.cli.test_help import LEAVES, OPTIONS
 
 
 @pytest.fixture
 def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...]]:
     return {
         "run": ("run", scene, "--source", "analytic", "--overwrite", "--out", tmp_path / "run"),
-        "detect": ("detect", run, "--seed", 3, "--overwrite", "--out", tmp_path / "detect"),
-        "check": ("check", scene),
-        "verify": ("verify", run, "--overwrite", "--out", tmp_path / "verify"),
-        "repeat": ("repeat", run),
-        "compare": ("compare", scene, "--steps", 2),
-        "learn": ("learn", "--run", run, "--replicates", 20, "--overwrite", "--out", tmp_path / "learned.yaml"),
+        "detect": ("detect", run, "--detector-seed", 3, "--overwrite", "--out", tmp_path / "detect"),
+        "check": ("check", "scene", scene),
+        "verify": ("check", "run", run, "--overwrite", "--out", tmp_path / "verify"),
+        "repeat": ("check", "repeat", run),
+        "compare": ("check", "truth", scene, "--steps", 2),
+        "learn": ("learn", run, "--replicates", 20, "--overwrite", "--out", tmp_path / "learned.yaml"),
         "track": ("track", run, "--overwrite", "--out", tmp_path / "tracks"),
         "export": ("export", run, "--format", "coco", "--overwrite", "--out", tmp_path / "coco"),
         "report": ("report", run, "--overwrite", "--out", tmp_path / "page.html"),
-        "view": ("view", run, "--frame", 3, "--width", 160, "--overwrite", "--out", tmp_path / "picture.png"),
+        "view": ("view", "frame", run, 3, "--width", 160, "--overwrite", "--out", tmp_path / "picture.png"),
     }
 
 
@@ -33,9 +32,9 @@ COMMANDS_TRIED = ("run", "detect", "check", "verify", "repeat", "compare", "lear
 
 def test_every_command_with_something_to_tell_has_both_options() -> None:
     have = {name for name, parameter in OPTIONS if parameter.name in ("quiet", "verbose")}
-    assert have == {name for _, name, _, _ in COMMANDS} - {"scenes"}
+    assert have == LEAVES.keys() - {"scenes"}
     for name in have:
-        opts = [opt for parameter in GROUP.commands[name].params for opt in parameter.opts]
+        opts = [opt for parameter in LEAVES[name].params for opt in parameter.opts]
         assert {"-q", "--quiet", "-v", "--verbose"} <= set(opts)
 
 
@@ -68,12 +67,12 @@ def test_verbose_names_the_opengl_that_draws(
 
 def test_both_are_refused(modsim3d: Modsim3d, run: Path) -> None:
     for flags in (("-q", "-v"), ("-v", "-q"), ("-qv",)):
-        said = modsim3d("verify", run, *flags)
+        said = modsim3d("check", "run", run, *flags)
         assert said.status == 2
         assert said.err.endswith("modsim3d: --quiet and --verbose contradict each other: leave one out\n")
 
 
 def test_errors_are_not_silenced(modsim3d: Modsim3d) -> None:
-    said = modsim3d("check", "nowhere.yaml", "-q")
+    said = modsim3d("check", "scene", "nowhere.yaml", "-q")
     assert (said.status, said.out) == (2, "")
     assert "no such file" in said.err

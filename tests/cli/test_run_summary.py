@@ -107,7 +107,7 @@ def test_check_warns_of_the_sign_of_the_pitch(
     scenes = Path(shutil.copytree(load_scene("simulation_2").path.parent, tmp_path / "scenes"))
     text = (scenes / "simulation_2.yaml").read_text()
     (scenes / "simulation_2.yaml").write_text(re.sub(r"pitch_rad: 0\.0157\d*", "pitch_rad: -0.4157", text))
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "check", str(scenes / "simulation_2.yaml")])
+    monkeypatch.setattr(sys, "argv", ["modsim3d", "check", "scene", str(scenes / "simulation_2.yaml")])
     with pytest.raises(SystemExit) as stopped:
         main.main()
     assert not stopped.value.code

@@ -12,9 +12,9 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.learned import Learned, LearnSettings, learn
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.matching_bias import simulated
 from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.simulated_results import simulated
 
 SIZE = (640.0, 480.0)
 _CORRELATION = np.array([[1, 0.2, 0.3, 0], [0.2, 1, 0, -0.2], [0.3, 0, 1, 0.4], [0, -0.2, 0.4, 1]])

@@ -11,9 +11,9 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.learned import Learned, LearnSettings, learn
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.matching_bias import simulated
 from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.simulated_results import simulated
 
 BOATS, RATE_HZ, SIDE_PX = 3, 5.0, 900.0
 

@@ -148,7 +148,7 @@ def test_an_interrupted_run_is_refused(tmp_path, monkeypatch, capsys):
 def test_the_command_writes_a_run_and_says_what_is_in_it(first, tmp_path, monkeypatch, capsys):
     detector = tmp_path / "mine.yml"
     shutil.copy(ORIGINAL, detector)
-    arguments = ["detect", first, "--detector", detector, "--seed", 3, "--out", tmp_path / "new"]
+    arguments = ["detect", first, "--detector", detector, "--detector-seed", 3, "--out", tmp_path / "new"]
     monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:
         main.main()

@@ -171,7 +171,7 @@ def command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 
 
 def test_the_contact_sheet_of_a_finished_run_can_be_drawn_again(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert command(monkeypatch, "view", str(run), "--sheet") == 0
+    assert command(monkeypatch, "view", "sheet", str(run)) == 0
     (run / "contact_sheet.png").unlink()
 
 

@@ -156,7 +156,7 @@ def test_loading_and_checking_read_nothing(tmp_path, monkeypatch, capsys):
 
     path = scene_of(tmp_path, {"stream": "-"})
     monkeypatch.setattr(sys, "stdin", Stdin())
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "check", str(path)])
+    monkeypatch.setattr(sys, "argv", ["modsim3d", "check", "scene", str(path)])
     with pytest.raises(SystemExit) as ended:
         main.main()
     assert not ended.value.code
@@ -307,15 +307,16 @@ def test_a_bad_line_is_told_with_its_number_and_what_is_finished_is_kept(tmp_pat
         assert [list(json.loads(each)) for each in kept] == [["0.0"], ["0.1"]]
 
 
-@pytest.mark.parametrize("command", [["detect", "--out", "again"], ["verify"], ["view", "--frame", "0.1"]])
+@pytest.mark.parametrize(
+    "command", [["detect", "OUT", "--out", "again"], ["check", "run", "OUT"], ["view", "frame", "OUT", "0.1"]]
+)
 def test_an_interrupted_live_run_says_how_to_make_a_finished_one_of_it(tmp_path, monkeypatch, stdin, capsys, command):
     stdin("".join(lines(2)) + "{")
     path, out = scene_of(tmp_path, {"stream": "-"}), tmp_path / "out"
     with pytest.raises(InputError):
         run_scene(load_scene(path), out)
     monkeypatch.chdir(tmp_path)
-    name, *options = command
-    monkeypatch.setattr(sys, "argv", ["modsim3d", name, str(out), *options])
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *(str(out) if word == "OUT" else word for word in command)])
     with pytest.raises(SystemExit):
         main.main()
     (advice,) = re.findall(r"`modsim3d run (\S+) --out DIR` makes a finished run", capsys.readouterr().err)
@@ -382,13 +383,13 @@ def test_a_stream_takes_no_sea_and_no_rates_that_need_steps_to_come(tmp_path):
     [
         (("run", "--workers", "2"), "leave --workers out"),
         (("run", "--resume"), "--resume needs poses that can be read again"),
-        (("compare",), "compare needs a scene whose steps are known"),
+        (("check truth",), "check truth needs a scene whose steps are known"),
     ],
 )
 def test_what_a_stream_cannot_do_is_refused_in_one_message(tmp_path, monkeypatch, capsys, arguments, part):
     path = scene_of(tmp_path, {"stream": "-"})
     command, *options = arguments
-    monkeypatch.setattr(sys, "argv", ["modsim3d", command, str(path), *options])
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *command.split(), str(path), *options])
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as ended:
         main.main()

@@ -414,7 +414,7 @@ def test_the_command_names_vessel_and_command_and_draws_the_picture(
     assert "silhouette pixels" in text
     assert f"run '{path}' --seed" in text
     assert "--set annotation.supersample=2" in text
-    assert "view unchecked --ids --frame" in text
+    assert "view frame unchecked" in text
     assert (tmp_path / "run" / "unfinished" / "cross_check.png").is_file()
     assert "cross_check.png" in text
 
@@ -469,14 +469,14 @@ def test_view_writes_an_id_buffer_as_png_or_npy(scene: Scene, tmp_path: Path) ->
 
     run_scene(scene, tmp_path / "run")
     expected = scene.at(1).render_ids("C0").ids
-    command = ["view", str(tmp_path / "run"), "--ids", "--frame", "1"]
+    command = ["view", "frame", str(tmp_path / "run"), "1", "--kind", "id_buffer"]
     for line in (command, [*command, "--out", str(tmp_path / "ids.npy")]):
         done = CliRunner().invoke(app, line)
         assert done.exit_code == 0, done.output
         assert "near" in done.output
     np.testing.assert_array_equal(np.array(Image.open(tmp_path / "run" / "id_buffer_C0_000001.png")), expected)
     np.testing.assert_array_equal(np.load(tmp_path / "ids.npy"), expected)
-    refused = CliRunner().invoke(app, ["view", str(tmp_path / "run"), "--ids"])
+    refused = CliRunner().invoke(app, ["view", "frame", str(tmp_path / "run"), "--kind", "id_buffer"])
     assert refused.exit_code != 0
 
 

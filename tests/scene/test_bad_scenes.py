@@ -27,7 +27,7 @@ def refused(tmp_path, monkeypatch, capsys):
 
     def look(scene):
         messages = []
-        for command in (["check", scene], ["run", scene, "--out", tmp_path / "out", "--no-sheet"]):
+        for command in (["check", "scene", scene], ["run", scene, "--out", tmp_path / "out", "--no-sheet"]):
             monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, command)])
             with pytest.raises(SystemExit) as stopped:
                 main.main()

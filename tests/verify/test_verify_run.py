@@ -52,7 +52,7 @@ def command(monkeypatch, *arguments) -> int:
 
 
 def test_an_honest_run_obeys_and_says_so(finished, monkeypatch, capsys):
-    assert command(monkeypatch, "verify", finished) == 0
+    assert command(monkeypatch, "check", "run", finished) == 0
     said = capsys.readouterr().out
     assert "obeys its detector file" in said
     assert "states.excellent.confusion[background][Vessel]" in said
@@ -77,7 +77,7 @@ def test_a_change_made_after_the_run_is_caught_and_named(finished, tmp_path, mon
     changed = tmp_path / "changed.yaml"
     changed.write_text(yaml.safe_dump(data, sort_keys=False))
     out = tmp_path / "report"
-    assert command(monkeypatch, "verify", finished, "--detector", changed, "--out", out) == 1
+    assert command(monkeypatch, "check", "run", finished, "--detector", changed, "--out", out) == 1
     report = json.loads((out / "verify.json").read_text())
     assert report["cause"] == "states.good.confidence.std"
     assert "does NOT obey" in capsys.readouterr().out
@@ -168,13 +168,13 @@ def test_changes_that_are_noticeable_are_caught_and_named(many, table):
 
 
 def test_another_detector_with_other_states_cannot_have_made_a_run(finished, monkeypatch, capsys):
-    line = ("verify", finished, "--detector", DETECTORS / "experiment_1.yaml", "--overwrite")
+    line = ("check", "run", finished, "--detector", DETECTORS / "experiment_1.yaml", "--overwrite")
     assert command(monkeypatch, *line) == 2
     assert "cannot have made this run" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_no_run_is_bad_input(tmp_path, monkeypatch, capsys):
-    assert command(monkeypatch, "verify", tmp_path) == 2
+    assert command(monkeypatch, "check", "run", tmp_path) == 2
     assert "run.json" in capsys.readouterr().err
 
 
@@ -182,7 +182,7 @@ def test_a_table_that_is_broken_is_bad_input(finished, tmp_path, monkeypatch, ca
     broken = tmp_path / "broken"
     shutil.copytree(finished, broken)
     (broken / "detections.parquet").write_bytes(b"not a table")
-    assert command(monkeypatch, "verify", broken) == 2
+    assert command(monkeypatch, "check", "run", broken) == 2
     assert "detections.parquet has 11 bytes, and had" in capsys.readouterr().err
 
 

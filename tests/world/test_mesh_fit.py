@@ -65,7 +65,7 @@ def test_an_obj_with_y_up_is_warned_of_with_its_extents_and_the_axes_that_fit(
     ship().apply_transform(Z_UP_TO_Y_UP).export(tmp_path / "blender.obj")
     scene = {**SCENE, "vessels": {**SCENE["vessels"], "v": {**GOOD_VESSEL, "mesh": "blender.obj"}}}  # type: ignore[dict-item]
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "check", str(tmp_path / "scene.yaml")])
+    monkeypatch.setattr(sys, "argv", ["modsim3d", "check", "scene", str(tmp_path / "scene.yaml")])
     with pytest.raises(SystemExit) as stopped:
         main.main()
     assert not stopped.value.code

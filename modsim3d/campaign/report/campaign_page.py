@@ -66,7 +66,7 @@ def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
         places = sorted(sorted(places, key=lambda each: worst[each])[:MAX_ROWS])
         remark = (
             f" The {MAX_ROWS} rows of {worst.size:,} with the worst {scores[0].name} are shown; "
-            "modsim3d campaign-table has all."
+            "modsim3d campaign table has all."
         )
     keys, judged = varying(plan), _judged(plan)
     remark += " Intervals of means that are required are those of the requirements, above." * bool(judged)
@@ -283,9 +283,8 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
         "requirements count each crash as wrong, or stay undecided. To see an error again:"
     )
     first, path = ordered[0][1][0]["run"], folder.path
-    again = (
-        f"modsim3d campaign-run {shlex.quote(str(path))} {first} --out {shlex.quote(str(path / 'runs' / str(first)))}"
-    )
+    out = shlex.quote(str(path / "runs" / str(first)))
+    again = f"modsim3d campaign reproduce {shlex.quote(str(path))} {first} --out {out}"
     more = f" The {MAX_ERRORS} most frequent errors are shown." if len(ordered) > MAX_ERRORS else ""
     return [
         page.heading("Runs that crashed"),

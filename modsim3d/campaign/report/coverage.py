@@ -135,8 +135,8 @@ def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[str]:
     )
     path, again = folder.path, f"{folder.path.name}_again"
     commands = {
-        "the whole campaign again": ["modsim3d", "campaign", str(path / FILE), "--out", again],
-        f"run {number} alone": ["modsim3d", "campaign-run", str(path), str(number), "--out", f"run_{number}"],
+        "the whole campaign again": ["modsim3d", "campaign", "run", str(path / FILE), "--out", again],
+        f"run {number} alone": ["modsim3d", "campaign", "reproduce", str(path), str(number), "--out", f"run_{number}"],
     }
     rows = "\n".join(
         f"<tr><td>{html.escape(what)}</td><td><code>{html.escape(shlex.join(words))}</code></td></tr>"

@@ -98,7 +98,7 @@ def test_vessels_without_room_are_warned_of(
     assert left_out > 0
     result = run_scene(loaded, tmp_path / "run")
     assert any(warning.startswith(said) for warning in run_warnings(loaded, result))
-    monkeypatch.setattr("sys.argv", ["modsim3d", "check", str(scene), "--json"])
+    monkeypatch.setattr("sys.argv", ["modsim3d", "check", "scene", str(scene), "--json"])
     with pytest.raises(SystemExit):
         main.main()
     assert any(warning.startswith(said) for warning in json.loads(capsys.readouterr().out)["warnings"])
