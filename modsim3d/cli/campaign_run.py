@@ -282,8 +282,7 @@ def campaign_plan_command(
         ),
     ] = None,
     like: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Earlier campaign of this kind, which says what is expected."),
+        Path | None, typer.Option(metavar="DIR", help="Earlier campaign of this kind, which says what is expected.")
     ] = None,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,

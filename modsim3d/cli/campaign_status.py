@@ -32,10 +32,7 @@ if TYPE_CHECKING:
 
 
 def campaign_status_command(
-    campaign: CampaignArgument,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    campaign: CampaignArgument, quiet: QuietOption = False, verbose: VerboseOption = False, json: JsonOption = False
 ) -> None:
     """Say how far a campaign is and what is known of its requirements, while it is worked on or afterwards.
 

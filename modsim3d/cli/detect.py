@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +21,7 @@ from modsim3d.cli.shared import (
     VerboseOption,
     WorkersOption,
     progress,
+    under,
 )
 from modsim3d.cli.terminal import say_json, tell_files, timed
 from modsim3d.core.errors import InputError, ModsimError
@@ -32,36 +33,16 @@ if TYPE_CHECKING:
 
 FILES = "Labelled files"
 ImageSizeOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="W,H",
-        help="Size of the images in pixels, for YOLO and for MOT without seqinfo.ini.",
-        rich_help_panel=FILES,
-    ),
+    str | None, under(FILES, "W,H", "Size of the images in pixels, for YOLO and for MOT without seqinfo.ini.")
 ]
 FrameRateOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="HZ",
-        help="Frames per second, for MOT without seqinfo.ini and for COCO without times.",
-        rich_help_panel=FILES,
-    ),
+    float | None, under(FILES, "HZ", "Frames per second, for MOT without seqinfo.ini and for COCO without times.")
 ]
 ConfidenceScaleOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="LOW,HIGH",
-        help="Confidences in the files that stand for 0 and for 1, such as 0,100.",
-        rich_help_panel=FILES,
-    ),
+    str | None, under(FILES, "LOW,HIGH", "Confidences in the files that stand for 0 and for 1, such as 0,100.")
 ]
 HorizonOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ROW",
-        help="Row of the horizon in images that do not say theirs, or X1,Y1,X2,Y2.",
-        rich_help_panel=FILES,
-    ),
+    str | None, under(FILES, "ROW", "Row of the horizon in images that do not say theirs, or X1,Y1,X2,Y2.")
 ]
 SkipBadOption = Annotated[
     bool,
@@ -95,33 +76,24 @@ def parsed_horizon(text: str) -> tuple[float, ...] | float:
 
 
 def parsed_scale(text: str) -> tuple[float, float]:
-    """Both ends of a text such as `0,100`.
-
-    Raises:
-        InputError: The text is something else.
-    """
-    try:
-        low, high = (float(part) for part in text.split(","))
-    except ValueError:
-        low, high = math.nan, math.nan
-    if not -math.inf < low < high < math.inf:
-        raise InputError("--confidence-scale", [f"must be LOW,HIGH, two numbers that rise, as 0,100 (got '{text}')"])
-    return low, high
+    """Both ends of a text such as `0,100`."""
+    return _pair(text, "--confidence-scale", "LOW,HIGH, two numbers that rise, as 0,100", lambda low, high: low < high)
 
 
 def parsed_size(text: str) -> tuple[float, float]:
-    """Width and height of a text such as `1920,1080`.
+    """Width and height of a text such as `1920,1080`."""
+    needed = "W,H in pixels, both sides above 0, as 1920,1080"
+    return _pair(text.replace("x", ","), "--image-size", needed, lambda width, height: min(width, height) > 0)
 
-    Raises:
-        InputError: The text is something else.
-    """
+
+def _pair(text: str, option: str, needed: str, holds: Callable[[float, float], bool]) -> tuple[float, float]:
     try:
-        width, height = (float(part) for part in text.replace("x", ",").split(","))
+        first, second = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError("--image-size", [f"must be W,H in pixels, as 1920,1080 (got '{text}')"]) from None
-    if not (width > 0 and height > 0):
-        raise InputError("--image-size", [f"both sides must be above 0 (got '{text}')"])
-    return width, height
+        first, second = math.nan, math.nan
+    if not (math.isfinite(first + second) and holds(first, second)):
+        raise InputError(option, [f"must be {needed} (got '{text}')"])
+    return first, second
 
 
 def detect_command(

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -31,6 +30,7 @@ from modsim3d.cli.shared import (
     print_line,
     print_written,
     typed_command,
+    under,
 )
 from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell_files, timed, warn
 from modsim3d.core.errors import ModsimError
@@ -46,14 +46,6 @@ if TYPE_CHECKING:
 # ---- Options that `modsim3d learn-voyage` has too ----
 
 MODELS, NUMBERS, TIMES, GUESS = "Models", "Intervals and figures", "States in time", "A guess of another condition"
-
-
-class FalsePositiveChoice(str, Enum):  # noqa: UP042 (typer shows the plain values)
-    """Model of the number of false positives."""
-
-    auto = "auto"
-    calibrated = "calibrated"
-    per_image = "per_image"
 
 
 DetectorOutOption = Annotated[
@@ -77,63 +69,34 @@ MatchOption = Annotated[
     ),
 ]
 ConfidenceOption = Annotated[
-    float | None,
-    typer.Option(metavar="P", help="Least confidence of a detection that counts.", show_default="0.2"),
+    float | None, typer.Option(metavar="P", help="Least confidence of a detection that counts.", show_default="0.2")
 ]
 SequenceOption = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Text file with a state on each line, in time order, for the transitions.",
-        rich_help_panel=TIMES,
-    ),
+    Path | None, under(TIMES, "FILE", "Text file with a state on each line, in time order, for the transitions.")
 ]
-IntervalOption = Annotated[
-    float | None,
-    typer.Option(metavar="S", help="Seconds between two lines of --sequence.", rich_help_panel=TIMES),
-]
+IntervalOption = Annotated[float | None, under(TIMES, "S", "Seconds between two lines of --sequence.")]
 ClutterOption = Annotated[
-    FalsePositiveChoice,
-    typer.Option(
-        metavar="MODEL",
-        help="Model of the number of false positives: auto, calibrated or per_image.",
-        rich_help_panel=MODELS,
-    ),
+    Literal["auto", "calibrated", "per_image"],
+    under(MODELS, "MODEL", "Model of the number of false positives: auto, calibrated or per_image."),
 ]
 WithoutOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="MODEL,...",
-        help="Models to leave out, whatever the data carry: relative, mixed, student_t, effects, persistence, "
+    under(
+        MODELS,
+        "MODEL,...",
+        "Models to leave out, whatever the data carry: relative, mixed, student_t, effects, persistence, "
         "vessels, sizes, places, lasting, confidence, slopes, duplicates, merges, splits.",
-        rich_help_panel=MODELS,
     ),
 ]
-LevelOption = Annotated[
-    float, typer.Option(metavar="P", help="Confidence level of the intervals.", rich_help_panel=NUMBERS)
-]
-ReplicatesOption = Annotated[
-    int,
-    typer.Option(metavar="N", help="Number of bootstrap replicates, for the intervals.", rich_help_panel=NUMBERS),
-]
+LevelOption = Annotated[float, under(NUMBERS, "P", "Confidence level of the intervals.")]
+ReplicatesOption = Annotated[int, under(NUMBERS, "N", "Number of bootstrap replicates, for the intervals.")]
 BootstrapSeedOption = Annotated[
     int,
     typer.Option("--seed", metavar="N", help="Seed of all random numbers: of the bootstrap.", rich_help_panel=NUMBERS),
 ]
-BetaOption = Annotated[
-    float,
-    typer.Option(
-        metavar="B", help="How many times more recall weighs than precision in F-beta.", rich_help_panel=NUMBERS
-    ),
-]
-LabelsOption = Annotated[
-    str | None,
-    typer.Option(metavar="A,B,...", help="Labels of the classes of MOT and YOLO, in order.", rich_help_panel=FILES),
-]
-CategoryOffsetOption = Annotated[
-    int,
-    typer.Option(metavar="N", help="Number to add to the category IDs of COCO results.", rich_help_panel=FILES),
-]
+BetaOption = Annotated[float, under(NUMBERS, "B", "How many times more recall weighs than precision in F-beta.")]
+LabelsOption = Annotated[str | None, under(FILES, "A,B,...", "Labels of the classes of MOT and YOLO, in order.")]
+CategoryOffsetOption = Annotated[int, under(FILES, "N", "Number to add to the category IDs of COCO results.")]
 
 
 # ---- The command ----
@@ -143,8 +106,7 @@ def learn_command(
     context: typer.Context,
     out: DetectorOutOption,
     runs: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="RUN", help="Run directories, in place of --truth and --detections."),
+        list[Path] | None, typer.Argument(metavar="RUN", help="Run directories, in place of --truth and --detections.")
     ] = None,
     truth: Annotated[
         list[Path] | None,
@@ -153,8 +115,7 @@ def learn_command(
     detections: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="FILE",
-            help="Detections of each --truth: COCO results, MOT det.txt or YOLO folder; repeatable.",
+            metavar="FILE", help="Detections of each --truth: COCO results, MOT det.txt or YOLO folder; repeatable."
         ),
     ] = None,
     condition: Annotated[
@@ -175,7 +136,7 @@ def learn_command(
     horizon: HorizonOption = None,
     category_offset: CategoryOffsetOption = 0,
     skip_bad: SkipBadOption = False,
-    clutter: ClutterOption = FalsePositiveChoice.auto,
+    clutter: ClutterOption = "auto",
     without: WithoutOption = None,
     sequence: SequenceOption = None,
     interval: IntervalOption = None,
@@ -185,20 +146,10 @@ def learn_command(
     beta: BetaOption = 2.0,
     detector: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Detector file or shipped name that is changed from one condition to another.",
-            rich_help_panel=GUESS,
-        ),
+        under(GUESS, "FILE", "Detector file or shipped name that is changed from one condition to another."),
     ] = None,
-    from_condition: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Condition that --detector was measured in.", rich_help_panel=GUESS),
-    ] = None,
-    to_condition: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Condition to guess --detector in.", rich_help_panel=GUESS),
-    ] = None,
+    from_condition: Annotated[str | None, under(GUESS, "NAME", "Condition that --detector was measured in.")] = None,
+    to_condition: Annotated[str | None, under(GUESS, "NAME", "Condition to guess --detector in.")] = None,
 ) -> None:
     """Learn a detector from its results on a labelled set, with intervals that say how well it is known.
 
@@ -218,25 +169,9 @@ def learn_command(
     from modsim3d.learn.learning import LearnInputs, detector_files, learned_files
 
     request = learn_request(
-        match=match,
-        states=states,
-        labels=labels,
-        without=without,
-        sequence=sequence,
-        confidence_scale=confidence_scale,
+        context,
         image_size_px=None if image_size is None else parsed_size(image_size),
         horizon=None if horizon is None else parsed_horizon(horizon),
-        conditions=condition or (),
-        interval_s=interval,
-        confidence=confidence,
-        clutter=clutter.value,
-        replicates=replicates,
-        seed=seed,
-        level=level,
-        beta=beta,
-        frame_rate_hz=frame_rate,
-        category_offset=category_offset,
-        skip_bad=skip_bad,
     )
     out = out_file(out, Path("detector.yaml"))
     written = detector_files(out)
@@ -255,28 +190,27 @@ def learn_command(
     say_json(learn_json(result.report, written))
 
 
-def learn_request(
-    *,
-    match: str | None,
-    states: Sequence[str] | None,
-    labels: str | None,
-    without: str | None,
-    sequence: Path | None,
-    confidence_scale: str | None,
-    **given: Any,
-) -> LearnRequest:
-    """Request of what the options say, some of which are texts."""
+def learn_request(context: typer.Context, **given: Any) -> LearnRequest:
+    """Request of the options that `learn` and `learn-voyage` share, and of what else is given."""
     from modsim3d.io.input_files import read_text
     from modsim3d.learn.request import LearnRequest, parse_match, parse_states
 
+    option = context.params
+    scale, sequence = option["confidence_scale"], option["sequence"]
+    same = ("confidence", "replicates", "seed", "level", "beta", "category_offset", "skip_bad")
     return LearnRequest.of(
         "modsim3d learn",
-        **({} if match is None else parse_match(match)),
-        **parse_states(list(states) if states else None, "--states"),
-        labels=parsed_names(labels, "--labels"),
-        without=parsed_names(without, "--without"),
-        sequence=None if sequence is None else read_text(sequence, "sequence"),
-        confidence_scale=None if confidence_scale is None else parsed_scale(confidence_scale),
+        **parse_match(option["match"]),
+        **parse_states(list(option["states"] or ()) or None, "--states"),
+        conditions=tuple(option["condition"] or ()),
+        labels=parsed_names(option["labels"], "--labels"),
+        without=parsed_names(option["without"], "--without"),
+        sequence=None if sequence is None else read_text(Path(sequence), "sequence"),
+        interval_s=option["interval"],
+        confidence_scale=None if scale is None else parsed_scale(scale),
+        frame_rate_hz=option["frame_rate"],
+        clutter=str(option["clutter"]),
+        **{name: option[name] for name in same},
         **given,
     )
 

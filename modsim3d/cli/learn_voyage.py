@@ -16,7 +16,6 @@ from modsim3d.cli.learn import (
     ClutterOption,
     ConfidenceOption,
     DetectorOutOption,
-    FalsePositiveChoice,
     IntervalOption,
     LabelsOption,
     LevelOption,
@@ -38,6 +37,7 @@ from modsim3d.cli.shared import (
     out_file,
     print_line,
     typed_command,
+    under,
 )
 from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell_files, timed
 from modsim3d.core.errors import InputError
@@ -56,8 +56,7 @@ def learn_voyage_command(
     detections: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="FILE",
-            help="Detections of the voyage: the log of a camera's detector, or a run; repeatable.",
+            metavar="FILE", help="Detections of the voyage: the log of a camera's detector, or a run; repeatable."
         ),
     ] = None,
     camera: Annotated[
@@ -71,35 +70,24 @@ def learn_voyage_command(
     match: MatchOption = None,
     confidence: ConfidenceOption = None,
     write_scene: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Scene folder to write, with the registered cameras."),
+        Path | None, typer.Option(metavar="DIR", help="Scene folder to write, with the registered cameras.")
     ] = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
     json: JsonOption = False,
     log_start: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME",
-            help="Time of the logs' zero: UTC, or seconds since the scene's first step.",
-            rich_help_panel=LOGS,
-        ),
+        str | None, under(LOGS, "TIME", "Time of the logs' zero: UTC, or seconds since the scene's first step.")
     ] = None,
     images: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="COCO file with the times of the images that COCO results name.",
-            rich_help_panel=LOGS,
-        ),
+        Path | None, under(LOGS, "FILE", "COCO file with the times of the images that COCO results name.")
     ] = None,
     empty: Annotated[
         str | None,
-        typer.Option(
-            metavar="FROM-TO,...",
-            help="Stretches in which nothing floats but the scene's vessels, by the log's clock, in seconds or UTC.",
-            rich_help_panel=LOGS,
+        under(
+            LOGS,
+            "FROM-TO,...",
+            "Stretches in which nothing floats but the scene's vessels, by the log's clock, in seconds or UTC.",
         ),
     ] = None,
     confidence_scale: ConfidenceScaleOption = None,
@@ -109,48 +97,45 @@ def learn_voyage_command(
     skip_bad: SkipBadOption = False,
     fixed: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME,...",
-            help="Parameters that are not registered: clock, roll, pitch, yaw, height, focal, k1, mean_width, "
+        under(
+            REGISTRATION,
+            "NAME,...",
+            "Parameters that are not registered: clock, roll, pitch, yaw, height, focal, k1, mean_width, "
             "mean_height; or all.",
-            rich_help_panel=REGISTRATION,
         ),
     ] = None,
     known: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME=VALUE,...",
-            help="Means that are known, for registration: of box errors, mean_x and mean_y in pixels, mean_width and "
+        under(
+            REGISTRATION,
+            "NAME=VALUE,...",
+            "Means that are known, for registration: of box errors, mean_x and mean_y in pixels, mean_width and "
             "mean_height as shares; of position reports, delay in seconds.",
             show_default="zero",
-            rich_help_panel=REGISTRATION,
         ),
     ] = None,
     attitude: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Table of own ship's roll, pitch and heading by time.", rich_help_panel=REGISTRATION
-        ),
+        Path | None, under(REGISTRATION, "FILE", "Table of own ship's roll, pitch and heading by time.")
     ] = None,
     position_noise: Annotated[
         float | None,
-        typer.Option(
-            metavar="M",
-            help="Standard deviation of each coordinate of positions in the scene.",
+        under(
+            REGISTRATION,
+            "M",
+            "Standard deviation of each coordinate of positions in the scene.",
             show_default="10 with AIS, else 0",
-            rich_help_panel=REGISTRATION,
         ),
     ] = None,
     stale: Annotated[
         float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="Least time without an AIS report after which a vessel under way is left out.",
+        under(
+            REGISTRATION,
+            "SECONDS",
+            "Least time without an AIS report after which a vessel under way is left out.",
             show_default="60",
-            rich_help_panel=REGISTRATION,
         ),
     ] = None,
-    clutter: ClutterOption = FalsePositiveChoice.auto,
+    clutter: ClutterOption = "auto",
     without: WithoutOption = None,
     sequence: SequenceOption = None,
     interval: IntervalOption = None,
@@ -174,25 +159,7 @@ def learn_voyage_command(
     from modsim3d.scene.parts import SCENE_FILE
     from modsim3d.scene.reading import load_scene
 
-    request = learn_request(
-        match=match,
-        states=states,
-        labels=labels,
-        without=without,
-        sequence=sequence,
-        confidence_scale=confidence_scale,
-        conditions=condition or (),
-        interval_s=interval,
-        confidence=confidence,
-        clutter=clutter.value,
-        replicates=replicates,
-        seed=seed,
-        level=level,
-        beta=beta,
-        frame_rate_hz=frame_rate,
-        category_offset=category_offset,
-        skip_bad=skip_bad,
-    )
+    request = learn_request(context)
     start = None if log_start is None else _start(log_start)
     voyage = VoyageRequest(
         request,

@@ -27,24 +27,15 @@ OLD_NAMES = {
     "detect --seed": "detect --detector-seed N",
     "export --attitude": "export --true-attitude",
     "guess": "learn --detector FILE --from-condition NAME --to-condition NAME",
-    "learn --attitude": "learn-voyage SCENE --attitude FILE",
     "learn --bias": "",
-    "learn --camera": "learn-voyage SCENE --camera NAME",
     "learn --correct": "",
     "learn --distance": "learn --match centre:PX",
-    "learn --empty": "learn-voyage SCENE --empty FROM-TO,...",
-    "learn --fixed": "learn-voyage SCENE --fixed NAME,...",
-    "learn --images": "learn-voyage SCENE --images FILE",
     "learn --iou": "learn --match confidence:IOU",
-    "learn --known": "learn-voyage SCENE --known NAME=VALUE,...",
     "learn --page": "learn --out FILE, and the page is beside it as .html",
-    "learn --position-noise": "learn-voyage SCENE --position-noise M",
     "learn --run": "learn RUN...",
     "learn --scene": "learn-voyage SCENE",
-    "learn --stale": "learn-voyage SCENE --stale SECONDS",
     "learn --start": "learn-voyage SCENE --log-start TIME",
     "learn --state": "learn --states NAME=COND,...",
-    "learn --write-scene": "learn-voyage SCENE --write-scene DIR",
     "repeat": "check repeat",
     "report --scale": "report --similarity centre:PX",
     "rerun": "export --format rerun --out DIR",
@@ -65,6 +56,8 @@ OLD_NAMES = {
     "view --to": "view film --end S",
     "view --visibility": "view film --look fog:M",
 }
+OF_A_VOYAGE = ("attitude", "camera", "empty", "fixed", "images", "known", "position-noise", "stale", "write-scene")
+OLD_NAMES |= {f"learn --{name}": f"learn-voyage SCENE --{name}" for name in OF_A_VOYAGE}
 """What stood after `modsim3d`, and what stands there now; nothing where an option has gone."""
 
 

@@ -28,8 +28,7 @@ def report_command(
     context: typer.Context,
     run: RunArgument,
     other: Annotated[
-        Path | None,
-        typer.Argument(metavar="RUN_B", help="Another run of the same truth, to show beside the first."),
+        Path | None, typer.Argument(metavar="RUN_B", help="Another run of the same truth, to show beside the first.")
     ] = None,
     out: Annotated[
         Path | None,

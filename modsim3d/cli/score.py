@@ -56,8 +56,7 @@ def score_command(
         typer.Option(metavar="M", help="Farthest that a track in the world follows a vessel.", show_default="50 m"),
     ] = None,
     camera: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Camera to score; repeatable.", show_default="all"),
+        list[str] | None, typer.Option(metavar="NAME", help="Camera to score; repeatable.", show_default="all")
     ] = None,
     seeds: Annotated[
         int | None,

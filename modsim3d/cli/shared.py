@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     from modsim3d.view.followed_tracks import FollowedTracks
 
 
+def under(panel: str, metavar: str, text: str, **more: Any) -> Any:
+    """An option that help shows under a panel, with what stands for its value and its text."""
+    return typer.Option(metavar=metavar, help=text, rich_help_panel=panel, **more)
+
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
@@ -289,10 +294,7 @@ def parse_similarity(text: str | None) -> tuple[SimilarityName, float | None]:
 
 
 def opened_tracks(
-    path: Path | None,
-    run: StoredRun,
-    similarity: str | None,
-    threshold: float | None,
+    path: Path | None, run: StoredRun, similarity: str | None, threshold: float | None
 ) -> FollowedTracks | None:
     """The tracks that `--tracks` names, with the vessels that they follow; None without it.
 

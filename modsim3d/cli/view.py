@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
@@ -44,34 +43,9 @@ MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 8192
 FRAME_FILES = "frame_*.png"
 
 
-class FilmKind(str, Enum):  # noqa: UP042 (typer shows the plain values)
-    """Content of a film."""
-
-    detections = "detections"
-    scene = "scene"
-    ids = "ids"
-    corners = "corners"
-    map = "map"
-    all = "all"
-
-
-class FrameKind(str, Enum):  # noqa: UP042
-    """Content of a picture of one step."""
-
-    detections = "detections"
-    scene = "scene"
-    ids = "ids"
-    corners = "corners"
-    all = "all"
-    id_buffer = "id_buffer"
-
-
-class FilmFormat(str, Enum):  # noqa: UP042
-    """File format of a film."""
-
-    mp4 = "mp4"
-    gif = "gif"
-    png = "png"
+FilmKind = Literal["detections", "scene", "ids", "corners", "map", "all"]
+FrameKind = Literal["detections", "scene", "ids", "corners", "all", "id_buffer"]
+FilmFormat = Literal["mp4", "gif", "png"]
 
 
 CamerasOption = Annotated[
@@ -127,13 +101,13 @@ def view_film_command(
             metavar="KIND",
             help="Kind of pictures: detections, scene, ids, corners, map, or all: three side by side.",
         ),
-    ] = FilmKind.detections,
+    ] = "detections",
     camera: CamerasOption = None,
     start: Annotated[
-        str | None, typer.Option(metavar="TIME", help="Time of the first step that is shown, in seconds.")
+        float | None, typer.Option(metavar="TIME", help="Time of the first step that is shown, in seconds.")
     ] = None,
     end: Annotated[
-        str | None, typer.Option(metavar="TIME", help="Time of the last step that is shown, in seconds.")
+        float | None, typer.Option(metavar="TIME", help="Time of the last step that is shown, in seconds.")
     ] = None,
     every: EveryOption = 1,
     only_with_vessels: Annotated[
@@ -172,15 +146,15 @@ def view_film_command(
 
     if not 0 < speed < float("inf"):
         raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")
-    request = _request(kind.value, layers, crop, width, look, tracks)
+    request = _request(kind, layers, crop, width, look, tracks)
     file_format = _film_format(format_, out)
     opened = _opened(run, tracks)
     followed = opened_tracks(tracks, opened, similarity, threshold)
     selection = select(
         opened,
         select_cameras(opened, camera or []),
-        from_s=_seconds(start, "--start"),
-        to_s=_seconds(end, "--end"),
+        from_s=start,
+        to_s=end,
         every=every,
         only_with_vessels=only_with_vessels,
     )
@@ -188,13 +162,6 @@ def view_film_command(
     _draw_film(selection, request.plan(selection, followed), request.kind, file_format, speed, workers, out, overwrite)
     if followed is not None:
         say(followed.sentence())
-
-
-def _seconds(text: str | None, option: str) -> float | None:
-    try:
-        return None if text is None else float(text)
-    except ValueError:
-        raise ModsimError(f"{option} {text}: needs a time of the run in seconds, such as 12.5") from None
 
 
 def _film_format(option: FilmFormat | None, out: Path | None) -> str:
@@ -210,9 +177,9 @@ def _film_format(option: FilmFormat | None, out: Path | None) -> str:
                 f"{out}: films cannot be written as .{ending}; use .mp4, .gif, or --format png with a folder"
             )
         return ending or "mp4"
-    if ending in [known.value for known in FilmFormat] and ending != option.value:
-        raise ModsimError(f"the ending of {out} contradicts --format {option.value}")
-    return option.value
+    if ending in get_args(FilmFormat) and ending != option:
+        raise ModsimError(f"the ending of {out} contradicts --format {option}")
+    return option
 
 
 def _draw_film(
@@ -264,7 +231,7 @@ def view_frame_command(
             help="Kind of picture: detections, scene, ids, corners, all: three side by side, or id_buffer: the ID at "
             "each pixel of a camera, as a PNG of 16 bits or, by --out, as .npy.",
         ),
-    ] = FrameKind.detections,
+    ] = "detections",
     camera: CamerasOption = None,
     tracks: TracksOption = None,
     similarity: SimilarityOption = None,
@@ -284,11 +251,11 @@ def view_frame_command(
     """
     from modsim3d.runs.selection import find_step, select, select_cameras, times_of
 
-    request = _request(kind.value, layers, crop, width, look, tracks)
+    request = _request(kind, layers, crop, width, look, tracks)
     opened = _opened(run, tracks)
     followed = opened_tracks(tracks, opened, similarity, threshold)
     cameras = select_cameras(opened, camera or [])
-    if kind is FrameKind.id_buffer:
+    if kind == "id_buffer":
         _write_id_buffer(opened, cameras, step, out, overwrite)
         return
     time_s = float(times_of(opened)[find_step(opened, step)])
@@ -331,10 +298,7 @@ def view_map_command(
 
 
 def view_sheet_command(
-    run: RunArgument,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
+    run: RunArgument, overwrite: OverwriteOption = False, quiet: QuietOption = False, verbose: VerboseOption = False
 ) -> None:
     """Draw contact_sheet.png of a finished run again.
 

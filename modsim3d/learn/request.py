@@ -20,30 +20,17 @@ Method = Literal["confidence", "optimal", "centre", "provenance"]
 
 
 class LearnRequest(Strict):
-    """How a detector is learned, from whatever labelled set.
+    """How a detector is learned, from whatever labelled set; what is not listed is as for `modsim3d.learn_detector`.
 
     Attributes:
         caller: What messages call the request.
-        conditions: A name for each pair of truth and detections, or for each log.
         states: Performance states as texts such as `good=day,cloudy`; a state for each condition if there are none.
         clusters: Number of states to be found by F1 instead.
         sequence: Text with the name of a state on each line, in time order.
         interval_s: Time between two states of the sequence, or between two transitions.
-        match: How boxes are matched; by what the labelled set has if None.
-        least_iou: Least IoU of a match by `confidence` and `optimal`.
-        most_distance_px: Largest distance between centres of a match by `centre`, in pixels.
-        confidence: Least confidence of a detection that counts; 0.2 if None.
-        confidence_scale: Confidences in the files that stand for 0 and for 1.
         clutter: Model of the number of false positives.
-        replicates: Number of replicates of the bootstrap.
-        seed: Seed of all random numbers.
         level: Confidence level of the intervals.
         beta: How many times more recall weighs than precision in F-beta.
-        without: Models to leave out.
-        labels: Names of the classes, for MOT and YOLO.
-        image_size_px: Width and height, for MOT without `seqinfo.ini` and YOLO without its images.
-        frame_rate_hz: Frames in a second, where the files do not say.
-        horizon: Row of the horizon in images that do not say theirs, or x and y of two of its points.
         category_offset: Number to add to the category IDs of COCO results.
         skip_bad: Whether wrong entries of the files are left out.
     """
@@ -129,12 +116,14 @@ class LearnRequest(Strict):
         return LearnOptions(self.states, self.clusters, self.sequence, interval_s, self.level, self.beta)
 
 
-def parse_match(text: str) -> dict[str, Any]:
-    """Method and limit of matches, from a text such as `optimal`, `confidence:0.4` or `centre:30`.
+def parse_match(text: str | None) -> dict[str, Any]:
+    """Method and limit of matches, from a text such as `optimal`, `confidence:0.4` or `centre:30`; none without one.
 
     Raises:
         ModsimError: There is no such method, or no such limit.
     """
+    if text is None:
+        return {}
     method, colon, limit = text.partition(":")
     name = {"confidence": "least_iou", "optimal": "least_iou", "centre": "most_distance_px"}.get(method)
     try:

@@ -1,17 +1,10 @@
 import subprocess
 import sys
 
-import pytest
 from PIL import Image
 
 from modsim3d.cli import main
-
-
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return stopped.value.code
+from tests.command_line import call
 
 
 def test_run_writes_a_contact_sheet_and_says_what_happened(monkeypatch, tmp_path, capsys):

@@ -161,11 +161,7 @@ def test_out_has_one_meaning() -> None:
         "campaign table",
         "campaign report",
     )
-    assert metavars == {
-        **dict.fromkeys(folders, "DIR"),
-        **dict.fromkeys(files, "FILE"),
-        "campaign reproduce": "RUN",
-    }
+    assert metavars == {**dict.fromkeys(folders, "DIR"), **dict.fromkeys(files, "FILE"), "campaign reproduce": "RUN"}
 
 
 def test_the_root_help_has_every_command_on_one_line_of_80_columns(

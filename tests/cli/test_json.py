@@ -17,31 +17,12 @@ from modsim3d.cli import terminal
 from modsim3d.detector.file.reading import shipped_detectors
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.run import RunResult
-from tests.cli.bad_input.writers import TRACKS
-from tests.cli.conftest import Modsim3d, Said
+from tests.cli.conftest import WITHOUT_OVERWRITE, Modsim3d, Said
 
 COMMANDS = (
     *("run", "detect", "check scene", "scenes", "check run", "check repeat", "check truth", "learn", "track", "score"),
 )
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
-
-
-@pytest.fixture
-def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...]]:
-    """A command line for each command that has `--json`."""
-    (tmp_path / "tracks.csv").write_text(TRACKS)
-    return {
-        "run": ("run", scene, "--source", "analytic", "--out", tmp_path / "run"),
-        "detect": ("detect", run, "--detector-seed", 3, "--out", tmp_path / "detect"),
-        "check scene": ("check", "scene", scene),
-        "scenes": ("scenes",),
-        "check run": ("check", "run", run, "--out", tmp_path / "verify"),
-        "check repeat": ("check", "repeat", run),
-        "check truth": ("check", "truth", scene, "--steps", 2, "--out", tmp_path / "compare"),
-        "track": ("track", run, "--out", tmp_path / "tracks"),
-        "score": ("score", run, tmp_path / "tracks.csv"),
-        "learn": ("learn", run, "--replicates", 20, "--out", tmp_path / "learned.yaml"),
-    }
 
 
 def parsed(said: Said) -> dict[str, Any]:
@@ -73,7 +54,7 @@ def test_standard_output_is_one_object_with_the_documented_keys(
     modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], command: str
 ) -> None:
     plain = modsim3d(*lines[command])
-    overwrite = () if command in ("check scene", "scenes", "check repeat") else ("--overwrite",)
+    overwrite = () if command in WITHOUT_OVERWRITE else ("--overwrite",)
     said = modsim3d(*lines[command], *overwrite, "--json")
     found = parsed(said)
     assert said.status == plain.status

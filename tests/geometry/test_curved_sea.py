@@ -1,18 +1,17 @@
 """On a curved sea what is far away lies lower; on a flat one a run says where that would be seen."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from modsim3d.cli import main
 from modsim3d.geometry.curved_sea import RADIUS_M, drop_m, lowered, shift_px
 from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.sources.compare import compare_sources
+from tests.command_line import call
 from tests.scenes import write_scene
 
 LONG_LENS = {
@@ -117,11 +116,7 @@ def test_sources_agree_on_a_curved_sea(tmp_path, renderer):
 def test_run_warns_once_with_how_many_and_how_far(tmp_path, monkeypatch, capsys):
     def said(sea):
         path = far_scene(tmp_path, sea=sea)
-        arguments = ["modsim3d", "run", str(path), "--out", str(tmp_path / sea), "--no-sheet"]
-        monkeypatch.setattr(sys, "argv", arguments)
-        with pytest.raises(SystemExit) as stopped:
-            main.main()
-        assert stopped.value.code == 0
+        assert call(monkeypatch, "run", path, "--out", tmp_path / sea, "--no-sheet") == 0
         return "".join(capsys.readouterr()), json.loads((tmp_path / sea / "run.json").read_text())["counts"]
 
     out, counts = said("flat")

@@ -1,20 +1,19 @@
 """The detector alone over a finished run's truth gives the bytes of a whole run with that detector and seed."""
 
 import shutil
-import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from modsim3d.cli import main
 from modsim3d.core.errors import InputError, RunDirectoryError
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs import run as detecting
 from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from tests.command_line import call
 
 DETECTORS = data_folder("scenes") / "detectors"
 ORIGINAL, EXPERIMENT = DETECTORS / "thesis_original.yaml", DETECTORS / "experiment_1.yaml"
@@ -138,10 +137,7 @@ def test_an_interrupted_run_is_refused(tmp_path, monkeypatch, capsys):
 
     with pytest.raises(Stop):
         run_scene(load_scene("simulation_1", steps=STEPS, source="analytic"), tmp_path / "cut", progress=stop)
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "detect", str(tmp_path / "cut"), "--out", str(tmp_path / "new")])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    assert stopped.value.code == 2
+    assert call(monkeypatch, "detect", tmp_path / "cut", "--out", tmp_path / "new") == 2
     assert "interrupted run" in capsys.readouterr().err
 
 
@@ -149,9 +145,6 @@ def test_the_command_writes_a_run_and_says_what_is_in_it(first, tmp_path, monkey
     detector = tmp_path / "mine.yml"
     shutil.copy(ORIGINAL, detector)
     arguments = ["detect", first, "--detector", detector, "--detector-seed", 3, "--out", tmp_path / "new"]
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    assert stopped.value.code == 0
+    assert call(monkeypatch, *arguments) == 0
     assert "detections" in capsys.readouterr().out
     assert (tmp_path / "new" / "scene" / "detector.yml").read_bytes() == detector.read_bytes()

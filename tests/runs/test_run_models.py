@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
-from modsim3d.cli import main
 from modsim3d.detector.records import KINDS
 from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.scene import Scene
+from tests.command_line import call as command
 
 DETECTORS = Path(__file__).resolve().parents[2] / "scenes" / "detectors"
 SCENE = """
@@ -160,14 +159,6 @@ def test_a_contact_sheet_shows_the_detections_of_the_run(prepared: Path, folder:
     )
     assert done.returncode == 0, done.stderr
     assert (folder / "drawn" / "contact_sheet.png").stat().st_size > 10_000
-
-
-def command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main.main()
-    assert isinstance(ended.value.code, int)
-    return ended.value.code
 
 
 def test_the_contact_sheet_of_a_finished_run_can_be_drawn_again(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:

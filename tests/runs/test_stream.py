@@ -15,7 +15,6 @@ import pyarrow as pa
 import pytest
 import yaml
 
-from modsim3d.cli import main
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.runs.files import tables
 from modsim3d.runs.pipeline import simulate_frames
@@ -24,6 +23,7 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import LivePoses, follow, read_steps
+from tests.command_line import call
 from tests.scenes import write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -156,10 +156,7 @@ def test_loading_and_checking_read_nothing(tmp_path, monkeypatch, capsys):
 
     path = scene_of(tmp_path, {"stream": "-"})
     monkeypatch.setattr(sys, "stdin", Stdin())
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "check", "scene", str(path)])
-    with pytest.raises(SystemExit) as ended:
-        main.main()
-    assert not ended.value.code
+    assert call(monkeypatch, "check", "scene", path) == 0
     assert "as they come" in capsys.readouterr().out
     assert load_scene(path).live
 
@@ -294,10 +291,7 @@ def test_a_bad_line_is_told_with_its_number_and_what_is_finished_is_kept(tmp_pat
     bad, *parts = BAD[fault]
     stdin("".join(lines(2)).encode() + bad)
     path, out = scene_of(tmp_path, {"stream": "-"}), tmp_path / "out"
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "run", str(path), "--out", str(out), "--no-sheet"])
-    with pytest.raises(SystemExit) as ended:
-        main.main()
-    assert ended.value.code == 2
+    assert call(monkeypatch, "run", path, "--out", out, "--no-sheet") == 2
     said = capsys.readouterr().err
     for part in (*parts, "the 2 steps before are kept as complete lines in"):
         assert part in said
@@ -316,9 +310,7 @@ def test_an_interrupted_live_run_says_how_to_make_a_finished_one_of_it(tmp_path,
     with pytest.raises(InputError):
         run_scene(load_scene(path), out)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *(str(out) if word == "OUT" else word for word in command)])
-    with pytest.raises(SystemExit):
-        main.main()
+    call(monkeypatch, *(out if word == "OUT" else word for word in command))
     (advice,) = re.findall(r"`modsim3d run (\S+) --out DIR` makes a finished run", capsys.readouterr().err)
     run_scene(load_scene(advice), tmp_path / "finished")
     assert open_run(tmp_path / "finished").steps == 2
@@ -389,11 +381,8 @@ def test_a_stream_takes_no_sea_and_no_rates_that_need_steps_to_come(tmp_path):
 def test_what_a_stream_cannot_do_is_refused_in_one_message(tmp_path, monkeypatch, capsys, arguments, part):
     path = scene_of(tmp_path, {"stream": "-"})
     command, *options = arguments
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *command.split(), str(path), *options])
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        main.main()
-    assert ended.value.code == 2
+    assert call(monkeypatch, *command.split(), path, *options) == 2
     assert part in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
 

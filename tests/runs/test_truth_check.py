@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import modsim3d
-from modsim3d.cli.main import app, main
+from modsim3d.cli.main import app
 from modsim3d.cli.run_summary import _check_rows
 from modsim3d.runs import pipeline
 from modsim3d.runs.pipeline import simulate_frames
@@ -38,6 +38,7 @@ from modsim3d.truth.crosscheck import comparison
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.silhouettes import Spans
+from tests.command_line import call
 from tests.scenes import write_scene
 
 BOATS = {
@@ -406,10 +407,7 @@ def test_the_command_names_vessel_and_command_and_draws_the_picture(
     span_off_by_one(monkeypatch)
     (tmp_path / "my boats").mkdir()
     path = write_boats(tmp_path / "my boats", supersample=2)
-    monkeypatch.setattr("sys.argv", ["modsim3d", "run", str(path), "--out", str(tmp_path / "run"), "--no-sheet"])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code == 2
+    assert call(monkeypatch, "run", path, "--out", tmp_path / "run", "--no-sheet") == 2
     text = " ".join(capsys.readouterr().err.split())
     assert "silhouette pixels" in text
     assert f"run '{path}' --seed" in text

@@ -6,15 +6,14 @@ Swapped latitudes and longitudes are in `ais/test_ais_command.py`, broken stream
 import gzip
 import json
 import struct
-import sys
 import tracemalloc
 
 import pytest
 
-from modsim3d.cli import main
 from modsim3d.io.input_files import read_text
 from modsim3d.scene.keys import PoseKeys
 from modsim3d.scene.reading import load_scene
+from tests.command_line import call
 from tests.scenes import write_scene
 
 BOATS = {"own": ([8, 4, 2], []), "other": ([20, 6, 9], [])}
@@ -28,11 +27,8 @@ def refused(tmp_path, monkeypatch, capsys):
     def look(scene):
         messages = []
         for command in (["check", "scene", scene], ["run", scene, "--out", tmp_path / "out", "--no-sheet"]):
-            monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, command)])
-            with pytest.raises(SystemExit) as stopped:
-                main.main()
-            said = capsys.readouterr()
-            assert stopped.value.code == 2, said.out + said.err
+            status, said = call(monkeypatch, *command), capsys.readouterr()
+            assert status == 2, said.out + said.err
             assert "Traceback" not in said.out + said.err
             messages.append(said.err)
         assert messages[0] == messages[1]

@@ -2,13 +2,11 @@
 
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
-from modsim3d.cli import main
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.io.input_files import data_folder
@@ -20,6 +18,7 @@ from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.parameters import FALLS_SHORT
 from modsim3d.verify.verification import verify_evidence
 from modsim3d.verify.verify_run import verify_run, write_report
+from tests.command_line import call as command
 from tests.detector_changes import single_changes
 from tests.detector_variants import CHANGES, thesis_data, variant
 
@@ -42,13 +41,6 @@ def many() -> ManyDetections:
 def table(many) -> MomentTable:
     """What is expected of box errors over that truth: most models have the same law of them."""
     return MomentTable()
-
-
-def command(monkeypatch, *arguments) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return stopped.value.code
 
 
 def test_an_honest_run_obeys_and_says_so(finished, monkeypatch, capsys):

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d.cli import main
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmLayout
 from modsim3d.view.pictures import id_buffer
+from tests.command_line import call
 from tests.scenes import crossing
 
 STEPS = 12
@@ -44,10 +44,7 @@ def two_cameras(tmp_path_factory):
 
 
 def view(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "view", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return stopped.value.code
+    return call(monkeypatch, "view", *arguments)
 
 
 def probe(path):

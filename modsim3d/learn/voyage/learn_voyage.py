@@ -106,21 +106,12 @@ def with_sure_boxes(labelled: LabelledSet) -> LabelledSet:
 
 @dataclass(frozen=True, eq=False)
 class VoyageRequest:
-    """A scene, the logs of its cameras' detectors, and how a detector is learned from them.
+    """A scene, the logs of its cameras' detectors, and how a detector is learned; the rest is as for `learn_voyage`.
 
     Attributes:
         request: How it is learned, as from any labelled set.
-        scene: The scene.
         logs: What the detector wrote.
         cameras: The scene's camera of each log, or one for all; None where the log says it or there is one only.
-        registration: What is added to each camera and to the clock, or what finds it; estimated if None.
-        fixed: Parameters that are not estimated.
-        known: Means that are known beforehand.
-        empty: Stretches in which nothing floats but the scene's vessels.
-        position_noise: Standard deviation of each coordinate of positions, in metres.
-        stale_s: Least time without an AIS report of a vessel under way that is left out.
-        attitude: File of own ship's roll, pitch and heading.
-        log_options: What the logs do not say themselves.
     """
 
     request: LearnRequest

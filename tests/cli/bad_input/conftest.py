@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import copy
-import sys
 from pathlib import Path
 
 import pytest
 
-from modsim3d.cli import main
+from tests import command_line
 from tests.cli.bad_input.builders import GOOD, Call, Inputs, Refused
 
 
@@ -22,11 +21,8 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
     """A function that runs the command line in this process and returns its exit status and output."""
 
     def run(*arguments: object) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main.main()
-        said = capsys.readouterr()
-        return int(stopped.value.code or 0), said.out + said.err
+        status, said = command_line.call(monkeypatch, *arguments), capsys.readouterr()
+        return status, said.out + said.err
 
     return run
 

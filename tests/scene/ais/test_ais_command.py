@@ -8,7 +8,8 @@ import sys
 
 import pytest
 
-from tests.scene.ais.ais_builders import SAMPLE_NAMES, SAMPLES, TABLES, command, old_file, read_json, row
+from tests.command_line import call as command
+from tests.scene.ais.ais_builders import SAMPLE_NAMES, SAMPLES, TABLES, old_file, read_json, row
 
 DANISH = SAMPLES / "danish.csv"
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +15,6 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.cli import main
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.run import run_scene
@@ -28,6 +26,7 @@ from modsim3d.view.report.packing import NONE, in_quanta
 from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.recorder import quantum_px
 from modsim3d.view.report.report import write_report
+from tests.command_line import call
 from tests.scenes import mistaken_strait, write_scene
 from tests.view.report.conftest import STEPS
 from tests.view.report.unpacking import read
@@ -285,13 +284,6 @@ def test_interrupted_run_shows_what_is_there_and_says_so(tmp_path, page):
 def test_run_without_a_finished_step_is_refused(run_folder):
     with pytest.raises(RunDirectoryError, match="nothing to show"):
         write_report(replace(open_run(run_folder), steps=0))
-
-
-def call(monkeypatch, *arguments) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return int(stopped.value.code)
 
 
 def test_command_says_where_the_page_is(monkeypatch, capsys, run_folder, tmp_path):

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d.cli import main
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.view.report import side_by_side
 from modsim3d.view.report.overview import VesselOutcome
 from modsim3d.view.report.side_by_side import Differences, differences, paired_detections, write_side_by_side
+from tests import command_line
 from tests.view.report.browser import Browser
 from tests.view.report.test_layout import PHONE, TABLET
 
@@ -174,11 +174,8 @@ def test_from_above_vessels_are_where_the_scene_has_them(browser, mistaken_page,
 
 
 def call(monkeypatch, capsys, *arguments) -> tuple[int, str]:
-    monkeypatch.setattr("sys.argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    told = capsys.readouterr()
-    return int(stopped.value.code), " ".join((told.out + told.err).split())
+    status, told = command_line.call(monkeypatch, *arguments), capsys.readouterr()
+    return status, " ".join((told.out + told.err).split())
 
 
 def test_the_command_takes_two_runs(monkeypatch, capsys, mistaken_folder, other_folder, run_folder, tmp_path):
