@@ -35,8 +35,6 @@ from tests.tracks.sea_runs import (
     sea_run,
 )
 
-EVERY = np.arange(STEPS)
-
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
@@ -104,23 +102,18 @@ def test_tracks_shifted_by_3_and_4_metres_have_errors_of_5(rows: RunRows, scored
     assert values(scores, "rmse_m_s", "gospa_missed_m", "gospa_false_m", "nees") == [0, 0, 0, None]
 
 
-def test_nees_of_a_shift_is_its_mahalanobis_distance(rows: RunRows, scored: Any) -> None:
-    whole = np.broadcast_to(np.diag([9.0, 4.0, 1.0, 1.0]), (int(scored.sum()), 4, 4))
+def test_nees_of_a_shift_is_its_mahalanobis_distance_and_infinite_where_a_covariance_is_singular(
+    rows: RunRows, scored: Any
+) -> None:
+    whole = np.broadcast_to(np.diag([9.0, 4.0, 1.0, 1.0]), (int(scored.sum()), 4, 4)).copy()
     scores = score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole))
     assert values(scores, "nees", "anees", "nees_velocity", "nees_state", "anees_state") == [5, 2.5, 0, 5, 1.25]
-
-
-def test_a_singular_covariance_makes_nees_infinite(rows: RunRows, scored: Any) -> None:
-    whole = np.broadcast_to(np.diag([9.0, 4.0, 1.0, 1.0]), (int(scored.sum()), 4, 4)).copy()
     whole[3, 0, 0] = 0
-    found = score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole))
-    assert values(found, "nees", "anees", "nees_low", "nees_velocity", "nees_state") == [
-        np.inf,
-        np.inf,
-        None,
-        0,
-        np.inf,
-    ]
+    found = values(
+        score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole)),
+        *("nees", "anees", "nees_low", "nees_velocity", "nees_state"),
+    )
+    assert found == [np.inf, np.inf, None, 0, np.inf]
 
 
 def test_nees_of_errors_of_their_covariance_is_their_dimension() -> None:
