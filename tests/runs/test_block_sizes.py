@@ -14,10 +14,19 @@ from tests.scenes import outlines_of, vessel
 STEPS = 14
 
 
+SCENES = {
+    "harbour": {},
+    "simulation_1": {"sea": "curved"},
+    "simulation_3": {},
+    "strait": {},  # with obstacles, and cameras of rates of their own
+}
+"""Shipped scenes, with settings."""
+
+
 @pytest.mark.parametrize("source", ["rendered", "analytic", "rectangles"])
-@pytest.mark.parametrize("name", ["harbour", "simulation_1", "simulation_3"])
+@pytest.mark.parametrize("name", SCENES)
 def test_truth_and_detections_are_the_same_bits_in_blocks_of_one_step_and_of_many(name, source, renderer):
-    scene = load_scene(name, mode=2, source=source, steps=STEPS)
+    scene = load_scene(name, mode=2, source=source, steps=STEPS, settings=SCENES[name])
     truths, boxes = [], []
     for size in (1, 7, STEPS):
         simulation, parts, found = Simulation(scene, TargetStatistics()), [], []

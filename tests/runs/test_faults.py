@@ -68,16 +68,20 @@ class Counted:
         return self._function(*arguments, **named)
 
 
+@pytest.fixture(scope="module")
+def calls(scene, tmp_path_factory) -> dict[str, int]:
+    """How often an undisturbed run calls each function."""
+    with pytest.MonkeyPatch.context() as watched:
+        counted = {name: Counted(watched, name, lambda call, _: None) for name in ("fsync", "replace")}
+        run_scene(scene, tmp_path_factory.mktemp("counted") / "run")
+    return {name: each.calls for name, each in counted.items()}
+
+
 @pytest.mark.parametrize("name", ["fsync", "replace"])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.95])
-def test_a_run_goes_on_after_a_call_that_failed(name, share, scene, whole, tmp_path, monkeypatch):
-    with monkeypatch.context() as counting:
-        counted = Counted(counting, name, lambda call, _: None)
-        run_scene(scene, tmp_path / "counted")
-    failing = 1 + int(share * counted.calls)
-
+def test_a_run_goes_on_after_a_call_that_failed(name, share, calls, scene, whole, tmp_path, monkeypatch):
     def fail(call: int, _: object) -> None:
-        if call == failing:
+        if call == 1 + int(share * calls[name]):
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     with monkeypatch.context() as broken, pytest.raises(ModsimError, match="Input/output error"):
@@ -132,7 +136,7 @@ class PowerCutError(Exception):
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.8, 0.9, 0.99])
 def test_a_run_goes_on_after_a_power_cut_that_emptied_what_was_not_on_the_disk(
-    share, scene, whole, tmp_path, monkeypatch
+    share, calls, scene, whole, tmp_path, monkeypatch
 ):
     """The worst that a file system may do: every rename has reached the disk, but of files only what was fsynced."""
     on_disk: dict[int, bytes] = {}  # by inode
@@ -146,17 +150,13 @@ def test_a_run_goes_on_after_a_power_cut_that_emptied_what_was_not_on_the_disk(
 
     def cut(call: int, _: object) -> None:
         seen.append(call)
-        if len(seen) == stop:
+        if len(seen) == int(share * sum(calls.values())):
             raise PowerCutError
 
-    stop = 0
-    with monkeypatch.context() as watched:
+    with monkeypatch.context() as watched, pytest.raises(PowerCutError):
         for name, before in (("fsync", keep), ("replace", cut)):
             Counted(watched, name, before)
-        run_scene(scene, tmp_path / "counted")
-        stop, seen = int(share * len(seen)), []
-        with pytest.raises(PowerCutError):
-            run_scene(scene, tmp_path / "run")
+        run_scene(scene, tmp_path / "run")
     for path in [path for path in (tmp_path / "run").rglob("*") if path.is_file()]:
         path.write_bytes(on_disk.get(path.stat().st_ino, b""))
     if (tmp_path / "run" / "run.json").exists():

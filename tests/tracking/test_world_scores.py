@@ -21,6 +21,7 @@ from modsim3d.tracking.scores.scored import SetDistance
 from modsim3d.tracking.world.following import TrackEstimates, WorldTruth
 from modsim3d.tracking.world.scoring import OverVessels, Quartiles, WorldScores, quartiles, score_world
 from modsim3d.tracks.tracks import WorldTracks
+from tests.scenes import camera_keys
 from tests.tracks.sea_runs import (
     ANCHORED,
     ASTERN,
@@ -209,9 +210,8 @@ def test_a_track_that_lost_its_vessel_for_a_step_is_not_preferred(rows: RunRows)
 
 def test_vessels_that_carry_cameras_are_not_to_be_tracked(rows: RunRows, scored: Any, tmp_path: Path) -> None:
     bow = rows.scene.cameras[0]
-    lens = {"focal_length_m": 0.008, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [640, 360]}
     cameras = {
-        vessel: {**lens, "image_size_px": [1280, 720], "mount": {"vessel": vessel, "position_m": [5, 0, 6]}}
+        vessel: camera_keys(1280, 720, focal_length_m=0.008, mount={"vessel": vessel, "position_m": [5, 0, 6]})
         for vessel in ("own", "crosser")
     }
     both = WorldTruth.of(RunRows.of(sea_run(tmp_path / "run", cameras=cameras, steps=4)))
