@@ -527,13 +527,14 @@ def print_blocks(console: Console, blocks: Iterable[Block]) -> None:
 
 
 def _print_document_table(console: Console, table: Table, title: str) -> None:
-    rows, columns = table.texts, range(len(table.rows[0]))
+    rows = table.texts
+    columns = list(zip(*rows, strict=True))
     print_table(
         console,
         title,
         rows,
         header=table.header,
-        right={place for place in columns if place and table.header and is_numeric([row[place] for row in rows])},
+        right={place for place, name in enumerate(table.header) if name and place and is_numeric(columns[place])},
         row_styles=["bold red" if row in table.bad else "dim" if row in table.soft else "" for row in range(len(rows))],
         breaks=CELL_BREAKS,
         at_edge=next((place for place, name in enumerate(table.header) if name in OUTCOMES), None),

@@ -96,7 +96,6 @@ class Table:
         bad: Rows that stand out.
         soft: Rows that stand back.
         notes: What is said below a row, by its number.
-        groups: Names above the columns, each with the number of columns that it is of.
     """
 
     title: str
@@ -105,7 +104,6 @@ class Table:
     bad: Container[int] = ()
     soft: Container[int] = ()
     notes: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))
-    groups: Sequence[tuple[str, int]] = ()
     where: Where = TEXT
 
     @property
@@ -115,7 +113,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Chart:
+class Figure:
     """A drawing or a picture with its caption. `draw` makes its HTML when a page shows it."""
 
     draw: Callable[[], str]
@@ -141,7 +139,7 @@ class Beside:
     where: Where = TEXT
 
 
-Block = Heading | Text | Items | Tiles | Table | Chart | Fold | Beside
+Block = Heading | Text | Items | Tiles | Table | Figure | Fold | Beside
 
 
 @dataclass(frozen=True)
@@ -190,7 +188,7 @@ def _content(block: Block) -> object:
             return block.results
         case Table():
             return block.rows
-        case Chart():
+        case Figure():
             return block.draw
         case Fold() | Beside():
             return block.blocks

@@ -18,8 +18,8 @@ from modsim3d.core.document import (
     Beside,
     Block,
     Cell,
-    Chart,
     Document,
+    Figure,
     Heading,
     Items,
     Table,
@@ -453,7 +453,7 @@ def _curve_charts(report: LearnReport) -> list[Block]:
     labels = enumerate(report.labelled.labels)
     return [
         Heading(title),
-        Beside([Chart(partial(_curve_chart, report, label), f"{name}: {said}") for label, name in labels]),
+        Beside([Figure(partial(_curve_chart, report, label), f"{name}: {said}") for label, name in labels]),
     ]
 
 
@@ -481,7 +481,7 @@ def _scatters(report: LearnReport) -> Iterator[Block]:
         units = ("widths", "heights") if relative else ("px", "px")
         x, y = (f"{ERROR_COMPONENTS[k]} in {unit}" for k, unit in zip((i, j), units, strict=True))
         caption = f"Errors of {what}; ellipses hold 95 % of normal errors with the same mean and covariance."
-        yield Chart(partial(charts.error_scatter, groups, colours, x, y), caption)
+        yield Figure(partial(charts.error_scatter, groups, colours, x, y), caption)
 
 
 def _share_chart(report: LearnReport) -> list[Block]:
@@ -489,4 +489,4 @@ def _share_chart(report: LearnReport) -> list[Block]:
         return []
     gains = {each.kind.value: max(each.gain_points, 0.0) for each in report.shares.shares}
     title = "What average precision is lost to"
-    return [Heading(title), Chart(partial(charts.named_bars, gains, "points", title), _SHARES)]
+    return [Heading(title), Figure(partial(charts.named_bars, gains, "points", title), _SHARES)]

@@ -22,7 +22,7 @@ def test_a_score_prints_trackers_beside_references_and_the_rules(modsim3d: Modsi
     for part in (
         *("reference  ", "oracle association, smoothed", "oracle association, raw boxes", "occlusions survived"),
         *("1 - distance of centres / 150 px; a track follows a vessel from 0.5 on", "c = 70 px, p = 1, α = 2"),
-        *("where reference loses vessels", "2 seeds of the detector, 0 to 1", "says nothing about other traffic"),
+        *("Where vessels are lost", "2 seeds of the detector, 0 to 1", "says nothing about other traffic"),
         "reference follows vessels for ",
     ):
         assert part in said.out
@@ -45,7 +45,7 @@ def test_where_vessels_are_lost_is_a_table_at_80_columns(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     lines = modsim3d("score", run, tracks).out.splitlines()
-    first = lines.index("where reference loses vessels")
+    first = lines.index("Where vessels are lost")
     names, more = lines[first + 1 : first + 3]
     assert names.split() == ["by", "vessel-", "recall", "association", "survived"] and more.split() == ["frames"]
     table = lines[first + 3 : lines.index("", first)]

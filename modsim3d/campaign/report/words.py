@@ -22,8 +22,8 @@ from modsim3d.campaign.verdicts.wording import percent, requirement_text
 from modsim3d.campaign.work.row import SHARES
 from modsim3d.campaign.work.task import PLAN
 from modsim3d.core.document import Cell, Row
-from modsim3d.core.text import counted
-from modsim3d.tracking.score_text import COLUMNS, UNKNOWN
+from modsim3d.core.text import UNKNOWN, counted
+from modsim3d.tracking.score_text import COLUMNS
 from modsim3d.view.pages import page
 from modsim3d.view.pages.charts import ChartInterval, span_of, strip
 from modsim3d.view.pages.provenance import Input, Provenance, file_input, folder_input, versions_in_words

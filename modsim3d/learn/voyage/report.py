@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.document import Block, Chart, Heading, Items, Table, Text
+from modsim3d.core.document import Block, Figure, Heading, Items, Table, Text
 from modsim3d.core.text import counted
 from modsim3d.geometry.camera import Camera
 from modsim3d.learn.bootstrap import Column
@@ -292,7 +292,7 @@ def _reference(told: VoyageReport) -> Iterator[Block]:
 def _coverage(told: VoyageReport) -> Iterator[Block]:
     yield Heading("Coverage of the sea")
     for coverage in told.coverage:
-        yield Chart(partial(coverage_drawing, coverage), _COVERAGE)
+        yield Figure(partial(coverage_drawing, coverage), _COVERAGE)
         yield range_table(coverage)
 
 
@@ -304,7 +304,7 @@ def _worst(told: VoyageReport) -> Iterator[Block]:
     ):
         yield table
         if stretches:
-            yield Chart(partial(_sketches, told, stretches[:_DRAWN]), _KEY)
+            yield Figure(partial(_sketches, told, stretches[:_DRAWN]), _KEY)
 
 
 def _sketches(told: VoyageReport, stretches: list[FrameStretch]) -> str:

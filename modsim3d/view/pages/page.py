@@ -11,7 +11,20 @@ from typing import Any
 
 from PIL.Image import Image
 
-from modsim3d.core.document import PAGE, Beside, Block, Chart, Document, Fold, Heading, Items, Table, Text, Tiles, shown
+from modsim3d.core.document import (
+    PAGE,
+    Beside,
+    Block,
+    Document,
+    Figure,
+    Fold,
+    Heading,
+    Items,
+    Table,
+    Text,
+    Tiles,
+    shown,
+)
 from modsim3d.core.text import UNKNOWN
 from modsim3d.io.atomic_write import encoded
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
@@ -155,7 +168,7 @@ def html_of(block: Block) -> str:
             return listed(block.texts)
         case Tiles():
             return tiles(block.results)
-        case Chart():
+        case Figure():
             return f"<figure>\n{block.draw()}\n<figcaption>{html.escape(block.caption)}</figcaption>\n</figure>"
         case Fold():
             return folded(block.title, "\n".join(map(html_of, block.blocks)), block.opened)
@@ -170,7 +183,7 @@ def _table_html(block: Table) -> str:
     title = f"<h3>{html.escape(block.title)}</h3>\n" if block.title else ""
     if not block.header and all(len(row) == 2 for row in block.rows):
         return title + facts([(name, text) for name, text in block.texts])
-    return title + table(block.rows, block.header, block.bad, soft=block.soft, notes=block.notes, groups=block.groups)
+    return title + table(block.rows, block.header, block.bad, soft=block.soft, notes=block.notes)
 
 
 def paragraph(text: str, kind: str = "") -> str:

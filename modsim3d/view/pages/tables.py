@@ -16,7 +16,7 @@ TABLE_STYLE = """
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 .facts th { font-weight: 400; text-align: left; vertical-align: top; }
 td.number { white-space: nowrap; } td.broken { white-space: normal; overflow-wrap: anywhere; }
-.whole { white-space: nowrap; } thead th[colspan] { text-align: center; }
+.whole { white-space: nowrap; }
 @media screen and (min-width: 40.01rem) { .dense .whole { display: block; } }
 @media screen and (max-width: 40rem) {
   td, th { padding-right: 0.7rem; } td.number { white-space: normal; } .pad { display: none; }
@@ -57,7 +57,6 @@ def table(
     *,
     soft: Container[int] = (),
     notes: Mapping[int, str] = NO_NOTES,
-    groups: Sequence[tuple[str, int]] = (),
 ) -> str:
     """A table of rows under a header; columns of numbers are set to the right, with their points below each other.
 
@@ -70,7 +69,6 @@ def table(
         bad: Rows that stand out.
         soft: Rows that stand back.
         notes: What is said below a row, by its number.
-        groups: Names above those of the columns, each with the number of columns that it is of.
     """
     columns = [[cell.text if isinstance(cell, Cell) else cell for cell in column] for column in zip(*rows, strict=True)]
     named = [*map(bool, header), *[not header] * len(columns)]  # a column without a name has the names of the rows
@@ -85,9 +83,8 @@ def table(
     labels = header if len(header) >= MIN_STACKED else [""] * len(columns)
     lines = [f"<table{_shape(len(header))}>"]
     if header:
-        spans = "".join(f'<th colspan="{wide}">{html.escape(name)}</th>' for name, wide in groups)
         names = (f"<th{_class(each)}>{html.escape(name)}</th>" for name, each in zip(header, right, strict=False))
-        lines.append(f"<thead>{f'<tr>{spans}</tr>' if spans else ''}<tr>{''.join(names)}</tr></thead>")
+        lines.append(f"<thead><tr>{''.join(names)}</tr></thead>")
     lines.append("<tbody>")
     for number, cells in enumerate(zip(*shown, strict=True)):
         content = "".join(
