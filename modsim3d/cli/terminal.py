@@ -364,8 +364,10 @@ def print_table(
         console.print()
         print_prose(console, title, "bold")
     table = [[visible(cell) for cell in row] for row in ([header, *rows] if header else rows)]
-    for broken in ((lambda cell: cell), *breaks):
+    for names, broken in [(_whole, _whole), *((_in_two, each) for each in (_whole, *breaks) if breaks)]:
         lines = [[[row[0]], *(broken(cell).split("\n") for cell in row[1:])] for row in table]
+        if header:
+            lines[0] = [names(cell).split("\n") for cell in table[0]]
         if widths := _widths(lines, console.width, wraps=not header):
             _print_aligned(console, lines, widths, bool(header), right, styles, row_styles)
             return
@@ -373,6 +375,15 @@ def print_table(
     for place, row in enumerate(body):
         style = row_styles[place] if place < len(row_styles) else ""
         _print_stacked(console, row, header, at_edge, style or (styles[0] if styles else ""), style)
+
+
+def _whole(cell: str) -> str:
+    return cell
+
+
+def _in_two(cell: str) -> str:
+    """A name of a column on about two lines."""
+    return "\n".join(wrapped(cell, max([(len(cell) + 1) // 2, *map(len, cell.split())])))
 
 
 def _widths(table: Sequence[Sequence[Sequence[str]]], width: int, wraps: bool) -> list[int]:

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 import orjson
 
 from modsim3d.core.arrays import Array
-from modsim3d.core.document import EVERYWHERE, PAGE, Block, Cell, Document, Figure, Fold, Heading, Table, Text
+from modsim3d.core.document import (
+    EVERYWHERE,
+    PAGE,
+    TERMINAL,
+    Block,
+    Cell,
+    Document,
+    Figure,
+    Fold,
+    Heading,
+    Table,
+    Text,
+    Where,
+)
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted, number
 from modsim3d.io.atomic_write import write_files
@@ -43,20 +56,23 @@ from modsim3d.tracking.score_tables import (
 )
 from modsim3d.tracking.score_text import MEANINGS, rules_in_words
 from modsim3d.tracking.scores.breakdown import Bin
+from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.provenance import Provenance, run_inputs, run_seeds, run_versions, track_inputs
 
 FILES = ("score.json", "score.html")
+OCCLUSION = "occlusion"
 GROUP_NAMES = {
     "visible_fraction": "visible fraction",
-    "phase": "phase of an occlusion",
+    "phase": "an occlusion",
+    OCCLUSION: "length of the occlusion",
     "range": "range, m",
     "size": "size, px",
     "edge": "edge of the image",
     "state": "performance state",
     "label": "class",
 }
-"""What tables call the groups of a breakdown, but for the lengths of occlusions, which have a table of their own."""
+"""What tables call the groups of a breakdown."""
 
 
 def write_scores(scores: ScoredTracks, folder: StrPath, command: str | None = None) -> None:
@@ -102,7 +118,7 @@ def _in_images(scores: ScoredTracks) -> Iterator[Block]:
     yield Heading("Detector seeds")
     yield Text(seeds_in_words(scores), "soft")
     yield Table("", SEED_HEADER, seed_rows(scores))
-    yield Heading("Where vessels are lost")
+    yield Heading("Where vessels are lost", where=PAGE)
     yield Text(
         "Tracks and vessels are matched once. Recall is the share of the vessel-frames in a line that a track "
         "follows; association is how much of the vessel and of the track belong together, where one follows. The "
@@ -155,15 +171,22 @@ def _alpha_chart(curves: Mapping[str, Array]) -> str:
 
 
 def _breakdowns(scores: ScoredTracks) -> Iterator[Block]:
-    """Recall by each property, with the trackers and the smoothed reference side by side, and what the groups are."""
-    named = [(each.name, each.scores) for each in scores.trackers] + [("oracle", scores.references[SMOOTHED])]
+    """Recall by each property: on a page of all trackers and the oracle side by side, on a terminal of the best one."""
+    best, oracle = scores.trackers[0], ("oracle", scores.references[SMOOTHED])
+    yield Heading(f"Where {best.name} loses vessels", where=TERMINAL)
+    yield from _breakdown_tables([("", best.scores)], TERMINAL)
+    yield from _breakdown_tables([*((each.name, each.scores) for each in scores.trackers), oracle], PAGE)
+    groups = [(GROUP_NAMES[group.name], group.explanation) for group in best.scores.breakdown]
+    yield Fold("What the lines are", [Table("", (), groups, where=PAGE)])
+
+
+def _breakdown_tables(named: Sequence[tuple[str, Scores]], where: Where) -> Iterator[Table]:
+    names = [f"{name}: " if name else "" for name, _ in named]
     rows: list[list[str | Cell]] = []
-    meanings = []
     for index, group in enumerate(named[0][1].breakdown):
-        bins = [found.breakdown[index].rows for _, found in named]
-        if group.name == "occlusion":
-            header = ["", "occlusions", "vessel-frames"]
-            header += [f"{name}: {key}" for name, _ in named for key in ("survived", "recall")]
+        bins = list(zip(*(found.breakdown[index].rows for _, found in named), strict=True))
+        if group.name == OCCLUSION:
+            header = ["length, s", "occlusions", "vessel-frames"]
             lengths = [
                 (
                     each[0].bin,
@@ -171,20 +194,18 @@ def _breakdowns(scores: ScoredTracks) -> Iterator[Block]:
                     f"{each[0].vessel_frames:,}",
                     *_cells(each, "survived", "recall"),
                 )
-                for each in zip(*bins, strict=True)
+                for each in bins
             ]
-            of_occlusions = Table("By length of the occlusion, s", header, lengths)
-            meanings.append(("length of the occlusion", group.explanation))
-            continue
-        name = GROUP_NAMES[group.name]
-        meanings.append((name, group.explanation))
-        for place, each in enumerate(zip(*bins, strict=True)):
-            first = [name if place == 0 else "", each[0].bin, f"{each[0].vessel_frames:,}"]
-            rows.append(first + _cells(each, "recall", "association"))
-    columns = [f"{name}: {key}" for name, _ in named for key in ("recall", "association")]
-    yield Table("", ("by", "", "vessel-frames", *columns), rows)
+            columns = [name + key for name in names for key in ("survived", "recall")]
+            of_occlusions = Table("By length of the occlusion", [*header, *columns], lengths, where=where)
+        else:
+            for place, each in enumerate(bins):
+                name = "" if place else GROUP_NAMES[group.name]
+                first = [name, each[0].bin, f"{each[0].vessel_frames:,}"]
+                rows.append(first + _cells(each, "recall", "association"))
+    columns = [name + key for name in names for key in ("recall", "association")]
+    yield Table("", ("by", "", "vessel-frames", *columns), rows, where=where)
     yield of_occlusions
-    yield Fold("What the lines are", [Table("", (), meanings, where=PAGE)])
 
 
 def _cells(bins: tuple[Bin, ...], *keys: str) -> list[str | Cell]:
