@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from modsim3d.core.document import TERMINAL, Beside, Block, Document, Fold, Heading, Items, Style, Table, Text, shown
+from modsim3d.core.document import Beside, Block, Document, Fold, Heading, Items, Style, Table, Text, Where, shown
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.text import is_numeric
 
@@ -518,7 +518,7 @@ def print_document(console: Console, document: Document) -> None:
 def print_blocks(console: Console, blocks: Iterable[Block]) -> None:
     """Print blocks; a table with a title of its own has no heading besides."""
     heading = ""
-    for block in shown(blocks, TERMINAL):
+    for block in shown(blocks, Where.TERMINAL):
         if isinstance(block, Heading):
             heading = block.text
             continue

@@ -26,7 +26,6 @@ class Where(Flag):
     EVERYWHERE = PAGE | TERMINAL | NOTEBOOK
 
 
-PAGE, TERMINAL, TEXT, EVERYWHERE = Where.PAGE, Where.TERMINAL, Where.TEXT, Where.EVERYWHERE
 Style = Literal["", "lead", "soft", "bad", "code"]
 
 
@@ -37,7 +36,7 @@ class Heading:
     text: str
     level: int = 2
     bad: bool = False
-    where: Where = TEXT
+    where: Where = Where.TEXT
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Text:
 
     text: str
     style: Style = ""
-    where: Where = TEXT
+    where: Where = Where.TEXT
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class Items:
     """A list of short texts."""
 
     texts: Sequence[str]
-    where: Where = TEXT
+    where: Where = Where.TEXT
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Tiles:
     """The main results: a name, a number and what it means of each."""
 
     results: Sequence[tuple[str, str, str]]
-    where: Where = PAGE
+    where: Where = Where.PAGE
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ class Table:
     bad: Container[int] = ()
     soft: Container[int] = ()
     notes: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))
-    where: Where = TEXT
+    where: Where = Where.TEXT
 
     @property
     def texts(self) -> list[list[str]]:
@@ -118,7 +117,7 @@ class Figure:
 
     draw: Callable[[], str]
     caption: str
-    where: Where = PAGE
+    where: Where = Where.PAGE
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,7 @@ class Fold:
     title: str
     blocks: Sequence[Block]
     opened: bool = False
-    where: Where = PAGE
+    where: Where = Where.TEXT
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ class Beside:
     """Blocks side by side."""
 
     blocks: Sequence[Block]
-    where: Where = TEXT
+    where: Where = Where.TEXT
 
 
 Block = Heading | Text | Items | Tiles | Table | Figure | Fold | Beside

@@ -10,22 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.core.document import (
-    EVERYWHERE,
-    PAGE,
-    TERMINAL,
-    TEXT,
-    Beside,
-    Block,
-    Cell,
-    Document,
-    Figure,
-    Heading,
-    Items,
-    Table,
-    Text,
-    Tiles,
-)
+from modsim3d.core.document import Beside, Block, Cell, Document, Figure, Heading, Items, Table, Text, Tiles, Where
 from modsim3d.core.text import UNKNOWN, counted, with_interval
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, stationary_shares
 from modsim3d.learn.bootstrap import Column
@@ -74,7 +59,9 @@ def tables(report: LearnReport) -> list[Table]:
     several = len(report.labelled.labels) > 1
 
     def detail(make: Callable[[LearnReport, Figures], Table], wanted: bool = True) -> list[Table]:
-        places = [(each, TEXT if any(each is state for state in report.states) else PAGE) for each in groups]
+        places = [
+            (each, Where.TEXT if any(each is state for state in report.states) else Where.PAGE) for each in groups
+        ]
         return [replace(make(report, each), where=where) for each, where in places if wanted]
 
     return [
@@ -83,7 +70,7 @@ def tables(report: LearnReport) -> list[Table]:
         _covariances(report, groups),
         *_curves(report, groups),
         *detail(_labels, several),
-        *(replace(each, where=PAGE) for each in detail(_label_errors, several)),
+        *(replace(each, where=Where.PAGE) for each in detail(_label_errors, several)),
         *detail(_confusion),
         *(*_shares(report), _parameters(report), *_long_run(report)),
         *([] if report.bias is None else [_bias(report.bias)]),
@@ -106,7 +93,7 @@ def _rates(report: LearnReport, groups: Sequence[Figures]) -> Table:
     rows = [(report.name(each), str(each.images), *_row(each, report.level, 3, each.any_label)) for each in groups]
     header = ("condition", "images", "precision", "recall", "F1", f"F-{report.beta:g}", "FNR", "FDR")
     title = "Precision, recall, F1, false negative and false discovery rate, whatever the label"
-    return Table(title, header, rows, where=EVERYWHERE)
+    return Table(title, header, rows, where=Where.EVERYWHERE)
 
 
 def _labels(report: LearnReport, figures: Figures) -> Table:
@@ -148,7 +135,7 @@ def _correlations(report: LearnReport, groups: Sequence[Figures]) -> Table:
 def _covariances(report: LearnReport, groups: Sequence[Figures]) -> Table:
     title = "Covariances of the box errors in square pixels"
     table = _by_pair(title, report, groups, lambda figures: figures.error_covariance, 1, CELLS)
-    return replace(table, where=PAGE)
+    return replace(table, where=Where.PAGE)
 
 
 def _by_pair(
@@ -380,13 +367,13 @@ def document(
         [
             Text(learned_from(report, name, sources), "lead"),
             Text(how_well(report)),
-            Text(f"Warning: {report.warning}." if report.warning else "", "bad", EVERYWHERE & ~TERMINAL),
+            Text(f"Warning: {report.warning}." if report.warning else "", "bad", Where.EVERYWHERE & ~Where.TERMINAL),
         ],
         [
             Tiles(results(report)),
-            Text(lead(report), "soft", EVERYWHERE),
+            Text(lead(report), "soft", Where.EVERYWHERE),
             Heading("Read the numbers with this"),
-            Items([f"{each}." for each in cautions], EVERYWHERE),
+            Items([f"{each}." for each in cautions], Where.EVERYWHERE),
             *sections,
             *_curve_charts(report),
             Heading("Box errors"),
@@ -397,7 +384,7 @@ def document(
             Heading("Left simple"),
             Items(report.learned.notes or ["nothing: there was enough of everything"]),
             Text(NEVER_LEARNED),
-            Text(_POINTS if report.shares else "", "soft", PAGE),
+            Text(_POINTS if report.shares else "", "soft", Where.PAGE),
         ],
     )
 

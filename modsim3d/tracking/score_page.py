@@ -9,20 +9,7 @@ import numpy as np
 import orjson
 
 from modsim3d.core.arrays import Array
-from modsim3d.core.document import (
-    EVERYWHERE,
-    PAGE,
-    TERMINAL,
-    Block,
-    Cell,
-    Document,
-    Figure,
-    Fold,
-    Heading,
-    Table,
-    Text,
-    Where,
-)
+from modsim3d.core.document import Block, Cell, Document, Figure, Fold, Heading, Table, Text, Where
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted, number
 from modsim3d.io.atomic_write import write_files
@@ -92,24 +79,24 @@ def document(scores: ScoredTracks) -> Document:
     """The scores, to be read."""
     return Document(
         f"{scores.run.scene.name}: how well is it tracked?",
-        [Text(conclusion_of(scores), "lead", EVERYWHERE)],
+        [Text(conclusion_of(scores), "lead", Where.EVERYWHERE)],
         [*(_in_images(scores) if scores.trackers else ()), *_in_world(scores)],
     )
 
 
 def _in_images(scores: ScoredTracks) -> Iterator[Block]:
     run, rows = scores.run, score_rows(scores)
-    yield Table("Scores", HEADER, rows, soft=range(len(scores.trackers), len(rows)), where=EVERYWHERE)
+    yield Table("Scores", HEADER, rows, soft=range(len(scores.trackers), len(rows)), where=Where.EVERYWHERE)
     yield Text(
         "The last two lines are the same detections with perfect association: each detection is given to the vessel "
         "that it came from, and false ones are removed. They are references and no ceilings: a tracker that smooths "
         "better may exceed them.",
         "soft",
-        PAGE,
+        Where.PAGE,
     )
     of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
     yield Text(f"{of_run} {remarks_of(scores)}", "soft")
-    yield Fold("What the scores mean", [Table("", (), list(MEANINGS.items()), where=PAGE)])
+    yield Fold("What the scores mean", [Table("", (), list(MEANINGS.items()), where=Where.PAGE)])
     if curves := _curves(scores):
         said = "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then "
         yield Figure(partial(_alpha_chart, curves), f"{said}compare centres instead of IoU.")
@@ -118,25 +105,25 @@ def _in_images(scores: ScoredTracks) -> Iterator[Block]:
     yield Heading("Detector seeds")
     yield Text(seeds_in_words(scores), "soft")
     yield Table("", SEED_HEADER, seed_rows(scores))
-    yield Heading("Where vessels are lost", where=PAGE)
+    yield Heading("Where vessels are lost", where=Where.PAGE)
     yield Text(
         "Tracks and vessels are matched once. Recall is the share of the vessel-frames in a line that a track "
         "follows; association is how much of the vessel and of the track belong together, where one follows. The "
         "oracle is the smoothed reference.",
         "soft",
-        PAGE,
+        Where.PAGE,
     )
     yield from _breakdowns(scores)
     yield from part_tables(scores)
     yield Heading("Wholly hidden vessels")
-    yield Text("They count neither way in all other tables. A good tracker coasts over them.", "soft", PAGE)
-    yield Table("", HIDDEN_HEADER, hidden_rows(scores), where=PAGE)
+    yield Text("They count neither way in all other tables. A good tracker coasts over them.", "soft", Where.PAGE)
+    yield Table("", HIDDEN_HEADER, hidden_rows(scores), where=Where.PAGE)
     yield Heading("Occlusions")
     for each in scores.trackers:
         yield _occlusions(each)
     yield Heading("All scores")
     header = ("score", *(name for name, _ in named_scores(scores)))
-    yield Fold("By their keys", [Table("", header, key_rows(scores), where=PAGE)])
+    yield Fold("By their keys", [Table("", header, key_rows(scores), where=Where.PAGE)])
 
 
 def _provenance(scores: ScoredTracks, command: str | None) -> Provenance:
@@ -173,11 +160,11 @@ def _alpha_chart(curves: Mapping[str, Array]) -> str:
 def _breakdowns(scores: ScoredTracks) -> Iterator[Block]:
     """Recall by each property: on a page of all trackers and the oracle side by side, on a terminal of the best one."""
     best, oracle = scores.trackers[0], ("oracle", scores.references[SMOOTHED])
-    yield Heading(f"Where {best.name} loses vessels", where=TERMINAL)
-    yield from _breakdown_tables([("", best.scores)], TERMINAL)
-    yield from _breakdown_tables([*((each.name, each.scores) for each in scores.trackers), oracle], PAGE)
+    yield Heading(f"Where {best.name} loses vessels", where=Where.TERMINAL)
+    yield from _breakdown_tables([("", best.scores)], Where.TERMINAL)
+    yield from _breakdown_tables([*((each.name, each.scores) for each in scores.trackers), oracle], Where.PAGE)
     groups = [(GROUP_NAMES[group.name], group.explanation) for group in best.scores.breakdown]
-    yield Fold("What the lines are", [Table("", (), groups, where=PAGE)])
+    yield Fold("What the lines are", [Table("", (), groups, where=Where.PAGE)])
 
 
 def _breakdown_tables(named: Sequence[tuple[str, Scores]], where: Where) -> Iterator[Table]:
@@ -225,11 +212,11 @@ def _occlusions(tracker: TrackScores) -> Block:
     """The list of a tracker's occlusions, closed at first where there are many."""
     found = tracker.scores.occlusions
     if not found:
-        return Text(f"{tracker.name}: no vessel is occluded.", "", PAGE)
+        return Text(f"{tracker.name}: no vessel is occluded.", "", Where.PAGE)
     survived, judged = survived_and_judged(found)
     said = f"{tracker.name}: {survived} of {judged} survived; {counted(len(found), 'occlusion')} in all"
     failed = {index for index, each in enumerate(found) if each.survived is False}
-    table = Table("", OCCLUSION_HEADER, occlusion_rows(found), bad=failed, where=PAGE)
+    table = Table("", OCCLUSION_HEADER, occlusion_rows(found), bad=failed, where=Where.PAGE)
     return Fold(said, [table], opened=len(found) <= 15)
 
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
-from modsim3d.core.document import PAGE, Table
+from modsim3d.core.document import Table, Where
 from modsim3d.core.text import UNKNOWN, counted, number
 from modsim3d.tracking.oracle import RAW, REFERENCES, SMOOTHED
 from modsim3d.tracking.run_scores import ScoredTracks, TrackScores, WorldTrackScores
@@ -22,7 +22,7 @@ from modsim3d.tracking.score_text import (
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode
 from modsim3d.tracking.scores.scored import Rules
-from modsim3d.tracking.scores.scoring import Scores, SubsetScores
+from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.tracking.world.scoring import MetVessel
 
 # ---- Scores of tracks in the world ----
@@ -272,21 +272,15 @@ def key_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
 def part_tables(scores: ScoredTracks) -> list[Table]:
     """Scores by performance state, by camera and by class, where there are several."""
     named = named_scores(scores)
-    parts: dict[str, list[tuple[str, Mapping[str, Mapping[str, Any]]]]] = {
-        "By performance state": [(name, _as_keys(found.by_state)) for name, found in named],
-        "By camera": [(name, _as_keys(found.by_camera)) for name, found in named],
-    }
-    tables = [
-        Table(title, PART_HEADER, _part_rows(part), where=PAGE) for title, part in parts.items() if len(part[0][1]) > 1
-    ]
+    tables = []
+    for title, part in (("By performance state", "by_state"), ("By camera", "by_camera")):
+        parts = [(name, {key: vars(each) for key, each in getattr(found, part).items()}) for name, found in named]
+        if len(parts[0][1]) > 1:
+            tables.append(Table(title, PART_HEADER, _part_rows(parts), where=Where.PAGE))
     if scores.rules.by_class:
         of_class = [(name, {key: each.flat() for key, each in found.by_class.items()}) for name, found in named]
         tables.append(Table("By class", PART_HEADER, _part_rows(of_class)))
     return tables
-
-
-def _as_keys(parts: Mapping[str, SubsetScores]) -> dict[str, Mapping[str, Any]]:
-    return {name: vars(each) for name, each in parts.items()}
 
 
 def _part_rows(named: Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]]) -> list[tuple[str, ...]]:

@@ -6,9 +6,6 @@ import io
 
 from modsim3d.cli.terminal import open_console, print_document
 from modsim3d.core.document import (
-    EVERYWHERE,
-    PAGE,
-    TERMINAL,
     Beside,
     Cell,
     Document,
@@ -19,6 +16,7 @@ from modsim3d.core.document import (
     Table,
     Text,
     Tiles,
+    Where,
     shown,
 )
 from modsim3d.view.pages.page import document_page
@@ -28,18 +26,18 @@ RESTS_ON = Provenance("a page", "a test", ())
 ROWS = [("sort", "0.5 [0.4, 0.6]"), ("other", "0.25 [0.1, 0.4]")]
 DOCUMENT = Document(
     "Two <trackers>",
-    [Text("Sort is best.", "lead", EVERYWHERE)],
+    [Text("Sort is best.", "lead", Where.EVERYWHERE)],
     [
         Tiles([("HOTA", "0.5", "of sort")]),
         Heading("Scores"),
-        Table("", ("tracker", "HOTA"), ROWS, bad={1}, notes={1: "lost & never found"}, where=EVERYWHERE),
+        Table("", ("tracker", "HOTA"), ROWS, bad={1}, notes={1: "lost & never found"}, where=Where.EVERYWHERE),
         Heading("Curves"),
         Figure(lambda: "<svg></svg>", "A curve."),
         Heading("Nothing here"),
         Text(""),
         Heading("Cells"),
-        Fold("pressed", [Table("", ("", "share"), [("a", Cell("30 %", 0.3))], where=PAGE)]),
-        Beside([Items(["only printed"], TERMINAL)]),
+        Fold("pressed", [Table("", ("", "share"), [("a", Cell("30 %", 0.3))], where=Where.PAGE)]),
+        Beside([Items(["only printed"], Where.TERMINAL)]),
     ],
 )
 
@@ -80,4 +78,4 @@ def test_a_notebook_has_the_outcome_and_the_tables_that_are_for_it():
 
 def test_a_heading_is_shown_only_with_something_before_the_next_of_its_level():
     blocks = [Heading("a"), Heading("b", 3), Text("x"), Heading("c", 3), Heading("d"), Heading("e", 3)]
-    assert shown(blocks, TERMINAL) == blocks[:3]
+    assert shown(blocks, Where.TERMINAL) == blocks[:3]

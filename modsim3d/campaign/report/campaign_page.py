@@ -43,7 +43,7 @@ from modsim3d.campaign.verdicts.wording import levels_of
 from modsim3d.campaign.work.row import DONE
 from modsim3d.campaign.worst_film import moment_picture
 from modsim3d.core.arrays import Array, Indices
-from modsim3d.core.document import Cell, Row
+from modsim3d.core.document import Cell, Figure, Row
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted, listed
 from modsim3d.view.pages import page
@@ -256,7 +256,7 @@ def _picture(folder: CampaignFolder, each: WorstRun, moment_s: float) -> str:
     except ModsimError as error:
         return page.paragraph(f"There is no picture: {error}", "soft")
     caption = f"Run {each.number} at {moment_s:g} s: what is true, and the tracks of {each.tracker}."
-    return page.picture(image, caption, "jpeg", quality=QUALITY)
+    return page.html_of(Figure(lambda: page.image(image, caption, "jpeg", quality=QUALITY), caption))
 
 
 def _command(name: str, line: str) -> str:

@@ -12,7 +12,6 @@ from typing import Any
 from PIL.Image import Image
 
 from modsim3d.core.document import (
-    PAGE,
     Beside,
     Block,
     Document,
@@ -23,6 +22,7 @@ from modsim3d.core.document import (
     Table,
     Text,
     Tiles,
+    Where,
     shown,
 )
 from modsim3d.core.text import UNKNOWN
@@ -97,10 +97,10 @@ __all__ = [
     "facts",
     "folded",
     "heading",
+    "image",
     "listed",
     "page",
     "paragraph",
-    "picture",
     "scrolling",
     "table",
     "tiles",
@@ -151,7 +151,7 @@ def page(title: str, body: Iterable[str], rests_on: Provenance) -> str:
 
 def document_page(document: Document, rests_on: Provenance) -> str:
     """A whole page of a document."""
-    return page(document.title, map(html_of, shown([*document.lead, *document.blocks], PAGE)), rests_on)
+    return page(document.title, map(html_of, shown([*document.lead, *document.blocks], Where.PAGE)), rests_on)
 
 
 def html_of(block: Block) -> str:
@@ -217,11 +217,10 @@ def tiles(results: Sequence[tuple[str, str, str]]) -> str:
     return '<dl class="tiles">\n' + "\n".join(each) + "\n</dl>"
 
 
-def picture(image: Image, caption: str, kind: str = "png", **options: Any) -> str:
-    """A picture inside the page as PNG or JPEG, with its caption."""
-    data = base64.b64encode(encoded(image, f".{kind}", optimize=True, **options)).decode("ascii")
-    alt = html.escape(caption, quote=True)
+def image(picture: Image, alt: str, kind: str = "png", **options: Any) -> str:
+    """A picture inside the page as PNG or JPEG, with a text for those who cannot see it."""
+    data = base64.b64encode(encoded(picture, f".{kind}", optimize=True, **options)).decode("ascii")
     return (
-        f'<figure>\n<img src="data:image/{kind};base64,{data}" alt="{alt}" width="{image.width}" '
-        f'height="{image.height}">\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>'
+        f'<img src="data:image/{kind};base64,{data}" alt="{html.escape(alt, quote=True)}" width="{picture.width}" '
+        f'height="{picture.height}">'
     )
