@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import astuple, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
@@ -28,9 +27,6 @@ from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.tracks import Similarity, SimilarityName, TrackSet, WorldTracks
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 from modsim3d.tracks.world_reading import is_world, read_world_tracks
-
-if TYPE_CHECKING:
-    pass
 
 
 class RunScores(ScoredTracks):
