@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import centre_form
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, MERGED, PERSISTENT
@@ -95,7 +95,7 @@ class TableRows:
     def names(self, column: str, known: Sequence[str], *, nullable: bool = False) -> Indices:
         """A column of names as indices, `NOBODY` for null, shape (n,)."""
         found = tables.indices(self.table, column, known)
-        wrong = found == tables.NOBODY
+        wrong = found == NOBODY
         if nullable and wrong.any():
             wrong &= self.table[column].is_valid().to_numpy()
         self.refuse(column, wrong, f"one of {', '.join(known[:12])}{', …' if len(known) > 12 else ''}")
@@ -161,7 +161,7 @@ def check_truth(rows: TableRows, scene: Scene) -> None:
         RunDirectoryError: A value is not what a run has written.
     """
     frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
-    rows.refuse("step", tables.positions(taken, frame) == tables.NOBODY, "one at which the camera takes a frame")
+    rows.refuse("step", tables.positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
     vessel = rows.names("vessel", scene.vessel_names)
     key = frame * len(scene.vessels) + vessel
     rows.refuse("vessel", np.diff(key, prepend=-1) <= 0, "after the row before, in order of step, camera and vessel")
@@ -205,7 +205,7 @@ def _check_visibility(rows: TableRows, scene: Scene, most_px: Array) -> None:
     rows.numbers("depth_m", -MAX_DEPTH_M, MAX_DEPTH_M)
     rows.filled("occluded_by")
     occluders, wrong = tables.Occluders.of(rows.table, scene.occluder_names), np.zeros(len(rows.table), dtype=bool)
-    wrong[occluders.hidden[occluders.name == tables.NOBODY]] = True
+    wrong[occluders.hidden[occluders.name == NOBODY]] = True
     rows.refuse("occluded_by", wrong, "a list of vessels and obstacles of the scene")
     hidden = occluders.hidden
     wrong[hidden[~((occluders.px >= 0) & (occluders.px <= most_px[hidden]))]] = True
@@ -219,7 +219,7 @@ def check_detections(rows: TableRows, scene: Scene) -> None:
         RunDirectoryError: A value is not what a run has written.
     """
     frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
-    rows.refuse("step", tables.positions(taken, frame) == tables.NOBODY, "one at which the camera takes a frame")
+    rows.refuse("step", tables.positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
     rows.refuse("step", np.diff(frame, prepend=-1) < 0, "after the row before, in order of step and camera")
     number = np.arange(len(frame)) - np.searchsorted(frame, frame)
     rows.refuse("detection", rows.integers("detection") != number, "the number of the row in its frame, from 0")
@@ -227,7 +227,7 @@ def check_detections(rows: TableRows, scene: Scene) -> None:
     rows.names("state", [state.name for state in scene.detector.states])
     kind, vessel = rows.names("kind", KINDS), rows.names("vessel", scene.vessel_names, nullable=True)
     of_nobody = np.isin(kind, OF_NO_VESSEL)
-    rows.refuse("vessel", of_nobody != (vessel == tables.NOBODY), "null for a false positive and for nothing else")
+    rows.refuse("vessel", of_nobody != (vessel == NOBODY), "null for a false positive and for nothing else")
     rows.numbers("confidence", 0.0, 1.0)
     size_px, boxes_px = _image_sizes_px(frame, scene), tables.detection_boxes_px(rows.table)
     _check_boxes(rows, "", boxes_px, size_px, nullable=False)
@@ -298,7 +298,7 @@ def _boxes_of(truth: TableRows, detections: TableRows, drawn: Indices, own: Mask
     )
     vessel = tables.indices(detections.table, "vessel", scene.vessel_names)
     place = tables.positions(key, drawn * vessels + vessel)
-    strange = (vessel != tables.NOBODY) & (place == tables.NOBODY)
+    strange = (vessel != NOBODY) & (place == NOBODY)
     detections.refuse("vessel", strange, "annotated in truth.parquet in this frame")
     found = np.flatnonzero(own)
     second = np.ones(len(own), dtype=bool)
