@@ -16,14 +16,13 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.detector.chain import model_name
-from modsim3d.detector.confidence import LEVELS, SCORES, drawn_levels
+from modsim3d.detector.confidence import drawn_levels
 from modsim3d.detector.draws import poisson_quantile
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import FALSE_POSITIVE
 from modsim3d.detector.truncation import Accepted, accepted_errors
 from modsim3d.verify.class_checks import expected_outcomes
-from modsim3d.verify.confidence_checks import scored
+from modsim3d.verify.confidence_checks import levels_of, scored
 from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.false_positive_checks import RATE_CHECKS, expected_clutter
@@ -371,9 +370,7 @@ def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
             (row, np.full(len(row), NO_VESSEL)),
         )
         for scores, found, place in zip((law.true, law.false), scored(evidence, s, law), places, strict=True):
-            check = LEVELS.get(model_name(SCORES, scores))
-            shift = -law.visibility_slope * found.hidden - law.size_slope * found.halvings
-            levels = None if check is None else check(scores, found.scores, shift)
+            levels = levels_of(law, scores, found)
             if levels is not None:
                 level = drawn_levels(levels, found.scores, model.confidence_threshold, rng)
                 parts.append((*place, special.ndtri(np.clip(level, _MIN_LEVEL, 1 - _MIN_LEVEL))))

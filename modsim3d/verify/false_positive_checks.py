@@ -11,23 +11,13 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, sizes, unions
 from modsim3d.core.random_streams import Streams
+from modsim3d.detector import records
 from modsim3d.detector.chain import DetectorPart, clutter_of, clutter_rates
 from modsim3d.detector.draws import select
 from modsim3d.detector.false_positive_placement import DRAWS
 from modsim3d.detector.false_positives import FrameCounts, persistent_false_positives
 from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX, MergesAndSplits
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import (
-    DUPLICATE,
-    FALSE_POSITIVE,
-    FRAGMENT,
-    MERGED,
-    PERSISTENT,
-    SPLIT,
-    TRUE,
-    CameraFrames,
-    Targets,
-)
 from modsim3d.verify.class_checks import lag_pairs
 from modsim3d.verify.evidence import CameraEvidence, Evidence, frames_above_max, unknown_rest_note
 from modsim3d.verify.measures import CORRELATION, DiscoveryRate, Estimate, Exact, ImageRate, Rate
@@ -68,7 +58,7 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
     source, rng = clutter_of(model, evidence.census(model)), np.random.default_rng(0)
     found, drawn = [], []
     for seen in evidence.cameras:
-        rows = np.flatnonzero(seen.detections.kind == FALSE_POSITIVE)
+        rows = np.flatnonzero(seen.detections.kind == records.FALSE_POSITIVE)
         frame = seen.detections.frame[rows]
         found.append(_places_and_sizes(seen.frames, frame, seen.detections.boxes_px[rows]))
         again = np.repeat(frame, _DRAWS_EACH)
@@ -81,7 +71,7 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
     return [Law(_distance(values[:, k], expected[:, k]), worth) for k in range(4)]
 
 
-def _kept(seen: CameraEvidence) -> Targets:
+def _kept(seen: CameraEvidence) -> records.Targets:
     """The detected vessels as the detector had them, with merged ones in one box."""
     found = seen.detections
     true = np.flatnonzero(~found.false())
@@ -93,7 +83,7 @@ def _kept(seen: CameraEvidence) -> Targets:
     return replace(kept, boxes_px=boxes)
 
 
-def _places_and_sizes(frames: CameraFrames, frame: Indices, boxes_px: Array) -> Array:
+def _places_and_sizes(frames: records.CameraFrames, frame: Indices, boxes_px: Array) -> Array:
     """Depth of the middle below the horizon, place along it, width, height; in pixels, shape (m, 4)."""
     a, b, c = frames.sea_half_planes[frame].T
     length = np.hypot(a, b)
@@ -134,7 +124,7 @@ def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Es
         return float((persistent[now] + persistent[before] - changes).sum() / (2 * common.sum()))
 
     counts = [
-        np.bincount(s.detections.frame[s.detections.kind == PERSISTENT], minlength=len(s.frames))
+        np.bincount(s.detections.frame[s.detections.kind == records.PERSISTENT], minlength=len(s.frames))
         for s in evidence.cameras
     ]
     asked = float((np.exp(-apart / lifetime) * common).sum() / common.sum())
@@ -285,7 +275,7 @@ class ImageRateCheck:
     @staticmethod
     def _measure(seen: ClutterEvidence, s: int) -> ImageRate | None:
         ours, expected, clutter = seen.evidence.frames.state == s, seen.expected, seen.evidence.false_detections
-        found = int(np.isin(clutter.kind, (FALSE_POSITIVE, PERSISTENT))[clutter.state == s].sum())
+        found = int(np.isin(clutter.kind, (records.FALSE_POSITIVE, records.PERSISTENT))[clutter.state == s].sum())
         images = float(expected.due[ours].sum())
         if not images:
             return None
@@ -305,12 +295,14 @@ RATE_CHECKS: Mapping[str, RateCheck] = {
 def second_box_candidates(model: DetectorModel, evidence: Evidence) -> tuple[Indices, Mask]:
     """Rows of true detections that may be doubled or split, and whether they are long enough, shapes (k,)."""
     true_detections, clutter = evidence.true_detections, evidence.false_detections
-    single = np.flatnonzero((true_detections.kind == TRUE) | (true_detections.kind == SPLIT))
+    single = np.flatnonzero((true_detections.kind == records.TRUE) | (true_detections.kind == records.SPLIT))
     instances = true_detections.instance[single]
     placed = sizes(true_detections.boxes_px[single])[:, 0]
-    pieces = np.flatnonzero(clutter.kind == FRAGMENT)
+    pieces = np.flatnonzero(clutter.kind == records.FRAGMENT)
     of = {int(chance): int(row) for row, chance in zip(pieces, clutter.instance[pieces], strict=True)}
-    split = np.flatnonzero((true_detections.kind[single] == SPLIT) & np.isin(instances, [*of]))  # both were put out
+    split = np.flatnonzero(
+        (true_detections.kind[single] == records.SPLIT) & np.isin(instances, [*of])
+    )  # both were put out
     other = np.array([of[int(chance)] for chance in instances[split]], dtype=np.int64)
     placed[split] += sizes(clutter.boxes_px[other])[:, 0]  # both parts together
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
@@ -354,7 +346,7 @@ def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Para
     state, clutter = model.states[s], evidence.false_detections
     if len(model.labels) < 2:
         return []
-    found = clutter.label[(clutter.state == s) & (clutter.kind == FALSE_POSITIVE)]
+    found = clutter.label[(clutter.state == s) & (clutter.kind == records.FALSE_POSITIVE)]
     note = "of those that do not persist" if model.clutter.persistent_share else ""
     return [
         Parameter(
@@ -371,11 +363,14 @@ def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Para
 
 def _second_box_checks(seen: ClutterEvidence) -> list[Parameter]:
     rule, kinds = seen.model.merges_and_splits, seen.evidence.false_detections.kind
-    if rule == MergesAndSplits() and not np.isin(kinds, (DUPLICATE, FRAGMENT)).any():
+    if rule == MergesAndSplits() and not np.isin(kinds, (records.DUPLICATE, records.FRAGMENT)).any():
         return []
     single, long = second_box_candidates(seen.model, seen.evidence)
     parameters = []
-    for name, kind, count in (("duplicates", DUPLICATE, len(single)), ("splits", FRAGMENT, int(long.sum()))):
+    for name, kind, count in (
+        ("duplicates", records.DUPLICATE, len(single)),
+        ("splits", records.FRAGMENT, int(long.sum())),
+    ):
         asked = float(getattr(rule, name))
         measure = Rate(int((kinds == kind).sum()), count, asked) if count else None
         parameters.append(Parameter(f"false_positives.{name}", DetectorPart.FALSE_POSITIVES, measure, asked))
@@ -386,7 +381,7 @@ def _merge_check(seen: ClutterEvidence) -> Parameter:
     name, merges = "false_positives.merges", seen.model.merges_and_splits.merges
     kinds = seen.evidence.true_detections.kind
     if merges == 0:
-        return Parameter(name, DetectorPart.FALSE_POSITIVES, Exact(int((kinds == MERGED).sum()), len(kinds)))
+        return Parameter(name, DetectorPart.FALSE_POSITIVES, Exact(int((kinds == records.MERGED).sum()), len(kinds)))
     note = "which pairs could have been merged depends on others that were: only counted"
     return Parameter(name, DetectorPart.FALSE_POSITIVES, None, merges, note=note)
 
@@ -394,7 +389,7 @@ def _merge_check(seen: ClutterEvidence) -> Parameter:
 def _persistent_share_check(seen: ClutterEvidence) -> Parameter:
     name, share = "false_positives.persistence.share", seen.model.clutter.persistent_share
     kinds, expected = seen.evidence.false_detections.kind, seen.expected
-    persistent, transient = int((kinds == PERSISTENT).sum()), int((kinds == FALSE_POSITIVE).sum())
+    persistent, transient = int((kinds == records.PERSISTENT).sum()), int((kinds == records.FALSE_POSITIVE).sum())
     if not share:
         return Parameter(name, DetectorPart.FALSE_POSITIVES, Exact(persistent, len(kinds)))
     if not persistent + transient:
