@@ -29,17 +29,13 @@ from modsim3d.cli.shared import (
     progress,
     typed_command,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell, tell_files, timed, warn
+from modsim3d.cli.terminal import open_console, print_document, say_json, tell, tell_files, timed, warn
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from modsim3d.detector.model import DetectorModel
     from modsim3d.runs.repeat_run import RepeatedFile, Repetition
     from modsim3d.scene.scene import Scene
-    from modsim3d.verify.parameters import Verification
-    from modsim3d.verify.sources.figures import ComparisonFigures
 
 # ---- `modsim3d check scene` ----
 
@@ -162,32 +158,13 @@ def check_run_command(
         with timed("files"):
             verify_report.write_report(verified, folder, typed_command(context))
     verification = verified.verification
-    _print_verification(verification)
     console = open_console()
+    print_document(console, verify_report.document(verified))
     print_written(console, paths)
     said = {"conclusion": verify_report.conclusion(verification), "notes": verify_report.notes_of(verification)}
     say_json({"command": "check run", **verify_report.report_data(verified), **said, "written": paths})
     if not verification.obeys:
         raise typer.Exit(1)
-
-
-def _print_verification(verification: Verification) -> None:
-    from modsim3d.verify.verify_run import HEADER, conclusion, groups_of, notes_of, row_of
-
-    console = open_console()
-    for group, verdicts in groups_of(verification).items():
-        print_table(
-            console,
-            group,
-            [row_of(verdict) for verdict in verdicts],
-            header=HEADER,
-            row_styles=["bold red" if verdict.fails else "" for verdict in verdicts],
-            at_edge=HEADER.index("verdict"),
-        )
-    for note in notes_of(verification):
-        print_prose(console, note, "dim")
-    print_line(console, "")
-    print_prose(console, conclusion(verification), "bold" if verification.obeys else "bold red")
 
 
 # ---- `modsim3d check truth` ----
@@ -235,27 +212,12 @@ def check_truth_command(
             compare_report.write_report(comparison, loaded, renderer, out, typed_command(context), scene)
     figures = comparison.figures
     console = open_console()
-    _print_figures(console, figures)
+    print_document(console, compare_report.document(comparison, loaded))
     written = [path for path in written if path.exists()]  # a picture only where a vessel is occluded
     print_written(console, written)
     say_json({"command": "check truth", **asdict(figures), "written": written})
     if figures.unexplained:
         raise typer.Exit(1)
-
-
-def _print_figures(console: Console, figures: ComparisonFigures) -> None:
-    """Print the tables that have rows."""
-    from modsim3d.verify.sources import report as compare_report
-
-    for title, rows in (
-        ("rendered against drawn and analytic", compare_report.figure_rows(figures)),
-        ("agreement: full box, visible part", compare_report.verdict_rows(figures)),
-        ("idealised rectangle rule against rendered", compare_report.rule_rows(figures)),
-        ("shoebox against mesh", compare_report.shoebox_rows(figures)),
-        ("time per frame", compare_report.time_rows(figures)),
-        ("no plane between the hulls", compare_report.intersection_rows(figures)),
-    ):
-        print_rows(console, title, rows)
 
 
 # ---- `modsim3d check repeat` ----

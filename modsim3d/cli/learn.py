@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,19 +27,17 @@ from modsim3d.cli.shared import (
     QuietOption,
     VerboseOption,
     out_file,
-    print_line,
     print_written,
     typed_command,
     under,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell_files, timed, warn
+from modsim3d.cli.terminal import open_console, print_document, say_json, tell_files, timed, warn
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from modsim3d.learn.bootstrap import Column, Interval
     from modsim3d.learn.figures import Figures
+    from modsim3d.learn.learning import LearnResult
     from modsim3d.learn.report import LearnReport
     from modsim3d.learn.request import LearnRequest
 
@@ -186,7 +184,7 @@ def learn_command(
             result = inputs.learn(request, typed_command(context))
         with timed("files"):
             write_files(learned_files(result, out))
-    show_report(result.report, written)
+    show_result(result, out.name, written)
     say_json(learn_json(result.report, written))
 
 
@@ -215,45 +213,15 @@ def learn_request(context: typer.Context, **given: Any) -> LearnRequest:
     )
 
 
-# ---- The tables that `modsim3d learn` prints ----
-
-
-def show_report(report: LearnReport, written: Sequence[Path], show_besides: Callable[[], None] = lambda: None) -> None:
-    """Print what was learned; `show_besides` prints what a voyage has to say before the tables."""
-    from modsim3d.learn.report import lead
-    from modsim3d.learn.report_page import NEVER_LEARNED, tables
+def show_result(result: LearnResult, name: str, written: Sequence[Path]) -> None:
+    """Print what was learned, which files were written, and what to be careful about."""
+    from modsim3d.learn.report_page import document
 
     console = open_console()
-    print_prose(console, lead(report))
-    for remark in report.remarks:
-        print_prose(console, f"Remark: {remark}.")
-    show_besides()
-    for table in tables(report):
-        _print(console, table.title, table.header, table.rows)
-    print_line(console, "\nLeft simple, and why", "bold")
-    for note in report.learned.notes or ("nothing: there was enough of everything",):
-        print_prose(console, note, indent=2)
-    print_line(console, "")
-    print_prose(console, NEVER_LEARNED)
+    print_document(console, document(result.report, name, result.sources.names, result.sections))
     print_written(console, written)
-    if report.warning:
-        warn(report.warning)
-
-
-_BREAKS: tuple[Callable[[str], str], ...] = (
-    lambda cell: cell.replace(" [", "\n["),
-    lambda cell: "\n".join(cell.split()) if " to " not in cell else cell,
-)
-"""Where cells are broken that are too wide: first before intervals, then before both their ends."""
-
-
-def _print(console: Console, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    left = {
-        place
-        for place in range(len(header))
-        if place == 0 or not any(row[place][:1].isdigit() or row[place][:1] in ("", "-", "–") for row in rows)
-    }
-    print_table(console, title, rows, header=header, right=set(range(len(header))) - left, breaks=_BREAKS)
+    if result.report.warning:
+        warn(result.report.warning)
 
 
 # ---- What `modsim3d learn --json` says of what was learned ----
@@ -289,9 +257,8 @@ def learn_json(report: LearnReport, written: Sequence[Path], command: str = "lea
 def _figures(figures: Figures, report: LearnReport) -> dict[str, Any]:
     """Figures of a condition or state whatever the label, and the mean average precision."""
 
-    def found(column: Column) -> dict[str, Any]:
-        low, high = column.interval(report.level, figures.units)
-        return {"value": float(column.estimate), "low": float(low), "high": float(high)}
+    def found(column: Column) -> dict[str, float]:
+        return column.content(report.level, figures.units)
 
     return {
         "name": figures.name,

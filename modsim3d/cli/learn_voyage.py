@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,7 +26,7 @@ from modsim3d.cli.learn import (
     WithoutOption,
     learn_json,
     learn_request,
-    show_report,
+    show_result,
 )
 from modsim3d.cli.shared import (
     JsonOption,
@@ -35,16 +35,14 @@ from modsim3d.cli.shared import (
     SceneArgument,
     VerboseOption,
     out_file,
-    print_line,
     typed_command,
     under,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell_files, timed
+from modsim3d.cli.terminal import say_json, tell_files, timed
 from modsim3d.core.errors import InputError
 
 if TYPE_CHECKING:
     from modsim3d.learn.voyage.logs.log import Start
-    from modsim3d.learn.voyage.report import VoyageReport
 
 LOGS, REGISTRATION = "The logs", "Registration and truth"
 
@@ -190,8 +188,7 @@ def learn_voyage_command(
             result = voyage.learn(labelled, read, typed_command(context))
         with timed("files"):
             write_files(learned_files(result, out) | files)
-    show_voyage(result.told)
-    show_report(result.report, [*written, *files], lambda: show_voyage_tables(result.told))
+    show_result(result, out.name, [*written, *files])
     found = learn_json(result.report, [*written, *files], "learn-voyage")
     say_json(found | {"voyage": voyage_json(result.told)})
 
@@ -202,36 +199,6 @@ def _check_apart(written: Sequence[Path], scene_files: Sequence[Path]) -> None:
     for path in written:
         if path.resolve() in places:
             raise InputError("--write-scene", [f"{path} is a file of the scene: give --out another folder or name"])
-
-
-def show_voyage(told: VoyageReport) -> None:
-    """Print the registration, before the detector."""
-    from modsim3d.learn.voyage.report import NOT_REGISTERED
-
-    console = open_console()
-    if not told.voyage.registered:
-        print_prose(console, NOT_REGISTERED)
-    for lead, table, exchanges in told.registration:
-        print_prose(console, lead)
-        print_table(console, table.title, table.rows, header=table.header, right={1, 2, 3}, breaks=BREAKS)
-        print_line(console, "\nCannot be told apart by these data, so that a rule settles it", "bold")
-        for line in exchanges:
-            print_prose(console, line, indent=2)
-    print_line(console, "")
-
-
-def show_voyage_tables(told: VoyageReport) -> None:
-    """Print what AIS does not see, how well truth is known, coverage, and the longest stretches without a match."""
-    console = open_console()
-    for table in told.tables:
-        print_table(console, table.title, table.rows, header=table.header, breaks=BREAKS)
-
-
-BREAKS: tuple[Callable[[str], str], ...] = (
-    lambda cell: cell.replace(" (", "\n(").replace(" to ", "\nto "),
-    lambda cell: "\n".join(cell.split()),
-)
-"""Where cells are broken that are too wide."""
 
 
 def _start(text: str) -> Start:

@@ -9,6 +9,9 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+NOBODY = -1
+"""The index of a name that is not given, or not among the names."""
+
 
 def read_only(values: ArrayLike) -> Array:
     """A copy as doubles that cannot be written to, of the same shape."""
@@ -31,6 +34,15 @@ def run_starts(*columns: Indices) -> Indices:
     for column in columns[1:]:
         starts[1:] |= column[1:] != column[:-1]
     return starts.nonzero()[0]
+
+
+def row_before(keys: Indices) -> Indices:
+    """The last row before each row that has the same key, −1 for none, shape (n,)."""
+    before = np.full(len(keys), -1)
+    order = np.argsort(keys, kind="stable")
+    same = np.flatnonzero(np.diff(keys[order]) == 0)
+    before[order[same + 1]] = order[same]
+    return before
 
 
 def distinct(values: Indices) -> Indices:

@@ -6,13 +6,12 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import Any
 
+from modsim3d.core.document import Block
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import column_table
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.writing import detector_text
 from modsim3d.detector.model import DetectorModel
@@ -25,7 +24,7 @@ from modsim3d.io.overwrite_guard import claimed
 from modsim3d.learn import learn_detector as labelled_sets
 from modsim3d.learn.learned import uncertainty_file, uncertainty_text
 from modsim3d.learn.report import LearnReport, lead
-from modsim3d.learn.report_page import Sources, page_text, tables
+from modsim3d.learn.report_page import Sources, document, page_text
 from modsim3d.learn.request import LearnRequest, Method, parse_states
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
@@ -44,13 +43,13 @@ class LearnResult:
         report: Every number with its interval, and the figures of an evaluation.
         inputs: The files that it was learned from; none of them is written over.
         sources: The same with what the page says of them.
-        sections: Further sections of the page, as HTML, such as those of a voyage.
+        sections: Further sections of the page, such as those of a voyage.
     """
 
     report: LearnReport
     inputs: tuple[Path, ...]
     sources: Sources
-    sections: tuple[str, ...] = ()
+    sections: tuple[Block, ...] = ()
 
     def __repr__(self) -> str:
         """From how much it was learned, and that most matches are lost where they are."""
@@ -59,11 +58,7 @@ class LearnResult:
 
     def _repr_html_(self) -> str:
         """From how much it was learned, what to be careful about, and how well the detector detects."""
-        warnings = [f"<b>Warning: {escape(self.report.warning)}.</b>"] if self.report.warning else []
-        remarks = [f"Remark: {escape(remark)}." for remark in self.report.remarks]
-        found = tables(self.report)[: 2 if self.report.states_differ else 1]
-        parts = [column_table(table.title, table.header, table.rows) for table in found]
-        return f"<p>{escape(lead(self.report))}</p>{_paragraphs([*warnings, *remarks])}{''.join(parts)}"
+        return document(self.report).notebook()
 
     @property
     def content(self) -> dict[str, Any]:
@@ -117,10 +112,6 @@ def detector_files(out: Path) -> list[Path]:
     if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
     return [out, page, uncertainty_file(out)]
-
-
-def _paragraphs(texts: Iterable[str]) -> str:
-    return "".join(f"<p>{text}</p>" for text in texts)
 
 
 def comments(report: LearnReport) -> list[str]:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, run_starts
+from modsim3d.core.arrays import NOBODY, Array, Indices, run_starts
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.model import DetectorModel, Performance
 from modsim3d.detector.records import FALSE_KINDS, CameraFrames, Targets
-from modsim3d.formats.labelled import EVERYWHERE, NOBODY, LabelledSet, Results
+from modsim3d.formats.labelled import EVERYWHERE, LabelledSet, Results
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""A scene to spoil, the command line in this process, and a check that a scene is refused."""
+"""A scene to spoil, and a check that a scene is refused."""
 
 from __future__ import annotations
 
@@ -7,24 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from tests import command_line
 from tests.cli.bad_input.builders import GOOD, Call, Inputs, Refused
 
 
 @pytest.fixture
 def inputs(tmp_path: Path) -> Inputs:
     return Inputs(tmp_path / "in", copy.deepcopy(GOOD))
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """A function that runs the command line in this process and returns its exit status and output."""
-
-    def run(*arguments: object) -> tuple[int, str]:
-        status, said = command_line.call(monkeypatch, *arguments), capsys.readouterr()
-        return status, said.out + said.err
-
-    return run
 
 
 @pytest.fixture
