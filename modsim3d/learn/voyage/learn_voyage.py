@@ -270,22 +270,11 @@ def learn_voyage(
         seed=seed,
         without=without,
     )
-    path = as_path(log, "log")
     measured = None if attitude is None else as_path(attitude, "attitude")
+    about = (registration, fixed, known, empty, position_noise, stale_s, measured, log_options)
+    logs = (as_path(log, "log"),)
     with inputs_noted() as read:
-        voyage = VoyageRequest(
-            request,
-            scene if isinstance(scene, Scene) else load_scene(scene),
-            (path,),
-            (camera,),
-            registration,
-            fixed,
-            known,
-            empty,
-            position_noise,
-            stale_s,
-            measured,
-            log_options,
-        )
+        loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+        voyage = VoyageRequest(request, loaded, logs, (camera,), *about)
         labelled = voyage.labelled()
     return voyage.learn(labelled, read, "modsim3d.learn_voyage(…).write(…) from Python")

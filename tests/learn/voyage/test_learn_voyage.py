@@ -169,7 +169,7 @@ def test_hidden_parts_leave_box_errors_out_where_positions_are_not_surely_known(
     strait: Scene, voyage: Path, position_m: float, mode: int
 ) -> None:
     scene = replace(strait, annotation=replace(strait.annotation, mode=mode))
-    given = {"registration": NO_CORRECTION, "position_noise": position_m, "replicates": 2, "without": WITHOUT}
+    given = {"registration": NO_CORRECTION, "position_noise": position_m, "replicates": 20, "without": WITHOUT}
     found = learn_voyage(scene, voyage / "run", camera="bow", match="confidence", **given)
     pairs = found.report.learned.observed.pairs
     hidden = found.told.voyage.labelled.annotations.visible_fraction[pairs.rows] < 0.99
@@ -188,7 +188,7 @@ def test_boxes_match_by_centres_where_positions_are_not_surely_known(strait: Sce
             registration=NO_CORRECTION,
             position_noise=position_m,
             match=match,
-            replicates=2,
+            replicates=20,
             without=WITHOUT,
         )
         return found.report.matched_by.partition(" at")[0]
