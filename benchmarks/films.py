@@ -61,9 +61,9 @@ def main() -> None:
         "",
         "Written by `python -m benchmarks.films`; do not edit.",
         "",
-        f"`modsim3d view film RUN --kind KIND`, MP4 in real time, one worker, {steps} steps. "
-        "Times are processor times of the program and the encoder together, from the start of the program, which takes about 2 s of them. "
-        "A ratio below 1 means that one core draws a film faster than it plays. Memory is that of the program, at its highest.",
+        f"`modsim3d view film RUN --kind KIND`, MP4 in real time, one worker, {steps} steps. Times are those of the "
+        "processor for the program and the encoder together, from the start of the program, which takes about 2 s. A "
+        "ratio below 1 means that one core draws a film faster than it plays. Memory is the program's, at its highest.",
         "",
     ]
     head = ("Scene", "Film", "Frames", "ms a frame", "Plays for", "Drawing / playing", "Memory")
