@@ -12,21 +12,14 @@ import numpy as np
 import pytest
 
 from benchmarks.campaigns import compare as campaign
-from modsim3d.cli import main
 from modsim3d.truth import rendered
 from modsim3d.truth.occlusion import HiddenPixels
 from modsim3d.verify.sources import compare
 from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement
+from tests.command_line import call
 from tests.scenes import crossing, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return stopped.value.code
 
 
 def figures_of(monkeypatch, folder, *arguments):

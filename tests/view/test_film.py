@@ -11,22 +11,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d.cli import main
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmLayout
 from modsim3d.view.pictures import id_buffer
+from tests.command_line import call
 from tests.scenes import crossing
 
 STEPS = 12
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("film")
-    run_scene(load_scene(crossing(folder, STEPS)), folder / "run")
-    return folder / "run"
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +37,7 @@ def two_cameras(tmp_path_factory):
 
 
 def view(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "view", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return stopped.value.code
+    return call(monkeypatch, "view", *arguments)
 
 
 def probe(path):

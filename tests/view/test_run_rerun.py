@@ -14,7 +14,6 @@ import pytest
 from PIL import Image
 from rerun.chunk import RrdReader
 
-from modsim3d.cli import main
 from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
@@ -22,6 +21,7 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.rerun_boxes import TEXT
 from modsim3d.view.rerun_recording import fill, write_recording
+from tests.command_line import call
 from tests.scenes import crossing, mistaken_strait
 
 STEPS, EVERY = 14, 2
@@ -38,13 +38,6 @@ def run(tmp_path_factory) -> Path:
     path.write_text(json.dumps(scene))
     run_scene(load_scene(str(path), source="analytic"), folder / "run")
     return folder / "run"
-
-
-def call(monkeypatch, *arguments) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return int(stopped.value.code)
 
 
 def read(path: Path) -> dict[str, dict[int | None, dict[str, object]]]:

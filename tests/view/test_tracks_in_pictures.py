@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d.cli import main
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
@@ -18,6 +16,7 @@ from modsim3d.tracks.tracks import Similarity
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmLayout
 from modsim3d.view.followed_tracks import FollowedTracks
+from tests.command_line import call
 from tests.run_folders import interrupt
 from tests.scenes import crossing
 from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, with_false, write_csv
@@ -48,13 +47,6 @@ def followed(rows) -> FollowedTracks:
 @pytest.fixture(scope="module")
 def tracks(rows, followed, tmp_path_factory) -> Path:
     return write_csv(followed.tracks, rows, tmp_path_factory.mktemp("csv") / "made.csv")
-
-
-def call(monkeypatch, *arguments) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return int(stopped.value.code)
 
 
 def drawn(monkeypatch, run: Path, out: Path, *options) -> np.ndarray:

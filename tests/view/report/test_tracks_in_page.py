@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
-import pytest
 
-from modsim3d.cli import main
 from modsim3d.runs.stored_run import open_run
 from modsim3d.view import palette
 from modsim3d.view.report.report import write_report
+from tests.command_line import call
 from tests.view.made_tracks import FALSE_TRACK, write_csv
 from tests.view.report.conftest import FALSE, SWAP
 from tests.view.report.test_page_in_browser import differ, pixels
@@ -95,13 +92,6 @@ def test_a_page_without_tracks_says_nothing_of_lanes(page, tracks_page):
     for part in ('id="lanes"', '"tracks"'):
         assert part not in plain
         assert part in with_tracks
-
-
-def call(monkeypatch, *arguments) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return int(stopped.value.code)
 
 
 def test_command_takes_a_file_and_says_what_is_in_it(monkeypatch, capsys, run_folder, rows, followed, tmp_path):
