@@ -94,7 +94,7 @@ def test_colours_survive_the_film(monkeypatch, run, tmp_path):
 @pytest.mark.parametrize("kind", ["mp4", "gif"])
 def test_films_are_the_same_bytes_whatever_the_workers(prepared, run, tmp_path, kind):
     """In a process without threads, as a user's is: its workers are forks."""
-    options = ("--film", "all", "--every", "2", "--width", "360")
+    options = ("--film", "all", "--every", "3", "--width", "240")
     for workers in ("1", "2"):
         command = (prepared, "view", run, *options, "--workers", workers, "--out", tmp_path / f"{workers}.{kind}")
         subprocess.run(command, check=True, capture_output=True, timeout=60)
