@@ -18,7 +18,7 @@ from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, Performance
 from modsim3d.detector.persistence import Persistence, with_share
 from modsim3d.detector.records import TRUE
 from modsim3d.verify.class_checks import correlation_note, turn_pairs
-from modsim3d.verify.error_fit import FitStep, MomentTable, StateErrors, StateFit, fit_step, fitted_law
+from modsim3d.verify.error_fit import MomentTable, StateErrors, StateFit, fit_step, fitted_law
 from modsim3d.verify.error_parameters import LIKELIHOODS, PLAIN, ErrorParameters
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact
@@ -292,7 +292,8 @@ def _state_checks(
     if _is_singular(state):
         return _exact_checks(state, evidence, rows)
     law = ErrorParameters.of(state.box_error)
-    note = "" if fit is None else _truncation_note(fit.step)
+    redrawn = 0.0 if fit is None else 1 - float(fit.step.acceptance.mean())
+    note = f"{redrawn:.0%} of first draws leave no box and are drawn anew: taken out" if redrawn >= 0.005 else ""
     parameters = []
     for k, (name, asked) in enumerate(zip(law.names(), law.numbers(), strict=True)):
         measure = None if fit is None else _estimate(fit, k, replayed)
@@ -320,11 +321,6 @@ def _estimate(fit: StateFit, k: int, replayed: Array | None) -> Estimate:
         grows=4 <= k < 8,
         possible=AMOUNT if 4 <= k < 8 else CORRELATION if 8 <= k < PLAIN else ANY,
     )
-
-
-def _truncation_note(step: FitStep) -> str:
-    share = 1 - float(step.acceptance.mean())
-    return f"{share:.0%} of first draws leave no box and are drawn anew: taken out" if share >= 0.005 else ""
 
 
 def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) -> list[Parameter]:

@@ -25,7 +25,7 @@ from modsim3d.verify.class_checks import expected_outcomes
 from modsim3d.verify.confidence_checks import levels_of, scored
 from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
-from modsim3d.verify.false_positive_checks import RATE_CHECKS, expected_clutter
+from modsim3d.verify.false_positive_checks import RATE_CHECKS, expected_false_positives
 
 _FAR, _STEPS, _SETTLED = 4.5, 6, 1e-3
 _SINGULAR = 1e10
@@ -322,7 +322,7 @@ def false_positive_residuals(model: DetectorModel, evidence: Evidence) -> Residu
     note = unknown_rest_note(model, evidence)
     if note or model.clutter.model not in RATE_CHECKS:
         return none_of(Draw.FALSE_POSITIVES, note)
-    expected, images = expected_clutter(model, evidence), evidence.frames
+    expected, images = expected_false_positives(model, evidence), evidence.frames
     rows = np.flatnonzero(expected.transient > 0)
     mean, dispersion = expected.transient[rows], expected.dispersion[rows]
     poisson = (dispersion == 1) & (mean < _MANY)

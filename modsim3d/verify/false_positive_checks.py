@@ -33,7 +33,7 @@ _REPLAYS = 150
 _DIGITS = 6  # decimals of a pixel: equal sides that were read back from centre and size stay equal
 
 
-def clutter_box_checks(model: DetectorModel, evidence: Evidence, persistent: Array) -> list[Parameter]:
+def placement_checks(model: DetectorModel, evidence: Evidence, persistent: Array) -> list[Parameter]:
     """Places and sizes of transient false positives, and the lifetime of persistent ones.
 
     `persistent` is the expected number of persistent ones in each frame, shape (s,).
@@ -148,7 +148,7 @@ def _replayed(evidence: Evidence, persistent: Array, lifetime_s: float, seed: in
 
 
 @dataclass(frozen=True, eq=False)
-class ExpectedClutter:
+class ExpectedFalsePositives:
     """Expected numbers of false positives in each image, given what was detected; shapes (s,).
 
     Attributes:
@@ -173,23 +173,25 @@ class ExpectedClutter:
         return self.transient + self.persistent + self.extras
 
 
-def expected_clutter(model: DetectorModel, evidence: Evidence) -> ExpectedClutter:
+def expected_false_positives(model: DetectorModel, evidence: Evidence) -> ExpectedFalsePositives:
     """Expectation of the detector's own model of false positives."""
     images, numbers, rates = evidence.frames, model.clutter.numbers, clutter_rates(model)
     due = np.concatenate([model.gates.due(seen.frames) for seen in evidence.cameras])
     extras, variance = _extras(model, evidence)
     frames = FrameCounts(images.state, due, images.n_kept, extras)
     means, share = numbers.means(rates, frames), model.clutter.persistent_share
-    return ExpectedClutter(due, (1 - share) * means, share * means, extras, variance, numbers.dispersion(rates, frames))
+    return ExpectedFalsePositives(
+        due, (1 - share) * means, share * means, extras, variance, numbers.dispersion(rates, frames)
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class ClutterEvidence:
+class FalsePositiveEvidence:
     """Data from which the rates of false positives are measured."""
 
     model: DetectorModel
     evidence: Evidence
-    expected: ExpectedClutter
+    expected: ExpectedFalsePositives
 
     def persistent_variance(self, ours: Mask) -> float:
         """Variance of the number of persistent ones in the images chosen by a mask of shape (s,).
@@ -209,10 +211,10 @@ class ClutterEvidence:
 class RateCheck(Protocol):
     """Measures the rate of false positives that one model has."""
 
-    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
+    def of_state(self, seen: FalsePositiveEvidence, s: int) -> Parameter:
         """The rate of a state."""
 
-    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
+    def overall(self, seen: FalsePositiveEvidence) -> list[Parameter]:
         """The rate of all states together, if that says more."""
 
 
@@ -222,7 +224,7 @@ class DiscoveryRateCheck:
 
     falls_short: bool = False
 
-    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
+    def of_state(self, seen: FalsePositiveEvidence, s: int) -> Parameter:
         """The rate of a state."""
         state, measure = seen.model.states[s], self._measure(seen, seen.evidence.frames.state == s)
         name, rate = f"states.{state.name}.false_discovery_rate", state.false_discovery_rate
@@ -231,7 +233,7 @@ class DiscoveryRateCheck:
             return parameter
         return replace(parameter, promised=rate, note="asked: what the rule of eq. 7.35 gives here")
 
-    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
+    def overall(self, seen: FalsePositiveEvidence) -> list[Parameter]:
         """The rate of all states together."""
         measure = self._measure(seen, np.ones(len(seen.evidence.frames.state), dtype=bool))
         promised = self._promised(seen) if self.falls_short else None
@@ -239,7 +241,7 @@ class DiscoveryRateCheck:
         return [Parameter(name, DetectorPart.FALSE_POSITIVES, measure, in_file=False, promised=promised)]
 
     @staticmethod
-    def _promised(seen: ClutterEvidence) -> float | None:
+    def _promised(seen: FalsePositiveEvidence) -> float | None:
         """The share of false positives that the states' rates ask for together."""
         kept = seen.evidence.frames.n_kept
         rate = seen.model.column("false_discovery_rate")[seen.evidence.frames.state]
@@ -247,7 +249,7 @@ class DiscoveryRateCheck:
         return asked / (asked + float(kept.sum())) if kept.sum() else None
 
     @staticmethod
-    def _measure(seen: ClutterEvidence, ours: Mask) -> DiscoveryRate | None:
+    def _measure(seen: FalsePositiveEvidence, ours: Mask) -> DiscoveryRate | None:
         images, expected = seen.evidence.frames, seen.expected
         true = float(images.n_kept[ours].sum())
         if not true:
@@ -262,20 +264,20 @@ class DiscoveryRateCheck:
 class ImageRateCheck:
     """The number of false positives in an image."""
 
-    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
+    def of_state(self, seen: FalsePositiveEvidence, s: int) -> Parameter:
         """The rate of a state."""
         state = seen.model.states[s]
         name, rate = f"states.{state.name}.false_positives_per_image", state.false_positives_per_image
         return Parameter(name, DetectorPart.FALSE_POSITIVES, self._measure(seen, s), rate, state=state.name)
 
-    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
+    def overall(self, seen: FalsePositiveEvidence) -> list[Parameter]:
         """Nothing: images of different rates have no common one."""
         return []
 
     @staticmethod
-    def _measure(seen: ClutterEvidence, s: int) -> ImageRate | None:
-        ours, expected, clutter = seen.evidence.frames.state == s, seen.expected, seen.evidence.false_detections
-        found = int(np.isin(clutter.kind, (records.FALSE_POSITIVE, records.PERSISTENT))[clutter.state == s].sum())
+    def _measure(seen: FalsePositiveEvidence, s: int) -> ImageRate | None:
+        ours, expected, false = seen.evidence.frames.state == s, seen.expected, seen.evidence.false_detections
+        found = int(np.isin(false.kind, (records.FALSE_POSITIVE, records.PERSISTENT))[false.state == s].sum())
         images = float(expected.due[ours].sum())
         if not images:
             return None
@@ -294,17 +296,17 @@ RATE_CHECKS: Mapping[str, RateCheck] = {
 
 def second_box_candidates(model: DetectorModel, evidence: Evidence) -> tuple[Indices, Mask]:
     """Rows of true detections that may be doubled or split, and whether they are long enough, shapes (k,)."""
-    true_detections, clutter = evidence.true_detections, evidence.false_detections
+    true_detections, false = evidence.true_detections, evidence.false_detections
     single = np.flatnonzero((true_detections.kind == records.TRUE) | (true_detections.kind == records.SPLIT))
     instances = true_detections.instance[single]
     placed = sizes(true_detections.boxes_px[single])[:, 0]
-    pieces = np.flatnonzero(clutter.kind == records.FRAGMENT)
-    of = {int(chance): int(row) for row, chance in zip(pieces, clutter.instance[pieces], strict=True)}
+    pieces = np.flatnonzero(false.kind == records.FRAGMENT)
+    of = {int(chance): int(row) for row, chance in zip(pieces, false.instance[pieces], strict=True)}
     split = np.flatnonzero(
         (true_detections.kind[single] == records.SPLIT) & np.isin(instances, [*of])
     )  # both were put out
     other = np.array([of[int(chance)] for chance in instances[split]], dtype=np.int64)
-    placed[split] += sizes(clutter.boxes_px[other])[:, 0]  # both parts together
+    placed[split] += sizes(false.boxes_px[other])[:, 0]  # both parts together
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
     return single, model.merges_and_splits.looks_long(truth[instances]) & (placed >= MIN_SPLIT_PX)
 
@@ -323,10 +325,10 @@ def _extras(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
     )
 
 
-def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
+def false_positive_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """The rate of each state and of all, the kinds, and the labels of false positives."""
     note = unknown_rest_note(model, evidence)
-    seen = ClutterEvidence(model, evidence, expected_clutter(model, evidence))
+    seen = FalsePositiveEvidence(model, evidence, expected_false_positives(model, evidence))
     check = RATE_CHECKS.get(model.clutter.model)
     parameters = []
     if model.gates.max_detections is not None:
@@ -338,15 +340,15 @@ def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     parameters += [] if check is None else [overall.unless(note) for overall in check.overall(seen)]
     if not note:
         parameters += [*_second_box_checks(seen), _merge_check(seen), _persistent_share_check(seen)]
-    return [*parameters, *clutter_box_checks(model, evidence, seen.expected.persistent)]
+    return [*parameters, *placement_checks(model, evidence, seen.expected.persistent)]
 
 
 def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Parameter]:
     """The labels of transient ones: a persistent one keeps its label, so only the others are independent."""
-    state, clutter = model.states[s], evidence.false_detections
+    state, false = model.states[s], evidence.false_detections
     if len(model.labels) < 2:
         return []
-    found = clutter.label[(clutter.state == s) & (clutter.kind == records.FALSE_POSITIVE)]
+    found = false.label[(false.state == s) & (false.kind == records.FALSE_POSITIVE)]
     note = "of those that do not persist" if model.clutter.persistent_share else ""
     return [
         Parameter(
@@ -361,7 +363,7 @@ def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Para
     ]
 
 
-def _second_box_checks(seen: ClutterEvidence) -> list[Parameter]:
+def _second_box_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
     rule, kinds = seen.model.merges_and_splits, seen.evidence.false_detections.kind
     if rule == MergesAndSplits() and not np.isin(kinds, (records.DUPLICATE, records.FRAGMENT)).any():
         return []
@@ -377,7 +379,7 @@ def _second_box_checks(seen: ClutterEvidence) -> list[Parameter]:
     return parameters
 
 
-def _merge_check(seen: ClutterEvidence) -> Parameter:
+def _merge_check(seen: FalsePositiveEvidence) -> Parameter:
     name, merges = "false_positives.merges", seen.model.merges_and_splits.merges
     kinds = seen.evidence.true_detections.kind
     if merges == 0:
@@ -386,7 +388,7 @@ def _merge_check(seen: ClutterEvidence) -> Parameter:
     return Parameter(name, DetectorPart.FALSE_POSITIVES, None, merges, note=note)
 
 
-def _persistent_share_check(seen: ClutterEvidence) -> Parameter:
+def _persistent_share_check(seen: FalsePositiveEvidence) -> Parameter:
     name, share = "false_positives.persistence.share", seen.model.clutter.persistent_share
     kinds, expected = seen.evidence.false_detections.kind, seen.expected
     persistent, transient = int((kinds == records.PERSISTENT).sum()), int((kinds == records.FALSE_POSITIVE).sum())

@@ -12,7 +12,7 @@ from modsim3d.verify.confidence_checks import SCORE_CHECKS, confidence_checks
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.error_parameters import LIKELIHOODS
 from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.false_positive_checks import RATE_CHECKS, clutter_checks
+from modsim3d.verify.false_positive_checks import RATE_CHECKS, false_positive_checks
 from modsim3d.verify.independence_checks import independence_checks
 from modsim3d.verify.parameters import Parameter, Verification, judge
 from modsim3d.verify.state_checks import state_checks
@@ -38,7 +38,7 @@ def verify_evidence(model: DetectorModel, evidence: Evidence, table: MomentTable
         *state_checks(model, evidence),
         *class_checks(model, evidence),
         *fit_checks(model, evidence, fits),
-        *clutter_checks(model, evidence),
+        *false_positive_checks(model, evidence),
         *confidence_checks(model, evidence),
         *independence_checks(model, evidence, [fit for fit in fits.values() if fit is not None]),
     ]

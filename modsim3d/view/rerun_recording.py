@@ -46,7 +46,12 @@ def blueprint(log: rerun_boxes.Log, eye: rerun_boxes.Eye, last_step: int, *, tra
     from rerun import blueprint as parts
 
     scene = log.scene
-    cameras = [_camera(log, parts, camera.name) for camera in scene.cameras]
+    cameras = [
+        parts.Spatial2DView(
+            origin=_path(log, rerun_boxes.image_path(camera.name)), name=f"camera {camera.name}", background=BEHIND
+        )
+        for camera in scene.cameras
+    ]
     pictures = cameras[0] if len(cameras) == 1 else parts.Tabs(*cameras)
     end_s = float(scene.times_s(last_step, last_step + 1)[0])
     rows = [
@@ -74,12 +79,6 @@ def blueprint(log: rerun_boxes.Log, eye: rerun_boxes.Eye, last_step: int, *, tra
         parts.BlueprintPanel(state="hidden"),
         auto_views=False,
         auto_layout=False,
-    )
-
-
-def _camera(log: rerun_boxes.Log, parts: Any, name: str) -> Any:
-    return parts.Spatial2DView(
-        origin=_path(log, rerun_boxes.image_path(name)), name=f"camera {name}", background=BEHIND
     )
 
 

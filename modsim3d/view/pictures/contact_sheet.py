@@ -225,7 +225,9 @@ def _panel(highlight: Highlight, camera_view: CameraView, window: Window, id_ren
     def wanted(label: Label) -> bool:
         return label.vessel == highlight.vessel and (label.vessel is not None or np.allclose(label.box, focus))
 
-    arrow = _arrow(focus, [window.corners(box) for box in _boxes_px(camera_view.frame)])
+    seen, drawn = camera_view.frame.truth.visible_boxes_px, camera_view.frame.detections.boxes_px
+    there = np.concatenate([seen[~np.isnan(seen).any(axis=1)], drawn])
+    arrow = _arrow(focus, [window.corners(box) for box in there])
     picture = frame_picture(
         camera_view,
         window,
@@ -237,11 +239,6 @@ def _panel(highlight: Highlight, camera_view: CameraView, window: Window, id_ren
     )
     Canvas(picture, NOMINAL_WIDTH_PX).arrow(*arrow, ARROW_PX)
     return picture
-
-
-def _boxes_px(frame: Frame) -> Array:
-    seen = frame.truth.visible_boxes_px
-    return np.concatenate([seen[~np.isnan(seen).any(axis=1)], frame.detections.boxes_px])
 
 
 Arrow = tuple[tuple[float, float], tuple[int, int]]

@@ -193,7 +193,9 @@ def plan(keys_json: str, setting: PoseRequest) -> DrivePlan:
         InputError: With every problem found.
     """
     keys = TrafficSections.model_validate_json(keys_json)
-    duration = _duration_s(keys, setting)
+    # Of a short scene as of a longer one, so that a short run sees the beginning of the same traffic.
+    last = max((meeting.time_s[1] + AFTER_LAST_ENCOUNTER_S for meeting in keys.encounters.values()), default=0.0)
+    duration = max(((setting.steps or 0) - 1) * (setting.time_step_s or 0.0), keys.duration_s, last)
     if duration > MAX_SECONDS:
         raise refused([f": a drive of {duration:,.0f} s is too long: at most {MAX_SECONDS:,} s"])
     waters = Waters.during(Land.of(setting.obstacles), duration, setting.time_step_s or 0.0, keys.clearance_m)
@@ -215,12 +217,6 @@ def plan(keys_json: str, setting: PoseRequest) -> DrivePlan:
 def refused(problems: list[str]) -> InputError:
     """The error for problems, each with its path below the section."""
     return InputError(WHERE, [f"{WHERE}{'' if text.startswith(':') else '.'}{text}" for text in problems])
-
-
-def _duration_s(keys: TrafficSections, setting: PoseRequest) -> float:
-    """Time that is planned: the scene, or more, so that a short run sees the beginning of the same traffic."""
-    last = max((meeting.time_s[1] + AFTER_LAST_ENCOUNTER_S for meeting in keys.encounters.values()), default=0.0)
-    return max(((setting.steps or 0) - 1) * (setting.time_step_s or 0.0), keys.duration_s, last)
 
 
 def _problems(chart: Chart) -> list[str]:
