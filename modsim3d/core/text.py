@@ -1,11 +1,21 @@
-"""How results show themselves: a few words for `repr`, a small table in HTML for a notebook."""
+"""Texts: numbers in them, and how results show themselves, in a few words or a small table of HTML."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 MAX_NAMES = 6
+
+
+def number_in(text: object) -> float:
+    """The finite number that a text is, NaN if it is none."""
+    try:
+        number = float(str(text))
+    except ValueError:
+        return math.nan
+    return number if math.isfinite(number) else math.nan
 
 
 def key_table(title: str, rows: Mapping[str, str]) -> str:
