@@ -24,7 +24,7 @@ from modsim3d.world.floating_vessels import GRAVITY_M_S2, Motion
 from modsim3d.world.poses.base import generated_timestamps
 from modsim3d.world.poses.circular import CircularMotion
 from modsim3d.world.vessel_motion import Imu, Waves
-from tests.scenes import write_scene
+from tests.scenes import camera_keys, write_scene
 
 STEPS, STEP_S = 120, 0.05
 UP = [0.0, 0.0, GRAVITY_M_S2]
@@ -47,15 +47,15 @@ class Swinging:
 @pytest.fixture
 def scene(tmp_path):
     """Own ship at rest in a calm sea."""
-    path = write_scene(tmp_path, {"own": ([14, 4, 3], []), "other": ([9, 3, 2], [])}, STEPS)
-    data = json.loads(path.read_text())
-    mounted = {key: value for key, value in data["cameras"]["C0"].items() if key != "pose"}
-    data["cameras"]["bow"] = {**mounted, "mount": {"vessel": "own", "position_m": [7, 0, 3]}}
     still = {"own": {"center_position_m": [3.0, -2.0, 0.0], "heading_rad": 0.4}}
     (tmp_path / "poses.json").write_text(json.dumps(dict.fromkeys(generated_timestamps(STEPS, STEP_S), still)))
-    del data["time_step_s"]
-    path.write_text(json.dumps({**data, "poses": {"file": "poses.json"}, "annotation": {"source": "analytic"}}))
-    return load_scene(path)
+    cameras = {
+        "C0": camera_keys(pose={"position_m": [0, 0, 10]}),
+        "bow": camera_keys(mount={"vessel": "own", "position_m": [7, 0, 3]}),
+    }
+    keys = {"poses": {"file": "poses.json"}, "annotation": {"source": "analytic"}, "cameras": cameras}
+    boats = {"own": ([14, 4, 3], []), "other": ([9, 3, 2], [])}
+    return load_scene(write_scene(tmp_path, boats, STEPS, time_step_s=None, **keys))
 
 
 def on_a_circle(scene, radius=40.0, rate=0.2):
@@ -232,7 +232,7 @@ def test_a_table_from_before_attitudes_were_measured_is_read_as_that_of_a_perfec
         assert again[name].equals(table[name]), name
 
 
-def test_run_writes_a_row_for_each_step_and_own_ship(tmp_path, scene):
+def test_run_writes_a_row_for_each_step_and_own_ship_and_no_file_without_one(tmp_path, scene):
     imu = Imu(rate_noise_rad_s=0.01)
     rough = replace(scene, waves=Waves(Swinging(0.2, 0.3)), imu=imu)
     run_scene(rough, tmp_path / "run")
@@ -245,23 +245,19 @@ def test_run_writes_a_row_for_each_step_and_own_ship(tmp_path, scene):
     np.testing.assert_array_equal(table["roll_rad"], own.angles_rad[:, 0, 0])
     np.testing.assert_array_equal(table["measured_p_rad_s"], own.measured_rates_rad_s[:, 0, 0])
     np.testing.assert_array_equal(table["f3_m_s2"], own.forces_m_s2[:, 0, 2])
+    run_scene(replace(scene, cameras=scene.cameras[:1]), tmp_path / "ashore")
+    assert not (tmp_path / "ashore" / "ownship.parquet").exists()
 
 
 def test_table_is_the_same_bytes_however_the_run_is_split(tmp_path, scene, monkeypatch):
-    rough = replace(scene, waves=Waves(Swinging(0.2, 0.3)), imu=Imu(rate_noise_rad_s=0.01, rate_bias_rad_s=0.1))
+    short = load_scene(tmp_path / "scene.yaml", steps=30)
+    rough = replace(short, waves=Waves(Swinging(0.2, 0.3)), imu=Imu(rate_noise_rad_s=0.01, rate_bias_rad_s=0.1))
     written = []
-    for steps in (1, 7, STEPS):
+    for steps in (1, 7, 30):
         monkeypatch.setattr("modsim3d.runs.pipeline.block_steps", lambda scene, steps=steps: steps)
         run_scene(rough, tmp_path / str(steps))
         written.append((tmp_path / str(steps) / "ownship.parquet").read_bytes())
     assert written[0] == written[1] == written[2]
-
-
-def test_run_without_an_own_ship_has_no_such_file(tmp_path, scene):
-    ashore = replace(scene, cameras=scene.cameras[:1])
-    run_scene(ashore, tmp_path / "run")
-    assert not (tmp_path / "run" / "ownship.parquet").exists()
-    assert (tmp_path / "run" / "truth.parquet").exists()
 
 
 def test_two_own_ships_take_turns_in_the_table(tmp_path, scene):

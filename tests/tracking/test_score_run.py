@@ -17,7 +17,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.tracking.detector_seeds import Spread, detector_runs
+from modsim3d.tracking.detector_seeds import detector_runs
 from modsim3d.tracking.oracle import REFERENCES
 from modsim3d.tracking.score_page import score_page
 from modsim3d.tracking.score_run import RunScores, score_run
@@ -95,15 +95,6 @@ def test_scores_of_the_first_seed_are_those_of_the_run(run: StoredRun, scores: R
     assert (REFERENCES["raw"], "HOTA") in lines and (REFERENCES["raw"], "ANEES") not in lines  # it has no covariances
 
 
-def test_a_spread_is_the_textbook_one() -> None:
-    """Student's t at 97.5 % with 2 degrees of freedom is 4.30265; half the interval is that over √3."""
-    spread = Spread((1.0, None, 2.0, 3.0))
-    assert (spread.mean, spread.deviation) == (2.0, 1.0)
-    assert spread.interval == pytest.approx((2 - 2.48414, 2 + 2.48414), abs=1e-5)
-    assert Spread((1.0, 3.0)).deviation == pytest.approx(2**0.5)
-    assert (Spread((None,)).mean, Spread((1.0,)).deviation, Spread((1.0,)).interval) == (None, None, None)
-
-
 def test_what_is_written_is_what_is_told_and_stays_without_overwrite(scores: RunScores, tmp_path: Path) -> None:
     data, page = scores.write(tmp_path / "out")
     assert json.loads(data.read_text()) == orjson.loads(orjson.dumps(score_data(scores), default=str))
@@ -146,17 +137,14 @@ def test_tracks_in_the_world_have_a_table_of_their_own(run: StoredRun, tmp_path:
     assert score_data(scores)["world"][0]["rmse_m"] is None
 
 
-def test_tracks_in_the_world_of_one_name_are_told_apart(run: StoredRun, tmp_path: Path) -> None:
+def test_tracks_of_one_name_are_told_apart(run: StoredRun, tracks: Path, perfect: TrackSet, tmp_path: Path) -> None:
+    names = [each.name for each in score_run(run, [perfect, replace(perfect), tracks]).trackers]
+    assert names == ["perfect 1", "perfect 2", "reference"]
     paths = [tmp_path / name / "fused.csv" for name in ("a", "b")]
     for path in paths:
         path.parent.mkdir()
         path.write_text("time_s,track,w1_m,w2_m\n0,1,5000,5000\n")
     assert [each.name for each in score_run(run, paths).world] == [str(path) for path in paths]
-
-
-def test_track_sets_of_one_name_are_told_apart(run: StoredRun, tracks: Path, perfect: TrackSet) -> None:
-    names = [each.name for each in score_run(run, [perfect, replace(perfect), tracks]).trackers]
-    assert names == ["perfect 1", "perfect 2", "reference"]
 
 
 def test_what_cannot_be_scored_is_refused(run: StoredRun, tracks: Path, perfect: TrackSet, tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Waves: the source's second-order process, and cameras on vessels that they turn."""
 
-import json
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +9,7 @@ from scipy.signal import lfilter
 from modsim3d.geometry.camera_poses import Mount, camera_R_parent, poses_on_board, vehicle_R_nominal
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.second_order_waves import LEVELS, SMALL_SIGMA_RAD, Axis, SecondOrderWaves, level_axes, second_order
-from tests.scenes import write_scene
+from tests.scenes import camera_keys, write_scene
 
 FIGURE_7_13 = Axis(a=0.99, b=0.99, sigma_rad=1e-4)
 
@@ -167,12 +165,10 @@ def test_without_waves_both_rules_are_the_heading():
 
 def watched_own_ship(folder, waves):
     """Own ship before a camera ashore, and with one of its own."""
-    path = write_scene(folder, {"own": ([20, 6, 5], [[0, 100, -5], [20, 100, 5]]), "idle": ([9, 3, 2], [])}, 12)
-    data = json.loads(path.read_text())
-    mounted = {key: value for key, value in data["cameras"]["C0"].items() if key != "pose"}
-    data["cameras"]["bow"] = {**mounted, "mount": {"vessel": "own", "position_m": [10, 0, 5]}}
-    path.write_text(json.dumps({**data, "waves": waves}))
-    return load_scene(path)
+    boats = {"own": ([20, 6, 5], [[0, 100, -5], [20, 100, 5]]), "idle": ([9, 3, 2], [])}
+    ashore = camera_keys(pose={"position_m": [0, 0, 10]})
+    bow = camera_keys(mount={"vessel": "own", "position_m": [10, 0, 5]})
+    return load_scene(write_scene(folder, boats, 12, cameras={"C0": ashore, "bow": bow}, waves=waves))
 
 
 def test_vessel_that_carries_a_camera_rolls_in_everybody_s_pictures(tmp_path):
@@ -182,3 +178,15 @@ def test_vessel_that_carries_a_camera_rolls_in_everybody_s_pictures(tmp_path):
     up = scene.sight(ashore, steps).world_R_vessel[:, 0, :, 2]
     np.testing.assert_allclose(up[0], [-np.sin(0.3), 0, np.cos(0.3)], atol=1e-12)  # it drives along w2: port is −w1
     np.testing.assert_array_equal(scene.sight(bow, steps).world_R_vessel[:, 0, :, 2], up)
+
+
+def test_the_latest_poses_are_kept_and_are_those_of_the_steps_asked_for():
+    motion, other = (load_scene("simulation_2", steps=40).motion for _ in range(2))
+    steps, later = np.array([3, 5]), np.array([5, 7])
+    first = motion.at(steps)
+    assert motion.at(steps.copy()) is first
+    second = motion.at(later)
+    np.testing.assert_array_equal(second.world_R_vessel, other.at(later).world_R_vessel)
+    np.testing.assert_array_equal(second.poses.positions_m[0], first.poses.positions_m[1])
+    with pytest.raises(ValueError, match="read-only"):
+        second.poses.positions_m[0] = 0
