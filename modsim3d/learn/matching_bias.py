@@ -92,7 +92,7 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[BiasPart]:
 def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel, seed: int) -> LabelledSet:
     """Labelled set with the results of a simulated detector, in states of images of shape (I,)."""
     parts = list(parts_of(labelled, image_state))
-    census = target_statistics(model, ((part.frames, part.targets) for part in parts))
+    statistics = target_statistics(model, ((part.frames, part.targets) for part in parts))
     columns: list[Results] = []
     for part in parts:
         times = part.frames.times_s
@@ -103,7 +103,7 @@ def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel,
         def clock(first: int, stop: int, times: Array = times) -> Array:
             return times[first:stop]
 
-        drawn = Detector(held, seed, census, clock).detect(part.frames, part.targets)
+        drawn = Detector(held, seed, statistics, clock).detect(part.frames, part.targets)
         own = ~np.isin(drawn.kind, FALSE_KINDS) & (drawn.target >= 0)
         columns.append(
             Results(

@@ -70,7 +70,7 @@ def check(learned, placing, **clutter):
     asked = {key: value for key, value in {**clutter, **stays}.items() if isinstance(value, float)}
     assert all(inside(learned, **asked, false_positives_per_image=1.2, log_std=0.3).values())
     assert learned.run_s == pytest.approx(FRAMES / RATE_HZ / 24, rel=0.01)  # as long as leaves enough runs
-    written = parse_detector(learned.detector()).clutter
+    written = parse_detector(learned.detector()).false_positives
     assert written.lifetime_s == pytest.approx(5, rel=0.35)
     assert written.persistent_share == pytest.approx(stays["share"], abs=0.12)
     assert written.drift_px_s == pytest.approx(stays.get("drift_px_s", 0), rel=0.01)

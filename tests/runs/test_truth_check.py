@@ -315,11 +315,11 @@ def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path:
     assert resumed.checked == plain.checked
 
 
-def test_a_detector_that_needs_a_census_sees_no_truth_that_is_wrong(
+def test_a_detector_that_needs_target_statistics_sees_no_truth_that_is_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = load_scene(write_boats(tmp_path))
-    monkeypatch.setattr(type(scene.detector), "needs_census", property(lambda _: True))
+    monkeypatch.setattr(type(scene.detector), "needs_target_statistics", property(lambda _: True))
     checked = run_scene(scene, tmp_path / "good").checked
     assert checked is not None
     assert checked.frames == 3
