@@ -1,4 +1,6 @@
-"""The command line, run in the process of a test."""
+"""The command line in the process of the tests."""
+
+from __future__ import annotations
 
 import sys
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
-import uuid
 from collections.abc import Container, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +15,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.campaign.folder import FILE, FORMAT, RESULTS, VERDICTS, CampaignFolder, write_list
+from modsim3d.campaign.folder import FORMAT, RESULTS, VERDICTS, CampaignFolder, ended
 from modsim3d.campaign.keys import MAX_SEEDS, Requirement, Seeds
-from modsim3d.campaign.plan import SCENE, Case, Plan, cases_of, value_of
+from modsim3d.campaign.plan import SCENE, Case, Plan, PlannedRun, cases_of, value_of
 from modsim3d.campaign.verdicts.bounds import (
     clean_seeds_needed,
     clean_seeds_needed_sequential,
@@ -39,11 +36,11 @@ from modsim3d.campaign.verdicts.wording import (
     rounded,
 )
 from modsim3d.campaign.work.row import DONE, FACTS, SCORES, limits_of, table_of
-from modsim3d.campaign.work.task import PLAN, ROWS_PATTERN, name_of_rows, read_rows
+from modsim3d.campaign.work.task import ROWS_PATTERN, name_of_rows, read_rows
 from modsim3d.core.arrays import Indices
-from modsim3d.core.errors import ModsimError, OutputError
+from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted
-from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder, write_files
+from modsim3d.io.atomic_write import json_text, make_folder, sync_file, sync_folder, write_files
 from modsim3d.io.validation import nearest
 
 _OF_ALL_PLANS = ("scene", "condition", "traffic_seed", "detector_seed", "tracker")
@@ -126,21 +123,23 @@ def plan_columns(plan: Plan) -> list[str]:
 def with_plan(table: pa.Table, plan: Plan) -> pa.Table:
     """The table with what the plan says of each run after its number."""
     runs = plan.runs(table["run"].to_pylist())
+    named = [name for name in plan.parameters if name != "scene"]
+    values = {name: [run.condition.values.get(name) for run in runs] for name in named}
+    return with_columns(table, runs, {name: _values(column, plan, name) for name, column in values.items()})
+
+
+def with_columns(table: pa.Table, runs: Sequence[PlannedRun], more: Mapping[str, pa.Array]) -> pa.Table:
+    """A table of runs, with what is known of each of them, and more columns, after its number."""
     columns = {
         "scene": pa.array([Path(run.condition.scene).stem for run in runs], pa.string()),
         "condition": pa.array([run.condition_index for run in runs], pa.int64()),
         "traffic_seed": pa.array([run.traffic_seed for run in runs], pa.int64()),
         "detector_seed": pa.array([run.detector_seed for run in runs], pa.int64()),
         "tracker": pa.array([run.tracker.label for run in runs], pa.string()),
-        **{
-            name: _values([run.condition.values.get(name) for run in runs], plan, name)
-            for name in plan.parameters
-            if name != "scene"
-        },
+        **more,
     }
-    return pa.table(
-        {"run": table["run"], **columns, **{name: table[name] for name in table.column_names if name != "run"}}
-    )
+    scores = {name: table[name] for name in table.column_names if name != "run"}
+    return pa.table({"run": table["run"], **columns, **scores})
 
 
 def _values(values: Sequence[Any], plan: Plan, name: str) -> pa.Array:
@@ -178,11 +177,7 @@ def done_rows(folder: CampaignFolder) -> pa.Table:
 
 
 def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> None:
-    """Write the data set, `results/scene=NAME/part-N.parquet`; it gets its name when it is whole.
-
-    With it comes the list of all files of the campaign, see `check_ended`.
-
-    On a file system without locks another process may do the same; whoever comes second leaves the first one's.
+    """Write the data set, `results/scene=NAME/part-N.parquet`; see `ended`.
 
     Args:
         folder: The campaign.
@@ -192,44 +187,24 @@ def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Ve
     Raises:
         OutputError: It cannot be written.
     """
-    partial = folder.path / f".{folder.results.name}.{uuid.uuid4().hex}"
-    try:
-        make_folder(partial)
+    with ended(folder.path, RESULTS, {VERDICTS: _content_of(folder, verdicts)}) as partial:
         for name in dict.fromkeys(table["scene"].to_pylist()):
             rows = table.filter(pc.equal(table["scene"], name)).drop_columns(["scene"])
-            _write_scene(partial / f"scene={name}", rows)
-        write_list(folder.path, partial, RESULTS, (FILE, PLAN), {VERDICTS: _content_of(folder, verdicts)})
-        sync_folder(partial)
-        partial.rename(folder.results)
-        sync_folder(folder.path)
-    except OSError as error:
-        if not folder.finished:
-            raise OutputError(f"{folder.results} cannot be written: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+            write_rows(partial / f"scene={name}", rows)
 
 
-def _write_scene(folder: Path, rows: pa.Table) -> None:
+def write_rows(folder: Path, rows: pa.Table) -> None:
+    """Write rows into files of a folder, which is made if it is not there.
+
+    Raises:
+        OSError: They cannot be written.
+    """
     make_folder(folder)
     for number, first in enumerate(range(0, len(rows), PART_ROWS)):
         path, part = folder / f"part-{number:05d}.parquet", rows.slice(first, PART_ROWS)
         pq.write_table(part, path, compression="zstd", row_group_size=PART_ROWS, write_page_checksum=True)
         sync_file(path)
     sync_folder(folder)
-
-
-def remove_done(folder: CampaignFolder) -> None:
-    """Remove the files of tasks of a campaign whose results are there, and results that were half written.
-
-    The folder of tasks gets another name first: a worker that still writes a row cannot bring it back.
-    """
-    for partial in folder.path.glob(f".{folder.results.name}.*"):
-        shutil.rmtree(partial, ignore_errors=True)
-    leaving = folder.path / f".{folder.done.name}.removed"
-    shutil.rmtree(leaving, ignore_errors=True)
-    with suppress(OSError):  # it is not there
-        folder.done.rename(leaving)
-    shutil.rmtree(leaving, ignore_errors=True)
 
 
 def write_verdicts(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> None:
@@ -248,7 +223,7 @@ def _content_of(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> bytes:
         "sha256": folder.facts["sha256"],
         "verdicts": [{**asdict(each), "this_traffic_only": fixed[each.condition]} for each in verdicts],
     }
-    return orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+    return json_text(content)
 
 
 def results_table(folder: CampaignFolder) -> pa.Table:

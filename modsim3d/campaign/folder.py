@@ -5,11 +5,12 @@ from __future__ import annotations
 import errno
 import hashlib
 import re
+import shutil
 import time
 import uuid
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from modsim3d.campaign.workers import Death
 from modsim3d.core.errors import ModsimError, OutputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted, listed
-from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder
+from modsim3d.io.atomic_write import json_text, make_folder, sync_file, sync_folder
 from modsim3d.io.overwrite_guard import locked_folder
 from modsim3d.io.plugins import differing
 from modsim3d.io.validation import join_path, shown
@@ -33,6 +34,8 @@ from modsim3d.runs.files.overwrite import FileList, ListedFile, file_list, liste
 
 # ---- The list of the files of a campaign that has ended ----
 
+FORMAT = 1
+FILE, LOG, VERDICTS = "campaign.yaml", "campaign.log", "verdicts.json"
 RESULTS, SEARCH = "results", "search"
 """In the folder of a campaign that has ended: its rows, and the trials of a search."""
 LIST = "_files.json"
@@ -40,20 +43,53 @@ LIST = "_files.json"
 _ROWS = "**/*.parquet"
 
 
-def write_list(folder: Path, rows: Path, final: str, names: tuple[str, ...], later: Mapping[str, bytes]) -> None:
-    """Write the list among the rows before their folder gets its final name, so that no rows are ever without it.
+@contextmanager
+def ended(folder: Path, final: str, later: Mapping[str, bytes]) -> Iterator[Path]:
+    """A folder to write rows into, which gets its final name with the list of all files when it is whole.
 
-    `names` are other files of the campaign's folder; of those that are written later the content is given.
+    On a file system without locks another process may do the same; whoever comes second leaves the first one's.
+
+    Args:
+        folder: The folder of the campaign.
+        final: The name, `RESULTS` or `SEARCH`.
+        later: Content of the files of the campaign's folder that are written afterwards, by name.
 
     Raises:
-        OSError: It cannot be written.
+        OutputError: It cannot be written.
     """
-    files = file_list(folder, names)
-    files |= {f"{final}/{path.relative_to(rows).as_posix()}": listed_file(path) for path in rows.glob(_ROWS)}
-    for name, content in later.items():
-        files[name] = {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-    (rows / LIST).write_bytes(orjson.dumps({"files": dict(sorted(files.items()))}, option=orjson.OPT_INDENT_2))
-    sync_file(rows / LIST)
+    partial = folder / f".{final}.{uuid.uuid4().hex}"
+    try:
+        make_folder(partial)
+        yield partial
+        files = file_list(folder, (FILE, PLAN))
+        files |= {f"{final}/{path.relative_to(partial).as_posix()}": listed_file(path) for path in partial.glob(_ROWS)}
+        for name, content in later.items():
+            files[name] = {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+        (partial / LIST).write_bytes(orjson.dumps({"files": dict(sorted(files.items()))}, option=orjson.OPT_INDENT_2))
+        sync_file(partial / LIST)
+        sync_folder(partial)
+        partial.rename(folder / final)
+        sync_folder(folder)
+    except OSError as error:
+        if not (folder / final).is_dir():
+            raise OutputError(f"{folder / final} cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def remove_done(folder: CampaignFolder) -> None:
+    """Remove the files of tasks of a campaign that has ended, and results that were half written.
+
+    The folder of tasks gets another name first: a worker that still writes a row cannot bring it back.
+    """
+    for final in (RESULTS, SEARCH):
+        for partial in folder.path.glob(f".{final}.*"):
+            shutil.rmtree(partial, ignore_errors=True)
+    leaving = folder.path / f".{folder.done.name}.removed"
+    shutil.rmtree(leaving, ignore_errors=True)
+    with suppress(OSError):  # it is not there
+        folder.done.rename(leaving)
+    shutil.rmtree(leaving, ignore_errors=True)
 
 
 def check_ended(folder: Path, later: tuple[str, ...] = ()) -> None:
@@ -115,10 +151,6 @@ def _between(there: Any, now: Any, path: tuple[int | str, ...]) -> Iterator[str]
             yield from _between(one, other, (*path, place))
     elif there != now:
         yield f"{join_path(*path)} is {shown(there)} there and {shown(now)} now"
-
-
-FORMAT = 1
-FILE, LOG, VERDICTS = "campaign.yaml", "campaign.log", "verdicts.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +236,7 @@ def planned(campaign: CheckedCampaign, folder: Path) -> CampaignFolder:
         OutputError: The folder holds another plan or other files, or cannot be written.
     """
     facts = _facts(campaign)
-    content = orjson.dumps(facts, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+    content = json_text(facts)
     try:
         _place_plan(folder, content)
         _check_same(folder / PLAN, facts)

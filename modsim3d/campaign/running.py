@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from modsim3d.campaign.done_rows import DoneRows, remove_done, results_table, write_results, write_verdicts
+from modsim3d.campaign.done_rows import DoneRows, results_table, write_results, write_verdicts
 from modsim3d.campaign.folder import (
     LOG,
     RESULTS,
@@ -22,6 +22,7 @@ from modsim3d.campaign.folder import (
     locked_campaign,
     note_kill,
     planned,
+    remove_done,
 )
 from modsim3d.campaign.plan import Plan, layer_of
 from modsim3d.campaign.verdicts.verdict import Verdict, judged
@@ -153,9 +154,7 @@ class _State:
 
     total: int
     done: set[int]
-    running: int = 0
     crashed: int = 0
-    deaths: Counter[int] = field(default_factory=Counter)
     verdicts: tuple[Verdict, ...] = ()
 
 
@@ -207,6 +206,74 @@ def run_plan(
     return CampaignResult(here, table, verdicts)
 
 
+class Dispatch:
+    """Tasks in the hands of an engine.
+
+    Attributes:
+        running: Number of runs that are handed in.
+    """
+
+    def __init__(self, folder: CampaignFolder, engine: Engine) -> None:
+        """Hand in nothing yet."""
+        self._folder, self._engine = folder, engine
+        self._deaths = Counter[int]()
+        self.running = 0
+
+    def done(self, following: Callable[[], Task | None]) -> Iterator[tuple[Task, TaskReport]]:
+        """Tasks as they are done, until there are no more, each with its report.
+
+        Args:
+            following: Gives the next task; None if there is none now.
+
+        Raises:
+            OutputError: A file cannot be written.
+        """
+        split, tasks = list[Task](), 0
+        while True:
+            while tasks < AHEAD * self._engine.width and (task := split.pop() if split else following()) is not None:
+                self._engine.submit(task)
+                tasks, self.running = tasks + 1, self.running + len(task.runs)
+            if not tasks:
+                return
+            task, report = self._engine.next()
+            tasks, self.running = tasks - 1, self.running - len(task.runs)
+            if isinstance(report, Death):
+                stored = stored_report(task.path)
+                alone, others = (task, []) if stored is not None else _split(task, report)
+                split += others
+                if stored is None and (error := self._error(task, report)) is not None:
+                    store_crashed(alone, error)
+                    stored = TaskReport(1, 1, 0.0, 0.0, "", 0)
+                if stored is None:
+                    split += [alone] if alone.runs else []
+                    continue
+                task, report = alone, stored
+            yield task, report
+
+    def _error(self, task: Task, death: Death) -> str | None:
+        """Error of the run whose worker died in a task; None if it is to be tried again.
+
+        The log of the campaign says that a worker was killed.
+        """
+        if death.error is not None:
+            return death.error
+        note_kill(self._folder, death, [run.number for run in task.runs])
+        if len(task.runs) > 1:
+            return None
+        self._deaths[task.runs[0].number] += 1
+        return DIED if self._deaths[task.runs[0].number] >= DEATHS else None
+
+
+def _split(task: Task, death: Death) -> tuple[Task, list[Task]]:
+    """The run that a dead worker had begun by itself, perhaps none, and the others of its task together."""
+    runs, numbers = task.runs, [run.number for run in task.runs]
+    begin = len(runs) // 2 if death.run is None else numbers.index(death.run)
+    end = begin + (death.run is not None or len(runs) == 1)
+    return replace(task, runs=runs[begin:end]), [
+        replace(task, runs=part) for part in (runs[end:], runs[:begin]) if part
+    ]
+
+
 def read_back(task: Task, read: Callable[[], T | None]) -> T:
     """Result read from a task that is done; the file of another machine may take a while to be seen on this one.
 
@@ -226,18 +293,10 @@ def read_back(task: Task, read: Callable[[], T | None]) -> T:
     )
 
 
-def crash_of(folder: CampaignFolder, task: Task, death: Death, deaths: Counter[int]) -> str | None:
-    """Error of a run whose worker died in a task; None if the run is to be tried again.
-
-    The log of the campaign says that a worker was killed; `deaths` counts it for a run that was alone in its task.
-    """
-    if death.error is not None:
-        return death.error
-    note_kill(folder, death, [run.number for run in task.runs])
-    if len(task.runs) > 1:
-        return None
-    deaths[task.runs[0].number] += 1
-    return DIED if deaths[task.runs[0].number] >= DEATHS else None
+def write_log(folder: CampaignFolder, line: str) -> None:
+    """Write into the log of a campaign that it ended, and what it cost; times and hosts are named nowhere else."""
+    with (folder.path / LOG).open("a", encoding="utf-8") as log:
+        log.write(f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')}\n{line}\n")
 
 
 def _check_cache(cache: Path | None, folder: Path) -> None:
@@ -343,32 +402,23 @@ class _Campaign:
         return None
 
     def _work(self, engine: Engine) -> int:
-        cutter, split, state = Cutter(engine.width), list[Task](), self._state
-        ahead = tasks = 0
-        while True:
-            cutter.width = width = engine.width
-            while tasks < AHEAD * width:
-                while not cutter.waiting and not split and ahead < len(self._todo):
-                    cutter.add(same_truth(self._plan, self._campaign.facts, self._todo[ahead]))
-                    ahead += 1
-                if not split and not cutter.waiting:
-                    break
-                task = split.pop() if split else Task(self._common, tuple(self._plan.runs(cutter.next())))
-                engine.submit(task)
-                tasks, state.running = tasks + 1, state.running + len(task.runs)
-            task, report = engine.next()
-            tasks, state.running = tasks - 1, state.running - len(task.runs)
-            if isinstance(report, Death):
-                self._died(task, report, split)
-            else:
-                cutter.learn(report)
-                self._take(task, report)
+        state, dispatch, cutter = self._state, Dispatch(self._folder, engine), Cutter(engine.width)
+        batches = iter(self._todo)
+
+        def following() -> Task | None:
+            cutter.width = engine.width
+            while not cutter.waiting and (numbers := next(batches, None)) is not None:
+                cutter.add(same_truth(self._plan, self._campaign.facts, numbers))
+            return Task(self._common, tuple(self._plan.runs(cutter.next()))) if cutter.waiting else None
+
+        for task, report in dispatch.done(following):
+            cutter.learn(report)
+            self._take(task, report)
             if (end := self._look()) is not None:
                 return end
-            if not tasks and not split and not cutter.waiting and ahead == len(self._todo):
-                return len(self._plan)
-            left_s = cutter.seconds(state.total - len(state.done))
-            self._progress(Progress(state.total, len(state.done), state.running, state.crashed, left_s, state.verdicts))
+            left_s, done = cutter.seconds(state.total - len(state.done)), len(state.done)
+            self._progress(Progress(state.total, done, dispatch.running, state.crashed, left_s, state.verdicts))
+        return len(self._plan)
 
     def _take(self, task: Task, report: TaskReport) -> None:
         """Note that a task is done.
@@ -384,27 +434,9 @@ class _Campaign:
                 self._state.done.add(run.number)
                 self._missing[run.number // self._batch] -= 1
 
-    def _died(self, task: Task, death: Death, split: list[Task]) -> None:
-        """Go on after the death of a worker: the run that it had begun by itself, the others of its task together."""
-        if (report := stored_report(task.path)) is not None:
-            self._take(task, report)
-            return
-        runs, known = task.runs, [run.number for run in task.runs].index(death.run) if death.run is not None else None
-        begin = len(runs) // 2 if known is None else known
-        end = begin + (known is not None or len(runs) == 1)
-        alone, others = replace(task, runs=runs[begin:end]), [runs[end:], runs[:begin]]
-        split += [replace(task, runs=part) for part in others if part]
-        if (error := crash_of(self._folder, task, death, self._state.deaths)) is not None:
-            store_crashed(alone, error)
-            self._take(alone, TaskReport(1, 1, 0.0, 0.0, "", 0))
-        elif alone.runs:
-            split.append(alone)
-
     def log(self, seconds: float) -> None:
-        """Write what the campaign cost into its log; times and hosts are named nowhere else."""
+        """Write what the campaign cost into its log."""
         cpu_s = sum(report.cpu_s for report in self._reports)
         runs = sum(report.runs for report in self._reports)
         hosts = sorted({report.host for report in self._reports if report.host})
-        line = f"{runs} runs in {seconds:.3f} s, {cpu_s:.3f} s of processors, on {', '.join(hosts)}\n"
-        with (self._folder.path / LOG).open("a", encoding="utf-8") as log:
-            log.write(f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')}\n{line}")
+        write_log(self._folder, f"{runs} runs in {seconds:.3f} s, {cpu_s:.3f} s of processors, on {', '.join(hosts)}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -16,10 +16,9 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from modsim3d.campaign.done_rows import remove_done
-from modsim3d.campaign.folder import LOG, CampaignFolder, check_ended, locked_campaign, planned
+from modsim3d.campaign.folder import CampaignFolder, check_ended, locked_campaign, planned, remove_done
 from modsim3d.campaign.plan import PlannedRun
-from modsim3d.campaign.running import Progress, crash_of, read_back
+from modsim3d.campaign.running import Dispatch, Progress, read_back, write_log
 from modsim3d.campaign.search_folder import (
     REFUSED,
     VALUES,
@@ -42,8 +41,8 @@ from modsim3d.campaign.search_folder import (
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.row import CRASHED, DONE
 from modsim3d.campaign.work.scenes import Scenes
-from modsim3d.campaign.work.task import Task, store_crashed, with_cache
-from modsim3d.campaign.workers import Death, Engine
+from modsim3d.campaign.work.task import Task, with_cache
+from modsim3d.campaign.workers import Engine
 
 # ---- What a search found ----
 
@@ -166,24 +165,12 @@ def run_search(
             started = time.perf_counter()
             with closing(engine()) as opened:
                 trials = _Trials(here, opened, cache, progress)
-                _make_all(trials, here)
+                trials.make_all()
             write_trials(here, trials_table(trials.runs, trials.rows, search))
-            _log(here, search.budget, time.perf_counter() - started)
+            write_log(here, f"{search.budget} trials in {time.perf_counter() - started:.3f} s")
         check_ended(folder)
         remove_done(here)
         return SearchResult(here, search_table(here))
-
-
-def _make_all(trials: _Trials, folder: CampaignFolder) -> None:
-    """Make all trials, a batch after another."""
-    search, known = searched(folder), list[Tried]()
-    for batch in range(batches(search)):
-        points = stored_batch(folder, batch)
-        if points is None:
-            points = proposed(search, folder.keys.seed, batch, known)
-            store_batch(folder, batch, points)
-        rows = trials.make(planned_batch(folder, batch, points))
-        known += [tried(point, row, search) for point, row in zip(points, rows, strict=True)]
 
 
 class _Trials:
@@ -193,56 +180,44 @@ class _Trials:
         self, folder: CampaignFolder, engine: Engine, cache: Path | None, progress: Callable[[Progress], None]
     ) -> None:
         self._common = with_cache(folder.work, cache)
-        self._folder, self._engine, self._progress = folder, engine, progress
+        self._folder, self._search, self._progress = folder, searched(folder), progress
+        self._dispatch = Dispatch(folder, engine)
         self._scenes = Scenes(folder.keys.steps, Path(folder.facts["base"]))
-        self._deaths = Counter[int]()
         self._crashed = self._made = 0
         self._started = time.perf_counter()
         self.runs = list[PlannedRun]()
         self.rows = list[dict[str, Any]]()
 
-    def make(self, runs: Sequence[PlannedRun]) -> list[dict[str, Any]]:
+    def make_all(self) -> None:
+        """Make all trials, a batch after another."""
+        search, known = self._search, list[Tried]()
+        for batch in range(batches(search)):
+            points = stored_batch(self._folder, batch)
+            if points is None:
+                points = proposed(search, self._folder.keys.seed, batch, known)
+                store_batch(self._folder, batch, points)
+            rows = self._make(planned_batch(self._folder, batch, points))
+            known += [tried(point, row, search) for point, row in zip(points, rows, strict=True)]
+
+    def _make(self, runs: Sequence[PlannedRun]) -> list[dict[str, Any]]:
         """The rows of a batch of trials."""
-        found = dict[int, dict[str, Any]]()
-        waiting, running = deque[Task](), 0
-        for run in runs:
-            task = Task(self._common, (run,))
-            if (row := done_row(task)) is None:
-                waiting.append(task)
-            else:
-                found[run.number] = self._known(row, run)
-        while waiting or running:
-            while waiting and running < 2 * self._engine.width:
-                self._engine.submit(waiting.popleft())
-                running += 1
-            task, report = self._engine.next()
-            running -= 1
-            error = crash_of(self._folder, task, report, self._deaths) if isinstance(report, Death) else ""
-            if error is None:
-                waiting.append(task)
-            else:
-                if error:
-                    store_crashed(task, error)
-                self._made += 1
-                found[task.runs[0].number] = self._known(read_back(task, partial(done_row, task)), task.runs[0])
-            self._tell(len(found), running)
+        tasks = {run.number: Task(self._common, (run,)) for run in runs}
+        found = {number: self._known(row, task) for number, task in tasks.items() if (row := done_row(task))}
+        waiting = deque(task for number, task in tasks.items() if number not in found)
+        for task, _ in self._dispatch.done(lambda: waiting.popleft() if waiting else None):
+            self._made += 1
+            found[task.runs[0].number] = self._known(read_back(task, partial(done_row, task)), task)
+            self._tell(len(found))
         self.runs += runs
         self.rows += [found[run.number] for run in runs]
         return self.rows[-len(runs) :]
 
-    def _known(self, row: dict[str, Any], run: PlannedRun) -> dict[str, Any]:
-        row = told_apart(row, run, self._scenes)
+    def _known(self, row: dict[str, Any], task: Task) -> dict[str, Any]:
+        row = told_apart(row, task.runs[0], self._scenes)
         self._crashed += row["status"] == CRASHED
         return row
 
-    def _tell(self, done: int, running: int) -> None:
-        budget, done = searched(self._folder).budget, len(self.rows) + done
-        each_s = (time.perf_counter() - self._started) / self._made if self._made else None
-        left_s = None if each_s is None else each_s * (budget - done)
-        self._progress(Progress(budget, done, running, self._crashed, left_s))
-
-
-def _log(folder: CampaignFolder, trials: int, seconds: float) -> None:
-    """Write what the search cost into the log; times are named nowhere else."""
-    with (folder.path / LOG).open("a", encoding="utf-8") as log:
-        log.write(f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')}\n{trials} trials in {seconds:.3f} s\n")
+    def _tell(self, done: int) -> None:
+        budget, done = self._search.budget, len(self.rows) + done
+        left_s = (budget - done) * (time.perf_counter() - self._started) / self._made
+        self._progress(Progress(budget, done, self._dispatch.running, self._crashed, left_s))

@@ -6,7 +6,6 @@ The trials lie in `search/` and never in `results/`: they are chosen to be bad, 
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,17 +17,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.campaign.done_rows import text_of
-from modsim3d.campaign.folder import FILE, SEARCH, CampaignFolder, opened_campaign, write_list
+from modsim3d.campaign.done_rows import text_of, with_columns, write_rows
+from modsim3d.campaign.folder import SEARCH, CampaignFolder, ended, opened_campaign
 from modsim3d.campaign.keys import Range, SearchKeys
 from modsim3d.campaign.plan import Plan, PlannedRun, detector_seed, traffic_seed
 from modsim3d.campaign.running import DIED
 from modsim3d.campaign.work.row import CRASHED, DONE, table_of
 from modsim3d.campaign.work.scenes import Scenes, digest
-from modsim3d.campaign.work.task import PLAN, Task, read_rows
-from modsim3d.core.errors import ModsimError, OutputError
+from modsim3d.campaign.work.task import Task, read_rows
+from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath
-from modsim3d.io.atomic_write import make_folder, sync_file, sync_folder, write_files
+from modsim3d.io.atomic_write import write_files
 from modsim3d.tracking.trackers.registry import named_tracker
 
 if TYPE_CHECKING:
@@ -233,7 +232,6 @@ def tried(point: Point, row: Mapping[str, Any], search: SearchKeys) -> Tried:
     return Tried(point, value if known else None, row["status"] == CRASHED)
 
 
-_PART = "part-00000.parquet"
 VALUES = "values"
 """Column with the values of the keys that were searched, as JSON."""
 
@@ -281,19 +279,11 @@ def trials_table(runs: Sequence[PlannedRun], rows: Sequence[Mapping[str, Any]], 
         rows: What came of each.
         search: The search.
     """
-    table = table_of(rows)
-    columns: dict[str, Any] = {
-        "scene": pa.array([Path(run.condition.scene).stem for run in runs], pa.string()),
-        "condition": pa.array([run.condition_index for run in runs], pa.int64()),
-        "traffic_seed": pa.array([run.traffic_seed for run in runs], pa.int64()),
-        "detector_seed": pa.array([run.detector_seed for run in runs], pa.int64()),
-        "tracker": pa.array([run.tracker.label for run in runs], pa.string()),
-        **{key: _column([run.condition.values[key] for run in runs], each) for key, each in search.over.items()},
-        VALUES: pa.array(
-            [orjson.dumps({key: run.condition.values[key] for key in search.over}).decode() for run in runs]
-        ),
-    }
-    return pa.table({"run": table["run"], **columns, **{each: table[each] for each in table.column_names[1:]}})
+    values = [{key: run.condition.values[key] for key in search.over} for run in runs]
+    columns = {key: _column([each[key] for each in values], found) for key, found in search.over.items()}
+    return with_columns(
+        table_of(rows), runs, {**columns, VALUES: pa.array([orjson.dumps(each).decode() for each in values])}
+    )
 
 
 def write_trials(folder: CampaignFolder, table: pa.Table) -> None:
@@ -302,19 +292,8 @@ def write_trials(folder: CampaignFolder, table: pa.Table) -> None:
     Raises:
         OutputError: They cannot be written.
     """
-    final = folder.path / SEARCH
-    partial = folder.path / f".{SEARCH}.partial"
-    try:
-        shutil.rmtree(partial, ignore_errors=True)
-        make_folder(partial)
-        pq.write_table(table, partial / _PART, compression="zstd", write_page_checksum=True)
-        sync_file(partial / _PART)
-        write_list(folder.path, partial, SEARCH, (FILE, PLAN), {})
-        sync_folder(partial)
-        partial.rename(final)
-        sync_folder(folder.path)
-    except OSError as error:
-        raise OutputError(f"{final} cannot be written: {error.strerror or error}") from error
+    with ended(folder.path, SEARCH, {}) as partial:
+        write_rows(partial, table)
 
 
 def search_table(folder: CampaignFolder) -> pa.Table:
@@ -325,7 +304,7 @@ def search_table(folder: CampaignFolder) -> pa.Table:
     """
     search = searched(folder)
     if search_ended(folder):
-        return pq.read_table(folder.path / SEARCH / _PART, partitioning=None)
+        return pq.read_table(folder.path / SEARCH, partitioning=None)
     scenes = Scenes(folder.keys.steps, Path(folder.facts["base"]))
     runs, rows = [], []
     for run in stored_trials(folder):

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -11,6 +15,29 @@ Mask = NDArray[np.bool_]
 
 NOBODY = -1
 """The index of a name that is not given, or not among the names."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """A table of n rows: its fields are arrays with a row each, but for fields that are no arrays and hold for all."""
+
+    def _fields(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return next(len(column) for column in self._fields().values() if isinstance(column, np.ndarray))
+
+    def take(self, rows: Indices | Mask | slice) -> Self:
+        """Some of the rows: by mask, shape (n,), by row numbers in any order, shape (m,), or by slice."""
+        columns = self._fields().items()
+        return type(self)(**{name: each[rows] if isinstance(each, np.ndarray) else each for name, each in columns})
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """The rows of one or more tables of arrays alone, one table after another."""
+        tables = [part._fields() for part in parts]
+        return cls(**{name: np.concatenate([table[name] for table in tables]) for name in tables[0]})
 
 
 def read_only(values: ArrayLike) -> Array:

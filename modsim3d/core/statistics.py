@@ -8,6 +8,8 @@ from scipy import special
 
 from modsim3d.core.arrays import Array
 
+MAD_TO_STD = 1.4826
+"""Median absolute deviation to standard deviation, of normal numbers."""
 _SAME = 1e-12
 """Values that differ by less than this share of their size are the same: the mean of equal numbers may be off by so
 much."""

@@ -1,7 +1,8 @@
-"""How results show themselves: a few words for `repr`, a small table in HTML for a notebook."""
+"""Texts: numbers in them, and how results show themselves, in a few words or a small table of HTML."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -13,6 +14,15 @@ _START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d|\d+\. )(\d|∞)")
 """How a number begins; a version with two points is none, and neither is an ordinal."""
 _CHECKSUM = re.compile(r"[0-9a-f]{32,}")
 _MAX_WORDS = 3
+
+
+def number_in(text: object) -> float:
+    """The finite number that a text is, NaN if it is none."""
+    try:
+        number = float(str(text))
+    except ValueError:
+        return math.nan
+    return number if math.isfinite(number) else math.nan
 
 
 def key_table(title: str, rows: Mapping[str, str]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Columns, Indices, Mask
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import InputError
 from modsim3d.io.validation import shown
@@ -43,7 +43,7 @@ class Images:
 
 
 @dataclass(frozen=True, eq=False)
-class Annotations:
+class Annotations(Columns):
     """The annotated boxes of all images: T rows ordered by image.
 
     Attributes:
@@ -69,10 +69,6 @@ class Annotations:
     depth_m: Array
     unsure_box: Mask | None = None
 
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.image)
-
     @property
     def size_px(self) -> Array:
         """Side of a square as large as the box, at least a pixel, shape (T,)."""
@@ -81,11 +77,11 @@ class Annotations:
 
     def by_image(self) -> Annotations:
         """Annotations in the order of their images."""
-        return Annotations(**_by_image(vars(self)))
+        return self.take(np.argsort(self.image, kind="stable"))
 
 
 @dataclass(frozen=True, eq=False)
-class Results:
+class Results(Columns):
     """A detector's detections in all images: D rows ordered by image.
 
     Attributes:
@@ -109,13 +105,9 @@ class Results:
     kind: Indices | None = None
     partner: Indices | None = None
 
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.image)
-
     def by_image(self) -> Results:
         """Results in the order of their images."""
-        return Results(**_by_image(vars(self)))
+        return self.take(np.argsort(self.image, kind="stable"))
 
 
 @dataclass(frozen=True)
@@ -221,12 +213,6 @@ def _moved(part: LabelledSet, offset: Sequence[int], labels: Sequence[str], cond
             partner=moved_rows(results.partner),
         ),
     )
-
-
-def _by_image(columns: dict[str, Any]) -> dict[str, Any]:
-    """Columns in the order of their images; columns that are not given stay None."""
-    order = np.argsort(columns["image"], kind="stable")
-    return {name: None if column is None else column[order] for name, column in columns.items()}
 
 
 def _stacked(parts: Sequence[Images] | Sequence[Annotations] | Sequence[Results]) -> dict[str, Any]:

@@ -10,6 +10,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import orjson
+
 from modsim3d.core.errors import OutputError
 
 if TYPE_CHECKING:
@@ -151,7 +153,13 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-# ---- Pictures as the content of files, written by imageio ----
+# ---- Content of files ----
+
+
+def json_text(content: Any) -> bytes:
+    """JSON for people to read: two spaces of indentation, and a line break at the end."""
+    options = orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS | orjson.OPT_APPEND_NEWLINE
+    return orjson.dumps(content, option=options)
 
 
 def encoded(picture: Image | ArrayLike, ending: str = ".png", **options: Any) -> bytes:

@@ -219,19 +219,20 @@ class SightingStretches:
         if not several.any():
             return np.ones(len(times_s))
         count, state, apart_s = self.count[several], self.state[several], self.apart_s[several]
-        kept = np.exp(-apart_s / times_s[:, None])
-        away, run = np.maximum(1 - kept, 1e-300), 1 - kept**count
-        alone = np.bincount(self.state, self.count * ~several, minlength=self.state.max() + 1)  # a thing seen once
-        both = count * (1 + kept) / away - 2 * kept * run / away**2
-        size = np.bincount(self.state, self.count)
-        whole = np.stack([np.bincount(state, row, minlength=len(size)) for row in both]) + alone
-        variance: Array = whole / np.maximum(size, 1) ** 2
-        pairs, ours = count - 1, size[state]
-        end = run / away / ours
-        inside = both / ours
-        products = (pairs * kept - 2 * (inside - end) + pairs * variance[:, state]).sum(axis=1)
-        squares = (pairs - 2 * (inside - end) + pairs * variance[:, state]).sum(axis=1)
-        left: Array = products / squares * pairs.sum() / (pairs * kept).sum(axis=1)
+        of_state = np.bincount(self.state, self.count)
+        once = np.bincount(self.state, self.count * ~several, minlength=len(of_state))
+        rho = np.exp(-apart_s / times_s[:, None])
+        lost, lost_over_all = np.maximum(1 - rho, 1e-300), 1 - rho**count
+        # Sums of ρ_ij over the sightings of each thing and of each state; V is the mean of the latter.
+        sums = count * (1 + rho) / lost - 2 * rho * lost_over_all / lost**2
+        sums_of_state = np.stack([np.bincount(state, row, minlength=len(of_state)) for row in sums]) + once
+        of_mean: Array = sums_of_state / np.maximum(of_state, 1) ** 2
+        # Sum of (C_i + C_j) / 2 over the consecutive pairs of a thing: of all its sightings, but for one at the end.
+        pairs, sightings = count - 1, of_state[state]
+        with_mean = sums / sightings - lost_over_all / lost / sightings
+        products = (pairs * rho - 2 * with_mean + pairs * of_mean[:, state]).sum(axis=1)
+        squares = (pairs - 2 * with_mean + pairs * of_mean[:, state]).sum(axis=1)
+        left: Array = products / squares * pairs.sum() / (pairs * rho).sum(axis=1)
         return left
 
 

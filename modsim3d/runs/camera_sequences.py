@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.geometry.camera import Camera
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.tables import indices, number_column, positions
@@ -22,7 +21,7 @@ from modsim3d.truth.outlines import Outlines
 
 
 @dataclass(frozen=True, eq=False)
-class SequenceTruth:
+class SequenceTruth(Columns):
     """The vessels in a camera's images: n rows in order of frame and vessel.
 
     Attributes:
@@ -44,14 +43,6 @@ class SequenceTruth:
     visible_fraction: Array
     silhouette_px: Array
     visible_px: Array
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.frame)
-
-    def take(self, chosen: Mask | Indices) -> Self:
-        """The chosen rows."""
-        return type(self)(**{name: column[chosen] for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True, eq=False)

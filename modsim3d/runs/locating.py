@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modsim3d.core.arrays import Array, Indices, Mask, run_starts
+from modsim3d.core.arrays import Array, Columns, Indices, Mask, run_starts
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Streams
@@ -31,7 +31,7 @@ _DOUBLINGS = 60
 
 
 @dataclass(frozen=True, eq=False)
-class FootErrors:
+class FootErrors(Columns):
     """Errors of the centre's column and row and of the foot's row of n boxes, and of their edges, in pixels.
 
     Attributes:
@@ -45,10 +45,6 @@ class FootErrors:
     covariances: Array
     edge_means: Array
     edge_stds: Array
-
-    def take(self, rows: Indices) -> FootErrors:
-        """Errors of some of the boxes."""
-        return FootErrors(*(column[rows] for column in vars(self).values()))
 
 
 def state_shares(model: DetectorModel) -> Array:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import orjson
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices
 from modsim3d.detector.records import Detections
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.run_file import frame_lines, number_texts
@@ -22,7 +21,7 @@ _CONFIDENCE_DECIMALS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class TrackerDetections:
+class TrackerDetections(Columns):
     """Detections as a tracker may read them: m rows by frame, the most confident of a frame first.
 
     Attributes:
@@ -41,14 +40,6 @@ class TrackerDetections:
     def of(cls, detections: Detections) -> TrackerDetections:
         """Columns of a detector's detections that a tracker may read."""
         return anonymised(detections.frame, detections.label, detections.boxes_px, detections.confidence)
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.frame)
-
-    def take(self, chosen: Mask | Indices) -> Self:
-        """The chosen rows."""
-        return type(self)(**{name: column[chosen] for name, column in vars(self).items()})
 
 
 def anonymised(frame: Indices, label: Indices, boxes_px: Array, confidence: Array) -> TrackerDetections:

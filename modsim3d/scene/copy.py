@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import orjson
 from pydantic import BaseModel
 
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.file.writing import detector_text
+from modsim3d.io.atomic_write import json_text
 from modsim3d.scene.keys import AnnotationKeys, SceneKeys
 from modsim3d.scene.parts import SceneParts
 from modsim3d.world.poses.replay import LivePoses
@@ -65,7 +65,7 @@ class SceneCopy:
     def truth_sha256(self) -> str:
         """Checksum without the seeds and the detector: what decides the truth beside the seed."""
         content = {key: value for key, value in self.document.items() if key not in _NOT_OF_TRUTH}
-        return self._checksum(_json(content), [name for name in self.files if name != self.document["detector"]])
+        return self._checksum(json_text(content), [name for name in self.files if name != self.document["detector"]])
 
     def _checksum(self, scene_file: bytes, names: Iterable[str]) -> str:
         digest = hashlib.sha256(hashlib.sha256(scene_file).digest())
@@ -76,11 +76,7 @@ class SceneCopy:
         return digest.hexdigest()
 
     def _scene_file(self) -> bytes:
-        return _json(self.document)
-
-
-def _json(document: Mapping[str, Any]) -> bytes:
-    return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n"
+        return json_text(self.document)
 
 
 def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import Field, ValidationError
@@ -19,7 +18,7 @@ from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io import input_files
-from modsim3d.io.atomic_write import write_files
+from modsim3d.io.atomic_write import json_text, write_files
 from modsim3d.io.input_files import open_input
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.io.strict_text import load_json
@@ -115,7 +114,7 @@ def write_claimed_tracks(folder: Path, run: StoredRun, track_set: TrackSet) -> N
         "counts": {"rows": len(track_set.tracks), "tracks": int(track_set.tracks.identity.max(initial=-1)) + 1},
         "files": {TABLE: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}},
     }
-    text = orjson.dumps(facts, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+    text = json_text(facts)
     write_files({folder / TABLE: content, folder / FACTS: text})
 
 

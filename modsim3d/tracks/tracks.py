@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -12,7 +12,7 @@ from typing import Any, Literal, Self
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.boxes import centres, iou
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.files.table_columns import BOX_SIDES, TableColumn
@@ -21,7 +21,7 @@ from modsim3d.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
-class Tracks:
+class Tracks(Columns):
     """The boxes of all tracks: k rows in order of frame and track.
 
     Attributes:
@@ -66,10 +66,6 @@ class Tracks:
         )
         return rows.take(np.lexsort((rows.track, rows.frame)))
 
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.frame)
-
     @property
     def camera(self) -> Indices:
         """Index of the camera of each row, shape (k,)."""
@@ -86,11 +82,6 @@ class Tracks:
         keys = np.column_stack([self.camera, self.track])
         _, identity = np.unique(keys, axis=0, return_inverse=True)
         return np.asarray(identity, dtype=np.int64).reshape(-1)
-
-    def take(self, chosen: Mask | Indices) -> Self:
-        """The chosen rows, as tracks of the same cameras."""
-        columns = (getattr(self, field.name) for field in fields(self)[1:])
-        return type(self)(self.cameras, *(column[chosen] for column in columns))
 
 
 # ---- Tracks of vessels in the world, in the axes of a scene ----

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, extents
+from modsim3d.core.arrays import NOBODY, Array, Columns, Indices, Mask, extents
 from modsim3d.runs.files.tables import indices
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.tracks import Similarity, Tracks
@@ -21,7 +21,7 @@ _TIME_S = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class TrueTracks:
+class TrueTracks(Columns):
     """The vessels in the images of a run: n rows in order of frame and vessel.
 
     A vessel of which no pixel is visible is there with the box of the whole vessel, and not scored: a track that
@@ -77,15 +77,6 @@ class TrueTracks:
             scored[order],
             (unseen & (silhouette_px > 0))[order],
         )
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.frame)
-
-    def take(self, chosen: Mask | Indices) -> Self:
-        """The chosen rows."""
-        columns = (getattr(self, field.name) for field in fields(self)[1:])
-        return type(self)(self.cameras, *(column[chosen] for column in columns))
 
 
 def appearances(rows: RunRows, gap_s: float) -> Indices:

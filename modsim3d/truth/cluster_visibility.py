@@ -280,28 +280,34 @@ def visibility_in_order(ordered: OrderedClusters, boxed: Mask, image_size_px: tu
     spans = ordered.silhouettes.take(ranges(first, count))
     # The scan lines of all clusters in a row: where a line begins there, and where spans begin and end.
     line = (np.repeat(cluster[farthest_first], count) * height + spans.y) * (width + 1)
-    ends = np.concatenate([line + spans.start, line + spans.stop])
-    order = np.argsort(ends)
-    new = order[run_starts(ends[order])]
-    cuts, is_new, number = ends[new], np.zeros(len(ends), dtype=np.int64), np.empty(len(ends), dtype=np.int64)
-    is_new[new] = 1
-    number[order] = is_new[order].cumsum() - 1
+    cuts, (begin, end) = _cuts(line + spans.start, line + spans.stop)
     # Between two cuts, a piece of the line shows one span all along: the one that is painted last.
-    begin, end = number.reshape(2, -1)
     piece, span = ranges(begin, end - begin), np.repeat(np.arange(len(begin)), end - begin)
     front = np.full(len(cuts), -1)
     front[piece] = span
     behind = np.flatnonzero((front[piece] != span) & boxed[spans.row][span])
     piece, span = piece[behind], span[behind]
     # Many pieces of a row are hidden by the same other row.
-    pair, px = _sums(spans.row[span] * len(boxed) + spans.row[front[piece]], cuts[piece + 1] - cuts[piece])
-    hidden_row, hider = np.divmod(pair, len(boxed))
-    hidden = np.zeros(len(boxed), dtype=bool)
-    hidden[hidden_row] = True
-    seen = np.flatnonzero((front >= 0) & hidden[spans.row][front])
-    shown = front[seen]
-    visible = Spans(spans.row[shown], spans.y[shown], cuts[seen] - line[shown], cuts[seen + 1] - line[shown])
-    return Visibility(np.flatnonzero(hidden), visible, hidden_row, hider, px)
+    couple, hidden_px = _sums(spans.row[span] * len(boxed) + spans.row[front[piece]], cuts[piece + 1] - cuts[piece])
+    hidden, hider = np.divmod(couple, len(boxed))
+    is_hidden = np.zeros(len(boxed), dtype=bool)
+    is_hidden[hidden] = True
+    # What is left of the hidden rows is where they are in front.
+    piece = np.flatnonzero((front >= 0) & is_hidden[spans.row][front])
+    span = front[piece]
+    visible = Spans(spans.row[span], spans.y[span], cuts[piece] - line[span], cuts[piece + 1] - line[span])
+    return Visibility(np.flatnonzero(is_hidden), visible, hidden, hider, hidden_px)
+
+
+def _cuts(starts: Indices, stops: Indices) -> tuple[Indices, Indices]:
+    """The distinct ends of m ranges, ascending, and the number among them of each start and stop, shape (2, m)."""
+    ends = np.concatenate([starts, stops])
+    order = np.argsort(ends)
+    first = order[run_starts(ends[order])]
+    is_first, number = np.zeros(len(ends), dtype=np.int64), np.empty(len(ends), dtype=np.int64)
+    is_first[first] = 1
+    number[order] = is_first[order].cumsum() - 1
+    return ends[first], number.reshape(2, -1)
 
 
 def _sums(keys: Indices, values: Indices) -> tuple[Indices, Indices]:

@@ -9,12 +9,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from modsim3d.campaign.keys import CampaignFile, CampaignKeys
+from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.report.coverage import coverage_sections, empty_draws, numbers_in_words, trace_sections
-from modsim3d.campaign.running import CampaignResult, run_plan
+from modsim3d.campaign.running import CampaignResult
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.workers import ThisProcess
+from tests.campaign.campaigns import run_campaign_file
 
 RATE = "detector.states.excellent.false_discovery_rate"
 KEYS: dict[str, Any] = {
@@ -28,12 +27,7 @@ KEYS: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> CampaignResult:
-    folder = tmp_path_factory.mktemp("coverage")
-    file = CampaignFile(folder / "c.yaml", CampaignKeys.model_validate(KEYS))
-    file.path.write_text("", encoding="utf-8")
-    result = run_plan(checked(file), folder / "campaign", ThisProcess)
-    assert result is not None
-    return result
+    return run_campaign_file(tmp_path_factory.mktemp("coverage"), **KEYS)
 
 
 def lines_of(page: str) -> dict[str, list[str]]:

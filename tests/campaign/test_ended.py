@@ -23,16 +23,11 @@ COMMANDS = (["status"], ["table"], ["report"], ["reproduce", "0", "--out", "agai
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of a campaign; what a test changes in it is put back."""
     folder = tmp_path_factory.mktemp("ended")
     run_plan(checked_campaign(folder, **KEYS), folder / "out", ThisProcess)
-    return folder
-
-
-@pytest.fixture
-def ended(made: Path) -> Path:
-    """A folder of a campaign; what a test changes in it is put back."""
-    return made / "out"
+    return folder / "out"
 
 
 def plan_with_another_threshold(path: Path) -> None:
@@ -101,9 +96,9 @@ def test_the_list_has_every_file_but_the_log(ended: Path) -> None:
     assert pq.read_table(ended / "results")["hota"].to_pylist() == open_campaign(ended).table["hota"].to_pylist()
 
 
-def test_a_plan_that_was_changed_before_the_end_is_refused(made: Path) -> None:
-    campaign = checked_campaign(made, **KEYS)
-    here = planned(campaign, made / "planned")
+def test_a_plan_that_was_changed_before_the_end_is_refused(tmp_path: Path) -> None:
+    campaign = checked_campaign(tmp_path, **KEYS)
+    here = planned(campaign, tmp_path / "planned")
     plan_with_another_threshold(here.path / "plan.json")
     for attempt in (lambda: open_campaign(here.path), lambda: run_plan(campaign, here.path, ThisProcess)):
         with pytest.raises(ModsimError, match=r"planned/plan\.json was changed after it was written"):

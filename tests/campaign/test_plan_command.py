@@ -46,20 +46,14 @@ def test_a_mean_needs_the_least_seeds_with_which_its_bound_is_beyond_the_thresho
     assert 15 <= seeds <= 25
 
 
-def test_a_sequential_mean_needs_more_and_is_counted_with_its_own_bound():
-    expected = {"hota": Expected(0.7, 0.1)}
-    assert 20 <= one(HOTA, expected, stop="sequential").seeds <= 50
-
-
-def test_the_least_seeds_of_offers_count(monkeypatch):
-    monkeypatch.setattr("modsim3d.campaign.done_rows.offered_from", lambda *_: 30)
-    assert one(HOTA, {"hota": Expected(0.9, 0.01)}).seeds == 30
-
-
-def test_a_mean_on_the_wrong_side_never_and_without_a_spread_it_is_said_what_is_missing():
+def test_a_mean_on_the_wrong_side_never_and_without_a_spread_it_is_said_what_is_missing(monkeypatch):
     never, unknown = one(HOTA, {"hota": Expected(0.6, 0.1)}), one(HOTA)
     assert never.seeds is None and never.why.startswith("never: the expected mean, 0.6, is not above")
     assert unknown.seeds is None and "--expect 'hota=MEAN:SPREAD'" in unknown.why and "--like DIR" in unknown.why
+    sequential = one(HOTA, {"hota": Expected(0.7, 0.1)}, stop="sequential")
+    assert 20 <= sequential.seeds <= 50  # with a bound of its own
+    monkeypatch.setattr("modsim3d.campaign.done_rows.offered_from", lambda *_: 30)
+    assert one(HOTA, {"hota": Expected(0.9, 0.01)}).seeds == 30  # the least seeds of offers count
 
 
 @pytest.mark.parametrize("requirement", [

@@ -7,34 +7,24 @@ import pytest
 
 from modsim3d.campaign.done_rows import with_plan
 from modsim3d.campaign.folder import CampaignFolder, files_of_campaign, opened_campaign
-from modsim3d.campaign.keys import CampaignKeys, SearchKeys, read_campaign
+from modsim3d.campaign.keys import CampaignKeys, SearchKeys
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.report.campaign_page import campaign_page, crash_sections, mean_sections
 from modsim3d.campaign.report.search_page import search_page, write_page
 from modsim3d.campaign.report.words import constant, requirement_sections, verdict_sentence
-from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import crashed_row, table_of
-from modsim3d.campaign.workers import ThisProcess
 from modsim3d.view.pages import page
+from tests.campaign.campaigns import run_campaign_file
 from tests.campaign.test_report_numbers import plan_of, table_for
-
-TEXT = """\
-scene: harbour
-steps: 20
-seeds: {traffic: 2}
-vary: [{grid: {state: [excellent, terrible]}}]
-trackers: [reference]
-require: [{score: hota, at_least: 0.5}]
-"""
 
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory):
+    keys = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 2}, "trackers": ["reference"]}
+    vary, require = [{"grid": {"state": ["excellent", "terrible"]}}], [{"score": "hota", "at_least": 0.5}]
     folder = tmp_path_factory.mktemp("report")
-    (folder / "c.yaml").write_text(TEXT)
-    run_plan(checked(read_campaign(folder / "c.yaml")), folder / "c", ThisProcess)
+    run_campaign_file(folder, "c.yaml", **keys, vary=vary, require=require)
     return opened_campaign(folder / "c")
 
 

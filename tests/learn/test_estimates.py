@@ -116,12 +116,9 @@ def test_the_singular_covariance_of_two_errors_is_still_one_as_it_is_written(see
     np.testing.assert_allclose(section["covariance"], np.cov(errors.T), rtol=3e-5)
 
 
-def test_errors_that_differ_by_rounding_alone_determine_no_distribution():
+def test_numbers_that_differ_by_rounding_alone_determine_no_distribution_and_are_written_as_equal():
     errors = np.random.default_rng(0).normal(0, [1, 1, 1e-14, 1], (50, 4))
     assert not _regular(errors) and _regular(errors * [1, 1, 1e13, 1])
-
-
-def test_confidences_that_hardly_differ_are_written_as_equal():
     mean, std = (Entry(Key((name,)), Column(np.array([x]), "mean", np.array(1.0))) for name, x in FLAT.items())
     assert LearnedNormal(mean, std, 0.2).section() == {"mean": 0.99, "std": 0.0}
 
@@ -261,14 +258,11 @@ def test_transitions_are_counted_with_one_made_up_of_each():
     interval = chain.interval(0.9, ("a", "b"))
     low, high = interval.low, interval.high
     assert np.all((low < chain.matrix) & (chain.matrix < high))
+    alone = Transitions(np.zeros((1, 1))).interval(0.95, ("usual",))
+    assert alone.low == alone.high == 1  # the only state surely stays
     nothing = count_transitions([], 2)
     assert nothing.matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in nothing.notes[0]
     assert isinstance(chain, Transitions)
-
-
-def test_a_state_that_is_the_only_one_surely_stays():
-    interval = Transitions(np.zeros((1, 1))).interval(0.95, ("usual",))
-    assert interval.low == interval.high == 1
 
 
 def test_cameras_that_share_a_chain_count_once():

@@ -21,6 +21,7 @@ from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import conditions_in
 from modsim3d.learn.guess import ConditionChange, guessed
 from tests.cli.bad_input.builders import Call
+from tests.learn.one_state import detector_file
 
 CONDITIONS = {name: (name, load_detector(file)) for name, file in conditions_in().items()}
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "conditions.md"
@@ -37,18 +38,14 @@ def change(before: str, after: str) -> ConditionChange:
     return ConditionChange.between(CONDITIONS[before], CONDITIONS[after])
 
 
+def errors_of(unit: str, covariance: Array) -> dict[str, Any]:
+    return {"box_error": {"unit": unit, "mean": [0] * 4, "covariance": covariance.tolist()}}
+
+
 def condition(**keys: Any) -> tuple[str, DetectorModel]:
     """A condition of one's own."""
-    state = {
-        "confusion": [[0.8], [0.2]],
-        "false_positive_labels": [1.0],
-        "false_discovery_rate": 0.1,
-        "box_error": {"unit": "relative", "mean": [0, 0, 0, 0], "covariance": np.diag([4.0, 1, 9, 1]).tolist()},
-        "confidence": {"mean": 0.6, "std": 0.1},
-        **keys,
-    }
-    whole = {"confidence_threshold": 0.2, "initial_state": "it", "transition_matrix": [[1.0]], "labels": ["boat"]}
-    return "it", parse_detector({**whole, "states": {"it": state}})
+    usual = errors_of("relative", np.diag([4.0, 1, 9, 1]))
+    return "it", parse_detector(detector_file("it", missed=0.2, false=0.1, **{**usual, **keys}))
 
 
 def test_the_detector_of_one_condition_becomes_that_of_another() -> None:
@@ -151,10 +148,6 @@ def test_a_detector_that_misses_all_or_nothing_still_does() -> None:
     content["states"]["bad"]["confusion"] = [[0.0], [1.0]]
     states = guessed(content, change("noon_clear", "foggy_cloudy"))["states"]
     assert (states["good"]["confusion"], states["bad"]["confusion"]) == ([[1.0], [0.0]], [[0.0], [1.0]])
-
-
-def errors_of(unit: str, covariance: Array) -> dict[str, Any]:
-    return {"box_error": {"unit": unit, "mean": [0] * 4, "covariance": covariance.tolist()}}
 
 
 @pytest.mark.parametrize(

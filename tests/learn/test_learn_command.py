@@ -28,6 +28,7 @@ from modsim3d.learn.states import Transitions, each_its_own, transitions_of
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verify_run import verify_run
 from tests.formats.labelled_sets import found, images, random_set, truth
+from tests.learn.one_state import detector_file
 from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
 from tests.learn.simulated_results import simulated
 
@@ -262,21 +263,8 @@ def blank(count=1500, side=60.0):
 
 
 def one_state(std_px):
-    return {
-        "labels": ["boat"],
-        "confidence_threshold": 0.2,
-        "initial_state": "usual",
-        "transition_matrix": [[1.0]],
-        "states": {
-            "usual": {
-                "confusion": [[0.85], [0.15]],
-                "false_positive_labels": [1.0],
-                "false_discovery_rate": 0.1,
-                "box_error": {"unit": "px", "mean": [0, 0, 0, 0], "covariance": (std_px**2 * np.eye(4)).tolist()},
-                "confidence": {"mean": 0.6, "std": 0.1},
-            }
-        },
-    }
+    covariance = (std_px**2 * np.eye(4)).tolist()
+    return detector_file(missed=0.15, false=0.1, box_error={"unit": "px", "mean": [0] * 4, "covariance": covariance})
 
 
 def learn_usual(labelled, settings):

@@ -171,7 +171,7 @@ def test_the_last_line_says_that_the_rule_loses_most_detections_of_a_run(rule, l
         assert f"Warning: {lost:,} of {len(own):,} detections" in text
 
 
-def test_the_last_line_says_so_of_files_too_as_far_as_they_show_it(far_off, run, tmp_path):
+def test_the_last_line_says_so_of_files_too_which_are_learned_together_with_runs(far_off, run, tmp_path):
     for name, folder in (("far", far_off), ("near", run)):
         command("export", folder, "--format", "coco", "--out", tmp_path / name)
     files = {name: ("--truth", tmp_path / name / "gt.json", "--detections", tmp_path / name / "dt.json")
@@ -180,6 +180,8 @@ def test_the_last_line_says_so_of_files_too_as_far_as_they_show_it(far_off, run,
     assert last.startswith("warning: ") and "missed annotations overlap a false detection, and only" in last
     assert "Use --match centre" in last
     assert "warning" not in learn(tmp_path, *files["near"])
+    both = learn(tmp_path, far_off, *files["far"], "--match", "confidence")  # a rule that both know
+    assert both.startswith("120 images")
 
 
 def test_a_detector_that_finds_little_is_not_called_one_whose_matches_are_lost(tmp_path):
@@ -192,10 +194,3 @@ def test_a_detector_that_finds_little_is_not_called_one_whose_matches_are_lost(t
     report = learn_detector(labelled, LearnSettings(replicates=20), LearnOptions())
     assert report.states[0].any_label.recall.estimate == pytest.approx(0.1)
     assert report.warning is None
-
-
-def test_files_and_runs_are_learned_together_by_a_rule_that_both_know(far_off, tmp_path):
-    command("export", far_off, "--format", "coco", "--out", tmp_path / "coco")
-    both = (far_off, "--truth", tmp_path / "coco" / "gt.json", "--detections", tmp_path / "coco" / "dt.json")
-    said = learn(tmp_path, *both, "--match", "confidence")
-    assert said.startswith("120 images")

@@ -21,7 +21,7 @@ COMMAND = ["run", "harbour", "--no-sheet"]
 def test_two_workers_write_the_bytes_of_one(tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", BLOCK_STEPS)
     for count in (1, 2):
-        run_scene(load_scene("harbour", steps=55), tmp_path / str(count), workers=count)
+        run_scene(load_scene("harbour", steps=35), tmp_path / str(count), workers=count)
     assert run_files(tmp_path / "1") == run_files(tmp_path / "2")
 
 

@@ -185,7 +185,7 @@ def test_compare_compares_meshes_and_says_how_much_looser_their_shoeboxes_are(tm
     assert loose[0] == "far"
     assert loose[1]["frames"] == 6
     assert 1.0 <= loose[1]["mean_area_ratio"] <= loose[1]["max_area_ratio"] < 1.5
-    assert "shoebox against mesh" in result.output
+    assert "Shoebox against mesh" in result.output
     assert "far" in result.output
 
 

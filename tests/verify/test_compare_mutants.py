@@ -16,8 +16,9 @@ from modsim3d.truth import analytic, occlusion_order, rendered
 from modsim3d.truth.analytic import Hiding
 from modsim3d.truth.crosscheck.drawing import Drawing
 from modsim3d.verify.sources import agreement, compare
+from tests.command_line import call
 from tests.scenes import write_scene
-from tests.verify.test_compare import behind_is_before, call
+from tests.verify.test_compare import behind_is_before
 
 BOATS = {
     # A boat lies before the stern of a long ship whose centre is nearer: only a plane between them tells which hides.

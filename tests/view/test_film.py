@@ -23,13 +23,6 @@ STEPS = 12
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("film")
-    run_scene(load_scene(crossing(folder, STEPS)), folder / "run")
-    return folder / "run"
-
-
-@pytest.fixture(scope="module")
 def two_cameras(tmp_path_factory):
     folder = tmp_path_factory.mktemp("two")
     path = crossing(folder, STEPS)
@@ -101,7 +94,7 @@ def test_colours_survive_the_film(monkeypatch, run, tmp_path):
 @pytest.mark.parametrize("kind", ["mp4", "gif"])
 def test_films_are_the_same_bytes_whatever_the_workers(prepared, run, tmp_path, kind):
     """In a process without threads, as a user's is: its workers are forks."""
-    options = ("--kind", "all", "--every", "2", "--width", "360")
+    options = ("--kind", "all", "--every", "3", "--width", "240")
     for workers in ("1", "2"):
         command = (
             prepared,

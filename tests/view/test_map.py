@@ -17,7 +17,6 @@ from PIL import Image
 from modsim3d.cli import main
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import Mount
-from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.map_marks import RINGS, BirdsEye, RangeRings, footprint, hull_m, ring_step, view_of
@@ -41,13 +40,6 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope="module")
 def birds_eye(scene):
     return BirdsEye(scene, scene.steps, (0,))
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("run")
-    run_scene(load_scene(crossing(folder)), folder / "run")
-    return folder / "run"
 
 
 @pytest.mark.parametrize("step", [0, 9])

@@ -9,10 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
-from tests.scenes import crossing
-
 STALLING = """
 import os
 import time
@@ -32,13 +28,6 @@ FilmRenderer.draw = stalling
 MIDDLE = 11
 """Of 12 frames; a GIF draws four for its palette first. They are drawn and written four at a time."""
 FOR_LONG = "time.sleep(600)"
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("stopped")
-    run_scene(load_scene(crossing(folder, 12)), folder / "run")
-    return folder / "run"
 
 
 @pytest.fixture

@@ -14,15 +14,8 @@ from modsim3d.runs import pipeline
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.run_folders import interrupt
-from tests.scenes import crossing, write_scene
+from tests.scenes import write_scene
 from tests.view.test_film import view
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bad")
-    run_scene(load_scene(crossing(folder, 12)), folder / "run")
-    return folder / "run"
 
 
 def refused(monkeypatch, capsys, *arguments) -> str:

@@ -28,7 +28,7 @@ from modsim3d.formats.labelled_video.targets import FileClasses, TargetBoxes, Vi
 from modsim3d.formats.reading.builder import ReadOptions, check_whole
 from modsim3d.formats.reading.pair import read_truth
 from modsim3d.formats.writing.mot import detection_text, sequence_text
-from modsim3d.io.atomic_write import write_files
+from modsim3d.io.atomic_write import json_text, write_files
 from modsim3d.io.input_files import file_sha256, inputs_noted, open_input
 from modsim3d.io.overwrite_guard import claimed, identities, identity
 from modsim3d.runs.counts import Counts
@@ -144,7 +144,7 @@ def _distance_problems(model: DetectorModel, depth_m: Array) -> Iterator[str]:
 
 
 def _horizon_problems(model: DetectorModel) -> Iterator[str]:
-    placement = model.clutter.placement
+    placement = model.false_positives.placement
     needed = "needs the horizon: give --horizon ROW, or X1,Y1,X2,Y2 where it is tilted, or leave it out with "
     if placement.band_px is not None:
         without = "--set detector.false_positives.placement=uniform --set detector.false_positives.band_px=null"
@@ -155,14 +155,14 @@ def _horizon_problems(model: DetectorModel) -> Iterator[str]:
 
 def _left_out(model: DetectorModel) -> list[str]:
     """Remark on what a horizon would have changed."""
-    if model.clutter.placement.density is not None:
+    if model.false_positives.placement.density is not None:
         return []
     where = "false positives lie anywhere in the image, also in the sky: --horizon would keep them on the sea"
-    return [where] if _has_clutter(model) else []
+    return [where] if _has_false_positives(model) else []
 
 
-def _has_clutter(model: DetectorModel) -> bool:
-    return any(getattr(state, model.clutter.numbers.rate_key) > 0 for state in model.states)
+def _has_false_positives(model: DetectorModel) -> bool:
+    return any(getattr(state, model.false_positives.numbers.rate_key) > 0 for state in model.states)
 
 
 FORMAT = 1
@@ -275,9 +275,8 @@ def detect_truth(
             contents = work.contents(truth, parts)
             counts = _counts(work, parts)
             hashes = {path.name: file_sha256(path) for path in sorted(set(read))}
-            contents[SUMMARY] = _dump(
-                {**work.summary(seed, counts), "inputs": hashes, "files": {n: _sha(c) for n, c in contents.items()}}
-            )
+            files = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
+            contents[SUMMARY] = json_text({**work.summary(seed, counts), "inputs": hashes, "files": files})
             _put(folder, contents, read)
     return TruthResult(
         folder,
@@ -410,11 +409,3 @@ def _put(folder: Path, contents: Mapping[str, bytes], read: Sequence[Path]) -> N
     old = safe_names(listed) - contents.keys() if isinstance(listed, dict) else set[str]()
     inputs = identities(read)
     remove_files(folder, {name for name in old if identity(folder / name) not in inputs})
-
-
-def _dump(content: Mapping[str, Any]) -> bytes:
-    return orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n"
-
-
-def _sha(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

@@ -30,6 +30,7 @@ from modsim3d.formats.reading.builder import (
     NO_OPTIONS,
     AnnotationRows,
     Confidences,
+    ImageNames,
     ImageRows,
     LabelledRow,
     Problems,
@@ -58,10 +59,12 @@ def read_coco(condition: str, truth: Path, detections: Path | None, options: Rea
     """
     problems, frame_rate_hz = Problems(f"ground truth {truth}", options.skip_bad), options.frame_rate_hz
     content = _object(truth, "ground truth", problems.source)
-    categories = _categories(content, problems)
+    categories = categories_of(content, problems)
+    if not categories:
+        raise InputError(problems.source, ["categories: is empty, must name at least one"])
     rows_of, images, sequences = _images(content, frame_rate_hz, problems)
     annotations, results = AnnotationRows(), ResultRows()
-    known = _Known(rows_of, {}, categories)
+    known = KnownNames(rows_of, {}, categories)
     for index, entry in enumerate(_list(content, "annotations", problems)):
         _annotation(entry, f"annotations[{index}]", known, annotations, problems)
     notes = problems.settle()
@@ -76,42 +79,59 @@ def read_coco(condition: str, truth: Path, detections: Path | None, options: Rea
 
 
 @dataclass(frozen=True)
-class _Known:
+class KnownNames:
     """Names that an entry may use: rows of images by `image_id` and by file name, and categories by their ID."""
 
     images: Mapping[Any, int]
     files: Mapping[Any, int]
     categories: Mapping[Any, tuple[str, int]]
 
+    @classmethod
+    def of_results(
+        cls,
+        entries: Sequence[Any],
+        images: ImageNames,
+        categories: Mapping[Any, tuple[str, int]],
+        offset: int,
+        problems: Problems,
+    ) -> KnownNames:
+        """Names that results may use, whose category IDs may start at another number."""
+        categories = {number - offset: category for number, category in categories.items()}
+        rows = (entry for entry in entries if isinstance(entry, dict))
+        classes = {number for entry in rows if isinstance(number := entry.get("category_id"), int)}
+        if classes - categories.keys():
+            for step in (1, -1):
+                if {number + step for number in classes} <= categories.keys():
+                    whole = offset + step
+                    problems.hint = f"category IDs are off by one: --category-offset {whole} would set them right"
+        return cls(images.by_image_id, images.by_file_name, categories)
+
+    def place(self, entry: Any, where: str, problems: Problems) -> LabelledRow | None:
+        """Image, label and box of an entry; None with a problem if it has none."""
+        if not isinstance(entry, dict):
+            problems.add(f"{where}: must be a mapping (got {shown(entry)})")
+            return None
+        file = entry.get("file_name")
+        row = self.files.get(file) if isinstance(file, str) else None
+        row = _named(entry, "image_id", self.images, where, problems) if row is None else row
+        category = None if row is None else _named(entry, "category_id", self.categories, where, problems)
+        if row is None or category is None or not valid_box(entry.get("bbox"), where, problems):
+            return None
+        return LabelledRow(row, category[1], entry["bbox"])
+
 
 def _read_results(
-    detections: Path, known: _Known, names: Sequence[str], options: ReadOptions, rows: ResultRows
+    detections: Path, known: KnownNames, names: Sequence[str], options: ReadOptions, rows: ResultRows
 ) -> list[str]:
     """Append the results of a file; remarks on them."""
     problems, entries = Problems(f"detections {detections}", options.skip_bad), _results(detections)
-    known, doubt = _known_to_results(entries, known, names, options.category_offset, problems)
+    images = image_names(entries, known.images, names)
+    known = KnownNames.of_results(entries, images, known.categories, options.category_offset, problems)
     scores = ((f"[{index}]", entry.get("score")) for index, entry in enumerate(entries) if isinstance(entry, dict))
     confidences = Confidences.of(scores, options.confidence_scale, problems, "score")
     for index, entry in enumerate(entries):
         _result(entry, f"[{index}]", known, rows, confidences, problems)
-    return doubt + problems.settle() + confidences.notes
-
-
-def _known_to_results(
-    entries: Sequence[Any], known: _Known, names: Sequence[str], category_offset: int, problems: Problems
-) -> tuple[_Known, list[str]]:
-    """Names that results may use, and a remark if that is in doubt; category IDs may start at another number."""
-    images = image_names(entries, known.images, names)
-    categories = {number - category_offset: category for number, category in known.categories.items()}
-    rows = (entry for entry in entries if isinstance(entry, dict))
-    classes = {number for entry in rows if isinstance(number := entry.get("category_id"), int)}
-    if classes - categories.keys():
-        for step in (1, -1):
-            if {number + step for number in classes} <= categories.keys():
-                whole = category_offset + step
-                problems.hint = f"category IDs are off by one: --category-offset {whole} would set them right"
-    doubt = [images.doubt] if images.doubt else []
-    return _Known(images.by_image_id, images.by_file_name, categories), doubt
+    return [*filter(None, [images.doubt]), *problems.settle(), *confidences.notes]
 
 
 def _parse(path: Path, what: str) -> Any:
@@ -153,8 +173,12 @@ def _list(content: Mapping[str, Any], key: str, problems: Problems) -> list[Any]
     raise InputError(problems.source, [f"{key}: must be a list"])
 
 
-def _categories(content: Mapping[str, Any], problems: Problems) -> dict[Any, tuple[str, int]]:
-    """Name and label of each category's ID, in the order of the file."""
+def categories_of(content: Mapping[str, Any], problems: Problems) -> dict[Any, tuple[str, int]]:
+    """Name and label of each category's ID, in the order of the file.
+
+    Raises:
+        InputError: They are none.
+    """
     known: dict[Any, tuple[str, int]] = {}
     names = set[str]()
     for index, entry in enumerate(_list(content, "categories", problems)):
@@ -167,8 +191,6 @@ def _categories(content: Mapping[str, Any], problems: Problems) -> dict[Any, tup
             raise InputError(problems.source, [f"{where}: {said}"])
         names.add(name)
         known[identity] = (name, len(known))
-    if not known:
-        raise InputError(problems.source, ["categories: is empty, must name at least one"])
     return known
 
 
@@ -251,20 +273,6 @@ def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float | No
     return float(time) if is_number(time) else None
 
 
-def _place(entry: Any, where: str, known: _Known, problems: Problems) -> LabelledRow | None:
-    """Image, label and box of an entry; None with a problem if it has none."""
-    if not isinstance(entry, dict):
-        problems.add(f"{where}: must be a mapping (got {shown(entry)})")
-        return None
-    file = entry.get("file_name")
-    row = known.files.get(file) if isinstance(file, str) else None
-    row = _named(entry, "image_id", known.images, where, problems) if row is None else row
-    category = None if row is None else _named(entry, "category_id", known.categories, where, problems)
-    if row is None or category is None or not valid_box(entry.get("bbox"), where, problems):
-        return None
-    return LabelledRow(row, category[1], entry["bbox"])
-
-
 def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: str, problems: Problems) -> Any:
     """The value that an entry refers to by a key; None with a problem if there is no such value."""
     value = entry.get(key)
@@ -319,8 +327,8 @@ def _identity(entry: Mapping[str, Any], where: str, problems: Problems) -> ID | 
     return identity if identity >= 0 else None
 
 
-def _annotation(entry: Any, where: str, known: _Known, rows: AnnotationRows, problems: Problems) -> None:
-    place = _place(entry, where, known, problems)
+def _annotation(entry: Any, where: str, known: KnownNames, rows: AnnotationRows, problems: Problems) -> None:
+    place = known.place(entry, where, problems)
     if place is None:
         return
     before = problems.count
@@ -334,9 +342,9 @@ def _annotation(entry: Any, where: str, known: _Known, rows: AnnotationRows, pro
 
 
 def _result(
-    entry: Any, where: str, known: _Known, rows: ResultRows, confidences: Confidences, problems: Problems
+    entry: Any, where: str, known: KnownNames, rows: ResultRows, confidences: Confidences, problems: Problems
 ) -> None:
-    place = _place(entry, where, known, problems)
+    place = known.place(entry, where, problems)
     if place is None:
         return
     score, given = confidences.read(entry.get("score"), where, problems), entry.get("probabilities")

@@ -22,6 +22,7 @@ from pathlib import Path
 from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import from_top_left
 from modsim3d.core.errors import InputError
+from modsim3d.core.text import number_in
 from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading.builder import (
     MAX_NUMBER,
@@ -71,7 +72,7 @@ def number_lines(
         problems.add(f"{path.name} line {len(lines)}: has fewer numbers than the others: is the file cut off here?")
     begin = list(islice(filter(str.strip, lines), _LOOKED_AT_LINES))
     cells = (cell for line in begin for cell in line[:MAX_LINE_CHARACTERS].split(separator))
-    if begin and not any(map(_is_number, cells)):
+    if begin and all(math.isnan(number_in(cell)) for cell in cells):
         form = "white space" if separator is None else f"'{separator}'"
         told = f"its first lines hold no numbers, must be numbers with {form} between them{_why(begin[0], separator)}"
         raise InputError(f"{what} {path}", [told])
@@ -101,14 +102,6 @@ def number_lines(
 def _why(line: str, separator: str | None) -> str:
     """Why the numbers of a line cannot be read, to be added to a message; empty if that is not known."""
     return no_commas(line) if separator else ": commas stand neither between nor in them" * ("," in line)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 _MAX_CLASSES = 10_000
@@ -332,11 +325,11 @@ def sequence_info(truth: Path, size_px: tuple[float, float] | None, source: str)
         problems = [
             f"{key}: must be {'above 0, and at most' if least else 'from 0 to'} {most:g} (got {shown(section[key])})"
             for key, (least, most) in _RANGES.items()
-            if key in section and not least <= _number(section[key]) <= most
+            if key in section and not least <= number_in(section[key]) <= most
         ]
         if problems:
             raise InputError(f"sequence {path}", problems)
-        width, height, rate, frames = (_number(section.get(key, "0")) for key in _RANGES)
+        width, height, rate, frames = (number_in(section.get(key, "0")) for key in _RANGES)
         return SequenceInfo((width, height), int(frames), rate or None, section.get("name") or None)
     if size_px is None:
         raise InputError(
@@ -358,10 +351,3 @@ def _section(path: Path) -> Mapping[str, str]:
         needed = "needs imWidth and imHeight under [Sequence]"
         raise InputError(f"sequence {path}", [f"{needed}: {' and '.join(missing)} is missing, or cannot be read"])
     return section
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan

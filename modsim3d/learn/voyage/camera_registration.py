@@ -10,6 +10,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.text import number_in
 from modsim3d.io.validation import nearest, shown
 from modsim3d.learn.learn_detector import MIN_CONFIDENCE
 from modsim3d.learn.voyage.attitude import Attitude
@@ -113,7 +114,7 @@ def parse_known(given: str | Mapping[str, float] | KnownMeans | None) -> KnownMe
         return given or NOTHING_KNOWN
     known, problems = NOTHING_KNOWN, []
     for name, text in _pairs(given):
-        full, value = SHORT_NAMES.get(name), _number(text)
+        full, value = SHORT_NAMES.get(name), number_in(text)
         if full is None:
             problems.append(f"no mean {shown(name)} ({nearest(name, SHORT_NAMES)})")
         elif getattr(known, full) is not None:
@@ -135,15 +136,6 @@ def _pairs(given: str | Mapping[str, float]) -> list[tuple[str, object]]:
     if not all(name.strip() and sign for name, sign, _ in pairs):
         raise InputError("--known", [f"{_FORM} (got {shown(given)})"])
     return [(name.strip(), value.strip()) for name, _, value in pairs]
-
-
-def _number(value: object) -> float:
-    """A finite number, NaN if it is none."""
-    try:
-        number = float(str(value))
-    except ValueError:
-        return math.nan
-    return number if math.isfinite(number) else math.nan
 
 
 ALL = "all"

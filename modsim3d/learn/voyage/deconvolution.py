@@ -9,6 +9,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.statistics import MAD_TO_STD
 from modsim3d.core.text import counted
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.learn.bootstrap import Entry, spread
@@ -97,34 +98,46 @@ def less_noise(
         smaller = np.diag(measured[0]) < np.diag(whole[0])
         taken = taken & (_sure(measured, noise, level) | ~smaller)
     part = noise * (taken[:, None] & taken[None, :])
-    rest = whole - part
-    if np.linalg.eigvalsh(rest[0])[0] <= 0:
-        taken, part, rest = np.zeros(4, dtype=bool), np.zeros_like(part), whole
+    if np.linalg.eigvalsh(whole[0] - part[0])[0] <= 0:
+        taken, part = np.zeros(4, dtype=bool), np.zeros_like(part)
+    factors, correlation = _shrunk(products, whole - part, correlation, taken)
+    variance = np.diag(products[0])
+    written = replace(
+        errors,
+        std=_with(errors.std, std * factors),
+        correlation=_with(errors.correlation, correlation),
+        growth=None if errors.growth is None else _with(errors.growth, growth * factors),
+    )
+    return LessNoise(
+        written,
+        taken,
+        np.sqrt(np.diag(noise[0])),
+        np.sqrt(variance),
+        np.sqrt(variance) * factors[0],
+        at_least,
+        np.clip(np.einsum("bij,bji->b", np.linalg.pinv(whole), part) / 4, 0, 1),
+    )
+
+
+def _shrunk(products: Array, rest: Array, correlation: Array, taken: Mask) -> tuple[Array, Array]:
+    """Factors of the standard deviations of a law, shape (rows, 4), and its correlations, after a part is taken off.
+
+    Args:
+        products: Means over boxes of σ_j σ_k of the law, shape (rows, 4, 4).
+        rest: Covariances that are left, shape (rows, 4, 4).
+        correlation: Correlations of the law, shape (rows, 6).
+        taken: Of which components a part was taken off, shape (4,).
+    """
     variance = np.einsum("bii->bi", products)
     least = np.maximum(np.einsum("bii->bi", rest), _MIN_PART * variance)
-    shrunk = np.sqrt(least / np.where(variance > 0, variance, 1.0))
-    shrunk = np.where(taken, np.minimum(shrunk, 1.0), 1.0)
-    shrunk_products = products * shrunk[:, :, None] * shrunk[:, None, :]
-    left = rest / np.where(shrunk_products > 0, shrunk_products, 1.0)
+    factors = np.sqrt(least / np.where(variance > 0, variance, 1.0))
+    factors = np.where(taken, np.minimum(factors, 1.0), 1.0)
+    scale = products * factors[:, :, None] * factors[:, None, :]
+    left = rest / np.where(scale > 0, scale, 1.0)
     left = np.clip(left[:, _FIRST, _SECOND], -_MAX_CORRELATION, _MAX_CORRELATION)
     correlation = np.where(taken[_FIRST] | taken[_SECOND], left, correlation)
     correlation[1:, ~(taken[_FIRST] & taken[_SECOND])] = np.nan  # with errors of truth in it, it tells no interval
-    result = replace(
-        errors,
-        std=_with(errors.std, std * shrunk),
-        correlation=_with(errors.correlation, correlation),
-        growth=None if errors.growth is None else _with(errors.growth, growth * shrunk),
-    )
-    inverse = np.linalg.pinv(whole)
-    return LessNoise(
-        result,
-        taken,
-        np.sqrt(np.diag(noise[0])),
-        np.sqrt(variance[0]),
-        np.sqrt(variance[0]) * shrunk[0],
-        at_least,
-        np.clip(np.einsum("bij,bji->b", inverse, part) / 4, 0, 1),
-    )
+    return factors, correlation
 
 
 def _as_measured(law: Array, measured: Array) -> Array:
@@ -204,8 +217,6 @@ _MAX_FRAMES = 500
 _MIN_PAIRS = 10
 _MAX_LOST = 0.02
 """Where matching cuts off more boxes than this for each match, errors as measured are too small."""
-_TO_STD = 1.4826
-"""Median absolute number to standard deviation of normal numbers."""
 _SLOW = 5.0
 """Errors of truth last for ever, compared with those of the detector, if they last so many times as long."""
 
@@ -325,32 +336,18 @@ def take_off_truth_noise(
         level: Level of the intervals that must not reach 0.
         seed: Seed of the draws of errors of truth.
     """
-    box_errors, pairs = learned.numbers.box_errors, learned.observed.pairs
+    box_errors, rows = learned.numbers.box_errors, len(learned.resampling.weights)
     if not noise.std.any():
         return TakenOff(learned, (None,) * len(box_errors.states), noise, 0, False)
-    rows = len(learned.resampling.weights)
     jacobians = _Jacobians.of(learned, scene, views)
-    states: list[LessNoise | None] = []
-    for index, (errors, form) in enumerate(zip(box_errors.states, learned.form.box_errors.states, strict=True)):
-        ours = pairs.edges.whole if form.source is not ErrorSource.ALL_PAIRS else pairs.sure
-        if form.source is ErrorSource.OWN_STATE:
-            ours = ours & (pairs.state == index)
-        relative = errors.unit == "relative"
-        of_truth = jacobians.errors(pairs, ours, relative, noise)
-        if of_truth is None or rows < 2:
-            states.append(None)
-            continue
-        drawn = of_truth.covariances(rows - 1, seed + index)
-        found = np.concatenate([drawn.mean(axis=0, keepdims=True), drawn])
-        lost = box_errors.used[index].lost
-        measured = _measured(learned, ours, relative)
-        at_least = _changes(learned, ours, relative, of_truth.change, noise.position_s)
-        cut_off = lost > _MAX_LOST
-        states.append(less_noise(errors, found, pairs.sides_px[ours], level, measured, at_least, cut_off))
+    states = [
+        _state_less_noise(learned, index, jacobians, noise, level, seed + index)
+        for index in range(len(box_errors.states))
+    ]
     box_s, share = box_errors.box_s, box_errors.box_vessel_share
     slow = box_s is not None and float(box_s.estimate) * _SLOW <= noise.position_s
     if slow and box_s is not None:
-        part = _part_of_truth(states, pairs, rows)
+        part = _part_of_truth(states, learned.observed.pairs, rows)
         if share is not None:
             share = share_left(share, part)
         else:
@@ -363,6 +360,27 @@ def take_off_truth_noise(
     )
     written = replace(learned, numbers=replace(learned.numbers, box_errors=numbers))
     return TakenOff(written, tuple(states), noise, len(np.unique(jacobians.vessel[jacobians.moved >= 0])), slow)
+
+
+def _state_less_noise(
+    learned: Learned, index: int, jacobians: _Jacobians, noise: TruthNoise, level: float, seed: int
+) -> LessNoise | None:
+    """The errors of a state less those of truth; None where too few boxes tell these. See `take_off_truth_noise`."""
+    box_errors, pairs = learned.numbers.box_errors, learned.observed.pairs
+    errors, source = box_errors.states[index], learned.form.box_errors.states[index].source
+    chosen = pairs.edges.whole if source is not ErrorSource.ALL_PAIRS else pairs.sure
+    if source is ErrorSource.OWN_STATE:
+        chosen = chosen & (pairs.state == index)
+    relative, replicates = errors.unit == "relative", len(learned.resampling.weights) - 1
+    of_truth = jacobians.errors(pairs, chosen, relative, noise)
+    if of_truth is None or replicates < 1:
+        return None
+    drawn = of_truth.covariances(replicates, seed)
+    covariances = np.concatenate([drawn.mean(axis=0, keepdims=True), drawn])
+    measured = _measured(learned, chosen, relative)
+    at_least = _changes(learned, chosen, relative, of_truth.change, noise.position_s)
+    cut_off = box_errors.used[index].lost > _MAX_LOST
+    return less_noise(errors, covariances, pairs.sides_px[chosen], level, measured, at_least, cut_off)
 
 
 def report_less_truth_noise(
@@ -440,7 +458,7 @@ def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting
         return np.full(4, np.nan)
     errors = pairs.errors(ours, relative)
     apart = np.abs(errors[steps.later] - errors[steps.earlier])
-    change = (_TO_STD * np.median(apart, axis=0)) ** 2 / 2  # a wrong match must not pull
+    change = (MAD_TO_STD * np.median(apart, axis=0)) ** 2 / 2  # a wrong match must not pull
     of_truth = noise * -np.expm1(-steps.apart_s / lasting_s).mean()
     left: Array = np.sqrt(np.maximum(change - of_truth, 0))
     return left

@@ -8,7 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
 from modsim3d.geometry.camera import Camera
@@ -45,7 +45,7 @@ class Reason(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Regions:
+class Regions(Columns):
     """Where vessels that are left out may be in n frames: k regions.
 
     Attributes:
@@ -60,9 +60,9 @@ class Regions:
     boxes_px: Array
     depth_m: Array
 
-    def rows(self, rows: Mask | slice, later: int = 0) -> Regions:
-        """Some of the regions, shape (k,), with a number added to that of their frames."""
-        return Regions(self.frame[rows] + later, self.vessel[rows], self.boxes_px[rows], self.depth_m[rows])
+    def later(self, frames: int) -> Regions:
+        """The regions with a number added to that of their frames."""
+        return replace(self, frame=self.frame + frames)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,37 +129,43 @@ class ReportAge:
         """Fill in the column of a vessel that is there at some steps, shape (k,)."""
         at_s, places_m = self._every_s[steps], self._poses.positions_m[steps, column]
         early, late = times_s < at_s[0] - NEAR_S, times_s > at_s[-1] + NEAR_S
+        inside = ~early & ~late
         before = np.clip(np.searchsorted(at_s, times_s + NEAR_S, side="right") - 1, 0, len(at_s) - 1)
         before[late] = max(len(at_s) - 2, 0)  # straight on
         after = np.minimum(before + 1, len(at_s) - 1)
-        inside = ~early & ~late
-        off = (steps[after] - steps[before] > 1) & (times_s - at_s[before] > NEAR_S) & inside
-        there, span = inside & ~off, np.where(after > before, at_s[after] - at_s[before], 1.0)
-        beyond = ~inside & (times_s >= at_s[0] - BEYOND_S) & (times_s <= at_s[-1] + BEYOND_S)
-        apart_s = np.minimum(np.abs(times_s - at_s[before]), np.abs(times_s - at_s[after]))
+        span_s = np.where(after > before, at_s[after] - at_s[before], 1.0)
         way_m = places_m[after] - places_m[before]
-        speed = np.linalg.norm(way_m, axis=1) / span
-        way_m[~inside & (speed > MAX_KN * KNOT_M_S)] = 0
+        speed = np.linalg.norm(way_m, axis=1) / span_s
+        jumped = speed > MAX_KN * KNOT_M_S
+        off = (steps[after] - steps[before] > 1) & (times_s - at_s[before] > NEAR_S) & inside
+        there = inside & ~off
+        beyond = ~inside & (times_s >= at_s[0] - BEYOND_S) & (times_s <= at_s[-1] + BEYOND_S)
         known.reason[Reason.OFF][:, column], known.beyond[:, column] = off, beyond
-        known.reason[Reason.JUMP][:, column] = there & (speed > MAX_KN * KNOT_M_S)
+        known.reason[Reason.JUMP][:, column] = there & jumped
+        apart_s = np.minimum(np.abs(times_s - at_s[before]), np.abs(times_s - at_s[after]))
         known.since_s[:, column] = np.where(off | beyond, apart_s, 0.0)
+        way_m[~inside & jumped] = 0
+        start = np.where(late, after, before)
         known.guessed.present[:, column] = off | beyond
-        from_which = np.where(late, after, before)
-        share = ((times_s - at_s[from_which]) / span)[:, None]
-        known.guessed.positions_m[:, column] = places_m[from_which] + share * way_m
+        known.guessed.positions_m[:, column] = places_m[start] + ((times_s - at_s[start]) / span_s)[:, None] * way_m
         known.guessed.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
-        used = self._reports.used_s.get(name) if self._reports else None
-        if self._reports is None or used is None or not len(used):
+        self._fill_reports(known, column, name, times_s, there, speed)
+
+    def _fill_reports(self, known: Known, column: int, name: str, times_s: Array, there: Mask, speed: Array) -> None:
+        """Fill in what the reports of a vessel say of times (n,), given whether it is there, and its speed in m/s."""
+        used_s = self._reports.used_s.get(name) if self._reports else None
+        if self._reports is None or used_s is None or not len(used_s):
             return
-        previous = np.searchsorted(used, times_s, side="right") - 1
-        last, first = used[np.maximum(previous, 0)], used[np.minimum(previous + 1, len(used) - 1)]
-        near = np.minimum(np.abs(times_s - last), np.abs(first - times_s))
+        previous = np.searchsorted(used_s, times_s, side="right") - 1
+        last_s, next_s = used_s[np.maximum(previous, 0)], used_s[np.minimum(previous + 1, len(used_s) - 1)]
+        nearest_s = np.minimum(np.abs(times_s - last_s), np.abs(next_s - times_s))
         least_s = np.where(speed < SLOW_KN * KNOT_M_S, max(self.stale_s, SLOW_STALE_S), self.stale_s)
-        known.reason[Reason.STALE][:, column] = there & (near > least_s) & (speed > LYING_M_S)
-        jumps = self._reports.jumps_s.get(name, np.empty(0))
-        between = np.searchsorted(jumps, first) > np.searchsorted(jumps, last)
-        known.reason[Reason.JUMP][:, column] |= there & between
-        known.since_s[:, column] = np.where(off | beyond, known.since_s[:, column], near)
+        known.reason[Reason.STALE][:, column] = there & (nearest_s > least_s) & (speed > LYING_M_S)
+        jumps_s = self._reports.jumps_s.get(name, np.empty(0))
+        jumps_between = np.searchsorted(jumps_s, next_s) > np.searchsorted(jumps_s, last_s)
+        known.reason[Reason.JUMP][:, column] |= there & jumps_between
+        guessed = known.guessed.present[:, column]
+        known.since_s[:, column] = np.where(guessed, known.since_s[:, column], nearest_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,19 +211,19 @@ def exclusions(
         frames = np.arange(first, min(first + length, len(times_s)))
         known = fresh.at(times_s[frames])
         start, stop = np.searchsorted(seen.frame, (frames[0], frames[-1] + 1))
-        part = seen.rows(slice(start, stop), -first)
+        part = seen.take(slice(start, stop)).later(-first)
         for each, holds in known.reason.items():
             ours = holds[part.frame, part.vessel]
             rows[start:stop] |= ours
             counts[each] += np.bincount(part.vessel[ours], minlength=len(scene.vessels))
         look = CameraPoses(camera_poses.camera_R_world[frames], camera_poses.positions_m[frames])
-        boxes.append(_grown(part.rows(rows[start:stop]), camera, look, known).boxes_px)
+        boxes.append(_grown(part.take(rows[start:stop]), camera, look, known).boxes_px)
         away = _guessed_regions(scene, camera, look, known)
         is_beyond = known.beyond[away.frame, away.vessel]
         beyond += np.bincount(away.vessel[is_beyond], minlength=len(scene.vessels))
         counts[Reason.OFF] += np.bincount(away.vessel[~is_beyond], minlength=len(scene.vessels))
-        pieces.append(away.rows(slice(None), first))
-    off = Regions(*(np.concatenate(columns) for columns in zip(*(vars(each).values() for each in pieces), strict=True)))
+        pieces.append(away.later(first))
+    off = Regions.join(pieces)
     told = (*_told(scene, counts, len(times_s), fresh.stale_s), *_told_beyond(beyond))
     return Exclusions(rows, np.concatenate(boxes), off, told)
 

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import orjson
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
@@ -18,6 +17,7 @@ from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results,
 from modsim3d.formats.reading.pair import compared
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
+from modsim3d.io.atomic_write import json_text
 from modsim3d.learn.voyage.attitude import NEAR_S, Attitude, Sampler
 from modsim3d.learn.voyage.camera_registration import (
     NOTHING_KNOWN,
@@ -382,10 +382,10 @@ def scene_files(scene: Scene, registered: Sequence[Registered], folder: Path) ->
     document = {**scene.copy.document, "cameras": cameras}
     found = _files_beside(scene)
     if isinstance(document.get("vessels"), dict):
-        found[Path(_VESSELS)], document["vessels"] = _json(document["vessels"]), _VESSELS
+        found[Path(_VESSELS)], document["vessels"] = json_text(document["vessels"]), _VESSELS
     beside = (scene.path.parent / name for name in (REPORT, REPORT_TIMES))
     found |= {Path(path.name): path.read_bytes() for path in beside if path.is_file()}
-    found[Path(REGISTRATION)] = _json(_content(scene, registered))
+    found[Path(REGISTRATION)] = json_text(_content(scene, registered))
     found[Path(SCENE_FILE)] = yaml_text(document, [line.format(name=scene.name) for line in _HEAD])
     return {folder / name: content for name, content in found.items()}
 
@@ -435,7 +435,3 @@ def _content(scene: Scene, registered: Sequence[Registered]) -> dict[str, Any]:
             for each in registered
         },
     }
-
-
-def _json(content: Mapping[str, Any]) -> bytes:
-    return orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n"

@@ -16,7 +16,7 @@ from typing import IO, Any
 import orjson
 
 from modsim3d.core.errors import RunDirectoryError
-from modsim3d.io.atomic_write import sync_file, sync_folder, written_whole
+from modsim3d.io.atomic_write import json_text, sync_file, sync_folder, written_whole
 from modsim3d.io.overwrite_guard import LOCK_FILE, identities, identity, is_inside, locked_folder
 from modsim3d.runs.files import block_files, tables
 from modsim3d.runs.files.block_files import (
@@ -285,7 +285,7 @@ class RunDirectory:
         """
         names, content = self._file_names(), {**run, "files": self._files}
         (self.work / LOG_FILE).write_text(log)
-        (self.work / RUN_FILE).write_bytes(orjson.dumps(content, option=orjson.OPT_INDENT_2) + b"\n")
+        (self.work / RUN_FILE).write_bytes(json_text(content))
         for name in (LOG_FILE, RUN_FILE):
             sync_file(self.work / name)
         _sync_folders(self.work, names)

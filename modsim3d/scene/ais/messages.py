@@ -2,38 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.errors import InputError
 
 
-class _Columns:
-    """A table whose columns are arrays of equal length."""
-
-    def _arrays(self) -> list[NDArray[Any]]:
-        return [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
-
-    def __len__(self) -> int:
-        return len(self._arrays()[0])
-
-    def take(self, rows: Indices | Mask) -> Self:
-        """Some of the rows: by mask, shape (n,), or by row numbers in any order, shape (m,)."""
-        return type(self)(*(array[rows] for array in self._arrays()))
-
-    @classmethod
-    def join(cls, parts: Sequence[Self]) -> Self:
-        """The rows of one or more tables, one table after another."""
-        return cls(*(np.concatenate(arrays) for arrays in zip(*(part._arrays() for part in parts), strict=True)))
-
-
 @dataclass(frozen=True, eq=False)
-class Positions(_Columns):
+class Positions(Columns):
     """Reported positions, shape (n,) each, NaN where a report leaves a value open.
 
     Attributes:
@@ -59,7 +39,7 @@ class Positions(_Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class Particulars(_Columns):
+class Particulars(Columns):
     """Names, types and dimensions that vessels report, shape (n,) each, NaN or empty where they report none.
 
     Attributes:

@@ -324,18 +324,19 @@ def _places(scored: Scored) -> tuple[Indices, Array]:
 
 
 def _changes(identity: Indices, frame: Indices, track: Indices) -> int:
-    """The least number of changes of the track over the frames in which each identity has one; arguments (a,)."""
+    """The least number of changes of the track over the frames in which each identity has one; arguments (a,).
+
+    It is best to take the track that stays longest, and at its end again.
+    """
     tracked, place = np.unique(np.column_stack([identity, frame]), axis=0, return_inverse=True)
-    place = place.reshape(-1)
-    group, place = _by_track(identity, track, place)
-    found = stretches(group, place)
-    reach = np.arange(len(tracked))  # the place up to which a track that is there at a place stays
-    lengths = found.last - found.first + 1
-    np.maximum.at(reach, place, np.repeat(place[found.last], lengths))
-    held, at = 0, 0
-    while at < len(reach):  # to take the track that stays longest is best; each turn is one held track, not one row
-        held, at = held + 1, int(reach[at]) + 1
-    return held - len(np.unique(identity))
+    group, place = _by_track(identity, track, place.reshape(-1))
+    stays = stretches(group, place)
+    last_place = np.arange(len(tracked))  # to which a track that is there at a place stays at most
+    np.maximum.at(last_place, place, np.repeat(place[stays.last], stays.last - stays.first + 1))
+    taken, next_place = 0, 0
+    while next_place < len(last_place):  # each turn is a track that is taken, not a row
+        taken, next_place = taken + 1, int(last_place[next_place]) + 1
+    return taken - len(np.unique(identity))
 
 
 def _longest_s(identity: Indices, place: Indices, track: Indices, length_s: Array) -> float:

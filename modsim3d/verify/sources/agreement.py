@@ -12,12 +12,12 @@ rounding of corners. The box and the count of the truth must be those of these p
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.truth.analytic import (
     PixelMasks,
@@ -57,7 +57,7 @@ DrawMasks = Callable[[int], PixelMasks]
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Columns):
     """How two sources differ on n outlines.
 
     Attributes:
@@ -80,10 +80,6 @@ class Comparison:
     visible: Indices
     pixels_looked_at: Mask
 
-    def take(self, rows: Indices) -> Comparison:
-        """The chosen rows, shape (k,)."""
-        return Comparison(*(getattr(self, field.name)[rows] for field in fields(self)))
-
     @property
     def worst(self) -> Indices:
         """The worse `Agreement` of full and visible, shape (n,)."""
@@ -94,8 +90,7 @@ def concatenate_comparisons(parts: Sequence[Comparison]) -> Comparison:
     """The rows of several comparisons, one after another."""
     empty, empty_sides, none = np.empty(0), np.empty((0, 4)), np.empty(0, dtype=np.int64)
     nothing = Comparison(empty_sides, empty_sides, empty, empty, none > 0, none, none, none > 0)
-    names = [field.name for field in fields(Comparison)]
-    return Comparison(*(np.concatenate([getattr(part, name) for part in (nothing, *parts)]) for name in names))
+    return Comparison.join([nothing, *parts])
 
 
 def compare_with_analytic(

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from modsim3d.core.errors import InputError
-from modsim3d.formats.reading.builder import MOST_PROBLEMS, Confidences, ImageNames, Problems, image_names, is_number
+from modsim3d.formats.reading.builder import MOST_PROBLEMS, Confidences, Problems, image_names, is_number
+from modsim3d.formats.reading.coco import KnownNames, categories_of
 from modsim3d.io.input_files import read_text
 from modsim3d.io.strict_text import check_values, parse_json
 from modsim3d.io.validation import shown
@@ -42,7 +43,9 @@ def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) ->
     problems = Problems(source, options.skip_bad)
     where = source if options.images is None else f"images {options.images}"
     truth = content if images is None else images
-    categories = _categories(truth, where, options.category_offset)
+    if not isinstance(truth, dict) or any(not isinstance(truth.get(key), list) for key in ("images", "categories")):
+        raise InputError(where, ["must be a mapping with lists of images and categories"])
+    categories = categories_of(truth, Problems(where))
     results = content["annotations"] if isinstance(content, dict) else content
     if not isinstance(results, list):
         raise InputError(source, ["annotations: must be a list"])
@@ -57,47 +60,17 @@ def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) ->
         notes.append(f"{source}: its image_id are taken for the names of the images' files")
     if names.doubt and images is not None:  # annotations beside their images have IDs
         notes.append(f"{source}: {names.doubt}")
+    known = KnownNames.of_results(results, names, categories, options.category_offset, problems)
+    labels = [name for name, _ in categories.values()]
     for index, entry in enumerate(results):
-        place = f"[{index}]"
-        if not isinstance(entry, dict):
-            problems.add(f"{place}: must be a mapping (got {shown(entry)})")
-        elif (frame := _frame_of(entry, names)) is None:
-            problems.add(f"{place}: unknown image_id {shown(entry.get('image_id'))}")
-        elif _key(entry.get("category_id")) not in categories:
-            problems.add(f"{place}: unknown category_id {shown(entry.get('category_id'))}")
-        else:
-            label, box = categories[_key(entry["category_id"])], entry.get("bbox")
-            rows.add(frame, place, box if isinstance(box, list) else [], label, entry.get("score"))
-    labels = {name: k for k, name in enumerate(categories.values())}
-    return rows.log(clock, f"the images of {(options.images or path).name}", labels, notes)
+        if (place := known.place(entry, f"[{index}]", problems)) is not None:
+            rows.add(place.image, f"[{index}]", place.box_px, labels[place.label], entry.get("score"))
+    numbers = {name: k for k, name in enumerate(labels)}
+    return rows.log(clock, f"the images of {(options.images or path).name}", numbers, notes)
 
 
 def _key(value: Any) -> Any:
     return value if isinstance(value, str | int | float) else None
-
-
-def _frame_of(entry: Mapping[str, Any], names: ImageNames) -> int | None:
-    """Number of the frame of a result; None if it names no image."""
-    named = names.by_image_id.get(_key(entry.get("image_id")))
-    return names.by_file_name.get(_key(entry.get("file_name")), named)
-
-
-def _categories(truth: Any, source: str, offset: int) -> dict[Any, str]:
-    if not isinstance(truth, dict) or any(not isinstance(truth.get(key), list) for key in ("images", "categories")):
-        raise InputError(source, ["must be a mapping with lists of images and categories"])
-    found: dict[Any, str] = {}
-    for index, entry in enumerate(truth["categories"]):
-        number, name = (entry.get("id"), entry.get("name")) if isinstance(entry, dict) else (None, None)
-        if (
-            not is_number(number)
-            or number != int(number)
-            or not isinstance(name, str)
-            or not name
-            or name in found.values()
-        ):
-            raise InputError(source, [f"categories[{index}]: must have an id, a whole number, and a name of its own"])
-        found[number - offset] = name
-    return found
 
 
 def _frames(

@@ -15,7 +15,7 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import from_top_left
 from modsim3d.core.errors import InputError
-from modsim3d.core.text import counted
+from modsim3d.core.text import counted, number_in
 from modsim3d.formats.reading.builder import NOT_GIVEN, Confidences, Problems, check_whole, valid_box
 from modsim3d.io.input_files import composed
 from modsim3d.scene.ais.options import time_text
@@ -304,10 +304,7 @@ def utc_s(text: str) -> float:
 
 def seconds(text: str) -> float:
     """A finite number of seconds, NaN if the text is none."""
-    try:
-        number = float(text)
-    except ValueError:
-        return math.nan
+    number = number_in(text)
     return number if abs(number) <= MAX_S else math.nan
 
 

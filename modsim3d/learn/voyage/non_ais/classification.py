@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, intersections, iou
-from modsim3d.formats.labelled import LabelledSet, Results
+from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched, Rule, image_pairs, match
 from modsim3d.learn.bootstrap import Column, Entry, Resampling, resample, with_entries
 from modsim3d.learn.learned import Learned
@@ -113,22 +112,25 @@ def _meetings(tracks: CrossingTracks, labelled: LabelledSet, rule: Rule) -> tupl
     What stays with one known vessel for most of its life does not pass it: its truth may be off.
     """
     known, none = labelled.annotations, np.empty(0, dtype=np.int64)
-    pairs: list[tuple[Indices, Indices, Mask]] = [(none, none, np.empty(0, dtype=bool))]
-    for row, track in image_pairs(known.image, tracks.image, len(labelled.images)):
-        boxes, theirs = known.boxes_px[row], tracks.boxes_px[track]
-        near = np.maximum(_NEAR * (boxes[:, 3:] - boxes[:, 1:2]), _MIN_NEAR_PX)
-        touch = np.asarray(((boxes[:, :2] - near < theirs[:, 2:]) & (theirs[:, :2] < boxes[:, 2:] + near)).all(axis=1))
-        reach_px = rule.most_distance_px if rule.method == "centre" else 0.0
-        meet = touch | (np.linalg.norm(centres(boxes) - centres(theirs), axis=1) <= reach_px)
-        pairs.append((row[meet], track[meet], touch[meet]))
-    rows, places, touch = (np.concatenate(each) for each in zip(*pairs, strict=True))
-    two = np.column_stack([tracks.thing[places], known.identity[rows]])
-    keys, key = np.unique(two, axis=0, return_inverse=True)
-    most = _PASSES * np.bincount(tracks.thing, minlength=1)[keys[:, 0]]
+    reach_px = rule.most_distance_px if rule.method == "centre" else 0.0
+    met: list[tuple[Indices, Indices, Mask]] = [(none, none, np.empty(0, dtype=bool))]
+    for row, place in image_pairs(known.image, tracks.image, len(labelled.images)):
+        boxes, passing = known.boxes_px[row], tracks.boxes_px[place]
+        margin = np.maximum(_NEAR * (boxes[:, 3:] - boxes[:, 1:2]), _MIN_NEAR_PX)
+        overlap = (boxes[:, :2] - margin < passing[:, 2:]) & (passing[:, :2] < boxes[:, 2:] + margin)
+        touch = np.asarray(overlap.all(axis=1))
+        meet = touch | (np.linalg.norm(centres(boxes) - centres(passing), axis=1) <= reach_px)
+        met.append((row[meet], place[meet], touch[meet]))
+    rows, places, touch = (np.concatenate(columns) for columns in zip(*met, strict=True))
+    # How long each thing is with each known vessel: in touch, and near enough to be matched with it.
+    couples, couple = np.unique(
+        np.column_stack([tracks.thing[places], known.identity[rows]]), axis=0, return_inverse=True
+    )
+    most = _PASSES * np.bincount(tracks.thing, minlength=1)[couples[:, 0]]
     passes = np.zeros(len(rows), dtype=bool)
     for chosen in (touch, np.ones(len(rows), dtype=bool)):
-        together = np.bincount(key.ravel()[chosen], minlength=len(keys))
-        passes |= chosen & (together <= most)[key.ravel()]
+        together = np.bincount(couple.ravel()[chosen], minlength=len(couples))
+        passes |= chosen & (together <= most)[couple.ravel()]
     return rows[passes], places[passes]
 
 
@@ -280,11 +282,8 @@ class ClassifiedDetections:
     def labelled(self) -> LabelledSet:
         """The set without them, and known vessels that they pass ignored: what is learned from."""
         kept, labelled = ~self.left_out, self.observed.labelled
-        columns: dict[str, Any] = {
-            k: None if each is None else each[kept] for k, each in vars(labelled.results).items()
-        }
         annotations = replace(labelled.annotations, ignored=labelled.annotations.ignored | self.crossings.annotations)
-        return replace(labelled, annotations=annotations, results=Results(**columns))
+        return replace(labelled, annotations=annotations, results=labelled.results.take(kept))
 
     def rates(self, resampling: Resampling, image_state: Indices, states: Sequence[str]) -> tuple[StateRates, ...]:
         """The rates of false positives in states of images (I,), with replicates of a resampling."""
@@ -359,15 +358,19 @@ def _free_share(observed: Observed) -> Array:
 
 
 def _scaled_share(column: Column, rate: StateRates, free: float) -> Column:
-    """The share of false detections with the rate that is used, of which the part `free` are no second boxes."""
-    value = np.clip(column.values, 0, 1 - 1e-12)
-    scaled = value / (1 - value) * (1 - free + free * rate.factor)
-    share = scaled / (1 + scaled)
-    true = float(column.counts * (1 - value[0]))
+    """The share of false detections with the rate that is used.
+
+    Of the odds of being false, the part `free`, those that are no second boxes or parts, changes with the rate.
+    """
+    share_before = np.clip(column.values, 0, 1 - 1e-12)
+    odds = share_before / (1 - share_before) * (1 - free + free * rate.factor)
+    share = odds / (1 + odds)
+    true = float(column.counts * (1 - share_before[0]))
     false = float(rate.used.estimate * rate.used.counts)
     if share[0] > 0:
-        # The variance of the logarithm of the odds is 1 / false + 1 / true, as if of so many observations.
-        worth = 1 / (1 / max(false, 0.5) + 1 / max(true, 0.5)) / max(float(share[0] * (1 - share[0])), 1e-9)
+        # As many observations as give the logarithm of the odds its variance, 1 / false + 1 / true.
+        variance = 1 / max(false, 0.5) + 1 / max(true, 0.5)
+        counts = 1 / variance / max(float(share[0] * (1 - share[0])), 1e-9)
     else:  # none was false of the true ones in the images that tell the rate
-        worth = true * float(rate.used.counts) / max(rate.images, 1)
-    return replace(column, values=share, counts=np.array(worth), inflation=max(column.inflation, rate.used.inflation))
+        counts = true * float(rate.used.counts) / max(rate.images, 1)
+    return replace(column, values=share, counts=np.array(counts), inflation=max(column.inflation, rate.used.inflation))

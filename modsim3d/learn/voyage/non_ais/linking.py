@@ -13,9 +13,11 @@ from scipy.optimize import linear_sum_assignment
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
-from modsim3d.formats.labelled import Annotations, Images
+from modsim3d.core.statistics import MAD_TO_STD
+from modsim3d.formats.labelled import Annotations
 from modsim3d.formats.matching import image_pairs
 from modsim3d.learn.matches import FalseSightings, Observed
+from modsim3d.learn.persistence import frame_interval_s
 
 # ---- By how much boxes ----
 
@@ -24,8 +26,6 @@ _SMALLEST = 0.25
 _MIN_CHANGES = 20
 _MUCH_SMALLER = 1 / 3
 """Boxes of a smaller share of their side err by less in proportion: nothing shows that errors stay as large."""
-TO_STD = 1.4826
-"""Median absolute deviation to standard deviation of normal numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ def jitter_of(observed: Observed, longest_s: float) -> Jitter:
     small = of_two <= np.quantile(of_two, _SMALLEST) if len(of_two) else near[:0]
     if np.count_nonzero(small) < _MIN_CHANGES:
         return STEADY
-    spread = TO_STD * np.median(np.abs(changes[small]), axis=0)
+    spread = MAD_TO_STD * np.median(np.abs(changes[small]), axis=0)
     return Jitter(spread[:2], spread[2:], float(np.median(of_two[small])))
 
 
@@ -341,7 +341,7 @@ def link(observed: Observed) -> Links:
     """Link the false positives of a labelled set whose images have times; others are things of their own."""
     sightings, images = observed.false_sightings, observed.labelled.images
     time_s = images.time_s[sightings.image]
-    gap_s = _usual_gap_s(images)
+    gap_s = float(np.nan_to_num(frame_interval_s(observed.labelled), nan=1.0))  # where frames have no times
     longest = max(MAX_GAP_S, (MIN_GAP_FRAMES + 0.5) * gap_s)
     jitter = jitter_of(observed, longest)
     sides = Sides.of(sightings, observed.labelled.annotations, len(images))
@@ -368,11 +368,3 @@ def link(observed: Observed) -> Links:
         longest,
         jitter,
     )
-
-
-def _usual_gap_s(images: Images) -> float:
-    """Median time between consecutive frames; 1 where frames have no times."""
-    order = np.lexsort((images.time_s, images.sequence))
-    gaps = np.diff(images.time_s[order])[np.diff(images.sequence[order]) == 0]
-    gaps = gaps[gaps > 0]
-    return float(np.median(gaps)) if len(gaps) else 1.0

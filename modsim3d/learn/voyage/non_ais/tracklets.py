@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.statistics import MAD_TO_STD
 from modsim3d.formats.labelled import Images
-from modsim3d.learn.voyage.non_ais.linking import TO_STD, Links
+from modsim3d.learn.voyage.non_ais.linking import Links
 
 _MIN_SEEN = 5
 """Detections that are needed to see how a thing moves; with fewer nothing speaks against a vessel."""
@@ -116,7 +117,7 @@ def _behaviour(links: Links, rows: Indices, share: float) -> Behaviour:
     if np.median(off) > max(_MAX_OFF * side, _MAX_OFF_PX, _UNSTEADY_STDS * float(links.jitter.off_px(side))):
         return Behaviour.JUMPS
     # A vessel that nears grows, but slowly.
-    shares, pixels = (TO_STD * np.median(np.abs(np.diff(each, axis=0)), axis=0) for each in (np.log(size), size))
+    shares, pixels = (MAD_TO_STD * np.median(np.abs(np.diff(each, axis=0)), axis=0) for each in (np.log(size), size))
     resized = (shares > np.sqrt(2) * _MAX_RESIZED) & (pixels > _UNSTEADY_STDS * links.jitter.resized_px(side))
     return Behaviour.CHANGES_SIZE if resized.any() else Behaviour.LIKE_A_VESSEL
 

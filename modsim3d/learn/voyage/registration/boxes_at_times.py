@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.boxes import clip, sizes
 from modsim3d.core.errors import ModsimError
 from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies
@@ -70,7 +70,7 @@ LESS_SURE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class Sightings(Columns):
     """Matched detections, n rows in order of frame.
 
     Attributes:
@@ -92,14 +92,6 @@ class Sightings:
     usable: Mask
     expected_px: Array
     corners_m: Array
-
-    def __len__(self) -> int:
-        """Number of matches."""
-        return len(self.frame)
-
-    def take(self, rows: Indices | Mask) -> Sightings:
-        """Some of the rows."""
-        return Sightings(*(column[rows] for column in vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)

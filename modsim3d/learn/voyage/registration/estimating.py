@@ -213,14 +213,16 @@ def _with_mean_speeds(aligner: Aligner, aligned: Alignment, slopes: Array) -> Ar
     The speed from one report to the next has the errors of both. A fit would take their pattern for a mark by which
     to set the clock.
     """
-    residuals, scale = aligned.residuals, plausible(OF_A_VESSEL_NAMES)
+    residuals = aligned.residuals
+    clock, delay = PROBED.index("clock_s"), PROBED.index(COMMON_DELAY)
+    along, across, delay_s = plausible(OF_A_VESSEL_NAMES)
     time_s = residuals.sightings.time_s[residuals.row] + aligned.values["clock_s"]
-    speeds = aligner.model.traffic.velocities(time_s, residuals.vessel)
-    by_metres, late = slopes[:, OWN][:, :2] / scale[:2], PROBED.index(COMMON_DELAY)
-    smooth = -(by_metres * speeds).sum(axis=1)
-    changed, clock = slopes.copy(), PROBED.index("clock_s")
-    changed[:, clock] += (smooth - slopes[:, late] / scale[2]) * plausible(["clock_s"])
-    changed[:, late] = smooth * scale[2]
+    speeds_m_s = aligner.model.traffic.velocities(time_s, residuals.vessel)
+    px_by_metre = slopes[:, OWN][:, :2] / (along, across)
+    px_by_delay = -(px_by_metre * speeds_m_s).sum(axis=1)  # a late report puts the vessel too far back
+    changed = slopes.copy()
+    changed[:, clock] += (px_by_delay - slopes[:, delay] / delay_s) * plausible(["clock_s"])
+    changed[:, delay] = px_by_delay * delay_s
     return changed
 
 
@@ -352,25 +354,27 @@ def _round(
     vessel, time_s = residuals.vessel, residuals.sightings.time_s[residuals.row]
     px, slopes = _px_and_slopes(aligner, aligned)
     slopes = _with_mean_speeds(aligner, aligned, slopes)
-    own = slopes[:, OWN] / plausible(OF_A_VESSEL_NAMES)
-    reported = px - (own * aligned.values.vessels[vessel]).sum(axis=1)
-    axes = drift_axes(time_s, vessel, constant, noise_m)
+    own_px = slopes[:, OWN] / plausible(OF_A_VESSEL_NAMES)
+    reported_px = px - (own_px * aligned.values.vessels[vessel]).sum(axis=1)
+    axes, drift_alone = (drift_axes(time_s, vessel, spreads, noise_m) for spreads in (constant, late))
     places = [PROBED.index(name) for name in free]
-    drift = fit_drift(residuals, reported, px, slopes[:, places], own, axes, together)
-    parts = [axes, drift_axes(time_s, vessel, late, noise_m), drift.off[:, :, None]]
-    added = [(own[:, :, None] * part).sum(axis=1) for part in parts]
-    scaled = np.column_stack([slopes, *added]) / drift.spreads_px[:, None]
+    drift = fit_drift(residuals, reported_px, px, slopes[:, places], own_px, axes, together)
+    # All columns are scaled and weighted together, and taken apart again.
+    axes_px, drifts_px, off_px = (
+        (own_px[:, :, None] * metres).sum(axis=1) for metres in (axes, drift_alone, drift.off[:, :, None])
+    )
+    scaled = np.column_stack([slopes, axes_px, drifts_px, off_px]) / drift.spreads_px[:, None]
     linear = Linear.of_soft_loss(scaled, drift.errors_px / drift.spreads_px, SOFT)
-    cuts = np.cumsum([len(PROBED), added[0].shape[1], added[1].shape[1]])
-    each, all_axes, drifts, off = np.split(linear.slopes, cuts, axis=1)
+    cuts = np.cumsum([len(PROBED), axes_px.shape[1], drifts_px.shape[1]])
+    by_value, by_axis, by_drift, off = np.split(linear.slopes, cuts, axis=1)
     values = _changed(aligned.values, free, drift.change, vessel, drift.steady)
     return _Round(
         Alignment(values, aligned.sightings, residuals, aligned.spreads_px),
         drift.change,
-        Linear(each, linear.residuals),
-        Linear(each, linear.residuals - off[:, 0]),
-        all_axes,
-        drifts,
+        Linear(by_value, linear.residuals),
+        Linear(by_value, linear.residuals - off[:, 0]),
+        by_axis,
+        by_drift,
     )
 
 

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
+from modsim3d.core.statistics import MAD_TO_STD
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes, Predictions, Sightings, match, predict
 from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies
 from modsim3d.learn.voyage.registration.parameters import (
@@ -109,7 +110,7 @@ class SightingResiduals:
             size, absolute = np.log(self.size_px[rows]), np.abs(residuals_px[rows])
             bins = np.array_split(np.argsort(size, kind="stable"), min(BINS, max(len(rows) // 40, 1)))
             middle = np.array([np.median(size[some]) for some in bins])
-            typical = np.array([max(1.4826 * np.median(absolute[some]), MIN_PX) for some in bins])
+            typical = np.array([max(MAD_TO_STD * np.median(absolute[some]), MIN_PX) for some in bins])
             spread[rows] = np.exp(np.interp(size, middle, np.log(typical)))
         return spread
 
@@ -325,7 +326,7 @@ class Aligner:
         for axis, kind in enumerate((KINDS.index("centre"), KINDS.index("waterline"))):
             rows: Indices = np.flatnonzero(residuals.kind == kind)
             typical = np.median(px[rows] / usual_px(residuals.size_px[rows])) if len(rows) else 1.0
-            gates[:, axis] = SPREADS * 1.4826 * max(typical, 0.5) * usual_px(sizes(predicted.boxes_px)[:, axis])
+            gates[:, axis] = SPREADS * MAD_TO_STD * max(typical, 0.5) * usual_px(sizes(predicted.boxes_px)[:, axis])
         return gates
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -187,36 +187,29 @@ def register(
     check_times(model, found, searched_s)
     given = _corrected(found, np.array([value or 0.0 for value in mean_errors]))
     known_means = {name: value for name, value in zip(_MEANS, mean_errors, strict=True) if value is not None}
-    stays = held([*fixed, *BY_RULE, *known_means, *(() if use_sizes else _SIZES)])
-    free = tuple(name for name, stay in zip(SHARED_NAMES, stays, strict=True) if not stay)
-    if not free:
-        raise ModsimError("fixed: all parameters are fixed; leave at least one to be estimated")
+    free = _free_names([*fixed, *BY_RULE, *known_means, *(() if use_sizes else _SIZES)])
     hiding = HidingBodies.of(scene, model)
-    first = Aligner(model, hiding, given.some(FIRST_FRAMES), free, use_sizes)
-    best, rivals = starts(first, searched_s, float(np.hypot(offsets_m or 0.0, noise_m)), scene)
+    # Offsets of the clock are searched with few frames, and the best is fitted with more, all values tied to the scene.
+    few = Aligner(model, hiding, given.some(FIRST_FRAMES), free, use_sizes)
+    best, rivals = starts(few, searched_s, float(np.hypot(offsets_m or 0.0, noise_m)), scene)
     some = given.some(max(int(len(given.times_s) * MAX_BOXES / len(given.frame)), FIRST_FRAMES))
-    aligner = Aligner(model, hiding, some, free, use_sizes)
-    aligned = aligner.until_stable(aligner.first(best), aligner.all_unknowns(), tied=True)
+    tied = Aligner(model, hiding, some, free, use_sizes)
+    aligned = tied.until_stable(tied.first(best), tied.all_unknowns(), tied=True)
     check_matches(model, aligned, scene.vessel_names)
-    linear, blocks = linearized(aligner, aligned), blocks_of(aligned.residuals)
-    groups = undetermined(Linear(columns(linear, free), linear.residuals), free, blocks)
+    linear = linearized(tied, aligned)
+    groups = undetermined(Linear(columns(linear, free), linear.residuals), free, blocks_of(aligned.residuals))
+    # Values that the data do not determine are the scene's; the others are fitted without ties, from each start.
     lost = {group.held for group in groups}
     free = tuple(name for name in free if name not in lost)
-    last = Aligner(model, hiding, some, free, use_sizes)
-    aligned = _settled(last, aligned, lost)
-    fits = [estimate(last, aligned, free, offsets_m, noise_m)]
-    others = (_fitted_from(rival, last, lost, free, offsets_m, noise_m, scene.vessel_names) for rival in rivals)
-    fits += [fitted for fitted in others if fitted is not None]
-    estimated, known = _best(last, fits, free)
-    aligned, linear, effects = estimated.aligned, estimated.linear, estimated.effects
-    check_matches(model, aligned, scene.vessel_names)
-    rules = {name: "fixed by the user" for name, stay in zip(SHARED_NAMES, held(fixed), strict=True) if stay}
-    rules |= {name: "mean errors are taken to be zero" for name in (*BY_RULE, *_SIZES) if name not in (*free, *lost)}
-    rules |= {group.held: f"not determined: {group.words()}" for group in groups}
-    rules |= {name: f"given as {_mean_text(name, value)}" for name, value in known_means.items()}
-    vessels = _vessel_estimates(scene, model, aligned, effects, known.covariance)
+    last = _LastFit(Aligner(model, hiding, some, free, use_sizes), free, lost, offsets_m, noise_m, scene.vessel_names)
+    fits = [last.of(aligned), *filter(None, map(last.from_start, rivals))]
+    estimated, known = _best(last.aligner, fits, free)
+    check_matches(model, estimated.aligned, scene.vessel_names)
+    vessels = _vessel_estimates(scene, model, estimated.aligned, estimated.effects, known.covariance)
+    rules = _rules(fixed, {*free, *lost}, groups, known_means)
     # Held by a rule: what the others would be under another one.
-    groups += [exchange(linear, PROBED, name, list(free)) for name in (*BY_RULE, COMMON_DELAY)]
+    groups += [exchange(estimated.linear, PROBED, name, list(free)) for name in (*BY_RULE, COMMON_DELAY)]
+    aligned = estimated.aligned
     if some is not given:
         aligned = Aligner(model, hiding, given, free, use_sizes).matched(aligned)
     done = _registration(camera, model, aligned, free, known, rules, groups, vessels, len(found.frame))
@@ -228,8 +221,28 @@ _MEANS = tuple(parameter.name for parameter in MEAN_ERRORS)
 _SIZES = _MEANS[2:]
 
 
-def _mean_text(name: str, value: float) -> str:
-    return f"{value:+g} px" if name in BY_RULE else f"{100 * value:+g} %"
+def _free_names(held_names: Sequence[str]) -> tuple[str, ...]:
+    """Names of the shared parameters that are not held.
+
+    Raises:
+        ModsimError: All are held, or a name is of none.
+    """
+    free = tuple(name for name, is_held in zip(SHARED_NAMES, held(held_names), strict=True) if not is_held)
+    if not free:
+        raise ModsimError("fixed: all parameters are fixed; leave at least one to be estimated")
+    return free
+
+
+def _rules(
+    fixed: Sequence[str], estimated: Container[str], groups: Sequence[ConfoundedGroup], known_means: Mapping[str, float]
+) -> dict[str, str]:
+    """Rule by which each parameter is held that is; those of `estimated` were free at first."""
+    rules = {name: "fixed by the user" for name, is_held in zip(SHARED_NAMES, held(fixed), strict=True) if is_held}
+    rules |= {name: "mean errors are taken to be zero" for name in (*BY_RULE, *_SIZES) if name not in estimated}
+    rules |= {group.held: f"not determined: {group.words()}" for group in groups}
+    for name, value in known_means.items():
+        rules[name] = f"given as {value:+g} px" if name in BY_RULE else f"given as {100 * value:+g} %"
+    return rules
 
 
 def _camera(scene: Scene, name: str) -> Camera:
@@ -249,25 +262,47 @@ def _corrected(found: BoxesAtTimes, mean: Array) -> BoxesAtTimes:
     return BoxesAtTimes(found.times_s, found.frame, corner_form(boxes))
 
 
-def _fitted_from(
-    start: Values,
-    aligner: Aligner,
-    lost: set[str],
-    free: tuple[str, ...],
-    offsets_m: float | None,
-    noise_m: float,
-    names: tuple[str, ...],
-) -> Estimated | None:
-    """The last fit from another start; None where its matches come to nothing, so that it is no registration."""
-    aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
-    try:
-        settled = _settled(aligner, aligned, lost)
-        check_matches(aligner.model, settled, names)
-        fitted = estimate(aligner, settled, free, offsets_m, noise_m)
-        check_matches(aligner.model, fitted.aligned, names)
-    except ModsimError:
-        return None
-    return fitted
+@dataclass(frozen=True, eq=False)
+class _LastFit:
+    """The last fit, in which undetermined values are the scene's, without ties to them.
+
+    Attributes:
+        aligner: Matches and fits.
+        free: The values that are fitted.
+        lost: The undetermined ones.
+        offsets_m: See `register`.
+        noise_m: See `register`.
+        names: Names of the vessels.
+    """
+
+    aligner: Aligner
+    free: tuple[str, ...]
+    lost: set[str]
+    offsets_m: float | None
+    noise_m: float
+    names: tuple[str, ...]
+
+    def of(self, aligned: Alignment) -> Estimated:
+        """The fit from an alignment."""
+        return estimate(self.aligner, self._settled(aligned), self.free, self.offsets_m, self.noise_m)
+
+    def from_start(self, start: Values) -> Estimated | None:
+        """The fit from other values; None where its matches come to nothing, so that it is no registration."""
+        aligner = self.aligner
+        aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
+        try:
+            settled = self._settled(aligned)
+            check_matches(aligner.model, settled, self.names)
+            fitted = estimate(aligner, settled, self.free, self.offsets_m, self.noise_m)
+            check_matches(aligner.model, fitted.aligned, self.names)
+        except ModsimError:
+            return None
+        return fitted
+
+    def _settled(self, aligned: Alignment) -> Alignment:
+        back = aligned.values.changed(**dict.fromkeys(self.lost, 0.0))
+        again = Alignment(back, aligned.sightings, aligned.residuals, aligned.spreads_px)
+        return self.aligner.until_stable(again, self.aligner.all_unknowns(), tied=False)
 
 
 def _best(aligner: Aligner, fits: Sequence[Estimated], free: tuple[str, ...]) -> tuple[Estimated, Knowledge]:
@@ -279,13 +314,6 @@ def _best(aligner: Aligner, fits: Sequence[Estimated], free: tuple[str, ...]) ->
     values = best.aligned.values
     rivals = rivals_of(most, values, [(less, fit.aligned.values) for less, fit in others])
     return best, covering(best.known, [rival.scaled(free) - values.scaled(free) for rival in rivals])
-
-
-def _settled(aligner: Aligner, aligned: Alignment, lost: set[str]) -> Alignment:
-    """The alignment with undetermined values back at the scene's, and without ties to them."""
-    back = aligned.values.changed(**dict.fromkeys(lost, 0.0))
-    again = Alignment(back, aligned.sightings, aligned.residuals, aligned.spreads_px)
-    return aligner.until_stable(again, aligner.all_unknowns(), tied=False)
 
 
 def _vessel_estimates(
