@@ -15,6 +15,7 @@ from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.workers import ThisProcess
+from tests.campaign.campaigns import html_of_blocks
 
 RATE = "detector.states.excellent.false_discovery_rate"
 KEYS: dict[str, Any] = {
@@ -52,7 +53,7 @@ def test_all_detectors_and_trackers_over_a_truth_cover_the_same(result: Campaign
 
 def test_a_truth_is_counted_once_however_many_runs_are_over_it(result: CampaignResult) -> None:
     table = result.table
-    page = "\n".join(coverage_sections(result.folder, table))
+    page = html_of_blocks(coverage_sections(result.folder, table))
     lines = lines_of(page)
     assert "6 of 6 runs are done, over 1 different truth and 1 traffic seed." in page
     assert "The traffic of harbour is not drawn: it is the same for every seed, and counts as one." in page
@@ -64,7 +65,7 @@ def test_a_truth_is_counted_once_however_many_runs_are_over_it(result: CampaignR
 
 
 def test_what_is_empty_is_listed_as_not_covered(result: CampaignResult) -> None:
-    page = "\n".join(coverage_sections(result.folder, result.table))
+    page = html_of_blocks(coverage_sections(result.folder, result.table))
     assert lines_of(page)["5000 m and more"] == ["–", "–", "–"]
     assert re.search(r"<li>Range: [^<]*5000 m and more</li>", page)
     assert re.search(r"<li>Sea: [^<]*moderate \(1.25 to 2.5 m\)", page)
@@ -77,15 +78,15 @@ def test_runs_that_crashed_cover_nothing(result: CampaignResult) -> None:
     table = result.table
     status = pa.array(["crashed", *table["status"].to_pylist()[1:]])
     table = table.set_column(table.column_names.index("status"), "status", status)
-    page = "\n".join(coverage_sections(result.folder, table))
+    page = html_of_blocks(coverage_sections(result.folder, table))
     assert "5 of 6 runs are done" in page and "1 more crashed" in page
     assert lines_of(page)["200 to 500 m"][1] == "5"
     none = table.set_column(table.column_names.index("status"), "status", pa.array(["crashed"] * 6))
-    assert "0 of 6 runs are done" in "\n".join(coverage_sections(result.folder, none))
+    assert "0 of 6 runs are done" in html_of_blocks(coverage_sections(result.folder, none))
 
 
 def test_settings_of_both_trackers_are_there(result: CampaignResult) -> None:
-    lines = lines_of("\n".join(coverage_sections(result.folder, result.table)))
+    lines = lines_of(html_of_blocks(coverage_sections(result.folder, result.table)))
     assert "lost_s 9" in lines["patient"][2]
     assert "lost_s 9" not in lines["sort"][2]
     assert lines["sort"][-1] == "all"
@@ -93,7 +94,7 @@ def test_settings_of_both_trackers_are_there(result: CampaignResult) -> None:
 
 def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: CampaignResult) -> None:
     verdict = Verdict(0, "hota < 1 & more", "patient", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3)
-    page = "\n".join(trace_sections(result.folder, result.table, [verdict]))
+    page = html_of_blocks(trace_sections(result.folder, result.table, [verdict]))
     facts = result.folder.facts
     (line,) = (cells for name, cells in lines_of(page).items() if name.startswith("1. "))
     assert line == ["patient", "0", "met", "1, 3, 5 (3 of them)", "1000000–1000002 (3 of them)", "3"]
@@ -111,16 +112,16 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
 
 def test_the_first_of_very_many_verdicts_are_shown_and_the_file_that_has_all_is_named(result: CampaignResult) -> None:
     verdicts = [Verdict(place, "hota", "sort", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3) for place in range(300)]
-    page = "\n".join(trace_sections(result.folder, result.table, verdicts))
+    page = html_of_blocks(trace_sections(result.folder, result.table, verdicts))
     assert "200. hota" in page and "201. hota" not in page
     assert "100 more are in verdicts.json." in page
 
 
 def test_a_campaign_without_requirements_or_rows_has_a_trace_too(result: CampaignResult) -> None:
-    page = "\n".join(trace_sections(result.folder, result.table.slice(0, 0), []))
+    page = html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), []))
     assert "no requirements" in page and "campaign-run" in page
     verdict = Verdict(0, "hota", "sort", 0, "undecided", "", 0.95, None, None, None, 0)
-    assert "none" in "\n".join(trace_sections(result.folder, result.table.slice(0, 0), [verdict]))
+    assert "none" in html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), [verdict]))
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import crashed_row, table_of
 from modsim3d.campaign.workers import ThisProcess
 from modsim3d.view.pages import page
+from tests.campaign.campaigns import html_of_blocks
 from tests.campaign.test_report_numbers import plan_of, table_for
 
 TEXT = """\
@@ -70,7 +71,7 @@ def test_a_requirement_that_failed_in_one_condition_has_failed():
     plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5}])
     found = [verdict(0, "met"), verdict(0, "failed", condition=1, why="Too low <here>.", crashed=1)]
     assert verdict_sentence(plan, found).startswith("✗ Not met")
-    html = "".join(requirement_sections(plan, found))
+    html = html_of_blocks(requirement_sections(plan, found))
     assert "✗ failed (1 failed, 1 met)" in html
     assert "Too low &lt;here&gt;." in html
     assert html.index("✗ failed</td>") < html.index("✓ met</td>")
@@ -78,7 +79,7 @@ def test_a_requirement_that_failed_in_one_condition_has_failed():
 
 def noted(*rows):
     plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5}])
-    return "".join(requirement_sections(plan, [verdict(0, "failed", **row) for row in rows])).count("It is so.")
+    return html_of_blocks(requirement_sections(plan, [verdict(0, "failed", **row) for row in rows])).count("It is so.")
 
 
 def test_a_row_says_only_what_its_interval_does_not():
@@ -91,7 +92,7 @@ def test_a_row_says_only_what_its_interval_does_not():
 
 def test_the_axis_of_a_share_ends_at_1():
     plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5, "in": 0.95}])
-    html = "".join(requirement_sections(plan, [verdict(0, "failed", low=0.1, high=0.6)]))
+    html = html_of_blocks(requirement_sections(plan, [verdict(0, "failed", low=0.1, high=0.6)]))
     assert re.search(r"<th>0\.0\d+ to 1; shaded: at least 0\.950</th>", html)
 
 
@@ -145,18 +146,18 @@ def test_an_unfinished_campaign_says_so_first(campaign, tmp_path):
 
 def test_crashes_are_grouped_by_their_error(campaign):
     rows = [crashed_row(number, "ValueError: <a>" if number < 2 else "KeyError: b") for number in range(3)]
-    html = "".join(crash_sections(campaign, with_plan(table_of(rows), campaign.plan)))
+    html = html_of_blocks(crash_sections(campaign, with_plan(table_of(rows), campaign.plan)))
     assert "3 runs of 3 crashed" in html
     assert html.index("ValueError: &lt;a&gt;") < html.index("KeyError: b")
     assert f"campaign-run {campaign.path} 0 --out" in html
-    assert crash_sections(campaign, table_for(plan_of(2))) == []
+    assert html_of_blocks(crash_sections(campaign, table_for(plan_of(2)))) == ""
 
 
 def test_the_means_of_a_sequential_campaign_prove_nothing():
     said = "these intervals describe and prove nothing"
     for stop in ("once", "sequential"):
         plan = plan_of(2, stop=stop)
-        assert (said in mean_sections(plan, table_for(plan))[0]) == (stop == "sequential")
+        assert (said in html_of_blocks(mean_sections(plan, table_for(plan)))) == (stop == "sequential")
 
 
 def test_a_search_is_no_rate_and_names_the_worst_first(campaign):

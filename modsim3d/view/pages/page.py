@@ -169,7 +169,8 @@ def html_of(block: Block) -> str:
         case Tiles():
             return tiles(block.results)
         case Figure():
-            return f"<figure>\n{block.draw()}\n<figcaption>{html.escape(block.caption)}</figcaption>\n</figure>"
+            caption = f"<figcaption>{html.escape(block.caption)}</figcaption>\n" if block.caption else ""
+            return f"<figure>\n{block.draw()}\n{caption}</figure>"
         case Fold():
             return folded(block.title, "\n".join(map(html_of, block.blocks)), block.opened)
         case Beside():
@@ -181,6 +182,7 @@ def html_of(block: Block) -> str:
 
 def _table_html(block: Table) -> str:
     title = f"<h3>{html.escape(block.title)}</h3>\n" if block.title else ""
+    title += paragraph(block.about, "soft") if block.about else ""
     if not block.header and all(len(row) == 2 for row in block.rows):
         return title + facts([(name, text) for name, text in block.texts])
     return title + table(block.rows, block.header, block.bad, soft=block.soft, notes=block.notes)
