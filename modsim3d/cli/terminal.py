@@ -551,8 +551,9 @@ def _print_document_table(console: Console, table: Table) -> None:
     """Print a table; a column of drawings alone has no text."""
     if table.about:
         print_prose(console, table.about, "dim")
-    columns = [column for column in zip(*table.texts, strict=True) if any(column)]
-    header = [name for name, column in zip(table.header, zip(*table.texts, strict=True), strict=True) if any(column)]
+    whole = list(zip(*table.texts, strict=True))
+    columns = [column for column in whole if any(column)]
+    header = [name for name, column in zip(table.header, whole, strict=False) if any(column)]
     rows = list(zip(*columns, strict=True))
     print_table(
         console,

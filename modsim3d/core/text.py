@@ -80,6 +80,15 @@ def percent_of(part: float, whole: float) -> str:
     return f"{100 * part / whole:.1f} %" if whole else UNKNOWN
 
 
+def duration_text(seconds: float) -> str:
+    """A time in seconds, minutes, hours or days."""
+    if seconds < 120:
+        return f"{seconds:.3g} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.1f} minutes"
+    return f"{seconds / 3600:.1f} hours" if seconds < 48 * 3600 else f"{seconds / 86400:,.1f} days"
+
+
 def three_digits(value: float | None) -> str:
     """A number with three digits or three decimals, a whole one as it is; a dash where it is not known."""
     if value is None or not isfinite(value) or float(value).is_integer():

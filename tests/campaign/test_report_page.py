@@ -17,7 +17,7 @@ from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import crashed_row, table_of
 from modsim3d.campaign.workers import ThisProcess
-from modsim3d.view.pages import page
+from modsim3d.view.pages import tables
 from tests.campaign.campaigns import html_of_blocks
 from tests.campaign.test_report_numbers import plan_of, table_for
 
@@ -103,7 +103,7 @@ def test_a_worst_run_names_the_requirement_that_it_breaks(html):
 
 
 def test_a_checksum_may_be_broken_for_a_narrow_screen():
-    assert page.facts([("plan", "0" * 64)]).count("<wbr>") == 3
+    assert tables.facts([("plan", "0" * 64)]).count("<wbr>") == 3
 
 
 def test_keys_that_are_set_for_all_runs_are_named():

@@ -22,7 +22,7 @@ from modsim3d.campaign.work.row import DONE
 from modsim3d.campaign.work.task import PLAN
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.document import Beside, Block, Heading, Items, Table, Text
-from modsim3d.core.text import counted
+from modsim3d.core.text import counted, listed
 from modsim3d.view.pages.provenance import shown_path
 
 # ---- The sections of a page that trace each requirement to its runs ----
@@ -393,11 +393,8 @@ def _trackers(folder: CampaignFolder) -> Iterator[Block]:
             row = label, facts["tracker"], facts["package"], settings or "defaults", facts["chosen"]
             found.setdefault(row, []).append(number)
     every = len(folder.facts["conditions"])
-    rows = [[*row, "all" if len(numbers) == every else _listed(numbers)] for row, numbers in found.items()]
+    rows = [
+        [*row, "all" if len(numbers) == every else listed([*map(str, numbers)], 10)] for row, numbers in found.items()
+    ]
     header = ["name", "tracker", "package", "settings", "where they are from", "conditions"]
     yield Table("Trackers and their settings", header, rows)
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    shown = ", ".join(map(str, numbers[:10]))
-    return shown if len(numbers) <= 10 else f"{shown} and {len(numbers) - 10} more"
