@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import shapely
 
+from benchmarks.hull_distances import least_hull_distance
 from modsim3d.core.arrays import Array
-from modsim3d.geometry.kinematics import HullTracks, closest_approach, least_hull_distance
+from modsim3d.geometry.kinematics import HullTracks, closest_approach
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.world.encounters import Encounter, encounter, hull_tracks, inside, lane_offsets, speeds_m_s

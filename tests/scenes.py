@@ -226,15 +226,18 @@ def footprints(scene: Scene, steps: NDArray[np.int64]) -> NDArray[np.object_]:
 
 
 def write_scene(
-    folder: Path, boats: Mapping[str, tuple[Sequence[float], Sequence[Sequence[float]]]], steps: int, **keys: object
+    folder: Path,
+    boats: Mapping[str, tuple[Sequence[float], Sequence[Sequence[float]]]],
+    steps: int | None,
+    **keys: object,
 ) -> Path:
     """A scene file: this module's camera, and boats as name → (length, beam and air draft; waypoints); a step a second.
 
     Args:
         folder: Where to write it.
         boats: Waypoints are [time, w1, w2]; none at all for a boat without a track.
-        steps: Number of time steps.
-        **keys: Of the scene, beside these or in their place.
+        steps: Number of time steps; None where the poses say it.
+        **keys: Of the scene, beside these or in their place; None for a key that is to be left out.
     """
     shutil.copy(data_folder("scenes") / "detectors" / "thesis.yaml", folder / "detector.yaml")
     vessels = {
@@ -253,7 +256,8 @@ def write_scene(
         **keys,
     }
     path = folder / "scene.yaml"
-    path.write_text(json.dumps(scene), encoding="utf-8")  # which is YAML too
+    given = {key: value for key, value in scene.items() if value is not None}
+    path.write_text(json.dumps(given), encoding="utf-8")  # which is YAML too
     return path
 
 

@@ -31,7 +31,7 @@ from modsim3d.verify.class_checks import class_checks
 from modsim3d.verify.confidence_checks import confidence_checks
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.evidence import Evidence, ManyDetections
-from modsim3d.verify.false_positive_checks import clutter_checks
+from modsim3d.verify.false_positive_checks import false_positive_checks
 from modsim3d.verify.parameters import Parameter, judge
 from modsim3d.verify.state_checks import state_checks
 from modsim3d.verify.verification import verify_evidence
@@ -104,7 +104,7 @@ class Run:
             "stay": state_checks,
             "false n": class_checks,
             "correlation in time": box_errors if change.name.endswith("box_s") else class_checks,
-            "false d": clutter_checks,
+            "false d": false_positive_checks,
             "confid": confidence_checks,
             "box er": box_errors,
         }

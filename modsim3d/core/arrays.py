@@ -36,6 +36,15 @@ def run_starts(*columns: Indices) -> Indices:
     return starts.nonzero()[0]
 
 
+def row_before(keys: Indices) -> Indices:
+    """The last row before each row that has the same key, −1 for none, shape (n,)."""
+    before = np.full(len(keys), -1)
+    order = np.argsort(keys, kind="stable")
+    same = np.flatnonzero(np.diff(keys[order]) == 0)
+    before[order[same + 1]] = order[same]
+    return before
+
+
 def distinct(values: Indices) -> Indices:
     """The distinct values of an array (n,), ascending, (k,).
 

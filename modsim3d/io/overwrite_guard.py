@@ -8,8 +8,9 @@ import fcntl
 import os
 import platform
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from modsim3d.core.errors import OutputError
@@ -198,11 +199,7 @@ def claimed(paths: Iterable[Path], *, overwrite: bool, inputs: Iterable[Path] = 
         OutputError: One of the files may not be written, or cannot be.
     """
     inputs = tuple(inputs)
-    with ExitStack() as locks:
-        for path in paths:
-            check_free(path, overwrite, inputs)
-            locks.enter_context(_all_locked(path))
-            check_free(path, overwrite, inputs)  # another process may have ended just now
+    with _claimed((path, partial(check_free, path, overwrite, inputs)) for path in paths):
         yield
 
 
@@ -214,22 +211,26 @@ def claimed_folders(patterns: Mapping[Path, str], *, overwrite: bool, inputs: It
         OutputError: One of the folders may not be written, or cannot be.
     """
     inputs = tuple(inputs)
-    with ExitStack() as locks:
-        for path, pattern in patterns.items():
-            check_not_read(path, inputs)
-            check_free_folder(path, pattern, overwrite)
-            locks.enter_context(_all_locked(path))
-            check_free_folder(path, pattern, overwrite)  # another process may have ended just now
+
+    def check(path: Path, pattern: str) -> None:
+        check_not_read(path, inputs)
+        check_free_folder(path, pattern, overwrite)
+
+    with _claimed((path, partial(check, path, pattern)) for path, pattern in patterns.items()):
         yield
 
 
 @contextmanager
-def _all_locked(path: Path) -> Iterator[None]:
-    with ExitStack() as lock:
-        try:
-            lock.enter_context(locked_file(path))
-        except OSError as error:
-            raise OutputError(f"{path} cannot be written to: {error.strerror or error}") from error
+def _claimed(checks: Iterable[tuple[Path, Callable[[], None]]]) -> Iterator[None]:
+    """Hold the lock of each path, which is checked before and after it is locked."""
+    with ExitStack() as locks:
+        for path, check in checks:
+            check()
+            try:
+                locks.enter_context(locked_file(path))
+            except OSError as error:
+                raise OutputError(f"{path} cannot be written to: {error.strerror or error}") from error
+            check()  # another process may have ended just now
         yield
 
 

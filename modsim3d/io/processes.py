@@ -217,10 +217,10 @@ def _read(pipe: Connection, messages: SimpleQueue[bytes]) -> None:
         messages.put(message)
 
 
-def _empty(messages: SimpleQueue[bytes]) -> None:
+def _empty(queue: SimpleQueue[Any]) -> None:
     with suppress(Empty):
         while True:
-            messages.get_nowait()
+            queue.get_nowait()
 
 
 def _answer(pipe: Connection, problem: Exception | None, worker: Any, message: bytes) -> None:
@@ -348,7 +348,7 @@ def _opened(
     try:
         with ExitStack() as opened:
             if here_too:
-                processes.work_here(opened.enter_context(set_up(*arguments)))
+                processes.do_here = partial(_do, opened.enter_context(set_up(*arguments)))
             yield processes
     finally:
         processes.close()
@@ -363,21 +363,20 @@ class _ThisProcess(Generic[W]):
 
 
 class _Processes(Generic[W]):
-    """Worker processes, each with a thread here that hands it pieces and waits for the results."""
+    """Worker processes, each with a thread here that hands it pieces and waits for the results.
+
+    `do_here` does a piece in this process too, with a worker of its own, while it waits for a result.
+    """
 
     def __init__(self, processes: list[WorkerProcess], workers: int, if_killed: str) -> None:
         self._processes = processes
         self._if_killed = if_killed
         self._most_waiting = workers * AHEAD
-        self._do_here: Callable[[Task | None], None] | None = None
+        self.do_here: Callable[[Task | None], None] | None = None
         self._tasks: SimpleQueue[Task | None] = SimpleQueue()
         self._threads = [threading.Thread(target=process.do_all, args=(self._tasks, workers)) for process in processes]
         for thread in self._threads:
             thread.start()
-
-    def work_here(self, worker: W) -> None:
-        """Let this process do pieces too, with a worker of its own, while it waits for a result."""
-        self._do_here = partial(_do, worker)
 
     def map(self, work: Callable[[W, P], T], pieces: Iterable[P]) -> Iterator[T]:
         waiting: deque[Future[T]] = deque()
@@ -391,9 +390,7 @@ class _Processes(Generic[W]):
 
     def close(self) -> None:
         """Let the workers end what they do now, and end them."""
-        with suppress(Empty):
-            while True:
-                self._tasks.get_nowait()
+        _empty(self._tasks)
         for process in self._processes:
             process.stop()
             self._tasks.put(None)
@@ -402,8 +399,8 @@ class _Processes(Generic[W]):
 
     def _result(self, future: Future[T]) -> T:
         with suppress(Empty):
-            while self._do_here is not None and not future.done():
-                self._do_here(self._tasks.get_nowait())
+            while self.do_here is not None and not future.done():
+                self.do_here(self._tasks.get_nowait())
         try:
             return future.result()
         except DiedError:

@@ -206,7 +206,8 @@ def parse_yaml(text: str, source: str) -> Any:
         problem = ": ".join(part for part in (error.context, error.problem) if part)
         raise InputError(source, [f"{where}{problem}"]) from None
     except yaml.reader.ReaderError as error:
-        line, column = _line_and_column(text, error.position)
+        before = text[: error.position]
+        line, column = before.count("\n") + 1, error.position - before.rfind("\n")
         problem = f"character {chr(error.character)!r} is not allowed in YAML"
         raise InputError(source, [f"line {line}, column {column}: {problem}"]) from None
     except RecursionError:
@@ -227,12 +228,6 @@ def _parsed(text: str) -> Any:
         if len(text) <= _REPEATED_CHARACTERS:
             _PythonLoader(text).get_single_data()  # raises the same error in better words
         raise
-
-
-def _line_and_column(text: str, position: int) -> tuple[int, int]:
-    """Line and column of a character, counted from one."""
-    before = text[:position]
-    return before.count("\n") + 1, position - before.rfind("\n")
 
 
 # ---- JSON without repeated keys, which parsers drop silently ----

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from enum import IntFlag
+from functools import reduce
+from operator import or_
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +82,11 @@ def frame_outcomes(frame: Frame) -> list[Outcome]:
     annotated_px[~false] = truth.boxes_px[[row for row in rows if row is not None]]
     flags = outcomes(false, mislabelled, found.boxes_px, annotated_px)
     return [Outcome(each) for each in flags.tolist()]
+
+
+def faults_of(frames: Iterable[Frame]) -> Outcome:
+    """Faults of any detection in some frames."""
+    return reduce(or_, (outcome for frame in frames for outcome in frame_outcomes(frame)), NOTHING_WRONG)
 
 
 def detected_rows(frame: Frame) -> list[int | None]:

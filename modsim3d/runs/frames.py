@@ -73,11 +73,30 @@ class FrameTruth:
 
     def __repr__(self) -> str:
         """The vessels, and how many are annotated and detected."""
-        return f"<FrameTruth: {truth_in_words(self)}>"
+        return f"<FrameTruth: {self._in_words()}>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
-        return truth_html(self)
+        """A notebook's table, with a row for each vessel."""
+        rows = [
+            (
+                self.vessels[i],
+                self.labels[i],
+                _box(self.boxes_px[i]),
+                f"{self.visible_fraction[i]:.0%}" if np.isfinite(self.visible_fraction[i]) else "–",
+                "yes" if self.annotated[i] else "no",
+                "yes" if self.detected[i] else "no",
+            )
+            for i in range(len(self))
+        ]
+        header = ("vessel", "label", "box [px]", "visible", "annotated", "detected")
+        return column_table(f"Truth: {self._in_words()}", header, rows)
+
+    def _in_words(self) -> str:
+        names = f" ({listed(self.vessels)})" if len(self) else ""
+        return (
+            f"{counted(len(self), 'vessel')}{names}, {np.count_nonzero(self.annotated)} annotated, "
+            f"{np.count_nonzero(self.detected)} detected"
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,11 +128,26 @@ class FrameDetections:
 
     def __repr__(self) -> str:
         """How many there are, and of what kinds."""
-        return f"<FrameDetections: {detections_in_words(self)}>"
+        return f"<FrameDetections: {self._in_words()}>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
-        return detections_html(self)
+        """A notebook's table, with a row for each detection."""
+        rows = [
+            (
+                self.labels[i],
+                f"{self.confidence[i]:.2f}",
+                _box(self.boxes_px[i]),
+                self.kinds[i],
+                self.vessels[i] or "–",
+            )
+            for i in range(len(self))
+        ]
+        header = ("label", "confidence", "box [px]", "kind", "vessel")
+        return column_table(f"Detections: {self._in_words()}", header, rows)
+
+    def _in_words(self) -> str:
+        kinds = [f"{count} {kind}" for kind, count in Counter(self.kinds).items()]
+        return counted(len(self), "detection") + (f" ({', '.join(kinds)})" if kinds else "")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -150,15 +184,27 @@ class Frame:
 
     def __repr__(self) -> str:
         """Camera, step, time and how much is in it."""
-        return f"<Frame: {frame_in_words(self)}>"
+        return f"<Frame: {self._in_words()}>"
 
     def _repr_html_(self) -> str | None:
         """A notebook's tables, where it cannot draw the picture."""
-        return frame_html(self)
+        if find_spec("matplotlib") is not None:
+            return None
+        return f"<p>{escape(self._in_words())}</p>{self.truth._repr_html_()}{self.detections._repr_html_()}"
 
     def _repr_png_(self) -> bytes | None:
         """A notebook's picture; None without matplotlib."""
-        return frame_png(self)
+        if find_spec("matplotlib") is None:
+            return None
+        picture = io.BytesIO()
+        self.plot().savefig(picture, format="png", dpi=PICTURE_DPI)
+        return picture.getvalue()
+
+    def _in_words(self) -> str:
+        return (
+            f"camera {self.camera}, step {self.step}, {self.time_s:g} s, detector {self.state}: "
+            f"{counted(len(self.truth), 'vessel')}, {counted(len(self.detections), 'detection')}"
+        )
 
     def id_image(self) -> IdImage:
         """Draw who is in front at each pixel: `ids` of shape (height, width), 0 for nothing, and the `names` of IDs.
@@ -189,7 +235,18 @@ class Frame:
         Raises:
             ModsimError: There is no such table.
         """
-        return _rows(self, name)
+        import pyarrow as pa  # takes longer than a frame
+
+        from modsim3d.runs.files.table_columns import schema_of
+
+        tables = {"frames": _frame_columns, "truth": _truth_columns, "detections": _detection_columns}
+        if name not in tables:
+            raise ModsimError(f"there is no table '{name}' of a frame ({nearest(name, tables)})")
+        columns, rows = tables[name](self), {"frames": 1, "truth": len(self.truth), "detections": len(self.detections)}
+        keys = {key: [getattr(self, key)] * rows[name] for key in ("camera", "step", "timestamp", "state")}
+        every, schema = {**keys, **columns}, schema_of(name)
+        arrays = [pa.array(every[field.name], field.type, from_pandas=True) for field in schema]  # null for NaN
+        return pa.table(arrays, schema=schema)
 
     def to_supervision(self) -> supervision.Detections:
         """The detections as `supervision.Detections`: `xyxy`, `confidence`, `class_id` and `data["class_name"]`.
@@ -197,7 +254,13 @@ class Frame:
         Raises:
             ModsimError: supervision is not installed.
         """
-        return supervision_detections(self)
+        found = self.detections
+        return _supervision().Detections(
+            xyxy=found.boxes_px.copy(),
+            confidence=found.confidence.copy(),
+            class_id=found.class_id.copy(),
+            data={"class_name": np.array(found.labels, dtype=str)},
+        )
 
     def truth_to_supervision(self) -> supervision.Detections:
         """The annotated vessels as `supervision.Detections`, with the boxes that the annotation mode takes.
@@ -207,7 +270,18 @@ class Frame:
         Raises:
             ModsimError: supervision is not installed.
         """
-        return supervision_truth(self)
+        truth = self.truth
+        rows = np.flatnonzero(truth.annotated)
+        numbers = {name: number for number, name in enumerate(self.scene_vessels)}
+        return _supervision().Detections(
+            xyxy=truth.boxes_px[rows],
+            class_id=truth.class_id[rows],
+            tracker_id=np.array([numbers[truth.vessels[row]] for row in rows], dtype=np.int64),
+            data={
+                "class_name": np.array([truth.labels[row] for row in rows], dtype=str),
+                "vessel": np.array([truth.vessels[row] for row in rows], dtype=str),
+            },
+        )
 
     def plot(self, axes: Axes | None = None, *, zoom: bool = False, labels: bool = True) -> Figure:
         """Draw the picture of the films, with axes in pixels; a notebook shows the matplotlib figure that is returned.
@@ -225,112 +299,8 @@ class Frame:
         return modsim3d.plot_frame(self, axes, zoom=zoom, labels=labels)
 
 
-def frame_in_words(frame: Frame) -> str:
-    """Camera, step and time, and how much is in it."""
-    return (
-        f"camera {frame.camera}, step {frame.step}, {frame.time_s:g} s, detector {frame.state}: "
-        f"{counted(len(frame.truth), 'vessel')}, {counted(len(frame.detections), 'detection')}"
-    )
-
-
-def truth_in_words(truth: FrameTruth) -> str:
-    """The vessels, and how many of them are annotated and detected."""
-    names = f" ({listed(truth.vessels)})" if len(truth) else ""
-    return (
-        f"{counted(len(truth), 'vessel')}{names}, {np.count_nonzero(truth.annotated)} annotated, "
-        f"{np.count_nonzero(truth.detected)} detected"
-    )
-
-
-def detections_in_words(detections: FrameDetections) -> str:
-    """How many there are, and of what kinds."""
-    kinds = [f"{count} {kind}" for kind, count in Counter(detections.kinds).items()]
-    return counted(len(detections), "detection") + (f" ({', '.join(kinds)})" if kinds else "")
-
-
-def truth_html(truth: FrameTruth) -> str:
-    """A row for each vessel."""
-    rows = [
-        (
-            truth.vessels[i],
-            truth.labels[i],
-            _box(truth.boxes_px[i]),
-            f"{truth.visible_fraction[i]:.0%}" if np.isfinite(truth.visible_fraction[i]) else "–",
-            "yes" if truth.annotated[i] else "no",
-            "yes" if truth.detected[i] else "no",
-        )
-        for i in range(len(truth))
-    ]
-    header = ("vessel", "label", "box [px]", "visible", "annotated", "detected")
-    return column_table(f"Truth: {truth_in_words(truth)}", header, rows)
-
-
-def detections_html(detections: FrameDetections) -> str:
-    """A row for each detection."""
-    rows = [
-        (
-            detections.labels[i],
-            f"{detections.confidence[i]:.2f}",
-            _box(detections.boxes_px[i]),
-            detections.kinds[i],
-            detections.vessels[i] or "–",
-        )
-        for i in range(len(detections))
-    ]
-    header = ("label", "confidence", "box [px]", "kind", "vessel")
-    return column_table(f"Detections: {detections_in_words(detections)}", header, rows)
-
-
 def _box(box_px: Array) -> str:
     return ", ".join(f"{side:.1f}" for side in box_px) if np.isfinite(box_px).all() else "–"
-
-
-def frame_html(frame: Frame) -> str | None:
-    """Both tables; None where the frame can show its picture instead."""
-    if can_be_drawn():
-        return None
-    return f"<p>{escape(frame_in_words(frame))}</p>{truth_html(frame.truth)}{detections_html(frame.detections)}"
-
-
-def frame_png(frame: Frame) -> bytes | None:
-    """The picture of `frame.plot()`; None without matplotlib."""
-    if not can_be_drawn():
-        return None
-    picture = io.BytesIO()
-    frame.plot().savefig(picture, format="png", dpi=PICTURE_DPI)
-    return picture.getvalue()
-
-
-def can_be_drawn() -> bool:
-    """Whether matplotlib is installed."""
-    return find_spec("matplotlib") is not None
-
-
-def supervision_detections(frame: Frame) -> Any:
-    """The detections as `supervision.Detections`; see `Frame.to_supervision`."""
-    found = frame.detections
-    return _supervision().Detections(
-        xyxy=found.boxes_px.copy(),
-        confidence=found.confidence.copy(),
-        class_id=found.class_id.copy(),
-        data={"class_name": np.array(found.labels, dtype=str)},
-    )
-
-
-def supervision_truth(frame: Frame) -> Any:
-    """The annotated vessels as `supervision.Detections`; see `Frame.truth_to_supervision`."""
-    truth = frame.truth
-    rows = np.flatnonzero(truth.annotated)
-    numbers = {name: number for number, name in enumerate(frame.scene_vessels)}
-    return _supervision().Detections(
-        xyxy=truth.boxes_px[rows],
-        class_id=truth.class_id[rows],
-        tracker_id=np.array([numbers[truth.vessels[row]] for row in rows], dtype=np.int64),
-        data={
-            "class_name": np.array([truth.labels[row] for row in rows], dtype=str),
-            "vessel": np.array([truth.vessels[row] for row in rows], dtype=str),
-        },
-    )
 
 
 def _supervision() -> Any:
@@ -339,27 +309,6 @@ def _supervision() -> Any:
     except ImportError:
         raise ModsimError("this needs the library supervision: pip install 'modsim3d[supervision]'") from None
     return supervision
-
-
-def _rows(frame: Frame, name: str) -> pa.Table:
-    """The rows of a frame in the table `frames`, `truth` or `detections`, as a run of its scene has them.
-
-    Raises:
-        ModsimError: There is no such table.
-    """
-    import pyarrow as pa  # takes longer than a frame
-
-    from modsim3d.runs.files.table_columns import schema_of
-
-    tables = {"frames": _frame_columns, "truth": _truth_columns, "detections": _detection_columns}
-    if name not in tables:
-        raise ModsimError(f"there is no table '{name}' of a frame ({nearest(name, tables)})")
-    schema = schema_of(name)
-    columns, rows = tables[name](frame), {"frames": 1, "truth": len(frame.truth), "detections": len(frame.detections)}
-    keys = {key: [getattr(frame, key)] * rows[name] for key in ("camera", "step", "timestamp", "state")}
-    every = {**keys, **columns}
-    arrays = [pa.array(every[field.name], field.type, from_pandas=True) for field in schema]  # null for NaN
-    return pa.table(arrays, schema=schema)
 
 
 def _frame_columns(frame: Frame) -> Columns:

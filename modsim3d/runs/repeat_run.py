@@ -16,7 +16,7 @@ from modsim3d.core.arrays import Mask
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.io.processes import WorkerCount
 from modsim3d.runs.files.block_files import THESIS_LINES
-from modsim3d.runs.files.overwrite import POSES_FILE, RUN_FILE, SCENE_FOLDER, FileList, file_list
+from modsim3d.runs.files.overwrite import POSES_FILE, RUN_FILE, SCENE_FOLDER, FileList, listed_file
 from modsim3d.runs.files.stored_tables import damage_named
 from modsim3d.runs.files.tables import number_column
 from modsim3d.runs.run import run_scene
@@ -166,22 +166,21 @@ def repeat_run(
     """
     folder, content, _, scene = run
     listed: FileList = content.get("files") or {}
-    run_scene(scene, again, thesis_json=_has_thesis_json(listed), workers=workers, progress=progress)
+    thesis = [name for name in listed if name.startswith(tuple(THESIS_LINES)) and name.endswith(".json")]
+    run_scene(scene, again, thesis_json=bool(thesis or not listed), workers=workers, progress=progress)
     made = orjson.loads((again / RUN_FILE).read_bytes())
     names = sorted({name for name in {**listed, **made["files"]} if not _is_input(name)})
     files = [_compared(folder, again, name, listed, made["files"]) for name in names]
     files += [
         RepeatedFile(name, _damage(folder, name, listed), is_input=True) for name in _inputs(folder, scene, listed)
     ]
-    settings = settings_difference((folder / RUN_FILE).read_bytes(), (again / RUN_FILE).read_bytes(), _ours(content))
+    # Older runs do not say where their traffic came from.
+    later = {"traffic_seed", "traffic_sha256", "crosscheck"} - content.keys()
+    left_out = _NOT_REPEATED | later | (_OF_LIVE_RUNS if "poses_sha256" in content else frozenset())
+    settings = settings_difference((folder / RUN_FILE).read_bytes(), (again / RUN_FILE).read_bytes(), left_out)
     return Repetition(
         (*files, RepeatedFile(RUN_FILE, repeated=settings)), tuple(_versions(content, made)), bool(listed)
     )
-
-
-def _has_thesis_json(listed: FileList) -> bool:
-    """Whether a run wrote the thesis's JSON; one without a list of its files did."""
-    return not listed or any(name.startswith(tuple(THESIS_LINES)) and name.endswith(".json") for name in listed)
 
 
 def _is_input(name: str) -> bool:
@@ -194,14 +193,6 @@ def _inputs(folder: Path, scene: Scene, listed: FileList) -> list[str]:
         return sorted(filter(_is_input, listed))
     poses = [POSES_FILE] if (folder / POSES_FILE).is_file() else []
     return sorted([*(f"{SCENE_FOLDER}/{name}" for name in scene.copy.names), *poses])
-
-
-def _ours(settings: dict[str, Any]) -> frozenset[str]:
-    """Entries of `run.json` that need not be the same."""
-    later = frozenset(
-        {"traffic_seed", "traffic_sha256", "crosscheck"} - settings.keys()
-    )  # older runs do not say where their traffic came from
-    return _NOT_REPEATED | later | (_OF_LIVE_RUNS if "poses_sha256" in settings else frozenset())
 
 
 def _compared(stored: Path, again: Path, name: str, listed: FileList, made: FileList) -> RepeatedFile:
@@ -231,7 +222,7 @@ def _damage(folder: Path, name: str, listed: FileList) -> str:
 
 
 def _found(folder: Path, name: str) -> Any:
-    return file_list(folder, [name])[name] if (folder / name).is_file() else None
+    return listed_file(folder / name) if (folder / name).is_file() else None
 
 
 def _versions(then: dict[str, Any], now: dict[str, Any]) -> list[VersionDifference]:

@@ -181,7 +181,11 @@ def write_run(
             checked = {"crosscheck": asdict(total.checked)}
             if truth_run is not None:
                 checked = {key: truth_run[key] for key in checked if key in truth_run}
-            directory.finish({**known, **_counts_of(total), "truncation": truncation, **checked}, _log(total, seconds))
+            counts = {
+                "counts": asdict(Counts.total(total.camera_counts)),
+                "camera_counts": {name: asdict(each) for name, each in total.camera_counts.items()},
+            }
+            directory.finish({**known, **counts, "truncation": truncation, **checked}, _log(total, seconds))
     names = scene.occluder_names
     intersecting = tuple((names[one], names[other]) for one, other in sorted(total.intersecting))
     return RunResult(
@@ -195,12 +199,6 @@ def write_run(
         truncation,
         Checked(**checked["crosscheck"]) if checked else None,
     )
-
-
-def _counts_of(total: BlockTally) -> dict[str, Any]:
-    """Counts in `run.json`, in all and by camera."""
-    by_camera = {name: asdict(counts) for name, counts in total.camera_counts.items()}
-    return {"counts": asdict(Counts.total(total.camera_counts)), "camera_counts": by_camera}
 
 
 def _log(total: BlockTally, seconds: float) -> str:
@@ -265,21 +263,16 @@ def _with_steps_kept(scene: Scene, folder: Path, most_steps: int | None) -> Iter
         raise InputError(error.source, [*error.problems, kept]) from None
 
 
-def _traffic(scene: Scene) -> dict[str, Any]:
-    """The seed of a traffic that is drawn, and the checksum of one with vessels that are drawn too."""
-    found = {"traffic_seed": scene.traffic_seed, "traffic_sha256": scene.traffic_sha256()}
-    return {key: value for key, value in found.items() if value is not None}
-
-
 def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
     """Everything that decides the content of the files; no times and no host names."""
+    traffic = {"traffic_seed": scene.traffic_seed, "traffic_sha256": scene.traffic_sha256()}  # where the seed draws it
     return {
         "format": FORMAT,
         "scene": scene.name,
         "scene_sha256": scene.sha256,
         "seed": scene.seed,
         "detector_seed": scene.detector_seed,
-        **_traffic(scene),
+        **{key: value for key, value in traffic.items() if value is not None},
         "steps": scene.steps,
         "annotation": asdict(scene.annotation),
         "cameras": [camera.name for camera in scene.cameras],

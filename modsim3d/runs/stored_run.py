@@ -16,18 +16,9 @@ from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import key_table, listed
 from modsim3d.io.validation import nearest
 from modsim3d.runs.blocks import Block, frames_of
+from modsim3d.runs.files import run_file
 from modsim3d.runs.files.block_files import OWN_SHIP, SETTINGS_FILE, TABLES, finished_truth
 from modsim3d.runs.files.overwrite import POSES_FILE, RUN_FILE, SCENE_FOLDER, UNFINISHED
-from modsim3d.runs.files.run_file import (
-    RunFile,
-    RunSettings,
-    check_camera_counts,
-    check_content,
-    check_files,
-    check_same_scene,
-    check_scene_copy,
-    read_settings,
-)
 from modsim3d.runs.files.stored_tables import StoredTables, detections_of, truth_of
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS
 from modsim3d.runs.frames import Frame
@@ -233,12 +224,10 @@ class StoredRun:
     def _simulation(self) -> Simulation:
         """The detector of an interrupted run, with a census of the steps that were kept."""
         try:
-            return Simulation(self.scene, scene_census(self.scene, self._kept_blocks()))
+            blocks = ((self._kept(*steps), *steps) for steps in self._ranges())
+            return Simulation(self.scene, scene_census(self.scene, blocks))
         except ModsimError as error:  # no vessel is annotated in these steps, and the detector needs one
             raise RunDirectoryError(f"{self.folder} holds an interrupted run: {error}; {self.how_to_finish}") from None
-
-    def _kept_blocks(self) -> Iterator[tuple[Truth, int, int]]:
-        return ((self._kept(*steps), *steps) for steps in self._ranges())
 
     def _ranges(self) -> list[Range]:
         """The blocks that are there."""
@@ -292,9 +281,9 @@ def open_run(folder: StrPath) -> StoredRun:
 def _finished_run(folder: Path) -> StoredRun:
     finished = read_finished(folder)
     run, scene = finished.run, finished.scene
-    check_files(folder, run)
+    run_file.check_files(folder, run)
     if run.poses_sha256 is not None:
-        check_content(folder / POSES_FILE, run.poses_sha256, RUN_FILE)
+        run_file.check_content(folder / POSES_FILE, run.poses_sha256, RUN_FILE)
     stored = StoredTables(folder, scene, run.files)
     stored.check_counts(run.counts)
     return StoredRun(folder, finished.settings, scene, scene.steps, stored)
@@ -305,7 +294,7 @@ class FinishedRun(NamedTuple):
 
     folder: Path
     settings: dict[str, Any]
-    run: RunFile
+    run: run_file.RunFile
     scene: Scene
 
 
@@ -321,22 +310,22 @@ def read_finished(folder: Path) -> FinishedRun:
         interrupted = (folder / UNFINISHED / SETTINGS_FILE).is_file()
         what = "holds an interrupted run: finish it first" if interrupted else "holds no run: it has no run.json"
         raise RunDirectoryError(f"{folder} {what}")
-    content, run = read_settings(source, RunFile)
-    check_scene_copy(folder / SCENE_FOLDER, run, source, run.files)
+    content, run = run_file.read_settings(source, run_file.RunFile)
+    run_file.check_scene_copy(folder / SCENE_FOLDER, run, source, run.files)
     scene = load_scene(folder / SCENE_FOLDER / f"{run.scene}.json")
-    check_same_scene(run, scene, source)
-    check_camera_counts(run, source)
+    run_file.check_same_scene(run, scene, source)
+    run_file.check_camera_counts(run, source)
     return FinishedRun(folder, content, run, scene)
 
 
 def _interrupted_run(folder: Path) -> StoredRun:
     work = folder / UNFINISHED
-    content, settings = read_settings(work / SETTINGS_FILE, RunSettings)
-    check_scene_copy(work / SCENE_FOLDER, settings, work / SETTINGS_FILE, None)
+    content, settings = run_file.read_settings(work / SETTINGS_FILE, run_file.RunSettings)
+    run_file.check_scene_copy(work / SCENE_FOLDER, settings, work / SETTINGS_FILE, None)
     scene = load_scene(work / SCENE_FOLDER / f"{settings.scene}.json")
     if (work / POSES_FILE).is_file():  # the copy of a live scene has the steps that came in
         settings = settings.model_copy(update={"steps": scene.steps})
-    check_same_scene(settings, scene, work / SETTINGS_FILE)
+    run_file.check_same_scene(settings, scene, work / SETTINGS_FILE)
     return StoredRun(folder, content, scene, _kept_steps(folder, scene), None)
 
 

@@ -228,13 +228,9 @@ class BufferDrawing:
             sheet: The k regions, in buffer pixels.
         """
         drawn, number = np.unique(rows, return_inverse=True)
-        triangles = self._triangles(drawn)
+        triangles = triangles_of(self.outlines.take(drawn), self.intrinsics, self.supersample, facing_only=True)
         first, count = extents(triangles.row, number)
         chosen = triangles.take(ranges(first, count))
         in_region = np.add.reduceat(count, np.cumsum(counts) - counts)
         corners = chosen.corners_px * self.supersample
         return self.renderer.draw_sheet(corners, chosen.inverse_depth, drawn[chosen.row] + 1, in_region, sheet)
-
-    def _triangles(self, rows: Indices) -> Triangles:
-        """The triangles of some rows, shape (k,), which ascend, without those that their own solid hides."""
-        return triangles_of(self.outlines.take(rows), self.intrinsics, self.supersample, facing_only=True)

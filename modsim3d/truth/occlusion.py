@@ -98,10 +98,7 @@ class Occlusion:
         pairs, hidden_row = place[self.intersecting], place[self.hidden.row]
         kept = hidden_row >= 0
         return Occlusion(
-            full_boxes_px=self.full_boxes_px[rows],
-            visible_boxes_px=self.visible_boxes_px[rows],
-            silhouette_px=self.silhouette_px[rows],
-            visible_px=self.visible_px[rows],
+            **{name: getattr(self, name)[rows] for name in _COLUMNS},
             hidden=HiddenPixels(hidden_row[kept], self.hidden.occluder[kept], self.hidden.px[kept]),
             intersecting=pairs[(pairs >= 0).all(axis=1)],
             drawn=self.was_drawn()[rows],

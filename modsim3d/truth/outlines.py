@@ -87,6 +87,14 @@ class Outlines:
             convex[part.rows] = part.solid.convex
         return convex
 
+    def depths_m(self) -> tuple[Array, Array]:
+        """Least and greatest c3 of each solid's vertices, both of shape (n,)."""
+        nearest, farthest = np.empty((2, len(self)))
+        for part in self.parts:
+            depths_m = part.vertices_camera[..., 2].T.copy()  # many rows are compared faster than few vertices
+            nearest[part.rows], farthest[part.rows] = depths_m.min(axis=0), depths_m.max(axis=0)
+        return nearest, farthest
+
     def take(self, rows: Indices) -> Outlines:
         """The chosen rows, shape (k,), which ascend."""
         place = new_numbers(rows, len(self))

@@ -63,7 +63,7 @@ def ranks_of(
     Returns:
         Ranks, shape (n,); and whether the order of the pair is known and its ranks agree with it, shape (P,).
     """
-    nearest, farthest = _depths(outlines)
+    nearest, farthest = outlines.depths_m()
     # A corner is moved by at most 1/512 of a buffer pixel along each axis.
     per_metre = DEPTH_ERROR + 1 / (SUBPIXELS * supersample * min(intrinsics.focal_px))
     gap_m = per_metre * np.maximum(farthest[first], farthest[second])
@@ -105,15 +105,6 @@ def _in_front(outlines: Outlines, near: Indices, far: Indices, gap_m: Array) -> 
         gap = gap_m[pairs, None]
         found[pairs] = ((nearest_m < -gap) | (outside_m < -gap)).all(axis=1)
     return found
-
-
-def _depths(outlines: Outlines) -> tuple[Array, Array]:
-    """Least and greatest c3 of each solid, both of shape (n,)."""
-    nearest, farthest = np.empty((2, len(outlines)))
-    for part in outlines.parts:
-        depths_m = part.vertices_camera[..., 2].T.copy()  # many rows at a time are compared faster than few vertices
-        nearest[part.rows], farthest[part.rows] = depths_m.min(axis=0), depths_m.max(axis=0)
-    return nearest, farthest
 
 
 def _ranks(near: Indices, far: Indices, count: int) -> Indices:

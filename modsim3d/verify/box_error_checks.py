@@ -17,8 +17,8 @@ from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
 from modsim3d.detector.persistence import Persistence, with_share
 from modsim3d.detector.records import TRUE
-from modsim3d.verify.class_checks import correlation_note, turn_before
-from modsim3d.verify.error_fit import FitStep, MomentTable, StateErrors, StateFit, fit_step, fitted_law
+from modsim3d.verify.class_checks import correlation_note, turn_pairs
+from modsim3d.verify.error_fit import MomentTable, StateErrors, StateFit, fit_step, fitted_law
 from modsim3d.verify.error_parameters import LIKELIHOODS, PLAIN, ErrorParameters
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact
@@ -51,7 +51,7 @@ def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Re
         return None
     rng = np.random.default_rng(0)
     tracks, times_s = evidence.instances.tracks(_instances_of(evidence, fits))
-    now, before = _frame_pairs(model, evidence, fits)
+    now, before = turn_pairs(model, evidence, _instances_of(evidence, fits))
     ends = np.cumsum([0, *(len(fit.rows) for fit in fits)])
     steps: list[list[Array]] = [[] for _ in fits]
     found = []
@@ -75,7 +75,7 @@ def box_persistence(
     """Correlation of latent numbers with those of the same vessel one frame before."""
     if not fits:
         return None
-    now, before = _frame_pairs(model, evidence, fits)
+    now, before = turn_pairs(model, evidence, _instances_of(evidence, fits))
     if len(now) < MIN_PAIRS:
         return None
     # A wrong mean or spread would look like a correlation, so the sample's own are removed.
@@ -100,17 +100,6 @@ def _instances_of(evidence: Evidence, fits: list[StateFit]) -> Indices:
     """Row of `Instances` of each error of all fits, one fit after the other, shape (n,)."""
     rows: Indices = evidence.true_detections.instance[np.concatenate([fit.rows for fit in fits])]
     return rows
-
-
-def _frame_pairs(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> tuple[Indices, Indices]:
-    """Pairs of errors of one vessel, one turn of the detector apart: places in the rows of all fits, shapes (m,)."""
-    chance = _instances_of(evidence, fits)
-    place = np.full(len(evidence.instances.state), -1)
-    place[chance] = np.arange(len(chance))
-    before = turn_before(model, evidence)[chance]
-    before = np.where(before >= 0, place[before], -1)
-    now = np.flatnonzero(before >= 0)
-    return now, before[now]
 
 
 def _products(whitened: Array, now: Indices, before: Indices) -> Array:
@@ -223,7 +212,7 @@ def state_fits(
     return {
         s: _fit(model.states[s], evidence, _rows(model, evidence, s), table)
         for s in chosen
-        if _has_check(model.states[s])
+        if model_name(ERROR_DISTRIBUTIONS, model.states[s].box_error.distribution) in LIKELIHOODS
     }
 
 
@@ -282,10 +271,6 @@ def with_known_errors(model: DetectorModel, evidence: Evidence) -> Mask:
     return usable & ~(narrow & left_out)
 
 
-def _has_check(state: PerformanceState) -> bool:
-    return model_name(ERROR_DISTRIBUTIONS, state.box_error.distribution) in LIKELIHOODS
-
-
 def _is_singular(state: PerformanceState) -> bool:
     covariance, std = state.box_error.covariance, state.box_error.std
     return bool((std <= 0).any() or np.linalg.cond(covariance / np.outer(std, std)) > _CONDITION)
@@ -307,7 +292,8 @@ def _state_checks(
     if _is_singular(state):
         return _exact_checks(state, evidence, rows)
     law = ErrorParameters.of(state.box_error)
-    note = "" if fit is None else _truncation_note(fit.step)
+    redrawn = 0.0 if fit is None else 1 - float(fit.step.acceptance.mean())
+    note = f"{redrawn:.0%} of first draws leave no box and are drawn anew: taken out" if redrawn >= 0.005 else ""
     parameters = []
     for k, (name, asked) in enumerate(zip(law.names(), law.numbers(), strict=True)):
         measure = None if fit is None else _estimate(fit, k, replayed)
@@ -335,11 +321,6 @@ def _estimate(fit: StateFit, k: int, replayed: Array | None) -> Estimate:
         grows=4 <= k < 8,
         possible=AMOUNT if 4 <= k < 8 else CORRELATION if 8 <= k < PLAIN else ANY,
     )
-
-
-def _truncation_note(step: FitStep) -> str:
-    share = 1 - float(step.acceptance.mean())
-    return f"{share:.0%} of first draws leave no box and are drawn anew: taken out" if share >= 0.005 else ""
 
 
 def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) -> list[Parameter]:

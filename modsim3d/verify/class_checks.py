@@ -63,6 +63,18 @@ def turn_before(model: DetectorModel, evidence: Evidence) -> Indices:
     return before
 
 
+def turn_pairs(model: DetectorModel, evidence: Evidence, instance: Indices) -> tuple[Indices, Indices]:
+    """Pairs of detections of one vessel, one turn of the detector apart: places among m detections, shapes (k,).
+
+    `instance` is the row of `Instances` of each detection, shape (m,).
+    """
+    place = np.full(len(evidence.instances.state) + 1, -1)  # the last for −1: no turn before
+    place[instance] = np.arange(len(instance))
+    before = place[turn_before(model, evidence)[instance]]
+    now = np.flatnonzero(before >= 0)
+    return now, before[now]
+
+
 def inflation(
     tracks: Indices,
     times_s: Array,

@@ -24,7 +24,7 @@ from modsim3d.detector.confidence import (
     pair_score,
 )
 from modsim3d.detector.model import DetectorModel
-from modsim3d.verify.class_checks import correlation_note, lag_pairs, turn_before
+from modsim3d.verify.class_checks import correlation_note, lag_pairs, turn_pairs
 from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, unknown_rest_note
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact, Measure
 from modsim3d.verify.parameters import Law, Parameter
@@ -79,9 +79,7 @@ def latent_bounds(model: DetectorModel, evidence: Evidence) -> tuple[Array, Arra
     for s, state in enumerate(model.states):
         rows, law = np.flatnonzero(evidence.instances.state[true.instance] == s), state.confidence
         found, _ = scored(evidence, s, law)
-        shift = -law.visibility_slope * found.hidden - law.size_slope * found.halvings
-        check = LEVELS.get(model_name(SCORES, law.true))
-        levels = None if check is None else check(law.true, found.scores, shift)
+        levels = levels_of(law, law.true, found)
         if levels is None:
             continue
         below, above = levels
@@ -105,13 +103,9 @@ def score_persistence(model: DetectorModel, evidence: Evidence) -> Estimate | No
     likelihood are independent of each other.
     """
     low, high = latent_bounds(model, evidence)
-    place = np.full(len(evidence.instances.state), -1)
-    place[evidence.true_detections.instance] = np.arange(len(low))
-    turns = turn_before(model, evidence)[evidence.true_detections.instance]
-    before = np.where(turns >= 0, place[turns], -1)
-    now = np.flatnonzero((before >= 0) & ~np.isnan(low))
-    now = now[low[before[now]] == high[before[now]]]
-    before = before[now]
+    now, before = turn_pairs(model, evidence, evidence.true_detections.instance)
+    usable = ~np.isnan(low[now]) & (low[before] == high[before])
+    now, before = now[usable], before[usable]
     if len(now) < MIN_PAIRS:
         return None
     times_s = evidence.instances.time_s[evidence.true_detections.instance]
@@ -299,6 +293,13 @@ def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[ScoredDete
         return ScoredDetections(found.confidence[ours], hidden, -np.log2(smaller), tracks, times_s)
 
     return of_rows(true, instances.state[true.instance] == s), of_rows(false, false.state == s)
+
+
+def levels_of(law: StateConfidence, scores: ConfidenceLaw, found: ScoredDetections) -> tuple[Array, Array] | None:
+    """Least and greatest level of each score in one of a state's laws, shapes (n,); None if its levels are unknown."""
+    check = LEVELS.get(model_name(SCORES, scores))
+    shift = -law.visibility_slope * found.hidden - law.size_slope * found.halvings
+    return None if check is None else check(scores, found.scores, shift)
 
 
 Slope = tuple[str, float, Array]

@@ -16,17 +16,16 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.detector.chain import model_name
-from modsim3d.detector.confidence import LEVELS, SCORES, drawn_levels
+from modsim3d.detector.confidence import drawn_levels
 from modsim3d.detector.draws import poisson_quantile
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import FALSE_POSITIVE
 from modsim3d.detector.truncation import Accepted, accepted_errors
 from modsim3d.verify.class_checks import expected_outcomes
-from modsim3d.verify.confidence_checks import scored
+from modsim3d.verify.confidence_checks import levels_of, scored
 from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
-from modsim3d.verify.false_positive_checks import RATE_CHECKS, expected_clutter
+from modsim3d.verify.false_positive_checks import RATE_CHECKS, expected_false_positives
 
 _FAR, _STEPS, _SETTLED = 4.5, 6, 1e-3
 _SINGULAR = 1e10
@@ -323,7 +322,7 @@ def false_positive_residuals(model: DetectorModel, evidence: Evidence) -> Residu
     note = unknown_rest_note(model, evidence)
     if note or model.clutter.model not in RATE_CHECKS:
         return none_of(Draw.FALSE_POSITIVES, note)
-    expected, images = expected_clutter(model, evidence), evidence.frames
+    expected, images = expected_false_positives(model, evidence), evidence.frames
     rows = np.flatnonzero(expected.transient > 0)
     mean, dispersion = expected.transient[rows], expected.dispersion[rows]
     poisson = (dispersion == 1) & (mean < _MANY)
@@ -371,9 +370,7 @@ def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
             (row, np.full(len(row), NO_VESSEL)),
         )
         for scores, found, place in zip((law.true, law.false), scored(evidence, s, law), places, strict=True):
-            check = LEVELS.get(model_name(SCORES, scores))
-            shift = -law.visibility_slope * found.hidden - law.size_slope * found.halvings
-            levels = None if check is None else check(scores, found.scores, shift)
+            levels = levels_of(law, scores, found)
             if levels is not None:
                 level = drawn_levels(levels, found.scores, model.confidence_threshold, rng)
                 parts.append((*place, special.ndtri(np.clip(level, _MIN_LEVEL, 1 - _MIN_LEVEL))))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -23,55 +23,37 @@ PLAIN = 14
 _MAX_FREEDOM, _LEVELS = 1e4, 400
 
 
-class ErrorLikelihood(Protocol):
-    """The log-likelihood of one kind of distribution of standardised errors."""
+class ErrorLikelihood:
+    """The log-likelihood of standardised errors of one kind of distribution; this one of normal errors.
 
-    @property
-    def shape_names(self) -> tuple[str, ...]:
-        """Keys of the distribution's own numbers."""
-
-    def shape(self, distribution: Any) -> Array:
-        """The distribution's own numbers, shape (s,)."""
-
-    def shape_units(self, distribution: Any) -> Array:
-        """The size of a step of one in these numbers, shape (s,)."""
-
-    def reshaped(self, distribution: Any, step: Array) -> ErrorDistribution:
-        """The distribution a step of shape (s,) away."""
-
-    def statistics(self, distribution: Any, correlation: Array, standardised: Array) -> Array:
-        """Statistics of standardised errors of shape (..., 4), shape (..., 14 + s)."""
-
-    def latent_share(self, distribution: Any) -> float:
-        """Correlation kept between latent normal numbers and whitened statistics, 1 for a normal distribution."""
-
-
-class NormalLikelihood:
-    """The normal distribution: the statistics are the values and their products themselves."""
+    `shape_names` are the keys of the s numbers that the distribution has of its own; a normal one has none.
+    """
 
     shape_names: tuple[str, ...] = ()
 
     def shape(self, distribution: Any) -> Array:
-        """No numbers, shape (0,)."""
+        """The distribution's own numbers, shape (s,)."""
         return np.empty(0)
 
-    shape_units = shape
+    def shape_units(self, distribution: Any) -> Array:
+        """The size of a step of one in these numbers, shape (s,)."""
+        return np.empty(0)
 
     def reshaped(self, distribution: Any, step: Array) -> ErrorDistribution:
-        """Distribution unchanged; the step has shape (0,)."""
+        """The distribution a step of shape (s,) away."""
         kept: ErrorDistribution = distribution
         return kept
 
     def statistics(self, distribution: Any, correlation: Array, standardised: Array) -> Array:
-        """Four values and their ten products, shape (..., 14)."""
+        """Statistics of standardised errors (..., 4), shape (..., 14 + s): the values and their ten products first."""
         return np.concatenate([standardised, products_of(standardised)], axis=-1)
 
     def latent_share(self, distribution: Any) -> float:
-        """All of the correlation."""
+        """Correlation kept between latent normal numbers and whitened statistics, 1 for a normal distribution."""
         return 1.0
 
 
-class StudentTLikelihood:
+class StudentTLikelihood(ErrorLikelihood):
     """Student's t: values and products weigh less the farther out the error is, and ν has a statistic of its own.
 
     With q = yᵀ R⁻¹ y for the correlation R, the log-density is, but for constants, −(ν + 4)/2 · log(1 + q/(ν − 2)) −
@@ -113,7 +95,7 @@ class StudentTLikelihood:
         return with_latent / variance
 
 
-LIKELIHOODS: Mapping[str, ErrorLikelihood] = {"normal": NormalLikelihood(), "student_t": StudentTLikelihood()}
+LIKELIHOODS: Mapping[str, ErrorLikelihood] = {"normal": ErrorLikelihood(), "student_t": StudentTLikelihood()}
 """By the name of the distribution; one that is not here is reported as unchecked."""
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import Array, Indices, row_before
 from modsim3d.core.boxes import at_least_a_pixel
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.model import DetectorModel
@@ -208,12 +208,8 @@ def _false(found: Detections) -> Columns:
 
 def _rows_before(targets: Targets) -> Indices:
     """Row of the same vessel in the frame before, −1 if there is none, shape (n,)."""
-    order = np.lexsort((targets.frame, targets.vessel))
-    vessel, frame = targets.vessel[order], targets.frame[order]
-    follows = (vessel[1:] == vessel[:-1]) & (frame[1:] == frame[:-1] + 1)
-    before = np.full(len(targets), -1)
-    before[order[1:][follows]] = order[:-1][follows]
-    return before
+    before = row_before(targets.vessel)  # rows are in order of frame
+    return np.where(targets.frame == targets.frame[before] + 1, before, -1)
 
 
 def unknown_rest_note(model: DetectorModel, evidence: Evidence) -> str:

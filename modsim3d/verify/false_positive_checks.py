@@ -11,23 +11,13 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, sizes, unions
 from modsim3d.core.random_streams import Streams
+from modsim3d.detector import records
 from modsim3d.detector.chain import DetectorPart, clutter_of, clutter_rates
 from modsim3d.detector.draws import select
 from modsim3d.detector.false_positive_placement import DRAWS
 from modsim3d.detector.false_positives import FrameCounts, persistent_false_positives
 from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX, MergesAndSplits
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import (
-    DUPLICATE,
-    FALSE_POSITIVE,
-    FRAGMENT,
-    MERGED,
-    PERSISTENT,
-    SPLIT,
-    TRUE,
-    CameraFrames,
-    Targets,
-)
 from modsim3d.verify.class_checks import lag_pairs
 from modsim3d.verify.evidence import CameraEvidence, Evidence, frames_above_max, unknown_rest_note
 from modsim3d.verify.measures import CORRELATION, DiscoveryRate, Estimate, Exact, ImageRate, Rate
@@ -43,7 +33,7 @@ _REPLAYS = 150
 _DIGITS = 6  # decimals of a pixel: equal sides that were read back from centre and size stay equal
 
 
-def clutter_box_checks(model: DetectorModel, evidence: Evidence, persistent: Array) -> list[Parameter]:
+def placement_checks(model: DetectorModel, evidence: Evidence, persistent: Array) -> list[Parameter]:
     """Places and sizes of transient false positives, and the lifetime of persistent ones.
 
     `persistent` is the expected number of persistent ones in each frame, shape (s,).
@@ -68,7 +58,7 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
     source, rng = clutter_of(model, evidence.census(model)), np.random.default_rng(0)
     found, drawn = [], []
     for seen in evidence.cameras:
-        rows = np.flatnonzero(seen.detections.kind == FALSE_POSITIVE)
+        rows = np.flatnonzero(seen.detections.kind == records.FALSE_POSITIVE)
         frame = seen.detections.frame[rows]
         found.append(_places_and_sizes(seen.frames, frame, seen.detections.boxes_px[rows]))
         again = np.repeat(frame, _DRAWS_EACH)
@@ -81,7 +71,7 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
     return [Law(_distance(values[:, k], expected[:, k]), worth) for k in range(4)]
 
 
-def _kept(seen: CameraEvidence) -> Targets:
+def _kept(seen: CameraEvidence) -> records.Targets:
     """The detected vessels as the detector had them, with merged ones in one box."""
     found = seen.detections
     true = np.flatnonzero(~found.false())
@@ -93,7 +83,7 @@ def _kept(seen: CameraEvidence) -> Targets:
     return replace(kept, boxes_px=boxes)
 
 
-def _places_and_sizes(frames: CameraFrames, frame: Indices, boxes_px: Array) -> Array:
+def _places_and_sizes(frames: records.CameraFrames, frame: Indices, boxes_px: Array) -> Array:
     """Depth of the middle below the horizon, place along it, width, height; in pixels, shape (m, 4)."""
     a, b, c = frames.sea_half_planes[frame].T
     length = np.hypot(a, b)
@@ -134,7 +124,7 @@ def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Es
         return float((persistent[now] + persistent[before] - changes).sum() / (2 * common.sum()))
 
     counts = [
-        np.bincount(s.detections.frame[s.detections.kind == PERSISTENT], minlength=len(s.frames))
+        np.bincount(s.detections.frame[s.detections.kind == records.PERSISTENT], minlength=len(s.frames))
         for s in evidence.cameras
     ]
     asked = float((np.exp(-apart / lifetime) * common).sum() / common.sum())
@@ -158,7 +148,7 @@ def _replayed(evidence: Evidence, persistent: Array, lifetime_s: float, seed: in
 
 
 @dataclass(frozen=True, eq=False)
-class ExpectedClutter:
+class ExpectedFalsePositives:
     """Expected numbers of false positives in each image, given what was detected; shapes (s,).
 
     Attributes:
@@ -183,23 +173,25 @@ class ExpectedClutter:
         return self.transient + self.persistent + self.extras
 
 
-def expected_clutter(model: DetectorModel, evidence: Evidence) -> ExpectedClutter:
+def expected_false_positives(model: DetectorModel, evidence: Evidence) -> ExpectedFalsePositives:
     """Expectation of the detector's own model of false positives."""
     images, numbers, rates = evidence.frames, model.clutter.numbers, clutter_rates(model)
     due = np.concatenate([model.gates.due(seen.frames) for seen in evidence.cameras])
     extras, variance = _extras(model, evidence)
     frames = FrameCounts(images.state, due, images.n_kept, extras)
     means, share = numbers.means(rates, frames), model.clutter.persistent_share
-    return ExpectedClutter(due, (1 - share) * means, share * means, extras, variance, numbers.dispersion(rates, frames))
+    return ExpectedFalsePositives(
+        due, (1 - share) * means, share * means, extras, variance, numbers.dispersion(rates, frames)
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class ClutterEvidence:
+class FalsePositiveEvidence:
     """Data from which the rates of false positives are measured."""
 
     model: DetectorModel
     evidence: Evidence
-    expected: ExpectedClutter
+    expected: ExpectedFalsePositives
 
     def persistent_variance(self, ours: Mask) -> float:
         """Variance of the number of persistent ones in the images chosen by a mask of shape (s,).
@@ -219,10 +211,10 @@ class ClutterEvidence:
 class RateCheck(Protocol):
     """Measures the rate of false positives that one model has."""
 
-    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
+    def of_state(self, seen: FalsePositiveEvidence, s: int) -> Parameter:
         """The rate of a state."""
 
-    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
+    def overall(self, seen: FalsePositiveEvidence) -> list[Parameter]:
         """The rate of all states together, if that says more."""
 
 
@@ -232,7 +224,7 @@ class DiscoveryRateCheck:
 
     falls_short: bool = False
 
-    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
+    def of_state(self, seen: FalsePositiveEvidence, s: int) -> Parameter:
         """The rate of a state."""
         state, measure = seen.model.states[s], self._measure(seen, seen.evidence.frames.state == s)
         name, rate = f"states.{state.name}.false_discovery_rate", state.false_discovery_rate
@@ -241,7 +233,7 @@ class DiscoveryRateCheck:
             return parameter
         return replace(parameter, promised=rate, note="asked: what the rule of eq. 7.35 gives here")
 
-    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
+    def overall(self, seen: FalsePositiveEvidence) -> list[Parameter]:
         """The rate of all states together."""
         measure = self._measure(seen, np.ones(len(seen.evidence.frames.state), dtype=bool))
         promised = self._promised(seen) if self.falls_short else None
@@ -249,7 +241,7 @@ class DiscoveryRateCheck:
         return [Parameter(name, DetectorPart.FALSE_POSITIVES, measure, in_file=False, promised=promised)]
 
     @staticmethod
-    def _promised(seen: ClutterEvidence) -> float | None:
+    def _promised(seen: FalsePositiveEvidence) -> float | None:
         """The share of false positives that the states' rates ask for together."""
         kept = seen.evidence.frames.n_kept
         rate = seen.model.column("false_discovery_rate")[seen.evidence.frames.state]
@@ -257,7 +249,7 @@ class DiscoveryRateCheck:
         return asked / (asked + float(kept.sum())) if kept.sum() else None
 
     @staticmethod
-    def _measure(seen: ClutterEvidence, ours: Mask) -> DiscoveryRate | None:
+    def _measure(seen: FalsePositiveEvidence, ours: Mask) -> DiscoveryRate | None:
         images, expected = seen.evidence.frames, seen.expected
         true = float(images.n_kept[ours].sum())
         if not true:
@@ -272,20 +264,20 @@ class DiscoveryRateCheck:
 class ImageRateCheck:
     """The number of false positives in an image."""
 
-    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
+    def of_state(self, seen: FalsePositiveEvidence, s: int) -> Parameter:
         """The rate of a state."""
         state = seen.model.states[s]
         name, rate = f"states.{state.name}.false_positives_per_image", state.false_positives_per_image
         return Parameter(name, DetectorPart.FALSE_POSITIVES, self._measure(seen, s), rate, state=state.name)
 
-    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
+    def overall(self, seen: FalsePositiveEvidence) -> list[Parameter]:
         """Nothing: images of different rates have no common one."""
         return []
 
     @staticmethod
-    def _measure(seen: ClutterEvidence, s: int) -> ImageRate | None:
-        ours, expected, clutter = seen.evidence.frames.state == s, seen.expected, seen.evidence.false_detections
-        found = int(np.isin(clutter.kind, (FALSE_POSITIVE, PERSISTENT))[clutter.state == s].sum())
+    def _measure(seen: FalsePositiveEvidence, s: int) -> ImageRate | None:
+        ours, expected, false = seen.evidence.frames.state == s, seen.expected, seen.evidence.false_detections
+        found = int(np.isin(false.kind, (records.FALSE_POSITIVE, records.PERSISTENT))[false.state == s].sum())
         images = float(expected.due[ours].sum())
         if not images:
             return None
@@ -304,15 +296,17 @@ RATE_CHECKS: Mapping[str, RateCheck] = {
 
 def second_box_candidates(model: DetectorModel, evidence: Evidence) -> tuple[Indices, Mask]:
     """Rows of true detections that may be doubled or split, and whether they are long enough, shapes (k,)."""
-    true_detections, clutter = evidence.true_detections, evidence.false_detections
-    single = np.flatnonzero((true_detections.kind == TRUE) | (true_detections.kind == SPLIT))
+    true_detections, false = evidence.true_detections, evidence.false_detections
+    single = np.flatnonzero((true_detections.kind == records.TRUE) | (true_detections.kind == records.SPLIT))
     instances = true_detections.instance[single]
     placed = sizes(true_detections.boxes_px[single])[:, 0]
-    pieces = np.flatnonzero(clutter.kind == FRAGMENT)
-    of = {int(chance): int(row) for row, chance in zip(pieces, clutter.instance[pieces], strict=True)}
-    split = np.flatnonzero((true_detections.kind[single] == SPLIT) & np.isin(instances, [*of]))  # both were put out
+    pieces = np.flatnonzero(false.kind == records.FRAGMENT)
+    of = {int(chance): int(row) for row, chance in zip(pieces, false.instance[pieces], strict=True)}
+    split = np.flatnonzero(
+        (true_detections.kind[single] == records.SPLIT) & np.isin(instances, [*of])
+    )  # both were put out
     other = np.array([of[int(chance)] for chance in instances[split]], dtype=np.int64)
-    placed[split] += sizes(clutter.boxes_px[other])[:, 0]  # both parts together
+    placed[split] += sizes(false.boxes_px[other])[:, 0]  # both parts together
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
     return single, model.merges_and_splits.looks_long(truth[instances]) & (placed >= MIN_SPLIT_PX)
 
@@ -331,10 +325,10 @@ def _extras(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
     )
 
 
-def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
+def false_positive_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """The rate of each state and of all, the kinds, and the labels of false positives."""
     note = unknown_rest_note(model, evidence)
-    seen = ClutterEvidence(model, evidence, expected_clutter(model, evidence))
+    seen = FalsePositiveEvidence(model, evidence, expected_false_positives(model, evidence))
     check = RATE_CHECKS.get(model.clutter.model)
     parameters = []
     if model.gates.max_detections is not None:
@@ -346,15 +340,15 @@ def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     parameters += [] if check is None else [overall.unless(note) for overall in check.overall(seen)]
     if not note:
         parameters += [*_second_box_checks(seen), _merge_check(seen), _persistent_share_check(seen)]
-    return [*parameters, *clutter_box_checks(model, evidence, seen.expected.persistent)]
+    return [*parameters, *placement_checks(model, evidence, seen.expected.persistent)]
 
 
 def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Parameter]:
     """The labels of transient ones: a persistent one keeps its label, so only the others are independent."""
-    state, clutter = model.states[s], evidence.false_detections
+    state, false = model.states[s], evidence.false_detections
     if len(model.labels) < 2:
         return []
-    found = clutter.label[(clutter.state == s) & (clutter.kind == FALSE_POSITIVE)]
+    found = false.label[(false.state == s) & (false.kind == records.FALSE_POSITIVE)]
     note = "of those that do not persist" if model.clutter.persistent_share else ""
     return [
         Parameter(
@@ -369,32 +363,35 @@ def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Para
     ]
 
 
-def _second_box_checks(seen: ClutterEvidence) -> list[Parameter]:
+def _second_box_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
     rule, kinds = seen.model.merges_and_splits, seen.evidence.false_detections.kind
-    if rule == MergesAndSplits() and not np.isin(kinds, (DUPLICATE, FRAGMENT)).any():
+    if rule == MergesAndSplits() and not np.isin(kinds, (records.DUPLICATE, records.FRAGMENT)).any():
         return []
     single, long = second_box_candidates(seen.model, seen.evidence)
     parameters = []
-    for name, kind, count in (("duplicates", DUPLICATE, len(single)), ("splits", FRAGMENT, int(long.sum()))):
+    for name, kind, count in (
+        ("duplicates", records.DUPLICATE, len(single)),
+        ("splits", records.FRAGMENT, int(long.sum())),
+    ):
         asked = float(getattr(rule, name))
         measure = Rate(int((kinds == kind).sum()), count, asked) if count else None
         parameters.append(Parameter(f"false_positives.{name}", DetectorPart.FALSE_POSITIVES, measure, asked))
     return parameters
 
 
-def _merge_check(seen: ClutterEvidence) -> Parameter:
+def _merge_check(seen: FalsePositiveEvidence) -> Parameter:
     name, merges = "false_positives.merges", seen.model.merges_and_splits.merges
     kinds = seen.evidence.true_detections.kind
     if merges == 0:
-        return Parameter(name, DetectorPart.FALSE_POSITIVES, Exact(int((kinds == MERGED).sum()), len(kinds)))
+        return Parameter(name, DetectorPart.FALSE_POSITIVES, Exact(int((kinds == records.MERGED).sum()), len(kinds)))
     note = "which pairs could have been merged depends on others that were: only counted"
     return Parameter(name, DetectorPart.FALSE_POSITIVES, None, merges, note=note)
 
 
-def _persistent_share_check(seen: ClutterEvidence) -> Parameter:
+def _persistent_share_check(seen: FalsePositiveEvidence) -> Parameter:
     name, share = "false_positives.persistence.share", seen.model.clutter.persistent_share
     kinds, expected = seen.evidence.false_detections.kind, seen.expected
-    persistent, transient = int((kinds == PERSISTENT).sum()), int((kinds == FALSE_POSITIVE).sum())
+    persistent, transient = int((kinds == records.PERSISTENT).sum()), int((kinds == records.FALSE_POSITIVE).sum())
     if not share:
         return Parameter(name, DetectorPart.FALSE_POSITIVES, Exact(persistent, len(kinds)))
     if not persistent + transient:

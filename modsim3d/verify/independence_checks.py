@@ -19,7 +19,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import NEVER_CHANGES_S
 from modsim3d.verify.error_fit import Draw, Residuals, StateFit, n_transient, residuals_of
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
-from modsim3d.verify.false_positive_checks import RATE_CHECKS, ExpectedClutter, expected_clutter
+from modsim3d.verify.false_positive_checks import RATE_CHECKS, ExpectedFalsePositives, expected_false_positives
 from modsim3d.verify.measures import AMOUNT, CORRELATION, POWER, Estimate, Exact, Interval, Measure, Noticed
 from modsim3d.verify.parameters import Parameter
 
@@ -118,7 +118,7 @@ def spread_checks(model: DetectorModel, evidence: Evidence, group: str) -> list[
     note = unknown_rest_note(model, evidence)
     if model.clutter.model not in RATE_CHECKS or model.clutter.persistent_share == 1:
         return []
-    expected, found = expected_clutter(model, evidence), n_transient(evidence)
+    expected, found = expected_false_positives(model, evidence), n_transient(evidence)
     windows = {
         "variance over mean in images": np.arange(len(found)),
         "variance over mean in stretches": stretches(evidence.frames.camera, expected.transient),
@@ -142,7 +142,7 @@ def stretches(camera: Indices, mean: Array) -> Indices:
     return numbers
 
 
-def _spread(expected: ExpectedClutter, state: Indices, found: Indices, window: Indices) -> Estimate | None:
+def _spread(expected: ExpectedFalsePositives, state: Indices, found: Indices, window: Indices) -> Estimate | None:
     """The variance of the number of a window over its mean.
 
     With the number n of an image, its mean m and its variance v, (n − m)² − (2v/m − 1)·(n − m) − v has mean zero, does

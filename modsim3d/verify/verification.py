@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
-from pathlib import Path
 
 from modsim3d.detector.chain import CONFUSION, MARKOV_CHAIN, DetectorPart, used_models
 from modsim3d.detector.model import DetectorModel
-from modsim3d.runs.stored_run import StoredRun
 from modsim3d.verify.box_error_checks import fit_checks, state_fits
 from modsim3d.verify.class_checks import EFFECT_CHECKS, class_checks
 from modsim3d.verify.confidence_checks import SCORE_CHECKS, confidence_checks
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.error_parameters import LIKELIHOODS
 from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.false_positive_checks import RATE_CHECKS, clutter_checks
+from modsim3d.verify.false_positive_checks import RATE_CHECKS, false_positive_checks
 from modsim3d.verify.independence_checks import independence_checks
-from modsim3d.verify.parameters import Parameter, TestResult, Verification, judge
+from modsim3d.verify.parameters import Parameter, Verification, judge
 from modsim3d.verify.state_checks import state_checks
 
 CHECKED: Mapping[DetectorPart, Collection[str]] = {
@@ -41,7 +38,7 @@ def verify_evidence(model: DetectorModel, evidence: Evidence, table: MomentTable
         *state_checks(model, evidence),
         *class_checks(model, evidence),
         *fit_checks(model, evidence, fits),
-        *clutter_checks(model, evidence),
+        *false_positive_checks(model, evidence),
         *confidence_checks(model, evidence),
         *independence_checks(model, evidence, [fit for fit in fits.values() if fit is not None]),
     ]
@@ -55,37 +52,3 @@ def unchecked(model: DetectorModel) -> list[Parameter]:
         for used in used_models(model)
         if used.name not in CHECKED[used.part]
     ]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class CheckedRun:
-    """Evidence of a run on a detector file, before anything is said of it.
-
-    Attributes:
-        run: The run.
-        detector: The detector file that it was held against; None for its own.
-        model: What that file says.
-        evidence: What the run shows.
-        verification: The verdicts, and the level of each test.
-    """
-
-    run: StoredRun
-    detector: Path | None
-    model: DetectorModel
-    evidence: Evidence
-    verification: Verification
-
-    @property
-    def obeys(self) -> bool:
-        """Whether nothing speaks against the run."""
-        return self.verification.obeys
-
-    @property
-    def verdicts(self) -> tuple[TestResult, ...]:
-        """A verdict on each parameter of the detector file, in the order in which the detector works."""
-        return self.verification.verdicts
-
-    @property
-    def failed(self) -> tuple[TestResult, ...]:
-        """The verdicts against the run."""
-        return self.verification.failed

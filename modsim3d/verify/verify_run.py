@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Items
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted
 from modsim3d.detector.file.reading import find_detector
+from modsim3d.detector.model import DetectorModel
 from modsim3d.io.atomic_write import write_files
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.runs.files.overwrite import read_of_run
@@ -34,7 +36,7 @@ from modsim3d.verify.parameters import (
     TestResult,
     Verification,
 )
-from modsim3d.verify.verification import CheckedRun, verify_evidence
+from modsim3d.verify.verification import verify_evidence
 from modsim3d.view.pages.page import document_page
 from modsim3d.view.pages.provenance import Provenance, file_input, run_inputs, run_seeds, run_versions
 
@@ -117,7 +119,7 @@ def _noticed(verdict: TestResult) -> str:
     return " ".join(parts) or "–"
 
 
-def report_data(verified: CheckedRun) -> dict[str, Any]:
+def report_data(verified: VerifiedRun) -> dict[str, Any]:
     """Content of `verify.json`."""
     verification = verified.verification
     cause = verification.cause
@@ -159,7 +161,7 @@ def _finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else value
 
 
-def write_report(verified: CheckedRun, folder: StrPath, command: str | None = None) -> None:
+def write_report(verified: VerifiedRun, folder: StrPath, command: str | None = None) -> None:
     """Write `verify.json` and `verify.html` into a folder; the page names the command, or the call if it is None."""
     target = as_path(folder, "folder")
     page = document_page(document(verified), _provenance(verified, command))
@@ -167,7 +169,7 @@ def write_report(verified: CheckedRun, folder: StrPath, command: str | None = No
     write_files(dict(zip((target / name for name in FILES), (data, page), strict=True)))
 
 
-def document(verified: CheckedRun) -> Document:
+def document(verified: VerifiedRun) -> Document:
     """The verdicts, to be read."""
     verification, model, evidence = verified.verification, verified.model, verified.evidence
     found, false = evidence.true_detections, evidence.false_detections
@@ -217,7 +219,7 @@ def _notes(verification: Verification) -> Iterator[Block]:
             yield Fold(title, [Text(", ".join(found))])
 
 
-def _provenance(verified: CheckedRun, command: str | None) -> Provenance:
+def _provenance(verified: VerifiedRun, command: str | None) -> Provenance:
     run, given = verified.run, verified.detector
     call = f"modsim3d.verify_run({str(run.folder)!r}{'' if given is None else f', {str(given)!r}'}).write(…)"
     named = () if given is None else (file_input("detector file that it is held against", given),)
@@ -270,12 +272,41 @@ def _table(verdicts: Sequence[TestResult], where: Where = Where.TEXT) -> Table:
 # ---- A run held against its detector file ----
 
 
-class VerifiedRun(CheckedRun):
+@dataclass(frozen=True, eq=False, repr=False)
+class VerifiedRun:
     """Verification of a run against a detector file, from `verify_run`.
 
     verified = modsim3d.verify_run("runs/first")
     verified.obeys, verified.failed, verified.write("checked")
+
+    Attributes:
+        run: The run.
+        detector: The detector file that it was held against; None for its own.
+        model: What that file says.
+        evidence: What the run shows.
+        verification: The verdicts, and the level of each test.
     """
+
+    run: StoredRun
+    detector: Path | None
+    model: DetectorModel
+    evidence: Evidence
+    verification: Verification
+
+    @property
+    def obeys(self) -> bool:
+        """Whether nothing speaks against the run."""
+        return self.verification.obeys
+
+    @property
+    def verdicts(self) -> tuple[TestResult, ...]:
+        """A verdict on each parameter of the detector file, in the order in which the detector works."""
+        return self.verification.verdicts
+
+    @property
+    def failed(self) -> tuple[TestResult, ...]:
+        """The verdicts against the run."""
+        return self.verification.failed
 
     def __repr__(self) -> str:
         """The outcome in a sentence."""

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, row_before
 from modsim3d.core.boxes import centres
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted
@@ -80,11 +80,7 @@ class FollowedTracks:
     @cached_property
     def before(self) -> Indices:
         """The row before of each row's track, `NOBODY` for its first, shape (k,)."""
-        order = np.argsort(self.tracks.identity, kind="stable")
-        same = np.diff(self.tracks.identity[order]) == 0
-        before = np.full(len(order), NOBODY)
-        before[order[1:][same]] = order[:-1][same]
-        return before
+        return row_before(self.tracks.identity)
 
     def rows_of(self, frame: int) -> slice:
         """The rows of a frame, by its number."""

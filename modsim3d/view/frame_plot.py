@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from functools import reduce
-from operator import or_
-
 import numpy as np
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.render.id_pass import PlainIds
-from modsim3d.runs.counts import NOTHING_WRONG, frame_outcomes
+from modsim3d.runs.counts import faults_of
 from modsim3d.runs.frames import Frame
 from modsim3d.scene.scene import Scene
 from modsim3d.view.films.plan import part_around
@@ -97,7 +94,7 @@ class FrameArtist(Artist):
 def _add_legend(axes: Axes, frame: Frame, scene: Scene, layers: Layers) -> None:
     """The legend of the films, below the image."""
     width_pt = axes.bbox.width * POINTS_PER_IN / axes.figure.figure.dpi
-    mistakes = reduce(or_, frame_outcomes(frame), NOTHING_WRONG)
+    mistakes = faults_of([frame])
     entries = detection_entries(layers, scene.annotation.mode, mistakes)
     strip = legend(entries, round(KEY_DETAIL * width_pt), KEY_DETAIL * TEXT_PT)
     key = OffsetImage(np.asarray(strip), zoom=1 / KEY_DETAIL)

@@ -17,7 +17,7 @@ from modsim3d.geometry.kinematics import union_of
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.map_names import MapNames, overlapping
-from modsim3d.world.bodies import Obstacle
+from modsim3d.world.bodies import Obstacle, solid_footprint
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.circular import CircularMotion
 from modsim3d.world.vessels import Vessel
@@ -134,15 +134,8 @@ def view_of(scene: Scene, camera: Camera, step: int) -> tuple[Array, Array]:
 
 def footprint(obstacle: Obstacle) -> Any:
     """The footprint of an obstacle, with what it stands over, as a shapely multipolygon in metres."""
-    parts = []
-    for solid, vertices in obstacle.solids:
-        flat = vertices[:, :2]
-        if solid.convex:
-            parts.append(shapely.convex_hull(shapely.multipoints(flat)))
-        else:
-            faces = shapely.polygons(flat[solid.faces])
-            parts.append(union_of(faces[shapely.area(faces) > 0]))
-    pieces = [part for part in shapely.get_parts(union_of(parts)).tolist() if part.geom_type == "Polygon"]
+    whole = union_of([solid_footprint(solid, vertices) for solid, vertices in obstacle.solids])
+    pieces = [part for part in shapely.get_parts(whole).tolist() if part.geom_type == "Polygon"]
     return shapely.multipolygons(pieces)
 
 

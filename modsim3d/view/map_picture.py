@@ -10,17 +10,7 @@ from PIL import Image
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.atomic_write import put_in_place
-from modsim3d.view.map_marks import (
-    BirdsEye,
-    CameraMark,
-    MapSheet,
-    Moment,
-    VesselMark,
-    camera_marks,
-    draw_circles,
-    draw_obstacles,
-    vessel_marks,
-)
+from modsim3d.view import map_marks
 from modsim3d.view.map_names import MapNames
 
 if TYPE_CHECKING:
@@ -52,7 +42,7 @@ class Map:
         sheet: Its axes, and which artists on them move.
     """
 
-    def __init__(self, birds_eye: BirdsEye, width_px: int, height_px: int | None = None) -> None:
+    def __init__(self, birds_eye: map_marks.BirdsEye, width_px: int, height_px: int | None = None) -> None:
         """Draw what stays, from the bottom to the top; the map is as high as it needs if no height is given."""
         check_matplotlib()
         from matplotlib.figure import Figure
@@ -65,11 +55,14 @@ class Map:
         axes.set_autoscale_on(False)
         axes.tick_params(labelsize=8)
         axes.set_title(birds_eye.scene.name, fontsize=11)
-        self.sheet = MapSheet(axes, birds_eye, MapNames(axes), [axes.title])
+        self.sheet = map_marks.MapSheet(axes, birds_eye, MapNames(axes), [axes.title])
         self.sheet.moving.append(self.sheet.names.leaders)
-        draw_circles(self.sheet)
-        self._marks: list[VesselMark | CameraMark] = [*vessel_marks(self.sheet), *camera_marks(self.sheet)]
-        draw_obstacles(self.sheet)
+        map_marks.draw_circles(self.sheet)
+        self._marks: list[map_marks.VesselMark | map_marks.CameraMark] = [
+            *map_marks.vessel_marks(self.sheet),
+            *map_marks.camera_marks(self.sheet),
+        ]
+        map_marks.draw_obstacles(self.sheet)
         handles = axes.get_legend_handles_labels()[0]
         place = {"loc": "outside right upper"} if is_high(birds_eye) else {"loc": "outside lower center", "ncols": 5}
         symbols = self.sheet.symbols
@@ -87,36 +80,36 @@ class Map:
         (time,) = scene.timestamps(step, step + 1)
         self.sheet.axes.set_title(f"{scene.name}    {time} s    step {step}", fontsize=11)
         self.sheet.names.clear()
-        moment = Moment(self.sheet.birds_eye, step)
+        moment = map_marks.Moment(self.sheet.birds_eye, step)
         for mark in self._marks:
             mark.show(moment)
         self.sheet.names.place()
         for mark in self._marks:
-            if isinstance(mark, CameraMark) and mark.rings is not None:
+            if isinstance(mark, map_marks.CameraMark) and mark.rings is not None:
                 mark.rings.put_radii()
 
 
-def map_figure(birds_eye: BirdsEye, step: int, width_px: int, height_px: int | None = None) -> Figure:
+def map_figure(birds_eye: map_marks.BirdsEye, step: int, width_px: int, height_px: int | None = None) -> Figure:
     """The map at a step, as high as it needs if no height is given."""
     drawn = Map(birds_eye, width_px, height_px)
     drawn.show(step)
     return drawn.figure
 
 
-def map_height_px(birds_eye: BirdsEye, width_px: int) -> int:
+def map_height_px(birds_eye: map_marks.BirdsEye, width_px: int) -> int:
     """The height that a map of the given width needs; even, as films need it."""
     x0, x1, y0, y1 = birds_eye.extent_m
     high = is_high(birds_eye)
     return 2 * round(width_px * (INNER[high] * (y1 - y0) / (x1 - x0) + FURNITURE[high]) / 2)
 
 
-def is_high(birds_eye: BirdsEye) -> bool:
+def is_high(birds_eye: map_marks.BirdsEye) -> bool:
     """Whether a map is higher than wide."""
     x0, x1, y0, y1 = birds_eye.extent_m
     return y1 - y0 > x1 - x0
 
 
-def save_map(birds_eye: BirdsEye, step: int, path: Path, width_px: int) -> Path:
+def save_map(birds_eye: map_marks.BirdsEye, step: int, path: Path, width_px: int) -> Path:
     """Write the map at a step in the format of the path's ending; the same map gives the same bytes."""
     check_matplotlib()
     from matplotlib import rc_context
@@ -129,7 +122,7 @@ def save_map(birds_eye: BirdsEye, step: int, path: Path, width_px: int) -> Path:
     return path
 
 
-def map_picture(birds_eye: BirdsEye, step: int, size: tuple[int, int]) -> Image.Image:
+def map_picture(birds_eye: map_marks.BirdsEye, step: int, size: tuple[int, int]) -> Image.Image:
     """The map at a step as a picture of a size, drawn whole."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 

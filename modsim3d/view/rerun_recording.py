@@ -19,24 +19,11 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.io.atomic_write import put_in_place
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.view import palette
+from modsim3d.view import palette, rerun_boxes
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.pictures.plain import below_horizon
 from modsim3d.view.report.recorder import quantum_px
 from modsim3d.view.report.silhouettes import hiding, seen
-from modsim3d.view.rerun_boxes import (
-    FALSE,
-    FALSE_TRACKS,
-    MISSED,
-    TIME,
-    TRACKS,
-    BoxRecorder,
-    Eye,
-    Log,
-    Space,
-    first_eye,
-    image_path,
-)
 
 # ---- What the viewer shows when it opens a recording ----
 
@@ -47,7 +34,7 @@ BEHIND = (12, 14, 16)
 """Behind the world and around the cameras' images."""
 
 
-def blueprint(log: Log, eye: Eye, last_step: int, *, tracks: bool) -> Any:
+def blueprint(log: rerun_boxes.Log, eye: rerun_boxes.Eye, last_step: int, *, tracks: bool) -> Any:
     """The blueprint of a recording, for the SDK.
 
     Args:
@@ -59,15 +46,22 @@ def blueprint(log: Log, eye: Eye, last_step: int, *, tracks: bool) -> Any:
     from rerun import blueprint as parts
 
     scene = log.scene
-    cameras = [_camera(log, parts, camera.name) for camera in scene.cameras]
+    cameras = [
+        parts.Spatial2DView(
+            origin=_path(log, rerun_boxes.image_path(camera.name)), name=f"camera {camera.name}", background=BEHIND
+        )
+        for camera in scene.cameras
+    ]
     pictures = cameras[0] if len(cameras) == 1 else parts.Tabs(*cameras)
     end_s = float(scene.times_s(last_step, last_step + 1)[0])
     rows = [
         parts.Horizontal(pictures, _world(log, parts, eye), column_shares=[3, 2]),
-        _plot(log, parts, "missed and false", (MISSED, FALSE), end_s),
+        _plot(log, parts, "missed and false", (rerun_boxes.MISSED, rerun_boxes.FALSE), end_s),
     ]
     if tracks:
-        rows.append(_plot(log, parts, "tracks, and those on nothing", (TRACKS, FALSE_TRACKS), end_s))
+        rows.append(
+            _plot(log, parts, "tracks, and those on nothing", (rerun_boxes.TRACKS, rerun_boxes.FALSE_TRACKS), end_s)
+        )
     shares = [PICTURES, *[PLOTS[tracks]] * (len(rows) - 1)]
     lanes = [camera.name for camera in scene.cameras[: None if scene.detector.performance.per_camera else 1]]
     rows.append(
@@ -80,7 +74,7 @@ def blueprint(log: Log, eye: Eye, last_step: int, *, tracks: bool) -> Any:
     )
     return parts.Blueprint(
         parts.Vertical(*rows, row_shares=[*shares, LANE * (1 + len(lanes))]),
-        parts.TimePanel(timeline=TIME, state="collapsed"),
+        parts.TimePanel(timeline=rerun_boxes.TIME, state="collapsed"),
         parts.SelectionPanel(state="hidden"),
         parts.BlueprintPanel(state="hidden"),
         auto_views=False,
@@ -88,15 +82,11 @@ def blueprint(log: Log, eye: Eye, last_step: int, *, tracks: bool) -> Any:
     )
 
 
-def _camera(log: Log, parts: Any, name: str) -> Any:
-    return parts.Spatial2DView(origin=_path(log, image_path(name)), name=f"camera {name}", background=BEHIND)
-
-
-def _world(log: Log, parts: Any, eye: Eye) -> Any:
+def _world(log: rerun_boxes.Log, parts: Any, eye: rerun_boxes.Eye) -> Any:
     """The world, with the cameras' pictures in it and no boxes on these."""
-    hidden = [f"- {_path(log, [*image_path(camera.name), '**'])}" for camera in log.scene.cameras]
-    shown = [f"+ {_path(log, [*image_path(camera.name), 'scene'])}" for camera in log.scene.cameras]
-    lenses = [f"+ {_path(log, image_path(camera.name))}" for camera in log.scene.cameras]
+    hidden = [f"- {_path(log, [*rerun_boxes.image_path(camera.name), '**'])}" for camera in log.scene.cameras]
+    shown = [f"+ {_path(log, [*rerun_boxes.image_path(camera.name), 'scene'])}" for camera in log.scene.cameras]
+    lenses = [f"+ {_path(log, rerun_boxes.image_path(camera.name))}" for camera in log.scene.cameras]
     return parts.Spatial3DView(
         origin="world",
         contents=["+ $origin/**", *hidden, *lenses, *shown],
@@ -106,7 +96,7 @@ def _world(log: Log, parts: Any, eye: Eye) -> Any:
     )
 
 
-def _plot(log: Log, parts: Any, title: str, counts: tuple[str, ...], end_s: float) -> Any:
+def _plot(log: rerun_boxes.Log, parts: Any, title: str, counts: tuple[str, ...], end_s: float) -> Any:
     """A plot of counts of all cameras."""
     lines = [_path(log, ["counts", camera.name, count]) for camera in log.scene.cameras for count in counts]
     return parts.TimeSeriesView(
@@ -118,13 +108,13 @@ def _plot(log: Log, parts: Any, title: str, counts: tuple[str, ...], end_s: floa
     )
 
 
-def _whole(log: Log, parts: Any, end_s: float) -> Any:
+def _whole(log: rerun_boxes.Log, parts: Any, end_s: float) -> Any:
     """An axis of the whole time."""
     ends = (log.sdk.TimeRangeBoundary.absolute(seconds=time) for time in (0.0, end_s))
     return parts.TimeAxis(view_range=log.sdk.encodings.TimeRange(*ends))
 
 
-def _path(log: Log, parts: list[str]) -> str:
+def _path(log: rerun_boxes.Log, parts: list[str]) -> str:
     """A path as text, with what has a meaning in it escaped."""
     return str(log.sdk.new_entity_path(parts))
 
@@ -170,7 +160,7 @@ class Seen:
 class Pictures:
     """Puts the pictures of a run into its recording."""
 
-    log: Log
+    log: rerun_boxes.Log
     rows: RunRows
     _last: dict[str, bytes] = field(default_factory=dict)
 
@@ -178,7 +168,9 @@ class Pictures:
         """Log how much larger than its picture each camera's image is."""
         for camera in self.log.scene.cameras:
             scale = np.append(np.array(camera.intrinsics.image_size_px) / picture_size(camera), 1.0)
-            self.log.put([*image_path(camera.name), "scene"], self.log.sdk.Transform3D(scale=scale), static=True)
+            self.log.put(
+                [*rerun_boxes.image_path(camera.name), "scene"], self.log.sdk.Transform3D(scale=scale), static=True
+            )
 
     def show(self, steps: Indices) -> None:
         """Log what the cameras see at some steps, shape (n,), where it differs from what they saw before."""
@@ -190,7 +182,7 @@ class Pictures:
                 self._put(each)
 
     def _put(self, seen: Seen) -> None:
-        sdk, path, scene = self.log.sdk, image_path(seen.camera.name), self.log.scene
+        sdk, path, scene = self.log.sdk, rerun_boxes.image_path(seen.camera.name), self.log.scene
         vessels = len(scene.vessels)
         owners = [each.occluder for each in seen.silhouettes for _ in each.rings_px]
         lines = sdk.LineStrips2D(
@@ -342,9 +334,9 @@ def write_recording(
     application = f"modsim3d-{name}-{run.steps}{'' if followed is None else '-tracks'}"
     stream = rerun.RecordingStream(application, recording_id=name, send_properties=False)
     stream.set_log_time_enabled(False)  # the time of writing does not belong to the run
-    log = Log(rerun, stream, run.scene)
-    eye, steps = first_eye(log), np.arange(0, run.steps, every)
-    pictures, boxes, space = Pictures(log, rows), BoxRecorder(log, rows, followed), Space(log)
+    log = rerun_boxes.Log(rerun, stream, run.scene)
+    eye, steps = rerun_boxes.first_eye(log), np.arange(0, run.steps, every)
+    pictures, boxes, space = Pictures(log, rows), rerun_boxes.BoxRecorder(log, rows, followed), rerun_boxes.Space(log)
     with put_in_place(out) as partial:
         stream.save(partial, blueprint(log, eye, int(steps[-1]), tracks=followed is not None))
         space.fixed(eye.span_m)

@@ -13,6 +13,7 @@ import shapely
 from modsim3d.core.arrays import Array, Indices, Mask, read_only
 from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.geometry.curved_sea import drop_m
+from modsim3d.geometry.kinematics import union_of
 from modsim3d.world.vessels import Solid, Vessel, misfit, shoebox
 
 if TYPE_CHECKING:
@@ -135,6 +136,15 @@ class Obstacle:
 
         parts = [trimesh.Trimesh(vertices, solid.faces, process=False) for solid, vertices in self.solids]
         return trimesh.util.concatenate(parts)
+
+
+def solid_footprint(solid: Solid, vertices_m: Array) -> shapely.Geometry:
+    """The footprint of a solid with its vertices in WCF in metres, shape (K, 3)."""
+    flat = vertices_m[:, :2]
+    if solid.convex:
+        return shapely.convex_hull(shapely.multipoints(flat))
+    faces = shapely.polygons(flat[solid.faces])
+    return union_of(faces[shapely.area(faces) > 0])
 
 
 def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[Solid, Array], ...]:

@@ -97,25 +97,19 @@ def test_crops_lie_at_the_horizon_and_inside_the_image(horizon_px, y):
     assert crops == [View(x, y, 640, 640) for x in (0, 320, 640)]
 
 
-def test_a_whole_box_wins_against_a_cut_one_that_is_surer():
-    boxes = np.array([[100.0, 100, 300, 200], [200.0, 100, 300, 200]])
-    found = without_repeats(boxes, np.array([0.3, 0.9]), np.array([False, True]))
-    np.testing.assert_array_equal(found.boxes_px, boxes[:1])
+def test_a_whole_box_wins_against_a_cut_one_of_the_same_vessel_and_otherwise_the_most_confident_comes_first():
+    large = [100.0, 100, 300, 200]
+    for other, other_is_cut, kept in (
+        ([200.0, 100, 300, 200], True, [0]),  # a part of the same vessel, though it is surer
+        ([500.0, 100, 600, 200], True, [1, 0]),  # elsewhere
+        ([200.0, 120, 260, 200], False, [1, 0]),  # a whole one in front of a larger one
+    ):
+        boxes, confidence = np.array([large, other]), np.array([0.3, 0.9])
+        found = without_repeats(boxes, confidence, np.array([False, other_is_cut]))
+        np.testing.assert_array_equal(found.boxes_px, boxes[kept])
+        np.testing.assert_array_equal(found.confidence, confidence[kept])
     alone = without_repeats(boxes[1:], np.array([0.9]), np.array([True]))
     np.testing.assert_array_equal(alone.boxes_px, boxes[1:])
-
-
-def test_the_most_confident_box_comes_first_though_it_is_cut():
-    boxes = np.array([[100.0, 100, 300, 200], [500.0, 100, 600, 200]])
-    found = without_repeats(boxes, np.array([0.3, 0.9]), np.array([False, True]))
-    np.testing.assert_array_equal(found.boxes_px, boxes[::-1])
-
-
-def test_a_whole_box_in_front_of_a_larger_one_stays():
-    boxes = np.array([[100.0, 100, 300, 200], [200.0, 120, 260, 200]])
-    found = without_repeats(boxes, np.array([0.3, 0.9]), np.array([False, False]))
-    np.testing.assert_array_equal(found.boxes_px, boxes[::-1])
-    np.testing.assert_array_equal(found.confidence, [0.9, 0.3])
 
 
 def test_the_order_of_the_views_does_not_matter():

@@ -97,12 +97,9 @@ def test_a_ranking_that_one_film_decides_is_not_sure() -> None:
     assert ranking(real, np.repeat(real[:, :, None], 2, axis=2), ("a", "b"))["same_order"] == 1
 
 
-def test_the_ranking_is_that_of_the_mean_over_seeds() -> None:
+def test_the_ranking_is_that_of_the_mean_over_seeds_and_the_best_may_stay_where_others_change_places() -> None:
     simulated = np.tile([[[0.5, 0.1], [0.4, 0.4]]], (5, 1, 1))  # films, trackers, seeds
     assert ranking(simulated[:, :, 0], simulated, ("a", "b"))["simulated"] == ["b", "a"]
-
-
-def test_the_best_may_stay_where_others_change_places() -> None:
     real = np.tile([[0.6, 0.4, 0.5]], (5, 1))
     found = ranking(real, real[:, [0, 2, 1], None], ("a", "b", "c"))
     assert (found["same_order"], found["same_best"], found["simulated"]) == (0, 1, ["a", "b", "c"])
@@ -120,8 +117,12 @@ def test_gaps_lie_between_sightings_and_unscored_frames_break_nothing() -> None:
     assert gaps.tolist() == [2] and runs.tolist() == [2, 1, 1]
 
 
-def test_the_wasserstein_distance_of_shifted_values_is_the_shift() -> None:
+def test_distances_and_holm_s_method_by_hand() -> None:
+    """The distance of shifted values is the shift; nothing on one side cannot be compared."""
     assert wasserstein(np.array([0.0, 1.0, 3.0]), np.array([3.5, 0.5, 1.5, 3.5, 0.5, 1.5])) == pytest.approx(1 / 2)
+    found = compared([np.empty(0)], [[np.ones(3)]])
+    assert found["p_value"] is None and found["simulated"]["values"] == 3
+    assert holm([0.01, None, 0.04, 0.03]) == pytest.approx([0.03, None, 0.06, 0.06])
 
 
 def test_films_that_differ_from_each_other_are_no_difference_of_real_and_simulated() -> None:
@@ -144,15 +145,6 @@ def test_of_five_films_and_one_seed_two_of_32_exchanges_are_as_far_apart() -> No
     """As it is, and with all films exchanged."""
     real = [np.full(3, 1.0)] * 5
     assert compared(real, [[np.zeros(3)]] * 5)["p_value"] == pytest.approx(2 / 32, abs=0.025)
-
-
-def test_nothing_on_one_side_cannot_be_compared() -> None:
-    found = compared([np.empty(0)], [[np.ones(3)]])
-    assert found["p_value"] is None and found["simulated"]["values"] == 3
-
-
-def test_holm_s_method_by_hand() -> None:
-    assert holm([0.01, None, 0.04, 0.03]) == pytest.approx([0.03, None, 0.06, 0.06])
 
 
 def _results(*means: float) -> dict:
@@ -186,12 +178,9 @@ def test_a_rung_that_takes_scores_farther_or_helps_in_some_films_only_is_no_caus
     assert steps(results) == []
 
 
-def test_a_bound_is_rounded_away_from_0_and_needs_all_intervals() -> None:
+def test_a_bound_is_rounded_away_from_0_and_films_needed_grow_with_the_square_of_the_interval() -> None:
     assert upwards(0.0121) == "0.013" and upwards(0.012) == "0.012"
     assert farthest([{"low": -0.03, "high": 0.02}, {"low": 0.0, "high": 0.01}]) == 0.03
     assert farthest([{"low": None, "high": None}]) is None
-
-
-def test_films_needed_grow_with_the_square_of_the_interval() -> None:
     assert films_needed({"low": -0.03, "high": 0.05, "mean": 0.01, "margin": 0.02, "films": 10}) == 160
     assert films_needed({"low": 0.0, "high": 0.06, "mean": 0.03, "margin": 0.02, "films": 10}) is None

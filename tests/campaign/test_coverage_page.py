@@ -64,14 +64,18 @@ def test_a_truth_is_counted_once_however_many_runs_are_over_it(result: CampaignR
     assert lines["excellent"] == [f"{3 * 20}", "6", "3"]  # the states are drawn by each of three detector seeds
 
 
-def test_what_is_empty_is_listed_as_not_covered(result: CampaignResult) -> None:
+def test_what_is_empty_is_listed_as_not_covered_and_settings_of_both_trackers_are_there(result: CampaignResult) -> None:
     page = html_of_blocks(coverage_sections(result.folder, result.table))
-    assert lines_of(page)["5000 m and more"] == ["–", "–", "–"]
+    lines = lines_of(page)
+    assert lines["5000 m and more"] == ["–", "–", "–"]
     assert re.search(r"<li>Range: [^<]*5000 m and more</li>", page)
     assert re.search(r"<li>Sea: [^<]*moderate \(1.25 to 2.5 m\)", page)
     assert "there is no own ship that could meet another" in page
     assert re.search(rf"<li>{RATE}: no draw from ", page)
     assert "no claim is made about it" in page
+    assert "lost_s 9" in lines["patient"][2]
+    assert "lost_s 9" not in lines["sort"][2]
+    assert lines["sort"][-1] == "all"
 
 
 def test_runs_that_crashed_cover_nothing(result: CampaignResult) -> None:
@@ -83,13 +87,6 @@ def test_runs_that_crashed_cover_nothing(result: CampaignResult) -> None:
     assert lines_of(page)["200 to 500 m"][1] == "5"
     none = table.set_column(table.column_names.index("status"), "status", pa.array(["crashed"] * 6))
     assert "0 of 6 runs are done" in html_of_blocks(coverage_sections(result.folder, none))
-
-
-def test_settings_of_both_trackers_are_there(result: CampaignResult) -> None:
-    lines = lines_of(html_of_blocks(coverage_sections(result.folder, result.table)))
-    assert "lost_s 9" in lines["patient"][2]
-    assert "lost_s 9" not in lines["sort"][2]
-    assert lines["sort"][-1] == "all"
 
 
 def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: CampaignResult) -> None:
@@ -110,33 +107,26 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
     assert f"{RATE} differ from seed to seed" in page
 
 
-def test_the_first_of_very_many_verdicts_are_shown_and_the_file_that_has_all_is_named(result: CampaignResult) -> None:
+def test_a_trace_shows_the_first_of_very_many_verdicts_and_may_have_none(result: CampaignResult) -> None:
     verdicts = [Verdict(place, "hota", "sort", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3) for place in range(300)]
     page = html_of_blocks(trace_sections(result.folder, result.table, verdicts))
     assert "200. hota" in page and "201. hota" not in page
     assert "100 more are in verdicts.json." in page
-
-
-def test_a_campaign_without_requirements_or_rows_has_a_trace_too(result: CampaignResult) -> None:
     page = html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), []))
     assert "no requirements" in page and "campaign-run" in page
-    verdict = Verdict(0, "hota", "sort", 0, "undecided", "", 0.95, None, None, None, 0)
-    assert "none" in html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), [verdict]))
+    assert "none" in html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), verdicts[:1]))
 
 
-@pytest.mark.parametrize(
-    ("numbers", "said"),
-    [
+def test_numbers_are_said_in_few_words() -> None:
+    for numbers, said in (
         ([], "none"),
         ([7], "7"),
         ([0, 1, 2, 3], "0–3 (4 of them)"),
         ([0, 4, 8, 12, 16], "0, 4, … 16 (5 of them, 4 apart)"),
         ([0, 1, 4, 5, 9], "0–1, 4–5, 9 (5 of them)"),
         ([*range(0, 6), *range(9, 40, 3)], "0–5, 9, 12, 15, 18, 21 and 6 ranges more (17 of them)"),
-    ],
-)
-def test_numbers_are_said_in_few_words(numbers: list[int], said: str) -> None:
-    assert numbers_in_words(np.array(numbers, dtype=np.int64)) == said
+    ):
+        assert numbers_in_words(np.array(numbers, dtype=np.int64)) == said
 
 
 def draws(ranges: dict[str, Any], columns: dict[str, list[Any]]) -> list[str]:
@@ -144,29 +134,19 @@ def draws(ranges: dict[str, Any], columns: dict[str, list[Any]]) -> list[str]:
     return empty_draws(keys, pa.table({"status": ["done"] * len(next(iter(columns.values()))), **columns}))
 
 
-def test_parts_of_ranges_that_no_draw_came_near_are_said() -> None:
-    assert draws({"x": [0, 1]}, {"x": [0.05, 0.15, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95]}) == [
-        "x: no draw from 0.2 to 0.4"
-    ]
-    assert draws({"x": [0, 1]}, {"x": (np.arange(10) / 10 + 0.05).tolist()}) == []
+def test_parts_of_ranges_that_no_draw_came_near_and_choices_that_were_never_drawn_are_said() -> None:
+    tenths = (np.arange(10) / 10 + 0.05).tolist()
     log = {"low": 1, "high": 100, "scale": "log"}
-    assert draws({"x": log}, {"x": (10 ** (np.arange(9) / 5 + 0.1)).tolist()}) == ["x: no draw from 63.1 to 100"]
-
-
-@pytest.mark.parametrize(
-    ("choices", "drawn", "said"),
-    [
-        ([1, 2, 3], [1.0, 3.0], ["x: 2: never drawn"]),
-        ([1, 2], [2.0, 1.0], []),
-        (["a", 2, True], ["a", "2"], ["x: true: never drawn"]),
-        (["a", "b"], ["b"], ["x: a: never drawn"]),
-    ],
-)
-def test_choices_that_were_never_drawn_are_said(choices: list[Any], drawn: list[Any], said: list[str]) -> None:
-    assert draws({"x": {"choices": choices}}, {"x": drawn}) == said
-
-
-def test_two_ranges_are_looked_at_together() -> None:
+    for key, drawn, said in (
+        ([0, 1], [0.05, 0.15, *tenths[4:]], ["x: no draw from 0.2 to 0.4"]),
+        ([0, 1], tenths, []),
+        (log, (10 ** (np.arange(9) / 5 + 0.1)).tolist(), ["x: no draw from 63.1 to 100"]),
+        ({"choices": [1, 2, 3]}, [1.0, 3.0], ["x: 2: never drawn"]),
+        ({"choices": [1, 2]}, [2.0, 1.0], []),
+        ({"choices": ["a", 2, True]}, ["a", "2"], ["x: true: never drawn"]),
+        ({"choices": ["a", "b"]}, ["b"], ["x: a: never drawn"]),
+    ):
+        assert draws({"x": key}, {"x": drawn}) == said, key
     along = (np.arange(40) / 40 + 0.01).tolist()
     (said,) = draws({"x": [0, 1], "y": [0, 1]}, {"x": along, "y": along})
     assert said == "x with y: no draw in 12 of 16 squares of quarters of both ranges"

@@ -58,11 +58,10 @@ def test_a_mean_and_its_interval_are_over_traffic_seeds():
     assert found.seeds[4, 1] == 5
 
 
-@pytest.mark.parametrize("values", [[0.4], [0.7, 0.7, 0.7], []])
-def test_one_value_gives_no_interval(values):
-    found = over_seeds(np.array(values, dtype=float)[:, None])
-    assert np.isnan(found.low[0])
-    assert np.isnan(found.high[0])
+def test_one_value_gives_no_interval():
+    for values in ([0.4], [0.7, 0.7, 0.7], []):
+        found = over_seeds(np.array(values, dtype=float)[:, None])
+        assert np.isnan([found.low[0], found.high[0]]).all(), values
 
 
 def test_a_crashed_run_is_in_no_mean_and_is_counted():
@@ -123,14 +122,11 @@ def test_each_cell_of_a_heat_map_has_its_number():
     assert [float(text) for text in shown] == pytest.approx(wanted, abs=6e-4)
 
 
-def test_a_mean_on_the_threshold_stands_on_the_dashed_line():
+def test_a_mean_on_the_threshold_stands_on_the_dashed_line_and_an_interval_has_the_decimals_of_its_mean():
     drawn = strip(ChartInterval(0.5, 0.4, 0.6), 0.5, True, (0.0, 2.0), "")
     dashed = re.search(r'<line x1="([\d.]+)"[^>]*dasharray', drawn)[1]
     disc = re.search(r'<path d="M([\d.]+) 12.0m-4 0', drawn)[1]
     assert dashed == disc
-
-
-def test_an_interval_has_the_decimals_of_its_mean():
     assert three_digits_with_interval(14.125, 11.354, 16.896) == "14.1 [11.4, 16.9]"
     assert three_digits_with_interval(9.4, 0.51, 10.7) == "9.40 [0.51, 10.70]"
     assert three_digits_with_interval(-0.4, -0.5, 0.25) == "−0.400 [−0.500, 0.250]"
@@ -145,23 +141,16 @@ def test_an_empty_table_has_no_means_and_no_charts():
     assert seed_cells(plan, table, "hota").shape == (0, 6, 2)
 
 
-@pytest.mark.parametrize(
-    ("score", "side", "lowest_is_worst"),
-    [
-        ("motp", "at_least", True),
-        ("established_share", "at_least", True),
-        ("mostly_tracked", "at_least", True),
-        ("id_switches", "at_most", False),
-        ("siap_spuriousness", "at_most", False),
-    ],
-)
-def test_the_side_that_is_bad_is_that_of_a_requirement_on_a_share_of_seeds_too(score, side, lowest_is_worst):
-    plan = plan_of(2, require=[{"score": score, side: 0.5, "in": 0.9}])
-    (found,) = required_scores(plan)
-    assert (found.lowest_is_worst, found.thresholds) == (lowest_is_worst, ())
-
-
-def test_scores_from_0_to_1_have_their_range_on_an_axis_and_their_bad_side():
+def test_the_side_that_is_bad_is_that_of_a_requirement_on_a_share_of_seeds_too():
+    for score, lowest_is_worst in {
+        "motp": True,
+        "established_share": True,
+        "mostly_tracked": True,
+        "id_switches": False,
+        "siap_spuriousness": False,
+    }.items():
+        side = "at_least" if lowest_is_worst else "at_most"
+        (found,) = required_scores(plan_of(2, require=[{"score": score, side: 0.5, "in": 0.9}]))
+        assert (found.lowest_is_worst, found.thresholds) == (lowest_is_worst, ()), score
+    assert Score("established_share").lowest_is_worst and not Score("siap_spuriousness").lowest_is_worst
     assert Score("motp").label.endswith("(0 to 1)")
-    assert Score("established_share").lowest_is_worst
-    assert not Score("siap_spuriousness").lowest_is_worst

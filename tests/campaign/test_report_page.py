@@ -88,31 +88,9 @@ def test_a_row_says_only_what_its_interval_does_not():
     assert noted(below | {"low": None, "high": None}) == 1
     assert noted(below | {"undefined": 2}) == 1
     assert noted(below | {"high": 0.49996}) == 1  # printed as 0.500, the threshold
-
-
-def test_the_axis_of_a_share_ends_at_1():
     plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5, "in": 0.95}])
     html = html_of_blocks(requirement_sections(plan, [verdict(0, "failed", low=0.1, high=0.6)]))
-    assert re.search(r"<th>0\.0\d+ to 1; shaded: at least 0\.950</th>", html)
-
-
-def test_a_worst_run_names_the_requirement_that_it_breaks(html):
-    assert re.search(r"<h3>Run \d+: reference, HOTA \S+ \(requirement 1\)</h3>", html)
-    assert "1. hota at least 0.5" in html.partition("What each verdict rests on")[2]
-    assert "[0]" not in html
-
-
-def test_a_checksum_may_be_broken_for_a_narrow_screen():
-    assert tables.facts([("plan", "0" * 64)]).count("<wbr>") == 3
-
-
-def test_keys_that_are_set_for_all_runs_are_named():
-    plan = plan_of(2, set={"waves.apply_to": "all"}, vary=[{"grid": {"waves.level": ["small"]}}])
-    assert constant(plan) == {"waves.apply_to": "all", "waves.level": "small"}
-
-
-def test_this_traffic_only_says_what_seeds_change(html):
-    assert "Seeds change the detector and the waves; no result speaks of other traffic." in html
+    assert re.search(r"<th>0\.0\d+ to 1; shaded: at least 0\.950</th>", html)  # the axis of a share ends at 1
 
 
 def test_the_verdict_stands_before_all_numbers(html, campaign):
@@ -123,19 +101,23 @@ def test_the_verdict_stands_before_all_numbers(html, campaign):
     assert body.index(lead) < body.index("This traffic only") < body.index("<h2>Requirements") < body.index("<h2>Means")
 
 
-def test_a_page_needs_no_network(html):
+def test_a_page_names_what_seeds_change_axes_and_broken_requirements_and_needs_no_network(html, campaign):
+    assert "Seeds change the detector and the waves; no result speaks of other traffic." in html
+    assert "HOTA (0 to 1)" in html
+    assert re.search(r"<h2>Scores against what is varied</h2>", html)
+    assert re.search(r"<h3>Run \d+: reference, HOTA \S+ \(requirement 1\)</h3>", html)
+    assert "1. hota at least 0.5" in html.partition("What each verdict rests on")[2]
+    assert "[0]" not in html
     assert not re.findall(r'(?:src|href)="(?!data:|#)', html)
     assert "<script" not in html
     assert len(html) < 3e6
-
-
-def test_charts_name_their_axes(html):
-    assert "HOTA (0 to 1)" in html
-    assert re.search(r"<h2>Scores against what is varied</h2>", html)
-
-
-def test_the_page_can_lie_in_the_folder_of_its_campaign(campaign):
     assert all(path.is_file() for path in files_of_campaign(campaign))
+
+
+def test_keys_that_are_set_for_all_runs_are_named():
+    plan = plan_of(2, set={"waves.apply_to": "all"}, vary=[{"grid": {"waves.level": ["small"]}}])
+    assert constant(plan) == {"waves.apply_to": "all", "waves.level": "small"}
+    assert tables.facts([("plan", "0" * 64)]).count("<wbr>") == 3  # a checksum may be broken for a narrow screen
 
 
 def test_an_unfinished_campaign_says_so_first(campaign, tmp_path):

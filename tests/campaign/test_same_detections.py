@@ -21,10 +21,11 @@ def text_of(values: str) -> str:
     return SCENE + f"vary: [{{grid: {{{values}}}}}]\n"
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_conditions_with_the_same_detections_are_told_everywhere(tmp_path: Path, modsim3d: Modsim3d) -> None:
     file = tmp_path / "campaign.yaml"
     file.write_text(text_of("detector.operating_threshold: [0.2, 0.21]"))  # nothing is as low
-    said = modsim3d("campaign", file, "--out", tmp_path / "out", "--workers", "1")
+    said = modsim3d("campaign", file, "--out", tmp_path / "out")
     assert said.status == 0
     assert SAID in " ".join(said.err.split())
     again = modsim3d("campaign", file, "--out", tmp_path / "out", "--json")
@@ -35,6 +36,7 @@ def test_conditions_with_the_same_detections_are_told_everywhere(tmp_path: Path,
     assert SAID.capitalize() in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize(
     "values",
     ["detector.operating_threshold: [0.2, 0.65]", "tracker.lost_s: [1, 2]", "state: [excellent, bad]"],
@@ -42,5 +44,5 @@ def test_conditions_with_the_same_detections_are_told_everywhere(tmp_path: Path,
 def test_conditions_that_differ_and_settings_of_trackers_are_not_told(tmp_path: Path, values: str) -> None:
     file = tmp_path / "campaign.yaml"
     file.write_text(text_of(values))
-    found = modsim3d.run_campaign(file, tmp_path / "out", workers=1)
+    found = modsim3d.run_campaign(file, tmp_path / "out")
     assert same_detections(opened_campaign(tmp_path / "out").plan, found.table) == []

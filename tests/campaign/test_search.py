@@ -45,8 +45,11 @@ FILE = {"scene": "harbour", "steps": 12, "trackers": ["sort"], "search": SEARCH}
 
 
 def written(folder: Path, **keys: Any) -> Path:
+    content = {**FILE, **keys}
+    if isinstance(content["scene"], list):
+        content["scenes"] = content.pop("scene")
     path = folder / "campaign.yaml"
-    path.write_text(yaml.safe_dump({**FILE, **keys}), encoding="utf-8")
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path
 
 
@@ -126,14 +129,21 @@ def test_every_trial_is_within_the_limits_and_refused_values_are_no_failures(res
     assert {row["status"] for row in rows} == {"done", "refused"}
 
 
-def test_nothing_of_a_search_is_among_the_results(result: SearchResult) -> None:
+def test_progress_counts_every_trial_and_nothing_of_a_search_is_among_the_results(
+    result: SearchResult, told: list[Progress]
+) -> None:
+    assert [(each.done, each.total, each.crashed) for each in told] == [(done, 12, 0) for done in range(1, 13)]
+    assert told[-1].left_s == 0
     files = {path.name for path in result.folder.path.iterdir() if not path.name.startswith(".")}
     assert files == {"campaign.yaml", "plan.json", "campaign.log", "search"}
 
 
-def test_progress_counts_every_trial(result: SearchResult, told: list[Progress]) -> None:
-    assert [(each.done, each.total, each.crashed) for each in told] == [(done, 12, 0) for done in range(1, 13)]
-    assert told[-1].left_s == 0
+def test_a_search_that_ended_is_not_made_again_and_nothing_is_left_of_its_tasks(
+    campaign: Path, result: SearchResult
+) -> None:
+    (result.folder.done / "left").mkdir(parents=True)  # as if it was killed at its very end
+    assert search(campaign, result.folder.path, no_engine).table.equals(result.table)
+    assert not result.folder.done.exists()
 
 
 def test_the_worst_comes_first_with_the_command_that_makes_it_again(result: SearchResult) -> None:
@@ -157,18 +167,6 @@ def test_a_trial_is_made_again_from_the_folder(result: SearchResult) -> None:
     assert run.condition.values == worst.values
     with pytest.raises(ModsimError, match=r"has no trial 12 \(there: 0 to 11\)"):
         trial_run(result.folder.path, 12)
-
-
-def test_a_search_that_ended_is_not_made_again(campaign: Path, result: SearchResult) -> None:
-    assert search(campaign, result.folder.path, no_engine).table.equals(result.table)
-
-
-def test_a_search_that_was_killed_at_its_very_end_leaves_nothing_of_its_tasks(
-    campaign: Path, result: SearchResult
-) -> None:
-    (result.folder.done / "left").mkdir(parents=True)
-    search(campaign, result.folder.path, no_engine)
-    assert not result.folder.done.exists()
 
 
 def test_a_score_that_was_damaged_on_the_disk_is_told(campaign: Path, result: SearchResult) -> None:
@@ -195,10 +193,8 @@ def test_an_interrupted_search_ends_with_the_same_bytes_whichever_engine(campaig
     assert part(search(campaign, folder, Backwards)) == part(result)
 
 
-def test_crashes_come_first_and_end_nothing(
-    campaign: Path, result: SearchResult, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = tasks.row_of
+def test_crashes_come_first_and_end_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made, keys = tasks.row_of, {**SEARCH, "budget": 4, "over": {RATE: [0.2, 0.3]}, "seeds": 1}
 
     def crashing(number: int, *rest: Any) -> dict[str, Any]:
         if number == 2:
@@ -206,17 +202,11 @@ def test_crashes_come_first_and_end_nothing(
         return made(number, *rest)
 
     monkeypatch.setattr(tasks, "row_of", crashing)
-    found = search(written_again(campaign), campaign.parent / "crashing", Deadly)
+    found = search(written(tmp_path, search=keys), tmp_path / "out", Deadly)
     crashes = {each.number: each.error for each in found.findings if each.error is not None}
     assert crashes == {2: "ZeroDivisionError: no boxes", 3: DIED}
     assert [each.number for each in found.findings[:2]] == [2, 3]
     assert "2 crashed" in str(found)
-
-
-def written_again(campaign: Path) -> Path:
-    folder = campaign.parent / "sound"
-    folder.mkdir()
-    return written(folder, search={**SEARCH, "budget": 4, "over": {RATE: [0.2, 0.3]}, "seeds": 1})
 
 
 @pytest.mark.parametrize(
@@ -224,10 +214,7 @@ def written_again(campaign: Path) -> Path:
     [
         ({"search": {**SEARCH, "minimise": "hotta"}}, r"search.minimise: there is no score 'hotta' \(did you mean"),
         ({"trackers": ["sort", "oracle"]}, "search: needs one tracker, and there are 2"),
-        (
-            {"scenes": ["harbour", "strait"], "scene": None},
-            "search: needs one scene and one condition, and there are 2",
-        ),
+        ({"scene": ["harbour", "strait"]}, "search: needs one scene and one condition, and there are 2"),
         ({"vary": [{"grid": {"state": ["good"]}}]}, "search.over: 'state' is in vary too"),
         ({"vary": [{"uniform": {"time_step_s": [0.4, 0.6]}}]}, "vary: 'time_step_s' is drawn"),
         ({"seeds": {"traffic": 3}}, "seeds: does not go with search.*search.seeds is the number"),
@@ -241,9 +228,5 @@ def written_again(campaign: Path) -> Path:
     ],
 )
 def test_a_wrong_search_is_refused_before_it_starts(keys: dict[str, Any], problem: str, tmp_path: Path) -> None:
-    campaign = written(tmp_path, **keys)
-    if "scenes" in keys:
-        content = {name: value for name, value in {**FILE, **keys}.items() if name != "scene"}
-        campaign.write_text(yaml.safe_dump(content), encoding="utf-8")
     with pytest.raises(InputError, match=problem):
-        checked(read_campaign(campaign))
+        checked(read_campaign(written(tmp_path, **keys)))

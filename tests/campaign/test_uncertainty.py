@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from modsim3d.learn.learned import correlated
 from modsim3d.learn.learning import LearnResult
 from modsim3d.scene.settings import choose_detector
 from tests.campaign.campaigns import checked_campaign, run_campaign_file
+from tests.scenes import harbour_of_shoeboxes
 
 MANY, FEW, DRAWS = 160, 12, 800
 MIN_KNOWN = 8.0
@@ -34,7 +36,10 @@ SETTINGS = {"detector.miss_rate": 0.2}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("learned")
+    """It has the harbour `boxes.yaml`, whose vessels are shoeboxes: their truth takes a fraction of the time."""
+    folder = tmp_path_factory.mktemp("learned")
+    (folder / "boxes.yaml").write_text(json.dumps(harbour_of_shoeboxes().copy.document))
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +47,9 @@ def learned(folder: Path) -> dict[str, LearnResult]:
     """A detector of misses of 20 %, learned from many images and from few; the files are in the folder."""
     found = {}
     for name, steps in (("many", MANY), ("few", FEW)):
-        scene = load_scene("harbour", steps=steps, detector="experiment_1", detector_seed=77, settings=SETTINGS)
+        scene = load_scene(
+            folder / "boxes.yaml", steps=steps, detector="experiment_1", detector_seed=77, settings=SETTINGS
+        )
         run_scene(scene, folder / f"run_{name}")
         found[name] = learn_detector(run=folder / f"run_{name}")
         found[name].write(folder / f"{name}.yaml")
@@ -209,7 +216,7 @@ def campaign(folder: Path, detector: str, **keys: Any) -> CampaignResult:
     return run_campaign_file(
         folder,
         f"c{len(list(folder.iterdir()))}.yaml",
-        scene="harbour",
+        scene="boxes.yaml",
         vary=[{"grid": {"detector": [detector]}}],
         **{"steps": 40, "trackers": ["reference"], "seeds": {"traffic": 12}, **keys},
     )

@@ -15,22 +15,21 @@ PAIRS = {"vary": [{"pairs": {"state": ["good", "bad"], "waves.level": ["small", 
 DRAWN = {"vary": [{"uniform": {"state": {"choices": ["good", "bad"]}}}]}
 
 
+def checked_with(folder, requirement, **keys):
+    file = folder / "campaign.yaml"
+    content = {"scene": "harbour", "steps": 20, "trackers": ["bytetrack"], "require": [requirement], **keys}
+    file.write_text(yaml.safe_dump(content))
+    return checked(read_campaign(file))
+
+
 @pytest.mark.parametrize(
     ("keys", "requirement", "said"),
     [
         ({"stop": "sequential"}, GOSPA, "require[0]: with stop: sequential a mean needs"),
         ({}, {**GOSPA, "where": {"state": "bad"}}, "require[0].score: gospa is not known by state (known: hota, "),
         (DETECTORS, {**HOTA, "where": {"state": "bad"}}, "the detector of condition 1 has no state 'bad'"),
-        (
-            GRID,
-            {**HOTA, "where": {"state": "baad"}},
-            "where.state: there is no 'baad' (did you mean 'bad'?)",
-        ),
-        (
-            GRID,
-            {**HOTA, "where": {"waves.level": ["small", "huge"]}},
-            "where.waves.level: there is no 'huge'",
-        ),
+        (GRID, {**HOTA, "where": {"state": "baad"}}, "where.state: there is no 'baad' (did you mean 'bad'?)"),
+        (GRID, {**HOTA, "where": {"waves.level": ["small", "huge"]}}, "where.waves.level: there is no 'huge'"),
         (GRID, {**HOTA, "where": {"waves.level": []}}, "require[0].where.waves.level: names no value"),
         (GRID, {**HOTA, "where": {"tracker": "sort"}}, "require[0].where.tracker: there is no 'sort'"),
         (PAIRS, {**HOTA, "where": {"state": "bad", "waves.level": "small"}}, "no condition has these values together"),
@@ -41,33 +40,18 @@ DRAWN = {"vary": [{"uniform": {"state": {"choices": ["good", "bad"]}}}]}
     ],
 )
 def test_a_requirement_that_cannot_be_judged_is_refused(keys, requirement, said, tmp_path):
-    file = tmp_path / "campaign.yaml"
-    content = {"scene": "harbour", "steps": 20, "trackers": ["bytetrack"], "require": [requirement], **keys}
-    file.write_text(yaml.safe_dump(content))
     with pytest.raises(InputError) as refused:
-        checked(read_campaign(file))
+        checked_with(tmp_path, requirement, **keys)
     assert any(said in problem for problem in refused.value.problems), refused.value.problems
 
 
 def test_a_share_of_a_score_without_bounds_can_be_judged_sequentially(tmp_path):
-    file = tmp_path / "campaign.yaml"
-    requirement = {"score": "gospa", "at_most": 50, "in": 0.9}
-    content = {
-        "scene": "harbour",
-        "steps": 20,
-        "trackers": ["bytetrack"],
-        "require": [requirement],
-        "stop": "sequential",
-    }
-    file.write_text(yaml.safe_dump(content))
-    assert checked(read_campaign(file)).plan.keys.require[0].share == 0.9
+    plan = checked_with(tmp_path, {**GOSPA, "in": 0.9}, stop="sequential").plan
+    assert plan.keys.require[0].share == 0.9
 
 
 def test_a_state_that_no_detector_has_is_one_problem_and_not_one_for_each_condition(tmp_path):
-    file = tmp_path / "campaign.yaml"
-    requirement = {**HOTA, "where": {"state": "foggy"}}
-    file.write_text(yaml.safe_dump({"scene": "harbour", "trackers": ["bytetrack"], "require": [requirement]}))
     with pytest.raises(InputError) as refused:
-        checked(read_campaign(file))
+        checked_with(tmp_path, {**HOTA, "where": {"state": "foggy"}})
     (problem,) = refused.value.problems
     assert problem.startswith("require[0].where.state: there is no 'foggy' (known: ")

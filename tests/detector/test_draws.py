@@ -1,10 +1,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy import stats
+from scipy.stats import qmc
 
 from modsim3d.core.random_streams import normals
 from modsim3d.detector.draws import choose, cumulative, poisson_quantile
+from modsim3d.detector.truncation import MAX_DIMENSIONS, sobol_points
 
 
 def test_poisson_quantile_is_scipys() -> None:
@@ -39,3 +42,10 @@ def test_what_has_probability_zero_is_never_chosen() -> None:
 
 def test_a_distribution_function_ends_at_one_exactly() -> None:
     assert cumulative(np.full(10, 0.1))[-1] == 1
+
+
+@pytest.mark.parametrize("dimensions", range(1, MAX_DIMENSIONS + 1))
+@pytest.mark.parametrize("count", [1, 2, 1024])
+def test_points_are_those_of_scipy(dimensions: int, count: int) -> None:
+    ours = sobol_points(dimensions, count, np.random.default_rng(7).spawn(1)[0])
+    np.testing.assert_array_equal(ours, qmc.Sobol(dimensions, rng=np.random.default_rng(7)).random(count))

@@ -1,3 +1,5 @@
+"""Performance states: their chain, the share of time in each, forced states and chains of cameras of their own."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -6,12 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Purpose, Streams
-from modsim3d.detector.classification import StateSequence
-from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.classification import PerformanceStates, StateSequence
+from modsim3d.detector.file.reading import load_detector, parse_detector
+from modsim3d.detector.model import DetectorModel, stationary_shares
 from tests.detector.detector_builders import detector_data, make_frames
 
 
@@ -75,10 +78,82 @@ def test_the_frame_rate_does_not_change_the_weather() -> None:
     assert 0 < coarse.mean() < 1
 
 
-def test_an_interval_far_too_short_is_refused() -> None:
+def test_an_interval_far_too_short_is_refused_and_no_frames_have_no_states() -> None:
     with pytest.raises(ModsimError, match="longer transition_interval_s than 1e-09"):
         sequence(model(transition_interval_s=1e-9)).at(make_frames(100))
-
-
-def test_no_frames_have_no_states() -> None:
     assert sequence(model()).at(make_frames(0)).shape == (0,)
+
+
+# ---- forced states, and chains of cameras of their own ------------------------------------------------------
+
+
+def states_of(camera: str = "C0", frames: int = 3000, **changes: object) -> np.ndarray:
+    return PerformanceStates(model(**changes), Streams(1)).at(make_frames(frames, camera))
+
+
+def test_a_schedule_forces_states_from_its_times_on() -> None:
+    found = states_of(performance={"schedule": [[0, "clear"], [60, "fog"], [70, "clear"]]})
+    times_s = make_frames(3000).times_s
+    assert np.array_equal(found == 1, (times_s > 60 - 1e-6) & (times_s < 70 - 1e-6))
+
+
+def test_the_chain_goes_on_unseen_where_a_state_is_forced() -> None:
+    plain, forced = states_of(), states_of(performance={"schedule": [[60, "fog"], [70, None]]})
+    assert np.all(forced[600:700] == 1)
+    assert np.array_equal(np.delete(forced, slice(600, 700)), np.delete(plain, slice(600, 700)))
+    assert 0 < plain[600:700].mean() < 1
+
+
+def test_cameras_share_one_chain_unless_each_is_to_have_its_own() -> None:
+    assert np.array_equal(states_of("C0"), states_of("C1"))
+    one, two = (states_of(camera, 60_000, performance={"scope": "per_camera"}) for camera in ("C0", "C1"))
+    assert abs(np.corrcoef(one, two)[0, 1]) < 0.05
+    for found in (one, two):
+        assert abs(found.mean() - 1 / 3) < 0.02  # what the chain's columns make in the long run
+
+
+def test_a_camera_with_its_own_chain_is_the_same_whatever_the_others_do() -> None:
+    chains = model(performance={"scope": "per_camera"})
+    both = PerformanceStates(chains, Streams(1))
+    both.at(make_frames(500, "C0"))
+    alone = PerformanceStates(chains, Streams(1)).at(make_frames(500, "C1"))
+    assert np.array_equal(both.at(make_frames(500, "C1")), alone)
+
+
+def test_a_forced_state_is_due_in_spite_of_rounding() -> None:
+    frames = make_frames(5, time_step_s=0.7)
+    assert frames.times_s[3] < 2.1
+    forced = model(performance={"schedule": [[0, "clear"], [2.1, "fog"]]})
+    assert PerformanceStates(forced, Streams(1)).at(frames).tolist() == [0, 0, 0, 1, 1]
+
+
+# ---- shares of the time in the long run -----------------------------------------------------------------------
+
+
+def test_two_states_are_shared_as_their_rates_of_leaving():
+    """Left with 0.01 and with 0.05 a step: 5 to 1."""
+    np.testing.assert_allclose(stationary_shares(np.array([[0.99, 0.05], [0.01, 0.95]])), [5 / 6, 1 / 6])
+
+
+@given(weights=st.integers(1, 6).flatmap(lambda n: arrays(float, (n, n), elements=st.floats(1e-3, 1))))
+def test_a_transition_leaves_the_shares_as_they_are(weights):
+    matrix = weights / weights.sum(axis=0)
+    shares = stationary_shares(matrix)
+    np.testing.assert_allclose(matrix @ shares, shares, atol=1e-9)
+    assert shares.sum() == pytest.approx(1)
+    np.testing.assert_allclose(np.linalg.matrix_power(matrix, 10_000) @ np.eye(len(shares))[0], shares, atol=1e-6)
+
+
+def test_shares_of_the_source_s_detector():
+    """Jessen & Mohr (2023), eq. 9.1: 10.5/59, 19/59, 19/59, 10.5/59, by hand from its four columns."""
+    chain = load_detector("thesis")
+    assert list(chain.stationary_shares) == ["excellent", "good", "bad", "terrible"]
+    shares = list(chain.stationary_shares.values())
+    np.testing.assert_allclose(shares, np.array([21, 38, 38, 21]) / 118, rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.matrix_power(chain.transition_matrix, 100_000)[:, 0], shares)
+
+
+def test_shares_where_states_are_left_for_ever_take_turns_or_stay():
+    np.testing.assert_allclose(stationary_shares(np.array([[0.5, 0.0], [0.5, 1.0]])), [0, 1], atol=1e-12)
+    np.testing.assert_allclose(stationary_shares(np.array([[0.0, 1.0], [1.0, 0.0]])), [0.5, 0.5])
+    assert not len(stationary_shares(np.eye(2)))  # the first state decides

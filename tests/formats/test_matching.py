@@ -80,61 +80,55 @@ def test_the_optimal_assignment_is_the_best_of_all(seed):
     assert sum(value[d][t] for d, t in zip(rows, targets, strict=True)) == pytest.approx(best[1])
 
 
-def two_boats(seen):
-    boats = [[0, 0, 100, 100], [20, 0, 120, 100]]
-    return LabelledSet(
-        ("a",), ("all",), images(1), truth([0, 0], [0, 0], boats), found([0, 0], [0, 0], seen, [0.9, 0.8])
-    )
+def one_image(boats, seen, ignored=None):
+    """An image with boats, of which some are regions to be ignored, and what is detected, the surest first."""
+    there = truth([0] * len(boats), [0] * len(boats), boats, ignored, ignored)
+    confidence = [0.9, 0.8, 0.7][: len(seen)]
+    return LabelledSet(("a",), ("all",), images(1), there, found([0] * len(seen), [0] * len(seen), seen, confidence))
 
 
-def test_the_optimal_assignment_finds_a_match_that_order_of_confidence_loses():
-    labelled = two_boats([[15, 0, 115, 100], [35, 0, 135, 100]])  # the surer one is nearer to what the other needs
-    assert match(labelled, Rule(least_iou=0.6)).annotation.tolist() == [1, -1]
-    assert match(labelled, Rule("optimal", least_iou=0.6)).annotation.tolist() == [0, 1]
+BOATS = [[0, 0, 100, 100], [20, 0, 120, 100]]
+CROSSED = [[15, 0, 115, 100], [35, 0, 135, 100]]  # the surer one is nearer to what the other needs
+SECOND = [[11, 0, 111, 100], [22, 0, 122, 100]]  # both are nearest to the second, the less sure more so
+BESIDE = [[20, 0, 30, 10], [0, 30, 10, 40]]
+BY_CENTRE = Rule("centre", most_distance_px=25)
+MATCHES = {
+    "by confidence one match is lost": (BOATS, CROSSED, Rule(least_iou=0.6), [1, -1]),
+    "the optimal assignment finds it": (BOATS, CROSSED, Rule("optimal", least_iou=0.6), [0, 1]),
+    "boxes do not overlap": ([[0, 0, 10, 10]], BESIDE, Rule(), [-1, -1]),
+    "their centres are near": ([[0, 0, 10, 10]], BESIDE, Rule("centre", most_distance_px=20), [0, -1]),
+    "their centres are too far": ([[0, 0, 10, 10]], BESIDE, Rule("centre", most_distance_px=19), [-1, -1]),
+    "by centres the nearest pair comes first": (BOATS, SECOND, BY_CENTRE, [0, 1]),
+    "for average precision the most confident": (BOATS, SECOND, BY_CENTRE.for_average_precision, [1, 0]),
+    "a small box does not take the match": (
+        [[0, 0, 300, 60]], [[142, 22, 158, 38], [10, 0, 310, 60]], Rule("centre"), [-1, 0],
+    ),
+    "of equal truths the later, as COCO's tools do": ([[0, 0, 50, 50]] * 3, [[0, 0, 50, 50]], Rule(), [2]),
+}  # fmt: skip
 
 
-def test_centres_match_where_boxes_do_not_overlap():
-    labelled = LabelledSet(("a",), ("all",), images(1), truth([0], [0], [[0, 0, 10, 10]]),
-                        found([0, 0], [0, 0], [[20, 0, 30, 10], [0, 30, 10, 40]], [0.9, 0.8]))  # fmt: skip
-    assert match(labelled, Rule()).annotation.tolist() == [-1, -1]
-    assert match(labelled, Rule("centre", most_distance_px=20)).annotation.tolist() == [0, -1]
-    assert match(labelled, Rule("centre", most_distance_px=19)).annotation.tolist() == [-1, -1]
+@pytest.mark.parametrize("case", MATCHES)
+def test_matches_are_those_of_the_rule(case):
+    boats, seen, rule, matches = MATCHES[case]
+    assert match(one_image(boats, seen), rule).annotation.tolist() == matches
 
 
-def test_by_centres_the_nearest_pair_comes_first_and_for_average_precision_the_most_confident():
-    labelled = two_boats(
-        [[11, 0, 111, 100], [22, 0, 122, 100]]
-    )  # both are nearest to the second, the less sure more so
-    rule = Rule("centre", most_distance_px=25)
-    assert match(labelled, rule).annotation.tolist() == [0, 1]
-    assert match(labelled, rule.for_average_precision).annotation.tolist() == [1, 0]
-    assert (str(rule), str(rule.for_average_precision)) == (
+def test_rules_by_centres_say_in_which_order_they_match():
+    assert (str(BY_CENTRE), str(BY_CENTRE.for_average_precision)) == (
         "centres at most 25 px apart, the nearest corners first",
         "centres at most 25 px apart, in order of confidence",
     )
 
 
-def test_by_centres_a_small_box_on_a_vessel_does_not_take_its_match():
-    labelled = LabelledSet(("a",), ("all",), images(1), truth([0], [0], [[0, 0, 300, 60]]),
-                           found([0, 0], [0, 0], [[142, 22, 158, 38], [10, 0, 310, 60]], [0.9, 0.8]))  # fmt: skip
-    assert match(labelled, Rule("centre")).annotation.tolist() == [-1, 0]
-
-
-def test_by_centres_a_detection_in_an_ignored_region_is_in_it_wherever_its_centre():
-    labelled = LabelledSet(("a",), ("all",), images(1), truth([0], [0], [[0, 0, 400, 40]], [True], [True]),
-                           found([0] * 3, [0] * 3, [[0, 0, 20, 20], [380, 10, 410, 20], [390, 0, 420, 40]],
-                                 [0.9, 0.8, 0.7]))  # fmt: skip
-    assert match(labelled, Rule("centre")).counts.tolist() == [False, False, True]
-
-
 def test_what_is_ignored_neither_counts_as_missed_nor_as_false():
-    there = truth([0, 0], [0, 0], [[0, 0, 200, 200], [300, 300, 350, 350]], [True, False], [True, False])
     seen = [[10, 10, 40, 40], [60, 60, 90, 90], [400, 0, 450, 50]]
-    labelled = LabelledSet(("a",), ("all",), images(1), there, found([0] * 3, [0] * 3, seen, [0.9, 0.8, 0.7]))
+    labelled = one_image([[0, 0, 200, 200], [300, 300, 350, 350]], seen, [True, False])
     for method in ("confidence", "optimal"):
         matched = match(labelled, Rule(method))
         assert matched.counts.tolist() == [False, False, True]  # a crowd takes as many as there are
         assert matched.sought.tolist() == [False, True]
+    seen = [[0, 0, 20, 20], [380, 10, 410, 20], [390, 0, 420, 40]]  # in the region wherever its centre
+    assert match(one_image([[0, 0, 400, 40]], seen, [True]), Rule("centre")).counts.tolist() == [False, False, True]
 
 
 def test_provenance_needs_a_run():
@@ -151,9 +145,3 @@ def test_pairs_of_images_are_all_there_however_they_are_split(at_once, monkeypat
     pairs = [pair for a, b in image_pairs(first, second, 9) for pair in zip(a.tolist(), b.tolist(), strict=True)]
     every = [(i, j) for i in range(20) for j in range(15) if first[i] == second[j]]
     assert pairs == every
-
-
-def test_of_equal_truths_the_later_is_taken_as_cocos_tools_do():
-    same = [[0, 0, 50, 50]] * 3
-    labelled = LabelledSet(("a",), ("all",), images(1), truth([0] * 3, [0] * 3, same), found([0], [0], same[:1], [0.9]))
-    assert match(labelled, Rule()).annotation.tolist() == [2]

@@ -87,19 +87,13 @@ def test_points_far_away_on_the_sea_are_below_the_horizon_and_in_the_sky_above_i
             assert (a * x + b * y + c > 0) == (sign < 0)
 
 
-def test_horizon_of_a_level_camera_is_its_principal_row_whatever_the_skew():
-    a, b, c = SKEWED.sea_half_plane(camera_R_parent(0, 0, 1.0))
-    np.testing.assert_allclose([a, b, c], [0, 1, -290], atol=1e-12)
-
-
-def test_camera_that_looks_straight_down_sees_only_sea():
-    np.testing.assert_allclose(LEGACY.sea_half_plane(camera_R_parent(0, np.pi / 2, 0)), [0, 0, 1], atol=1e-9)
+def test_horizon_is_the_principal_row_of_a_level_camera_and_none_of_one_that_looks_straight_up_or_down():
+    level, down, up = (camera_R_parent(0, pitch_rad, 1.0) for pitch_rad in (0, np.pi / 2, -np.pi / 2))
+    np.testing.assert_allclose(SKEWED.sea_half_plane(level), [0, 1, -290], atol=1e-12)
+    np.testing.assert_allclose(LEGACY.sea_half_plane(down), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(LEGACY.sea_half_plane(up), [0, 0, -1], atol=1e-9)
     exactly = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]])
     np.testing.assert_array_equal(LEGACY.sea_half_plane(exactly), [0, 0, 1])
-
-
-def test_camera_that_looks_straight_up_sees_no_sea():
-    np.testing.assert_allclose(LEGACY.sea_half_plane(camera_R_parent(0, -np.pi / 2, 0)), [0, 0, -1], atol=1e-9)
 
 
 def test_half_planes_of_many_steps_are_those_of_each():

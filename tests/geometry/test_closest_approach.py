@@ -9,14 +9,8 @@ import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.geometry.kinematics import (
-    TOLERANCE_M,
-    HullTracks,
-    Rectangles,
-    closest_approach,
-    least_hull_distance,
-    rectangle_distances,
-)
+from benchmarks.hull_distances import TOLERANCE_M, Rectangles, least_hull_distance, rectangle_distances
+from modsim3d.geometry.kinematics import HullTracks, closest_approach
 
 
 def polygon(rectangles: Rectangles, index: int) -> shapely.Polygon:

@@ -1,12 +1,10 @@
 """On a curved sea what is far away lies lower; on a flat one a run says where that would be seen."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from modsim3d.cli import main
 from modsim3d.geometry.curved_sea import RADIUS_M, drop_m, lowered, shift_px
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
@@ -106,15 +104,13 @@ def test_sources_agree_on_a_curved_sea(tmp_path, renderer):
     assert figures.unexplained == 0
 
 
-def test_run_warns_once_with_how_many_and_how_far(tmp_path, monkeypatch, capsys):
+def test_run_warns_once_with_how_many_and_how_far(call, tmp_path, monkeypatch):
+    monkeypatch.setattr("modsim3d.runs.pipeline.MAX_BLOCK_STEPS", 1)  # over several blocks
+
     def said(sea):
-        path = far_scene(tmp_path, sea=sea)
-        arguments = ["modsim3d", "run", str(path), "--out", str(tmp_path / sea), "--no-sheet"]
-        monkeypatch.setattr(sys, "argv", arguments)
-        with pytest.raises(SystemExit) as stopped:
-            main.main()
-        assert stopped.value.code == 0
-        return "".join(capsys.readouterr()), json.loads((tmp_path / sea / "run.json").read_text())["counts"]
+        status, text = call("run", far_scene(tmp_path, sea=sea), "--out", tmp_path / sea, "--no-sheet")
+        assert status == 0
+        return text, json.loads((tmp_path / sea / "run.json").read_text())["counts"]
 
     out, counts = said("flat")
     # `far` in each of four frames, by 5000 px · 5000 m / 12 742 000 m = 1.96 px; `near` by 0.8 px is not worth a word.

@@ -17,7 +17,7 @@ from modsim3d.formats.reading.mot import number_lines, sequence_info
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.io.input_files import read_text
 from modsim3d.io.misreadings import has_lost_digits, no_commas
-from modsim3d.io.strict_text import load_json, load_yaml
+from modsim3d.io.strict_text import load_json, load_yaml, parse_yaml
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.poses.replay import load_poses
 
@@ -126,3 +126,19 @@ def test_escaped_accents_of_coco_are_those_of_the_text(tmp_path: Path) -> None:
         (tmp_path / "gt.json").write_text(json.dumps({"images": images, "annotations": [], "categories": classes}))
         (tmp_path / "dt.json").write_text("[]")
         assert read_pair("day", tmp_path / "gt.json", tmp_path / "dt.json").labels == (NAME,)
+
+
+def test_a_text_that_is_read_again_gives_a_value_of_its_own() -> None:
+    first = parse_yaml("a: [1, {b: 2.5}]\nc: &x [true]\nd: *x\n", "one")
+    first["a"][1]["b"] = first["c"] = "changed"
+    assert parse_yaml("a: [1, {b: 2.5}]\nc: &x [true]\nd: *x\n", "other") == {
+        "a": [1, {"b": 2.5}],
+        "c": [True],
+        "d": [True],
+    }
+
+
+def test_a_faulty_text_is_refused_each_time_under_its_own_name() -> None:
+    for source in ("one", "other"):
+        with pytest.raises(InputError, match=f"^{source}:\n  line 1, column 8"):
+            parse_yaml("a: 1, b: 2", source)

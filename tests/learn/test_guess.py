@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.cli.guess import _rows
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.detector.file.reading import load_detector, parse_detector, shipped_detectors
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel
@@ -93,46 +94,32 @@ def test_a_guess_is_a_detector_and_the_way_back_undoes_it(before: str, after: st
         assert found.false_discovery_rate == pytest.approx(wanted.false_discovery_rate, rel=2e-5)
 
 
-def test_what_no_condition_says_stays() -> None:
-    content, found = content_of(), guessed(content_of(), change("noon_clear", "foggy_cloudy"))
-    changed = {"confusion", "false_discovery_rate", "box_error", "confidence"}
-    assert {key: value for key, value in found.items() if key != "states"} == {
-        key: value for key, value in content.items() if key != "states"
-    }
-    for name, state in content["states"].items():
-        assert found["states"][name]["box_error"]["mean"] == state["box_error"]["mean"]
-        assert {k: v for k, v in found["states"][name].items() if k not in changed} == {
-            k: v for k, v in state.items() if k not in changed
-        }
-
-
-def test_classes_keep_their_shares_and_correlations_stay() -> None:
+def test_what_no_condition_says_stays_and_shares_of_classes_and_correlations_too() -> None:
     content, found = content_of(), guessed(content_of(), change("noon_clear", "night_cloudy"))
-    for name in content["states"]:
-        was, now = (np.array(each["states"][name]["confusion"])[:-1] for each in (content, found))
+    changed = {"confusion", "false_discovery_rate", "box_error", "confidence"}
+    assert {**found, "states": None} == {**content, "states": None}
+    for name, state in content["states"].items():
+        guess = found["states"][name]
+        assert guess["box_error"]["mean"] == state["box_error"]["mean"]
+        assert {**guess, **dict.fromkeys(changed)} == {**state, **dict.fromkeys(changed)}
+        was, now = (np.array(each["confusion"])[:-1] for each in (state, guess))
         np.testing.assert_allclose(now / now.sum(axis=0), was / was.sum(axis=0), atol=1e-5)
-        was, now = (np.array(each["states"][name]["box_error"]["covariance"]) for each in (content, found))
+        was, now = (np.array(each["box_error"]["covariance"]) for each in (state, guess))
         scale = [np.sqrt(np.diag(each)) for each in (was, now)]
         np.testing.assert_allclose(now / np.outer(scale[1], scale[1]), was / np.outer(scale[0], scale[0]), atol=1e-8)
     growth = found["states"]["haze"]["box_error"]["growth"]
-    np.testing.assert_allclose(
-        growth, [0.05, 0.05, 0.08, 0.08] * change("noon_clear", "night_cloudy").spread, rtol=1e-5
-    )
+    wider = change("noon_clear", "night_cloudy").spread
+    np.testing.assert_allclose(growth, [0.05, 0.05, 0.08, 0.08] * wider, rtol=1e-5)
 
 
-def test_rates_per_image_follow_the_number_of_false_positives() -> None:
-    content = content_of()
+def test_rates_per_image_follow_the_number_of_false_positives_and_are_told() -> None:
+    content, by = content_of(), change("noon_clear", "foggy_cloudy")
     content["false_positives"] |= {"model": "per_image", "rate": 0.4}
     content["states"]["haze"]["false_positives_per_image"] = 2
-    by = change("noon_clear", "foggy_cloudy")
     found = guessed(content, by)
     assert found["false_positives"]["rate"] == pytest.approx(0.4 * by.false_per_image, rel=1e-5)
     assert found["states"]["haze"]["false_positives_per_image"] == pytest.approx(2 * by.false_per_image, rel=1e-5)
-
-
-def test_a_detector_without_false_discovery_rates_is_guessed_and_told_by_its_rates_per_image() -> None:
     content = load_yaml(shipped_detectors()["coastal"], "detector")
-    by = change("noon_clear", "foggy_cloudy")
     found = guessed(content, by)
     assert "false_discovery_rate" not in found["states"]["clear"]
     rows = {row[0]: row[2] for row in _rows(content, found) if row[1] == "false detections in an image"}
@@ -166,20 +153,18 @@ def test_a_detector_that_misses_all_or_nothing_still_does() -> None:
     assert (states["good"]["confusion"], states["bad"]["confusion"]) == ([[1.0], [0.0]], [[0.0], [1.0]])
 
 
+def errors_of(unit: str, covariance: Array) -> dict[str, Any]:
+    return {"box_error": {"unit": unit, "mean": [0] * 4, "covariance": covariance.tolist()}}
+
+
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
         ({"confusion": [[1.0], [0.0]]}, "its probability of a miss is 0"),
         ({"false_discovery_rate": 0}, "its false_discovery_rate is 0"),
         ({"confidence": {"mean": 1, "std": 0}}, "its mean confidence of true detections is 1"),
-        (
-            {"box_error": {"unit": "relative", "mean": [0] * 4, "covariance": np.zeros((4, 4)).tolist()}},
-            "the variance of one of its box errors is 0",
-        ),
-        (
-            {"box_error": {"unit": "px", "mean": [0] * 4, "covariance": np.eye(4).tolist()}},
-            "its box errors are in px, and those of it relative",
-        ),
+        (errors_of("relative", np.zeros((4, 4))), "the variance of one of its box errors is 0"),
+        (errors_of("px", np.eye(4)), "its box errors are in px, and those of it relative"),
     ],
     ids=lambda value: "" if isinstance(value, dict) else value[:30],
 )
@@ -188,12 +173,9 @@ def test_a_condition_without_a_ratio_is_refused(keys: dict[str, Any], said: str)
         ConditionChange.between(condition(), condition(**keys))
 
 
-def test_a_detector_of_several_states_is_no_condition() -> None:
+def test_a_detector_of_several_states_is_no_condition_and_a_precision_recall_curve_cannot_be_shifted() -> None:
     with pytest.raises(InputError, match=r"one state and one label \(got 4 states and 1 labels\)"):
         ConditionChange.between(CONDITIONS["noon_clear"], ("thesis", load_detector(RICH.with_name("thesis.yaml"))))
-
-
-def test_a_precision_recall_curve_is_refused() -> None:
     content = content_of("thesis")
     content["states"]["good"]["confidence"] = {"precision_recall": [[0.849, 0.887]]}
     with pytest.raises(InputError, match=r"states.good:\n  confidence: a precision-recall curve cannot be shifted"):

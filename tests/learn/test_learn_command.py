@@ -23,6 +23,7 @@ from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LearnSettings, learn
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.matching_bias import bias_of, simulated
+from modsim3d.learn.model_selection import RICHER
 from modsim3d.learn.report import NearGate
 from modsim3d.learn.states import Transitions, each_its_own, transitions_of
 from modsim3d.runs.stored_run import open_run
@@ -154,25 +155,6 @@ def test_the_same_data_give_the_same_bytes(short_files, tmp_path):
         assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
 
 
-def false_of_states(run):
-    labelled = labelled_run(run)[0]
-    false = labelled.results.image[(labelled.results.origin < 0) & (labelled.results.confidence >= 0.2)]
-    return np.bincount(labelled.images.condition[false], minlength=len(labelled.conditions))
-
-
-def test_a_run_is_learned_by_provenance(short, tmp_path):
-    run = short
-    result = command("--run", run, "--match", "provenance", "--replicates", 30, "--out", tmp_path / "d.yaml")
-    assert result.exit_code == 0 and "matched by provenance" in result.output
-    images, false = np.bincount(labelled_run(run)[0].images.condition), false_of_states(run)
-    for state, rate in zip(labelled_run(run)[0].conditions, false / images, strict=True):
-        assert f"states.{state}.false_positives_per_image (not written)  {rate:.4g}" in re.sub(
-            r" {2,}", "  ", result.output
-        )
-    assert "per_image" not in (tmp_path / "d.yaml").read_text()
-    assert load_detector(tmp_path / "d.yaml").transition_interval_s == 1  # the run knows
-
-
 def pairs_of_conditions(tmp_path, count):
     """Conditions with ever more misses."""
     rng = np.random.default_rng(8)
@@ -188,6 +170,16 @@ def pairs_of_conditions(tmp_path, count):
         gt, dt = write_coco(labelled, tmp_path / f"c{number}")
         arguments += ["--condition", f"c{number}", "--truth", gt, "--detections", dt]
     return arguments
+
+
+def test_what_was_left_out_is_remarked_in_every_place(tmp_path):
+    arguments = pairs_of_conditions(tmp_path, 1)
+    results = json.loads(arguments[5].read_text())
+    arguments[5].write_text(json.dumps([*results, {"image_id": 99999}]))
+    result = command(*arguments, "--skip-bad", "--out", tmp_path / "d.yaml", "--replicates", 20)
+    for text in (result.output, (tmp_path / "d.yaml").read_text(), (tmp_path / "d.html").read_text()):
+        assert "1 entries left out, the first because" in text
+    assert "Left simple: det" not in (tmp_path / "d.yaml").read_text()
 
 
 def test_states_from_conditions_and_from_clusters(tmp_path):
@@ -334,8 +326,17 @@ def test_without_a_gate_there_is_no_bias():
         assert np.all((interval.low <= value) & (value <= interval.high))
 
 
-def test_the_detector_of_the_round_trip_can_be_read():
-    assert load_detector(DETECTOR).dropout.anchored
+def test_a_run_is_learned_by_provenance(short, tmp_path):
+    result = command("--run", short, "--match", "provenance", "--replicates", 30, "--out", tmp_path / "d.yaml")
+    assert result.exit_code == 0 and "matched by provenance" in result.output
+    labelled = labelled_run(short)[0]
+    false = labelled.results.image[(labelled.results.origin < 0) & (labelled.results.confidence >= 0.2)]
+    images, false = np.bincount(labelled.images.condition), np.bincount(labelled.images.condition[false], minlength=2)
+    for state, rate in zip(labelled.conditions, false / images, strict=True):
+        said = f"states.{state}.false_positives_per_image (not written)  {rate:.4g}"
+        assert said in re.sub(r" {2,}", "  ", result.output)
+    assert "per_image" not in (tmp_path / "d.yaml").read_text()
+    assert load_detector(tmp_path / "d.yaml").transition_interval_s == 1  # the run knows
 
 
 def test_a_simulation_with_the_learned_file_passes_verify_against_the_original(run, exported, tmp_path):
@@ -355,12 +356,16 @@ TRUTH = {
 }
 
 
+def coco_files(folder, results):
+    """Options that learn from one boat and the results."""
+    for name, content in (("gt", TRUTH), ("dt", results)):
+        (folder / f"{name}.json").write_text(json.dumps(content))
+    return ["--truth", folder / "gt.json", "--detections", folder / "dt.json", "--out", folder / "d.yaml"]
+
+
 def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(tmp_path):
     results = [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.9}]
-    for name, content in (("gt", TRUTH), ("dt", results)):
-        (tmp_path / f"{name}.json").write_text(json.dumps(content))
-    files = ["--truth", tmp_path / "gt.json", "--detections", tmp_path / "dt.json", "--replicates", 20]
-    result = command(*files, "--out", tmp_path / "d.yaml")
+    result = command(*coco_files(tmp_path, results), "--replicates", 20)
     assert result.exit_code == 0 and "needs 20" in result.output
     assert not re.search(r"\b(nan|inf)\b", result.output + (tmp_path / "d.html").read_text())
     model = load_detector(tmp_path / "d.yaml")
@@ -378,11 +383,8 @@ def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(tmp_path):
     ids=["nothing", "only false ones", "below the threshold"],
 )
 def test_detections_of_which_none_matches_write_nothing(results, tmp_path):
-    for name, content in (("gt", TRUTH), ("dt", results)):
-        (tmp_path / f"{name}.json").write_text(json.dumps(content))
-    files = ["--truth", tmp_path / "gt.json", "--detections", tmp_path / "dt.json", "--out", tmp_path / "d.yaml"]
-    result = CliRunner().invoke(app, ["learn", *map(str, files)])
-    assert isinstance(result.exception, ModsimError) and "matches any of 1 annotations" in str(result.exception)
+    with pytest.raises(ModsimError, match="matches any of 1 annotations"):
+        command(*coco_files(tmp_path, results))
     assert not (tmp_path / "d.yaml").exists()
 
 
@@ -463,23 +465,13 @@ def test_states_whose_errors_are_cut_off_share_a_remark_on_the_page():
     assert replace(states, shares=states.shares[:1]).remark == states.remarks[0] and NearGate().remark == ""
 
 
-def test_what_was_left_out_is_remarked_in_every_place(tmp_path):
-    arguments = pairs_of_conditions(tmp_path, 1)
-    results = json.loads(arguments[5].read_text())
-    arguments[5].write_text(json.dumps([*results, {"image_id": 99999}]))
-    result = command(*arguments, "--skip-bad", "--out", tmp_path / "d.yaml", "--replicates", 20)
-    for text in (result.output, (tmp_path / "d.yaml").read_text(), (tmp_path / "d.html").read_text()):
-        assert "1 entries left out, the first because" in text
-    assert "Left simple: det" not in (tmp_path / "d.yaml").read_text()
-
-
 def test_a_run_s_operating_threshold_is_the_least_that_its_detector_claims(tmp_path):
-    settings = {"detector.operating_threshold": 0.5}
+    settings, without = {"detector.operating_threshold": 0.5}, ",".join(RICHER)
     modsim3d.run_scene(modsim3d.load_scene("strait", steps=40, source="analytic", settings=settings), tmp_path / "run")
     for asked, least in ((None, 0.5), (0.3, 0.5), (0.6, 0.6)):
         out, options = tmp_path / f"{asked}.yaml", ("--confidence", asked) if asked else ()
-        result = command("--run", tmp_path / "run", "--replicates", 20, *options, "--out", out)
+        result = command("--run", tmp_path / "run", "--replicates", 20, "--without", without, *options, "--out", out)
         assert yaml.safe_load(out.read_text())["confidence_threshold"] == least
         assert ("operating_threshold dropped detections below 0.5" in result.output) == (least == 0.5)
-    learned = modsim3d.learn_detector(run=tmp_path / "run", replicates=20)
+    learned = modsim3d.learn_detector(run=tmp_path / "run", replicates=20, without=RICHER)
     assert learned.detector.confidence_threshold == 0.5

@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-EXAMPLE = REPOSITORY / "tests" / "plugin_example"
+EXAMPLES = [REPOSITORY / "tests" / name for name in ("plugin_example", "tracker_example")]
 PLUGINS_PAGE = REPOSITORY / "docs" / "plugins.md"
 
 
@@ -97,9 +97,12 @@ def test_installed_wheel_simulates_a_shipped_scene(installed: Path, tmp_path: Pa
 
 
 def test_installed_wheel_finds_the_parts_of_an_installed_package(installed: Path, tmp_path: Path) -> None:
-    plug_in = shutil.copytree(EXAMPLE, tmp_path / "plug_in", ignore=shutil.ignore_patterns("__pycache__"))
+    ignored = shutil.ignore_patterns("__pycache__")
+    plug_ins = [shutil.copytree(example, tmp_path / example.name, ignore=ignored) for example in EXAMPLES]
     pip = (installed / "python", "-m", "pip", "install", "--quiet", "--no-index", "--no-build-isolation", "--no-deps")
-    run(*pip, "--no-compile", plug_in, cwd=tmp_path)
+    run(*pip, "--no-compile", *plug_ins, cwd=tmp_path)
+    tracker_names = "from modsim3d.tracking.trackers.names import tracker_names; print(*tracker_names())"
+    assert "overlap" in run(installed / "python", "-c", tracker_names, cwd=tmp_path).split()
     (quoted,) = re.findall(r"```yaml\n(.*?)```", PLUGINS_PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
     camera = yaml.safe_load((REPOSITORY / "scenes" / "simulation_2.yaml").read_text(encoding="utf-8"))["cameras"]["C0"]
     camera["mount"] |= {"vessel": "a", "position_m": [14, 0, 5]}

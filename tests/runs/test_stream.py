@@ -23,7 +23,7 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import LivePoses, follow, read_steps
-from tests.scenes import write_scene
+from tests.scenes import camera_keys, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 STEPS = 40
@@ -48,17 +48,16 @@ def lines(steps=STEPS):
 
 def scene_of(folder, poses, source="analytic", **keys):
     boats = {name: ([8, 4, 2], []) for name in ("own", "a", "b")}
-    path = write_scene(folder, boats, 1)
-    data = json.loads(path.read_text())
-    del data["steps"], data["time_step_s"], data["cameras"]["C0"]["pose"]
-    shore = {**data["cameras"]["C0"], "pose": {"position_m": [-30, 3, 9]}}
-    data["cameras"]["C0"]["mount"] = {"vessel": "own", "position_m": [4, 0, 2]}
-    data["cameras"]["shore"] = shore
-    data["waves"] = {"level": "large", "apply_to": "all"}
-    data["annotation"]["source"] = source
-    data.update(poses=poses, **keys)
-    path.write_text(json.dumps(data))
-    return path
+    cameras = {
+        "C0": camera_keys(mount={"vessel": "own", "position_m": [4, 0, 2]}),
+        "shore": camera_keys(pose={"position_m": [-30, 3, 9]}),
+    }
+    usual = {
+        "cameras": cameras,
+        "annotation": {"mode": 2, "source": source},
+        "waves": {"level": "large", "apply_to": "all"},
+    }
+    return write_scene(folder, boats, keys.pop("steps", None), time_step_s=None, poses=poses, **usual | keys)
 
 
 def live_scene(folder, **keys):

@@ -18,7 +18,7 @@ from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.runs.tracker_view import tracker_lines
+from modsim3d.runs.tracker_view import anonymised, tracker_lines
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 
@@ -106,3 +106,16 @@ def test_the_lines_do_not_depend_on_where_detections_came_from_or_in_which_order
         nobody = np.full(len(found), -1)
         unknown = replace(found, target=nobody, partner=nobody, kind=np.ones_like(found.kind))
         assert lines(found) == lines(by_origin) == lines(by_size) == lines(unknown)
+
+
+@pytest.mark.parametrize("count", [0, 1, 300])
+def test_detections_are_told_by_frame_confidence_box_and_label(count: int) -> None:
+    rng = np.random.default_rng(count)
+    frame, label = np.sort(rng.integers(0, 9, count)), rng.integers(0, 3, count)
+    boxes, confidence = rng.integers(0, 2, (count, 4)) / 1.0, rng.integers(0, 3, count) / 2
+    found = anonymised(frame, label, boxes, confidence)
+    keys = zip(frame.tolist(), (-confidence).tolist(), boxes.tolist(), label.tolist(), strict=True)
+    told_keys = zip(
+        found.frame.tolist(), (-found.confidence).tolist(), found.boxes_px.tolist(), found.label.tolist(), strict=True
+    )
+    assert list(told_keys) == sorted(keys)

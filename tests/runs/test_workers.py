@@ -7,7 +7,10 @@ import sys
 import time
 from pathlib import Path
 
-from modsim3d.runs import pipeline
+import numpy as np
+import pytest
+
+from modsim3d.runs import pipeline, workers
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.run_folders import run_files
@@ -17,8 +20,8 @@ COMMAND = ["run", "harbour", "--no-sheet"]
 
 def test_two_workers_write_the_bytes_of_one(tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", BLOCK_STEPS)
-    for workers in (1, 2):
-        run_scene(load_scene("harbour", steps=55), tmp_path / str(workers), workers=workers)
+    for count in (1, 2):
+        run_scene(load_scene("harbour", steps=55), tmp_path / str(count), workers=count)
     assert run_files(tmp_path / "1") == run_files(tmp_path / "2")
 
 
@@ -79,8 +82,8 @@ def wait_for(state, running):
 
 def test_workers_without_a_renderer_say_what_one_process_says(prepared, tmp_path):
     said = []
-    for workers in ("1", "2"):
-        out = ["--steps", "5", "--workers", workers, "--out", str(tmp_path / workers)]
+    for count in ("1", "2"):
+        out = ["--steps", "5", "--workers", count, "--out", str(tmp_path / count)]
         done = subprocess.run(
             [prepared, *COMMAND, *out],
             capture_output=True,
@@ -128,3 +131,13 @@ def test_script_without_a_main_guard_runs_once(tmp_path):
     )
     assert (done.returncode, done.stdout) == (0, "begins\n"), done.stderr
     assert (tmp_path / "run" / "run.json").exists()
+
+
+@pytest.mark.parametrize("count", [0, 1, 400])
+@pytest.mark.parametrize("distinct_keys", [3, 10_000])
+def test_the_sample_keeps_the_boxes_with_the_least_keys_of_each_state(count, distinct_keys):
+    rng = np.random.default_rng(count)
+    rows = np.column_stack([rng.integers(0, distinct_keys, count), *rng.integers(0, 3, (6, count))]) / 1.0
+    ordered = sorted(rows.tolist(), key=lambda row: (row[1], row[0], row[2:]))
+    plain = [row for state in range(3) for row in [r for r in ordered if r[1] == state][: workers.BOXES_A_STATE]]
+    assert workers._least(rows).tolist() == plain

@@ -13,7 +13,7 @@ import pytest
 from modsim3d.io.input_files import read_text
 from modsim3d.scene.keys import PoseKeys
 from modsim3d.scene.reading import load_scene
-from tests.scenes import write_scene
+from tests.scenes import camera_keys, write_scene
 
 BOATS = {"own": ([8, 4, 2], []), "other": ([20, 6, 9], [])}
 WEDGE = "v 0 0 0\nv 4 0 0\nv 0 2 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
@@ -48,12 +48,8 @@ def poses(steps=5, absent=()):
 
 
 def scene_of(folder, file, **keys):
-    path = write_scene(folder, BOATS, 1, poses={"file": file}, **keys)
-    data = json.loads(path.read_text())
-    del data["steps"], data["time_step_s"], data["cameras"]["C0"]["pose"]
-    data["cameras"]["C0"]["mount"] = {"vessel": "own", "position_m": [4, 0, 2.5]}
-    path.write_text(json.dumps(data))
-    return path
+    cameras = {"C0": camera_keys(mount={"vessel": "own", "position_m": [4, 0, 2.5]})}
+    return write_scene(folder, BOATS, None, time_step_s=None, poses={"file": file}, cameras=cameras, **keys)
 
 
 def whole(form):

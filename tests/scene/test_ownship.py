@@ -24,7 +24,7 @@ from modsim3d.world.floating_vessels import GRAVITY_M_S2, Motion
 from modsim3d.world.poses.base import generated_timestamps
 from modsim3d.world.poses.circular import CircularMotion
 from modsim3d.world.vessel_motion import Imu, Waves
-from tests.scenes import write_scene
+from tests.scenes import camera_keys, write_scene
 
 STEPS, STEP_S = 120, 0.05
 UP = [0.0, 0.0, GRAVITY_M_S2]
@@ -47,15 +47,15 @@ class Swinging:
 @pytest.fixture
 def scene(tmp_path):
     """Own ship at rest in a calm sea."""
-    path = write_scene(tmp_path, {"own": ([14, 4, 3], []), "other": ([9, 3, 2], [])}, STEPS)
-    data = json.loads(path.read_text())
-    mounted = {key: value for key, value in data["cameras"]["C0"].items() if key != "pose"}
-    data["cameras"]["bow"] = {**mounted, "mount": {"vessel": "own", "position_m": [7, 0, 3]}}
     still = {"own": {"center_position_m": [3.0, -2.0, 0.0], "heading_rad": 0.4}}
     (tmp_path / "poses.json").write_text(json.dumps(dict.fromkeys(generated_timestamps(STEPS, STEP_S), still)))
-    del data["time_step_s"]
-    path.write_text(json.dumps({**data, "poses": {"file": "poses.json"}, "annotation": {"source": "analytic"}}))
-    return load_scene(path)
+    cameras = {
+        "C0": camera_keys(pose={"position_m": [0, 0, 10]}),
+        "bow": camera_keys(mount={"vessel": "own", "position_m": [7, 0, 3]}),
+    }
+    keys = {"poses": {"file": "poses.json"}, "annotation": {"source": "analytic"}, "cameras": cameras}
+    boats = {"own": ([14, 4, 3], []), "other": ([9, 3, 2], [])}
+    return load_scene(write_scene(tmp_path, boats, STEPS, time_step_s=None, **keys))
 
 
 def on_a_circle(scene, radius=40.0, rate=0.2):

@@ -17,7 +17,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.tracking.detector_seeds import Spread, detector_runs
+from modsim3d.tracking.detector_seeds import detector_runs
 from modsim3d.tracking.oracle import REFERENCES
 from modsim3d.tracking.score_outcome import remarks_of, score_data
 from modsim3d.tracking.score_page import score_page, seed_rows
@@ -93,15 +93,6 @@ def test_scores_of_the_first_seed_are_those_of_the_run(run: StoredRun, scores: R
     lines = [row[:2] for row in seed_rows(found)]
     assert ("reference", "ANEES") in lines
     assert (REFERENCES["raw"], "HOTA") in lines and (REFERENCES["raw"], "ANEES") not in lines  # it has no covariances
-
-
-def test_a_spread_is_the_textbook_one() -> None:
-    """Student's t at 97.5 % with 2 degrees of freedom is 4.30265; half the interval is that over √3."""
-    spread = Spread((1.0, None, 2.0, 3.0))
-    assert (spread.mean, spread.deviation) == (2.0, 1.0)
-    assert spread.interval == pytest.approx((2 - 2.48414, 2 + 2.48414), abs=1e-5)
-    assert Spread((1.0, 3.0)).deviation == pytest.approx(2**0.5)
-    assert (Spread((None,)).mean, Spread((1.0,)).deviation, Spread((1.0,)).interval) == (None, None, None)
 
 
 def test_what_is_written_is_what_is_told_and_stays_without_overwrite(scores: RunScores, tmp_path: Path) -> None:

@@ -31,39 +31,34 @@ def test_one_tracker_is_told_with_the_reference_and_what_it_loses_most() -> None
     )
 
 
-def test_of_several_trackers_the_best_is_told() -> None:
-    said = conclusion([told("sort"), told("slow", hota=0.4), told("slower", hota=None)], REFERENCE)
-    assert said.startswith("sort has the highest HOTA of 3 trackers: it follows vessels for 71 % of the time")
+NOTHING = {"hota": 0.0, "followed": 0}
+SAID = [
+    ([told("sort"), told("slow", hota=0.4), told("slower", hota=None)], REFERENCE,
+     "sort has the highest HOTA of 3 trackers: it follows vessels for 71 % of the time"),
+    ([told("a"), told("b"), told("c", hota=0.1)], REFERENCE,
+     "a and b have the same HOTA, the highest of 3 trackers: a follows vessels"),
+    ([told("a"), told("b")], REFERENCE, "a and b have the same HOTA: a follows vessels"),
+    ([told("sort")], keys(None), "sort follows vessels for 71 % of the time that it should (HOTA 0.52)."),
+    ([told("sort", missed=40, **NOTHING)], REFERENCE,
+     "sort follows no vessel: no track counts, and 40 boxes of vessels should be followed."),
+    ([told("sort", **NOTHING)] * 2, REFERENCE, "None of the 2 trackers follows a vessel;"),
+    ([told("sort", missed=1, false=1, **NOTHING)], REFERENCE,
+     "sort follows no vessel: its only box is false, and 1 box of vessels should be followed."),
+    ([told("sort", missed=1, false=7, **NOTHING)], REFERENCE,
+     "sort follows no vessel: all of its 7 boxes are false, and 1 box of vessels should be followed."),
+]  # fmt: skip
+"""Trackers, the reference, and how the sentence begins."""
 
 
-def test_trackers_of_one_hota_share_the_first_place() -> None:
-    said = conclusion([told("a"), told("b"), told("c", hota=0.1)], REFERENCE)
-    assert said.startswith("a and b have the same HOTA, the highest of 3 trackers: a follows vessels")
-    assert conclusion([told("a"), told("b")], REFERENCE).startswith("a and b have the same HOTA: a follows vessels")
+def test_the_sentence_begins_with_what_is_worth_knowing() -> None:
+    for trackers, reference, beginning in SAID:
+        assert conclusion(trackers, reference).startswith(beginning)
 
 
 def test_a_tracker_above_the_reference_is_not_told_to_fall_short_of_it() -> None:
     said = conclusion([told("sort", hota=0.8)], REFERENCE)
     assert "(HOTA 0.80, above the 0.78 of the same detections with perfect association)" in said
     assert "reach" not in said
-
-
-def test_a_reference_without_detections_is_not_told() -> None:
-    assert "(HOTA 0.52)." in conclusion([told("sort")], keys(None))
-
-
-def test_without_tracks_nothing_is_followed() -> None:
-    nothing = told("sort", hota=0.0, followed=0, missed=40)
-    assert conclusion([nothing], REFERENCE) == (
-        "sort follows no vessel: no track counts, and 40 boxes of vessels should be followed."
-    )
-    assert conclusion([nothing, nothing], REFERENCE).startswith("None of the 2 trackers follows a vessel;")
-
-
-@pytest.mark.parametrize(("false", "has"), [(1, "its only box is false"), (7, "all of its 7 boxes are false")])
-def test_tracks_that_follow_nothing_are_called_false(false: int, has: str) -> None:
-    said = conclusion([told("sort", hota=0.0, followed=0, missed=1, false=false)], REFERENCE)
-    assert said == f"sort follows no vessel: {has}, and 1 box of vessels should be followed."
 
 
 def test_without_vessels_nothing_could_be_followed() -> None:

@@ -88,14 +88,11 @@ def test_every_column_says_what_it_is(written):
         assert field.metadata[b"unit"].decode() == {"px": "px", "px2": "px²"}.get(field.name.split("_")[-1], "")
 
 
-def test_tracks_are_not_written_over_unasked(written, small_run, small_tracks):
+def test_tracks_are_not_written_over_unasked_nor_without_an_origin(written, small_run, small_tracks, tmp_path):
     with pytest.raises(OutputError, match="--overwrite"):
         write_tracks(written, small_run, TrackSet("toy", small_tracks, ORIGIN), overwrite=False)
     write_tracks(written, small_run, TrackSet("toy", small_tracks.take(np.arange(3)), ORIGIN), overwrite=True)
     assert pq.read_metadata(written / "tracks.parquet").num_rows == 3
-
-
-def test_tracks_of_unknown_origin_are_not_written(small_run, small_tracks, tmp_path):
     with pytest.raises(ModsimError, match="no origin"):
         write_tracks(tmp_path / "x", small_run, TrackSet("mine", small_tracks, None), overwrite=False)
 
@@ -107,37 +104,27 @@ def test_tracks_of_another_seed_are_refused(written, tmp_path):
         read_tracks(written, other, RunRows.of(other))
 
 
-def test_tracks_of_other_detections_are_refused(written, small_run, small_rows):
-    change_facts(written, lambda facts: facts["run"].update(detections_sha256="0" * 64))
-    with pytest.raises(ModsimError, match="are of other detections"):
-        read_tracks(written, small_run, small_rows)
+FILES = ("tracks.json", "tracks.parquet")
+DAMAGES = [
+    (lambda folder: change_facts(folder, lambda facts: facts.pop("chosen")), "chosen: missing"),
+    (lambda folder: change_facts(folder, lambda facts: facts.update(format=2)), "format"),
+    (lambda folder: change_facts(folder, lambda facts: facts.update(more=1)), "more: unknown key"),
+    (
+        lambda folder: change_facts(folder, lambda facts: facts["run"].update(detections_sha256="0" * 64)),
+        "are of other detections",
+    ),
+    (
+        lambda folder: (folder / FILES[1]).write_bytes((folder / FILES[1]).read_bytes()[:-9]),
+        "was changed or damaged",
+    ),
+    *((lambda folder, name=name: (folder / name).unlink(), rf"{name}:\s+no such file") for name in FILES),
+]
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda facts: facts.pop("chosen"), "chosen: missing"),
-        (lambda facts: facts.update(format=2), "format"),
-        (lambda facts: facts.update(more=1), "more: unknown key"),
-    ],
-)
-def test_a_wrong_key_is_named(written, small_run, small_rows, change, said):
-    change_facts(written, change)
+@pytest.mark.parametrize(("damage", "said"), DAMAGES)
+def test_a_folder_that_is_no_longer_what_was_written_is_refused(written, small_run, small_rows, damage, said):
+    damage(written)
     with pytest.raises(ModsimError, match=said):
-        read_tracks(written, small_run, small_rows)
-
-
-def test_a_damaged_table_is_refused(written, small_run, small_rows):
-    path = written / "tracks.parquet"
-    path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(ModsimError, match="was changed or damaged"):
-        read_tracks(written, small_run, small_rows)
-
-
-@pytest.mark.parametrize("name", ["tracks.json", "tracks.parquet"])
-def test_a_missing_file_is_named(written, small_run, small_rows, name):
-    (written / name).unlink()
-    with pytest.raises(ModsimError, match=rf"{name}:\s+no such file"):
         read_tracks(written, small_run, small_rows)
 
 

@@ -32,66 +32,34 @@ def annotated_box(seen, mode):
     return tuple(annotation_boxes(truth, mode)[0])
 
 
-def test_box_alone_is_kept_whole_in_every_mode():
-    seen = seen_of([B])
-    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, B, B]
-    assert seen.visible_fraction().tolist() == [1.0]
+UPPER, LOWER = (50, 50, 140, 150), (50, 150, 130, 250)
+COVERS = {
+    "nothing": ([], B, 10_000),
+    **{f"the corner at {x}, {y}": ([(x, y, x + 100, y + 100)], B, 7500) for x in (50, 150) for y in (50, 150)},
+    "the left corners": ([(50, 50, 140, 250)], (140, 100, 200, 200), 6000),
+    "the right corners": ([(160, 50, 250, 250)], (100, 100, 160, 200), 6000),
+    "the upper corners": ([(50, 50, 250, 130)], (100, 130, 200, 200), 7000),
+    "the lower corners": ([(50, 170, 250, 250)], (100, 100, 200, 170), 7000),
+    "two opposite corners": ([(50, 50, 140, 140), (160, 160, 250, 250)], B, 6800),
+    "the middle": ([(120, 50, 180, 250)], B, 4000),
+    "a corner by one": ([UPPER], B, 8000),
+    "a corner by another": ([LOWER], B, 8500),
+    "a side by both of these": ([UPPER, LOWER], (130, 100, 200, 200), 6500),
+    # What is left of the rectangle still reaches that side, so the visible part has the same box.
+    "two corners of a side that is seen between them": ([(50, 50, 140, 140), (50, 160, 140, 250)], B, 6800),
+    "everything": ([(100, 100, 200, 200)], None, 0),
+    "everything, by two halves": ([(50, 50, 150, 250), (150, 50, 250, 250)], None, 0),
+}
+"""What is covered, the boxes that cover it, the box that is annotated in mode 2, and the area that is visible."""
 
 
-@pytest.mark.parametrize("x", [50, 150])
-@pytest.mark.parametrize("y", [50, 150])
-def test_one_covered_corner_cuts_nothing(x, y):
-    seen = seen_of([B, (x, y, x + 100, y + 100)])
-    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, B, B]
-    assert seen.visible_px[0] == 100 * 100 - 50 * 50
-
-
-@pytest.mark.parametrize(
-    ("cover", "left"),
-    [
-        ((50, 50, 140, 250), (140, 100, 200, 200)),
-        ((160, 50, 250, 250), (100, 100, 160, 200)),
-        ((50, 50, 250, 130), (100, 130, 200, 200)),
-        ((50, 170, 250, 250), (100, 100, 200, 170)),
-    ],
-)
-def test_two_neighbouring_covered_corners_cut_the_side_between_them_in_mode_two_only(cover, left):
-    seen = seen_of([B, cover])
-    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, B, left]
-
-
-def test_two_opposite_covered_corners_cut_nothing():
-    seen = seen_of([B, (50, 50, 140, 140), (160, 160, 250, 250)])
-    assert annotated_box(seen, 2) == B
-
-
-def test_cover_of_the_middle_cuts_nothing():
-    seen = seen_of([B, (120, 50, 180, 250)])
-    assert annotated_box(seen, 2) == B
-    assert seen.visible_px[0] == 4000
-
-
-def test_several_coverers_together_cut_a_side_that_none_covers_alone():
-    upper, lower = (50, 50, 140, 150), (50, 150, 130, 250)
-    assert annotated_box(seen_of([B, upper]), 2) == B
-    assert annotated_box(seen_of([B, lower]), 2) == B
-    assert annotated_box(seen_of([B, upper, lower]), 2) == (130, 100, 200, 200)
-
-
-def test_side_that_is_seen_between_its_two_covered_corners_is_not_cut():
-    """What is left of the rectangle still reaches it, so the visible part has the same box."""
-    assert annotated_box(seen_of([B, (50, 50, 140, 140), (50, 160, 140, 250)]), 2) == B
-
-
-def test_wholly_covered_box_is_dropped_in_modes_one_and_two():
-    seen = seen_of([B, (100, 100, 200, 200)])
-    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, None, None]
-    assert np.isnan(seen.visible_boxes_px[0]).all()
-
-
-def test_box_covered_by_two_halves_is_dropped():
-    seen = seen_of([B, (50, 50, 150, 250), (150, 50, 250, 250)])
-    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, None, None]
+@pytest.mark.parametrize("what", COVERS)
+def test_only_two_neighbouring_corners_that_are_covered_cut_a_side_and_in_mode_two_only(what):
+    covers, left, visible_px = COVERS[what]
+    seen = seen_of([B, *covers])
+    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, B if left else None, left]
+    assert seen.visible_px[0] == visible_px
+    assert np.isnan(seen.visible_boxes_px[0]).all() == (left is None)
 
 
 def test_nearer_means_smaller_depth_whatever_the_order_of_vessels():

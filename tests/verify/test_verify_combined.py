@@ -16,7 +16,7 @@ from modsim3d.verify.class_checks import class_checks
 from modsim3d.verify.confidence_checks import confidence_checks
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.evidence import Evidence, ManyDetections
-from modsim3d.verify.false_positive_checks import clutter_checks
+from modsim3d.verify.false_positive_checks import false_positive_checks
 from modsim3d.verify.figures import run_lengths
 from modsim3d.verify.measures import Estimate, Exact
 from modsim3d.verify.parameters import Parameter, judge
@@ -51,7 +51,7 @@ def three_labels(share: float) -> DetectorModel:
 
 
 def labels_of(many: ManyDetections, model: DetectorModel, seed: int) -> list[Parameter]:
-    found = clutter_checks(model, many.detect(model, seed))
+    found = false_positive_checks(model, many.detect(model, seed))
     return [parameter for parameter in found if "false_positive_labels" in parameter.name]
 
 
@@ -86,7 +86,11 @@ def test_what_an_operating_threshold_drops_is_not_tested_and_the_rest_is(
 ) -> None:
     model = parse_detector(thesis_data() | {"operating_threshold": 0.7})
     evidence = many.detect(model, 0)
-    rates = [*class_checks(model, evidence), *clutter_checks(model, evidence), *confidence_checks(model, evidence)]
+    rates = [
+        *class_checks(model, evidence),
+        *false_positive_checks(model, evidence),
+        *confidence_checks(model, evidence),
+    ]
     untested = [p for p in rates if p.name.startswith("states.") and "false_positive_labels" not in p.name]
     assert untested and all(p.measure is None and p.note.startswith("operating_threshold is 0.7") for p in untested)
     (least,) = [p.measure for p in rates if p.name == "operating_threshold"]
@@ -101,7 +105,7 @@ def test_what_an_operating_threshold_drops_is_not_tested_and_the_rest_is(
 def test_parts_of_vessels_of_which_one_was_dropped_are_no_fault(many: ManyDetections, limit: Data) -> None:
     clutter = {"model": "per_image", "rate": 0.1, "splits": 0.5, "split_aspect": 0.2, "duplicates": 0.1}
     model = parse_detector(thesis_data() | {"false_positives": clutter} | limit)
-    found = clutter_checks(model, many.detect(model, 0))
+    found = false_positive_checks(model, many.detect(model, 0))
     assert any(p.name.endswith("false_positives_per_image") and p.measure is None for p in found)
     assert min([p.measure.p_value() for p in found if p.measure is not None], default=1.0) > 1e-5
 

@@ -22,6 +22,7 @@ from modsim3d.verify.verification import verify_evidence
 from modsim3d.verify.verify_run import verify_run, write_report
 from tests.detector_changes import single_changes
 from tests.detector_variants import CHANGES, thesis_data, variant
+from tests.run_folders import interrupt
 
 DETECTORS = data_folder("scenes") / "detectors"
 
@@ -173,27 +174,16 @@ def test_another_detector_with_other_states_cannot_have_made_a_run(finished, mon
     assert "cannot have made this run" in capsys.readouterr().err
 
 
-def test_a_folder_that_is_no_run_is_bad_input(tmp_path, monkeypatch, capsys):
+def test_a_folder_that_is_no_run_or_has_a_broken_table_is_bad_input(finished, tmp_path, monkeypatch, capsys):
     assert command(monkeypatch, "verify", tmp_path) == 2
     assert "run.json" in capsys.readouterr().err
-
-
-def test_a_table_that_is_broken_is_bad_input(finished, tmp_path, monkeypatch, capsys):
-    broken = tmp_path / "broken"
-    shutil.copytree(finished, broken)
+    broken = shutil.copytree(finished, tmp_path / "broken")
     (broken / "detections.parquet").write_bytes(b"not a table")
     assert command(monkeypatch, "verify", broken) == 2
     assert "detections.parquet has 11 bytes, and had" in capsys.readouterr().err
 
 
 def test_an_interrupted_run_is_refused(tmp_path):
-    class Stop(Exception):
-        pass
-
-    def stop(steps: int) -> None:
-        raise Stop
-
-    with pytest.raises(Stop):
-        run_scene(load_scene("simulation_1", steps=260, source="analytic"), tmp_path / "cut", progress=stop)
+    cut = interrupt(load_scene("simulation_1", steps=260, source="analytic"), tmp_path / "cut")
     with pytest.raises(RunDirectoryError, match="interrupted run"):
-        verify_run(open_run(tmp_path / "cut"))
+        verify_run(open_run(cut))

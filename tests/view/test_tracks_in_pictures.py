@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from modsim3d.tracks.tracks import Similarity
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmLayout
 from modsim3d.view.followed_tracks import FollowedTracks
+from tests.run_folders import interrupt
 from tests.scenes import crossing
 from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, with_false, write_csv
 from tests.view.test_run_rerun import read, views
@@ -111,17 +111,9 @@ def test_tracks_are_refused_where_they_are_not_drawn(monkeypatch, capsys, run, t
 
 
 def test_tracks_of_an_interrupted_run_are_refused(monkeypatch, capsys, tmp_path, tracks):
-    class Stop(Exception):
-        pass
-
-    def stop(steps: int) -> None:
-        raise Stop
-
-    scene = load_scene(str(crossing(tmp_path, 400)), source="analytic")
-    with pytest.raises(Stop):
-        run_scene(scene, tmp_path / "cut", progress=stop)
+    cut = interrupt(load_scene(str(crossing(tmp_path, 400)), source="analytic"), tmp_path / "cut")
     for command in (("report",), ("rerun",), ("view", "--frame", 0)):
-        assert call(monkeypatch, *command, tmp_path / "cut", "--tracks", tracks, "--out", tmp_path / "x.png") == 2
+        assert call(monkeypatch, *command, cut, "--tracks", tracks, "--out", tmp_path / "x.png") == 2
         assert "tracks need a finished one" in " ".join(capsys.readouterr().err.split())
 
 
@@ -145,8 +137,3 @@ def test_each_command_says_what_there_is_of_tracks(monkeypatch, capsys, run, fol
     for command, out in ((("rerun",), "a.rrd"), (("view", "--frame", STEP), "a.png")):
         assert call(monkeypatch, *command, run, "--tracks", tracks, "--out", tmp_path / out) == 0
         assert followed.sentence() in " ".join(capsys.readouterr().out.split())
-
-
-def test_rerun_without_tracks_has_none(monkeypatch, run, tmp_path):
-    assert call(monkeypatch, "rerun", run, "--out", tmp_path / "a.rrd") == 0
-    assert not [name for name in read(tmp_path / "a.rrd") if "tracks" in json.dumps(name)]

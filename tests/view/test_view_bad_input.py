@@ -13,6 +13,7 @@ from modsim3d.cli import main
 from modsim3d.runs import pipeline
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
+from tests.run_folders import interrupt
 from tests.scenes import crossing, write_scene
 from tests.view.test_film import view
 
@@ -122,40 +123,19 @@ def test_a_film_that_lost_pictures_without_a_word_is_not_put_in_place(monkeypatc
     assert not list(out.iterdir())
 
 
-class Stop(Exception):
-    pass
-
-
-def cut_short(scene, folder, blocks):
-    done = []
-
-    def stop(steps: int) -> None:
-        done.append(steps)
-        if len(done) == blocks:
-            raise Stop
-
-    with pytest.raises(Stop):
-        run_scene(scene, folder, progress=stop)
-
-
 def test_an_interrupted_run_is_drawn_as_far_as_it_goes_and_says_so(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 250)
     scene = load_scene(write_scene(tmp_path, {"boat": ([10, 4, 3], [[0, 250, 10], [999, 250, 12]])}, 400))
-    cut_short(scene, tmp_path / "cut", 1)
-    arguments = (tmp_path / "cut", "--film", "scene", "--every", 50, "--format", "png", "--width", 160)
+    cut = interrupt(scene, tmp_path / "cut")
+    arguments = (cut, "--film", "scene", "--every", 50, "--format", "png", "--width", 160)
     assert view(monkeypatch, *arguments) == 0
     assert "interrupted; of 400 steps there are steps 0 to 249" in capsys.readouterr().err
-    assert len(list((tmp_path / "cut" / "scene").iterdir())) == 5
-    assert "249" in refused(monkeypatch, capsys, tmp_path / "cut", "--frame", 300)
-    assert "--resume" in refused(monkeypatch, capsys, tmp_path / "cut", "--sheet")
-    shutil.rmtree(tmp_path / "cut" / "scene")
-    run_scene(scene, tmp_path / "cut", resume=True)
-    assert (tmp_path / "cut" / "run.json").exists()
-
-
-def test_a_run_interrupted_before_its_first_block_has_nothing_to_draw(monkeypatch, capsys, tmp_path):
-    scene = load_scene(crossing(tmp_path, 12))
-    cut_short(scene, tmp_path / "cut", 1)
-    for path in (tmp_path / "cut" / "unfinished").glob("truth_*.npz"):
+    assert len(list((cut / "scene").iterdir())) == 5
+    assert "249" in refused(monkeypatch, capsys, cut, "--frame", 300)
+    assert "--resume" in refused(monkeypatch, capsys, cut, "--sheet")
+    shutil.rmtree(cut / "scene")
+    for path in (cut / "unfinished").glob("truth_*.npz"):
         path.unlink()
-    assert "not finished a single block" in refused(monkeypatch, capsys, tmp_path / "cut", "--film", "ids")
+    assert "not finished a single block" in refused(monkeypatch, capsys, cut, "--film", "ids")
+    run_scene(scene, cut, resume=True)
+    assert (cut / "run.json").exists()

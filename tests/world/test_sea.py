@@ -24,7 +24,7 @@ from modsim3d.world.floating_vessels import (
     jonswap_shape,
     response,
 )
-from tests.scenes import write_scene
+from tests.scenes import camera_keys, write_scene
 
 BOAT = Hull(12.0, 4.0)
 HEADINGS = st.floats(-np.pi, np.pi)
@@ -234,13 +234,9 @@ def own_ship_scene(folder, waves):
         "own": ([14, 4, 3], [[0, 60, -30], [7.5, 60, -10], [30, 50, 60]]),
         "other": ([14, 4, 3], [[0, 90, -30], [30, 90, 90]]),
     }
-    path = write_scene(folder, boats, 30)
-    data = json.loads(path.read_text())
-    mounted = {key: value for key, value in data["cameras"]["C0"].items() if key != "pose"}
-    mount = {"vessel": "own", "position_m": [7, 0, 3], "yaw_rad": -1.5}
-    data["cameras"]["bow"] = {**mounted, "mount": mount}
-    path.write_text(json.dumps({**data, "waves": waves}))
-    return path
+    ashore = camera_keys(pose={"position_m": [0, 0, 10]})
+    bow = camera_keys(mount={"vessel": "own", "position_m": [7, 0, 3], "yaw_rad": -1.5})
+    return write_scene(folder, boats, 30, cameras={"C0": ashore, "bow": bow}, waves=waves)
 
 
 def test_vessels_and_their_cameras_heave_together(tmp_path):

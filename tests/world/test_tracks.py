@@ -56,15 +56,6 @@ def test_tracks_stand_in_the_order_of_the_scenes_vessels():
     np.testing.assert_array_equal(poses.positions_m[0], [[-1, 0, 0], [1, 1, 0]])
 
 
-def test_any_run_of_steps_gives_the_same_poses():
-    tracks = waypoint_tracks(CORNER, ["a"], 30, 0.3)
-    whole = tracks.poses(0, 30)
-    for first, stop in ((0, 1), (7, 19), (29, 30), (5, 5)):
-        part = tracks.poses(first, stop)
-        for name in ("present", "positions_m", "headings_rad"):
-            np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[first:stop])
-
-
 def test_times_are_exact_decimals():
     assert list(waypoint_tracks(CORNER, ["a"], 4, 0.1).timestamps) == ["0.0", "0.1", "0.2", "0.3"]
 

@@ -1,7 +1,5 @@
 """Waves: the source's second-order process, and cameras on vessels that they turn."""
 
-import json
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +9,7 @@ from scipy.signal import lfilter
 from modsim3d.geometry.camera_poses import Mount, camera_R_parent, poses_on_board, vehicle_R_nominal
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.second_order_waves import LEVELS, SMALL_SIGMA_RAD, Axis, SecondOrderWaves, level_axes, second_order
-from tests.scenes import write_scene
+from tests.scenes import camera_keys, write_scene
 
 FIGURE_7_13 = Axis(a=0.99, b=0.99, sigma_rad=1e-4)
 
@@ -167,12 +165,10 @@ def test_without_waves_both_rules_are_the_heading():
 
 def watched_own_ship(folder, waves):
     """Own ship before a camera ashore, and with one of its own."""
-    path = write_scene(folder, {"own": ([20, 6, 5], [[0, 100, -5], [20, 100, 5]]), "idle": ([9, 3, 2], [])}, 12)
-    data = json.loads(path.read_text())
-    mounted = {key: value for key, value in data["cameras"]["C0"].items() if key != "pose"}
-    data["cameras"]["bow"] = {**mounted, "mount": {"vessel": "own", "position_m": [10, 0, 5]}}
-    path.write_text(json.dumps({**data, "waves": waves}))
-    return load_scene(path)
+    boats = {"own": ([20, 6, 5], [[0, 100, -5], [20, 100, 5]]), "idle": ([9, 3, 2], [])}
+    ashore = camera_keys(pose={"position_m": [0, 0, 10]})
+    bow = camera_keys(mount={"vessel": "own", "position_m": [10, 0, 5]})
+    return load_scene(write_scene(folder, boats, 12, cameras={"C0": ashore, "bow": bow}, waves=waves))
 
 
 def test_vessel_that_carries_a_camera_rolls_in_everybody_s_pictures(tmp_path):

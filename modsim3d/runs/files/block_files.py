@@ -78,23 +78,6 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
     )
 
 
-def pose_lines(scene: Scene, first: int, stop: int) -> bytes:
-    """The poses of steps first to stop − 1; reading the lines gives exactly the same numbers."""
-    poses = scene.poses.poses(first, stop)
-    lines = []
-    for row, timestamp in enumerate(scene.timestamps(first, stop)):
-        entries = {
-            name: {
-                "center_position_m": poses.positions_m[row, column].tolist(),
-                "heading_rad": float(poses.headings_rad[row, column]),
-            }
-            for column, name in enumerate(scene.vessel_names)
-            if poses.present[row, column]
-        }
-        lines.append(orjson.dumps({timestamp: entries}) + b"\n")
-    return b"".join(lines)
-
-
 def _before_in_group(group: Indices) -> Indices:
     """How many rows before each row are of its group, shape (n,)."""
     order = np.argsort(group, kind="stable")
@@ -178,15 +161,11 @@ def _has_form(columns: Mapping[str, NDArray[Any]]) -> bool:
     rows, occluders = len(columns["step"]), len(columns["occluder"])
     own = {"occluder_offsets": rows + 1, "intersections": len(columns["intersections"])}
     counts = {**dict.fromkeys(COLUMNS, rows), **dict.fromkeys(_OF_OCCLUDERS, occluders), **own}
+    kinds = {**dict.fromkeys(COLUMNS, "if"), **dict.fromkeys(_INTEGERS, "i"), "annotated": "b", "drawn": "b"}
     return all(
-        columns[name].shape == (counts[name], *_EMPTY[name].shape[1:]) and columns[name].dtype.kind in _kinds(name)
+        columns[name].shape == (counts[name], *_EMPTY[name].shape[1:]) and columns[name].dtype.kind in kinds[name]
         for name in COLUMNS
     )
-
-
-def _kinds(name: str) -> str:
-    """Kinds of NumPy's types that a column may have."""
-    return "b" if name in ("annotated", "drawn") else "i" if name in _INTEGERS else "if"
 
 
 def _has_places(truth: Truth, scene: Scene, first: int, stop: int) -> bool:

@@ -17,17 +17,8 @@ from modsim3d.core.boxes import centre_form
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, MERGED, PERSISTENT
 from modsim3d.io.validation import MAX_COORDINATE_M, shown
+from modsim3d.runs.files import tables
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS
-from modsim3d.runs.files.tables import (
-    Occluders,
-    detection_boxes_px,
-    flags,
-    indices,
-    integer_column,
-    number_column,
-    positions,
-    truth_boxes_px,
-)
 from modsim3d.scene.scene import Scene
 
 ROUNDING = 1e-6
@@ -76,14 +67,14 @@ class TableRows:
     def integers(self, column: str, least: int = 0) -> Indices:
         """A column of whole numbers, shape (n,)."""
         self.filled(column)
-        values = integer_column(self.table, column)
+        values = tables.integer_column(self.table, column)
         self.refuse(column, values < least, f"at least {least}")
         return values
 
     def flags(self, column: str) -> Mask:
         """A column of truth values, shape (n,)."""
         self.filled(column)
-        return flags(self.table, column)
+        return tables.flags(self.table, column)
 
     def numbers(
         self, column: str, least: float, greatest: float | Array, *, slack: float = 0.0, nullable: bool = False
@@ -92,7 +83,7 @@ class TableRows:
 
         NaN for null, shape (n,).
         """
-        values = number_column(self.table, column)
+        values = tables.number_column(self.table, column)
         if not nullable:
             self.refuse(column, np.isnan(values), "a number")
         wrong = (values < least - slack) | (values > greatest + slack)
@@ -103,7 +94,7 @@ class TableRows:
 
     def names(self, column: str, known: Sequence[str], *, nullable: bool = False) -> Indices:
         """A column of names as indices, `NOBODY` for null, shape (n,)."""
-        found = indices(self.table, column, known)
+        found = tables.indices(self.table, column, known)
         wrong = found == NOBODY
         if nullable and wrong.any():
             wrong &= self.table[column].is_valid().to_numpy()
@@ -170,7 +161,7 @@ def check_truth(rows: TableRows, scene: Scene) -> None:
         RunDirectoryError: A value is not what a run has written.
     """
     frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
-    rows.refuse("step", positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
+    rows.refuse("step", tables.positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
     vessel = rows.names("vessel", scene.vessel_names)
     key = frame * len(scene.vessels) + vessel
     rows.refuse("vessel", np.diff(key, prepend=-1) <= 0, "after the row before, in order of step, camera and vessel")
@@ -178,8 +169,8 @@ def check_truth(rows: TableRows, scene: Scene) -> None:
     of_vessel = np.array([labels.index(vessel.label) for vessel in scene.vessels])
     rows.refuse("label", label != of_vessel[vessel], "the vessel's")
     size_px = _image_sizes_px(frame, scene)
-    _check_boxes(rows, "full_", truth_boxes_px(rows.table, "full"), size_px, nullable=False)
-    visible = truth_boxes_px(rows.table, "visible")
+    _check_boxes(rows, "full_", tables.truth_boxes_px(rows.table, "full"), size_px, nullable=False)
+    visible = tables.truth_boxes_px(rows.table, "visible")
     _check_boxes(rows, "visible_", visible, size_px, nullable=True)
     _check_visibility(rows, scene, size_px.prod(axis=1) * (1 + ROUNDING))
     annotated, detected = rows.flags("annotated"), rows.flags("detected")
@@ -213,7 +204,7 @@ def _check_visibility(rows: TableRows, scene: Scene, most_px: Array) -> None:
     rows.numbers("in_frame_fraction", 0.0, 1 + ROUNDING, nullable=True)
     rows.numbers("depth_m", -MAX_DEPTH_M, MAX_DEPTH_M)
     rows.filled("occluded_by")
-    occluders, wrong = Occluders.of(rows.table, scene.occluder_names), np.zeros(len(rows.table), dtype=bool)
+    occluders, wrong = tables.Occluders.of(rows.table, scene.occluder_names), np.zeros(len(rows.table), dtype=bool)
     wrong[occluders.hidden[occluders.name == NOBODY]] = True
     rows.refuse("occluded_by", wrong, "a list of vessels and obstacles of the scene")
     hidden = occluders.hidden
@@ -228,7 +219,7 @@ def check_detections(rows: TableRows, scene: Scene) -> None:
         RunDirectoryError: A value is not what a run has written.
     """
     frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
-    rows.refuse("step", positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
+    rows.refuse("step", tables.positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
     rows.refuse("step", np.diff(frame, prepend=-1) < 0, "after the row before, in order of step and camera")
     number = np.arange(len(frame)) - np.searchsorted(frame, frame)
     rows.refuse("detection", rows.integers("detection") != number, "the number of the row in its frame, from 0")
@@ -238,7 +229,7 @@ def check_detections(rows: TableRows, scene: Scene) -> None:
     of_nobody = np.isin(kind, OF_NO_VESSEL)
     rows.refuse("vessel", of_nobody != (vessel == NOBODY), "null for a false positive and for nothing else")
     rows.numbers("confidence", 0.0, 1.0)
-    size_px, boxes_px = _image_sizes_px(frame, scene), detection_boxes_px(rows.table)
+    size_px, boxes_px = _image_sizes_px(frame, scene), tables.detection_boxes_px(rows.table)
     _check_boxes(rows, "", boxes_px, size_px, nullable=False)
     for i, (name, number) in enumerate(zip(CENTRE_FORM, centre_form(boxes_px).T, strict=True)):
         apart = np.abs(rows.numbers(name, 0.0, size_px[:, i % 2] * (1 + ROUNDING)) - number)
@@ -260,33 +251,33 @@ def check_together(frames: TableRows, truth: TableRows, detections: TableRows, s
         RunDirectoryError: They contradict each other.
     """
     frame, of_truth, drawn = (_numbers_of(rows.table, scene) for rows in (frames, truth, detections))
-    state = indices(frames.table, "state", [state.name for state in scene.detector.states])
-    written = indices(detections.table, "state", [state.name for state in scene.detector.states])
-    detections.refuse("state", written != state[positions(frame, drawn)], "that of the frame in frames.parquet")
-    annotated, detected = flags(truth.table, "annotated"), flags(truth.table, "detected")
-    kind = indices(detections.table, "kind", KINDS)
+    state = tables.indices(frames.table, "state", [state.name for state in scene.detector.states])
+    written = tables.indices(detections.table, "state", [state.name for state in scene.detector.states])
+    detections.refuse("state", written != state[tables.positions(frame, drawn)], "that of the frame in frames.parquet")
+    annotated, detected = tables.flags(truth.table, "annotated"), tables.flags(truth.table, "detected")
+    kind = tables.indices(detections.table, "kind", KINDS)
     own = ~np.isin(kind, FALSE_KINDS)
     boxes = _boxes_of(truth, detections, drawn, own, scene)
     truth.refuse("detected", (boxes > 0) & ~detected, "true, as detections.parquet has a box of the vessel")
 
     def count(numbers: Indices) -> Indices:
         """How many of some frame numbers are that of each row of `frames`."""
-        return np.bincount(positions(frame, numbers), minlength=len(frame))
+        return np.bincount(tables.positions(frame, numbers), minlength=len(frame))
 
     merged, without_box = count(drawn[kind == MERGED]), count(of_truth[detected & (boxes == 0)])
     strange, right = merged != without_box, "so that each merged box has a second vessel, detected without a box"
-    truth.refuse("detected", detected & (boxes == 0) & strange[positions(frame, of_truth)], right)
-    detections.refuse("kind", (kind == MERGED) & strange[positions(frame, drawn)], right)
+    truth.refuse("detected", detected & (boxes == 0) & strange[tables.positions(frame, of_truth)], right)
+    detections.refuse("kind", (kind == MERGED) & strange[tables.positions(frame, drawn)], right)
     counts = count(of_truth[annotated]), count(drawn[own]), count(drawn[~own])
     for name, found in zip(("n_annotated", "n_detected", "n_false"), counts, strict=True):
         right = "the number in truth.parquet and detections.parquet"
-        frames.refuse(name, integer_column(frames.table, name) != found, right)
+        frames.refuse(name, tables.integer_column(frames.table, name) != found, right)
 
 
 def _numbers_of(table: pa.Table, scene: Scene) -> Indices:
     """The number of each row's frame, see `frames_taken`, shape (n,)."""
     cameras = [camera.name for camera in scene.cameras]
-    return integer_column(table, "step") * len(cameras) + indices(table, "camera", cameras)
+    return tables.integer_column(table, "step") * len(cameras) + tables.indices(table, "camera", cameras)
 
 
 def _boxes_of(truth: TableRows, detections: TableRows, drawn: Indices, own: Mask, scene: Scene) -> Indices:
@@ -300,10 +291,13 @@ def _boxes_of(truth: TableRows, detections: TableRows, drawn: Indices, own: Mask
         scene: The scene.
     """
     vessels = len(scene.vessels)
-    rows = np.flatnonzero(flags(truth.table, "annotated"))
-    key = _numbers_of(truth.table, scene)[rows] * vessels + indices(truth.table, "vessel", scene.vessel_names)[rows]
-    vessel = indices(detections.table, "vessel", scene.vessel_names)
-    place = positions(key, drawn * vessels + vessel)
+    rows = np.flatnonzero(tables.flags(truth.table, "annotated"))
+    key = (
+        _numbers_of(truth.table, scene)[rows] * vessels
+        + tables.indices(truth.table, "vessel", scene.vessel_names)[rows]
+    )
+    vessel = tables.indices(detections.table, "vessel", scene.vessel_names)
+    place = tables.positions(key, drawn * vessels + vessel)
     strange = (vessel != NOBODY) & (place == NOBODY)
     detections.refuse("vessel", strange, "annotated in truth.parquet in this frame")
     found = np.flatnonzero(own)

@@ -25,7 +25,6 @@ from modsim3d.runs.files.block_files import (
     THESIS_LINES,
     BlockFiles,
     line_kinds,
-    pose_lines,
     schemas_of,
 )
 from modsim3d.runs.files.overwrite import (
@@ -47,6 +46,7 @@ from modsim3d.runs.files.overwrite import (
 )
 from modsim3d.runs.files.table_columns import own_ship_table
 from modsim3d.scene.scene import Scene
+from modsim3d.world.poses.arrays import pose_texts
 
 FILES_AT_ONCE = 8
 """Most files that are put on the disk together: the disk takes hardly longer for several than for one."""
@@ -244,7 +244,9 @@ class RunDirectory:
     def write_poses(self, first: int, stop: int) -> None:
         """Add the poses of steps first to stop − 1, if a live scene has received them."""
         if self._poses is not None:
-            lines = pose_lines(self._scene, first, stop)
+            scene = self._scene
+            texts = pose_texts(scene.poses.poses(first, stop), scene.timestamps(first, stop), scene.vessel_names)
+            lines = b"".join(text + b"\n" for text in texts)
             self._poses.write(lines)
             self._poses.flush()
             os.fsync(self._poses.fileno())  # they cannot come again

@@ -19,12 +19,12 @@ from modsim3d.io.input_files import file_sha256
 from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import Count, Number, Strict, describe, shown
 from modsim3d.runs.counts import Counts
+from modsim3d.runs.files.overwrite import LONGEST_NAME
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked
 
 Sha256 = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
 Text = Annotated[str, Field(strict=True)]
-LONGEST_NAME = 255
 FileName = Annotated[str, Field(strict=True, pattern=r"^[^/\x00]+$", max_length=LONGEST_NAME)]
 Estimate = Number | None
 """A number, null where too few boxes tell it."""

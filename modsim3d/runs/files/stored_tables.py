@@ -16,18 +16,11 @@ from modsim3d.core.boxes import corner_form
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, MERGED, CameraFrames, Detections, Targets
+from modsim3d.runs.files import table_columns
 from modsim3d.runs.files.block_files import OWN_SHIP, schemas_of
 from modsim3d.runs.files.overwrite import RUN_FILE
 from modsim3d.runs.files.row_checks import TableRows, check_detections, check_frames, check_together, check_truth
 from modsim3d.runs.files.run_file import FileEntry, check_content
-from modsim3d.runs.files.table_columns import (
-    BEFORE_ATTITUDE,
-    BOX_SIDES,
-    CENTRE_FORM,
-    ERRORS,
-    TRUTH_NUMBERS,
-    with_attitude,
-)
 from modsim3d.runs.files.tables import (
     DETECTIONS,
     Occluders,
@@ -57,7 +50,7 @@ def truth_of(table: pa.Table, scene: Scene) -> Truth:
         vessel=indices(table, "vessel", scene.vessel_names),
         full_boxes_px=truth_boxes_px(table, "full"),
         visible_boxes_px=truth_boxes_px(table, "visible"),
-        **{name: number_column(table, name) for name in TRUTH_NUMBERS},
+        **{name: number_column(table, name) for name in table_columns.TRUTH_NUMBERS},
         occluder_offsets=occluders.offsets,
         occluder=occluders.name,
         occluder_px=occluders.px,
@@ -99,7 +92,7 @@ def detections_of(
         label=_known_indices(table, "label", model.labels),
         confidence=number_column(table, "confidence"),
         boxes_px=detection_boxes_px(table),
-        errors_px=np.column_stack([number_column(table, name) for name in ERRORS]),
+        errors_px=np.column_stack([number_column(table, name) for name in table_columns.ERRORS]),
         redrawn=np.zeros(len(table), dtype=bool),
         gated=~model.gates.passed(frames, targets),
     )
@@ -135,12 +128,12 @@ def _known_indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
 
 # ---- The table of detections of format 1 ----
 
-_CENTRE_FORM = dict(zip(CENTRE_FORM, ("x_px", "y_px", "width_px", "height_px"), strict=True))
+_CENTRE_FORM = dict(zip(table_columns.CENTRE_FORM, ("x_px", "y_px", "width_px", "height_px"), strict=True))
 FORMAT_1_DETECTIONS = pa.schema(
     [
         field.with_name(_CENTRE_FORM.get(field.name, field.name)).remove_metadata()
         for field in DETECTIONS
-        if field.name not in BOX_SIDES
+        if field.name not in table_columns.BOX_SIDES
     ]
 )
 
@@ -150,7 +143,7 @@ def from_format_1(table: pa.Table) -> pa.Table:
     boxes_px = corner_form(np.column_stack([number_column(table, name) for name in _CENTRE_FORM.values()]))
     columns = dict(zip(table.column_names, table.columns, strict=True))
     columns |= {name: columns[former] for name, former in _CENTRE_FORM.items()}
-    columns |= {side: pa.array(boxes_px[:, i], from_pandas=True) for i, side in enumerate(BOX_SIDES)}
+    columns |= {side: pa.array(boxes_px[:, i], from_pandas=True) for i, side in enumerate(table_columns.BOX_SIDES)}
     return pa.table([columns[name] for name in DETECTIONS.names], schema=DETECTIONS)
 
 
@@ -297,8 +290,8 @@ class StoredTables:
         if OWN_SHIP in schemas_of(scene):
             with damage_named(self._own_ship):
                 found, wanted = pq.read_schema(self._own_ship), schemas_of(scene)[OWN_SHIP]
-                former = found.names == BEFORE_ATTITUDE.names
-                _check_schema(self._own_ship, found, BEFORE_ATTITUDE if former else wanted)
+                former = found.names == table_columns.BEFORE_ATTITUDE.names
+                _check_schema(self._own_ship, found, table_columns.BEFORE_ATTITUDE if former else wanted)
 
     def check_counts(self, counts: dict[str, float]) -> None:
         """Check the number of rows of each table against the counts of `run.json`.
@@ -342,7 +335,9 @@ class StoredTables:
         self._check_checksum(path)
         with damage_named(path):
             table = pq.read_table(path)
-        return with_attitude(table) if table.column_names == BEFORE_ATTITUDE.names else table
+        return (
+            table_columns.with_attitude(table) if table.column_names == table_columns.BEFORE_ATTITUDE.names else table
+        )
 
     def rows(self, first: int, stop: int) -> dict[str, pa.Table]:
         """The rows of steps first to stop − 1 by the table's name.

@@ -206,8 +206,10 @@ class Address:
         if (port := int(found["port"])) > 65535:
             raise ModsimError(f"--to '{text}': a port is a number from 0 to 65535 (got {port})")
         host = found["six"] or ("127.0.0.1" if found["four"] == "localhost" else found["four"])
-        if not _is_ip(host, ipaddress.IPv6Address if found["six"] else ipaddress.IPv4Address):
-            raise ModsimError(f"--to '{text}': '{host}' is no IP address of this computer: {_EXAMPLE}")
+        try:
+            (ipaddress.IPv6Address if found["six"] else ipaddress.IPv4Address)(host)
+        except ValueError:
+            raise ModsimError(f"--to '{text}': '{host}' is no IP address of this computer: {_EXAMPLE}") from None
         return cls(host, port)
 
     def __str__(self) -> str:
@@ -244,11 +246,3 @@ class Address:
                 f"--to {self}: cannot listen there: {error.strerror or error}; port 0 takes any free port"
             ) from None
         return listener
-
-
-def _is_ip(host: str, kind: type[ipaddress.IPv4Address | ipaddress.IPv6Address]) -> bool:
-    try:
-        kind(host)
-    except ValueError:
-        return False
-    return True

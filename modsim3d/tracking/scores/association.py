@@ -5,7 +5,6 @@ A score whose denominator is 0 is None. TrackEval writes 0 or 1 there.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -196,7 +195,7 @@ def hota_of(data: Data) -> Hota:
 
 def clear_of(data: Data, least: float) -> Clear:
     """CLEAR scores of a sequence, from a similarity on."""
-    found = _at(metrics().CLEAR, least).eval_sequence(data)
+    found = metrics().CLEAR({"THRESHOLD": least, "PRINT_CONFIG": False}).eval_sequence(data)
     vessels, matches = data["num_gt_dets"], int(found["CLR_TP"])
     errors = int(found["CLR_FN"] + found["CLR_FP"] + found["IDSW"])
     counts = ("IDSW", "Frag", "MT", "PT", "ML", "CLR_TP", "CLR_FN", "CLR_FP")
@@ -221,8 +220,3 @@ def identity_of(data: Data, least: float) -> Identity:
     vessels, boxes = data["num_gt_dets"], data["num_tracker_dets"]
     counts = ((vessels + boxes) / 2, boxes, vessels)
     return Identity(*(right / count if count else None for count in counts))
-
-
-def _at(metric: Callable[[dict[str, object]], Any], least: float) -> Any:
-    """A metric of TrackEval at a threshold, which prints nothing."""
-    return metric({"THRESHOLD": least, "PRINT_CONFIG": False})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -86,6 +86,25 @@ class Tracker(Strict):
         raise NotImplementedError
 
 
+def answers_of(
+    library: str, step: Callable[[SensedFrame], TrackedFrame], frames: Iterable[SensedFrame], camera: CameraFacts
+) -> Iterator[TrackedFrame]:
+    """Answers of a tracker of some library to each frame, without the warnings of the library.
+
+    Raises:
+        ModsimError: It failed in a frame.
+    """
+    for frame in frames:
+        try:
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                answer = step(frame)
+        except Exception as error:
+            where = f"camera '{camera.name}' at {frame.time_s:g} s"
+            raise ModsimError(f"{library} failed in {where}: {type(error).__name__}: {error}") from error
+        yield answer
+
+
 # ---- SORT, ByteTrack and OC-SORT, as the library `trackers` has them ----
 
 _BUFFER_RATE_HZ = 30
@@ -98,7 +117,7 @@ Overlap = Annotated[float, Field(strict=True, ge=-1, le=1)]
 
 
 class _LibraryTracker(Tracker):
-    """Base of the three trackers of the library.
+    """Base of the three trackers of the library; what one of them adds has the library's name.
 
     Attributes:
         lost_s: A track without a detection for longer is dropped: the library's `lost_track_buffer` over 30.
@@ -131,19 +150,7 @@ class _LibraryTracker(Tracker):
             warnings.simplefilter("ignore")
             tracker = self._library_tracker(camera)
         labels: dict[int, int] = {}
-        for frame in frames:
-            try:
-                with warnings.catch_warnings(), np.errstate(all="ignore"):
-                    warnings.simplefilter("ignore")
-                    answer = self._step(tracker, frame, labels)
-            except Exception as error:
-                where = f"camera '{camera.name}' at {frame.time_s:g} s"
-                raise ModsimError(f"{self.library_name} failed in {where}: {type(error).__name__}: {error}") from error
-            yield answer
-
-    def _own_settings(self) -> dict[str, object]:
-        """Settings that only this tracker has, under the library's names."""
-        return {}
+        yield from answers_of(self.library_name, lambda frame: self._step(tracker, frame, labels), frames, camera)
 
     def _library_tracker(self, camera: CameraFacts) -> Any:
         try:
@@ -172,7 +179,7 @@ class _LibraryTracker(Tracker):
             minimum_iou_threshold=self.minimum_iou_threshold,
             iou=measures[self.iou](),
             state_estimator_class=estimators[self.state_estimator],
-            **self._own_settings(),
+            **{name: getattr(self, name) for name in type(self).model_fields.keys() - _LibraryTracker.model_fields},
         )
 
     def _step(self, tracker: Any, frame: SensedFrame, labels: dict[int, int]) -> TrackedFrame:
@@ -237,9 +244,6 @@ class SortTracker(_LibraryTracker):
 
     track_activation_threshold: Probability = 0.25
 
-    def _own_settings(self) -> dict[str, object]:
-        return {"track_activation_threshold": self.track_activation_threshold}
-
 
 class ByteTracker(_LibraryTracker):
     """ByteTrack (Zhang et al. (2022)).
@@ -254,12 +258,6 @@ class ByteTracker(_LibraryTracker):
 
     track_activation_threshold: Probability = 0.5
     high_conf_det_threshold: Probability = 0.5
-
-    def _own_settings(self) -> dict[str, object]:
-        return {
-            "track_activation_threshold": self.track_activation_threshold,
-            "high_conf_det_threshold": self.high_conf_det_threshold,
-        }
 
 
 class OcSortTracker(_LibraryTracker):
@@ -277,10 +275,3 @@ class OcSortTracker(_LibraryTracker):
     high_conf_det_threshold: Probability = 0.3
     direction_consistency_weight: NotNegative = 0.2
     delta_t: FrameCount = 3
-
-    def _own_settings(self) -> dict[str, object]:
-        return {
-            "high_conf_det_threshold": self.high_conf_det_threshold,
-            "direction_consistency_weight": self.direction_consistency_weight,
-            "delta_t": self.delta_t,
-        }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Any
@@ -40,16 +40,8 @@ class SettingsFile(Strict):
     scenes: dict[str, dict[str, Any]] = Field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class ChosenSettings:
-    """Settings for a scene, and where they come from in a sentence."""
-
-    settings: dict[str, Any] = field(default_factory=dict)
-    chosen: str = DEFAULTS
-
-
-def chosen_settings(name: str, model: type[Tracker], scene: str) -> ChosenSettings:
-    """The settings of a tracker that were chosen for a scene; none where there is no file.
+def chosen_settings(name: str, model: type[Tracker], scene: str) -> tuple[dict[str, Any], str]:
+    """The settings of a tracker that were chosen for a scene, none where there is no file, and how, in a sentence.
 
     Args:
         name: Name of the tracker.
@@ -61,7 +53,7 @@ def chosen_settings(name: str, model: type[Tracker], scene: str) -> ChosenSettin
     """
     path = data_folder("scenes") / "trackers" / f"{name}.yaml"
     if name not in BUILT_IN or not path.is_file():
-        return ChosenSettings()
+        return {}, DEFAULTS
     source = f"settings of a tracker {path}"
     content = load_yaml(path, "settings of a tracker")
     try:
@@ -74,8 +66,8 @@ def chosen_settings(name: str, model: type[Tracker], scene: str) -> ChosenSettin
         except ValidationError as error:
             raise InputError(source, describe(error, model, *place)) from None
     if not file.settings and scene not in file.scenes:
-        return ChosenSettings()
-    return ChosenSettings({**file.settings, **file.scenes.get(scene, {})}, file.chosen)
+        return {}, DEFAULTS
+    return {**file.settings, **file.scenes.get(scene, {})}, file.chosen
 
 
 _ALWAYS = ("numpy", "scipy")
@@ -108,7 +100,10 @@ class NamedTracker:
         Raises:
             ModsimError: A library that it needs is not installed, or its settings cannot be written as JSON.
         """
-        settings = _as_json(self.tracker, str(self))
+        try:
+            settings = self.tracker.model_dump(mode="json")
+        except PydanticSerializationError as error:
+            raise ModsimError(f"{self}: its settings cannot be written as JSON: {error}") from None
         packages = _ALWAYS + (() if self.plugin else BUILT_IN[self.name].packages)
         return Origin(
             tracker=self.name,
@@ -143,18 +138,10 @@ def named_tracker(name: str, settings: Mapping[str, object], scene: str | None) 
     if not isinstance(settings, Mapping):
         raise TypeError(f"settings: a mapping of names to values is needed (got {type(settings).__name__})")
     model, plugin = _model(name)
-    found = ChosenSettings() if scene is None else chosen_settings(name, model, scene)
+    defaults, chosen = ({}, DEFAULTS) if scene is None else chosen_settings(name, model, scene)
     given = {str(key): plain(value) for key, value in settings.items()}
-    tracker = _validated(model, {**found.settings, **given}, name, plugin)
-    return NamedTracker(name, tracker, plugin, _chosen(found.chosen, given))
-
-
-def _as_json(tracker: Tracker, name: str) -> dict[str, Any]:
-    """Settings of a tracker as a JSON file holds them."""
-    try:
-        return tracker.model_dump(mode="json")
-    except PydanticSerializationError as error:
-        raise ModsimError(f"{name}: its settings cannot be written as JSON: {error}") from None
+    tracker = _validated(model, {**defaults, **given}, name, plugin)
+    return NamedTracker(name, tracker, plugin, _chosen(chosen, given))
 
 
 def _chosen(chosen: str, given: Mapping[str, Any]) -> str:

@@ -6,12 +6,11 @@ import warnings
 from collections.abc import Iterable, Iterator
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.validation import NotNegative, Positive
-from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
+from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker, answers_of
 
 Share = Annotated[float, Field(strict=True, gt=0, lt=1)]
 DetectionCount = Annotated[int, Field(strict=True, ge=1, le=1000)]
@@ -63,17 +62,7 @@ class StoneSoup(Tracker):
         except ImportError:
             raise ModsimError('Stone Soup trackers need stonesoup: pip install "modsim3d[trackers]"') from None
         tracker = ImageTracker(self, camera, isinstance(self, StoneSoupJpda))
-        for frame in frames:
-            try:
-                with warnings.catch_warnings(), np.errstate(all="ignore"):
-                    warnings.simplefilter("ignore")
-                    answer = tracker.step(frame)
-            except Exception as error:
-                where = f"camera '{camera.name}' at {frame.time_s:g} s"
-                raise ModsimError(
-                    f"{type(self).__name__} failed in {where}: {type(error).__name__}: {error}"
-                ) from error
-            yield answer
+        yield from answers_of(type(self).__name__, tracker.step, frames, camera)
 
 
 class StoneSoupGnn(StoneSoup):

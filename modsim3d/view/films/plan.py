@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import intersections
 from modsim3d.core.errors import ModsimError
-from modsim3d.runs.counts import NOTHING_WRONG, Outcome, frame_outcomes
+from modsim3d.runs.counts import NOTHING_WRONG, Outcome, faults_of
 from modsim3d.runs.selection import Selection
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
@@ -231,12 +231,7 @@ class FilmPlan:
 
 def mistakes_in(selection: Selection) -> Outcome:
     """Faults of any detection in the frames of a selection."""
-    found = NOTHING_WRONG
-    for step in selection.step_frames():
-        for frame in filter(None, step.frames):
-            for outcome in frame_outcomes(frame):
-                found |= outcome
-    return found
+    return faults_of(frame for step in selection.step_frames() for frame in filter(None, step.frames))
 
 
 def vessels_in(selection: Selection, crops_px: Sequence[Box | None] = ()) -> tuple[int, ...]:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import reduce
-from operator import or_
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,7 +16,7 @@ from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import areas, intersections, unions
 from modsim3d.io.atomic_write import encoded, put_in_place
 from modsim3d.render.id_pass import AnyIdRenderer
-from modsim3d.runs.counts import NOTHING_WRONG, Outcome, frame_outcomes, having
+from modsim3d.runs.counts import Outcome, faults_of, having
 from modsim3d.runs.files.stored_tables import StoredTables
 from modsim3d.runs.files.table_columns import BOX_SIDES
 from modsim3d.runs.files.tables import flags, number_column
@@ -170,8 +168,7 @@ def _sheet(run: StoredRun, highlights: list[Highlight], id_renderer: AnyIdRender
     rows = max(1, -(-len(highlights) // COLUMNS))
     width = COLUMNS * (PANEL_PX[0] + GAP_PX) + GAP_PX
     frames = [run.frame(highlight.camera, highlight.step) for highlight in highlights]
-    mistakes = reduce(or_, (outcome for frame in frames for outcome in frame_outcomes(frame)), NOTHING_WRONG)
-    key = legend(detection_entries(DETECTIONS, annotation.mode, mistakes), width, TEXT_PX)
+    key = legend(detection_entries(DETECTIONS, annotation.mode, faults_of(frames)), width, TEXT_PX)
     foot = rows * (PANEL_PX[1] + CAPTION_PX + GAP_PX) + 2 * GAP_PX + TITLE_PX
     sheet = Image.new("RGB", (width, foot + key.height), palette.PAPER)
     draw = ImageDraw.Draw(sheet)
@@ -228,7 +225,9 @@ def _panel(highlight: Highlight, camera_view: CameraView, window: Window, id_ren
     def wanted(label: Label) -> bool:
         return label.vessel == highlight.vessel and (label.vessel is not None or np.allclose(label.box, focus))
 
-    arrow = _arrow(focus, [window.corners(box) for box in _boxes_px(camera_view.frame)])
+    seen, drawn = camera_view.frame.truth.visible_boxes_px, camera_view.frame.detections.boxes_px
+    there = np.concatenate([seen[~np.isnan(seen).any(axis=1)], drawn])
+    arrow = _arrow(focus, [window.corners(box) for box in there])
     picture = frame_picture(
         camera_view,
         window,
@@ -240,11 +239,6 @@ def _panel(highlight: Highlight, camera_view: CameraView, window: Window, id_ren
     )
     Canvas(picture, NOMINAL_WIDTH_PX).arrow(*arrow, ARROW_PX)
     return picture
-
-
-def _boxes_px(frame: Frame) -> Array:
-    seen = frame.truth.visible_boxes_px
-    return np.concatenate([seen[~np.isnan(seen).any(axis=1)], frame.detections.boxes_px])
 
 
 Arrow = tuple[tuple[float, float], tuple[int, int]]

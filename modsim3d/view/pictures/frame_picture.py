@@ -86,14 +86,9 @@ def draw_detection(canvas: Canvas, box: Box, colour: Colour, outcome: Outcome, w
     else:
         canvas.box(box, colour, weight)
     if outcome & Outcome.MISLABELLED:
-        _draw_flag(canvas, box)
-
-
-def _draw_flag(canvas: Canvas, box: Box) -> None:
-    """Fill the upper right corner of a box."""
-    x0, y0, x1, y1 = box
-    leg = max(5.0, min(FLAG_PX * canvas.unit, FLAG_SHARE * min(x1 - x0, y1 - y0)))
-    canvas.draw.polygon([(x1 - leg, y0), (x1, y0), (x1, y0 + leg)], fill=palette.ALARM, outline=palette.INK)
+        x0, y0, x1, y1 = box
+        leg = max(5.0, min(FLAG_PX * canvas.unit, FLAG_SHARE * min(x1 - x0, y1 - y0)))
+        canvas.draw.polygon([(x1 - leg, y0), (x1, y0), (x1, y0 + leg)], fill=palette.ALARM, outline=palette.INK)
 
 
 def draw_tether(canvas: Canvas, box: Box, true_box: Box) -> None:

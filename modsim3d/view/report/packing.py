@@ -17,7 +17,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import Array, Indices, row_before
 
 NONE = 0xFFFF
 """A box side, a vessel or an occluder that is not there; every place in an image is below it."""
@@ -124,23 +124,14 @@ def rows_before(coded: Coded, columns: Columns) -> Indices:
     if coded.by == OUTLINE_BEFORE:
         names = "outlineOwner", "lineCount", "cornerCount"
         return _corners_before(*(_values(columns[name]).astype(np.int64) for name in names))
-    return same_before(_values(columns[coded.by]))
-
-
-def same_before(keys: Column) -> Indices:
-    """The last row before each row that has the same key, −1 for none, shape (n,)."""
-    before = np.full(len(keys), -1)
-    order = np.argsort(keys, kind="stable")
-    same = np.flatnonzero(np.diff(keys[order]) == 0)
-    before[order[same + 1]] = order[same]
-    return before
+    return row_before(_values(columns[coded.by]))
 
 
 def _corners_before(owner: Indices, line_count: Indices, corner_count: Indices) -> Indices:
     """For each corner that of the outline before of the same owner, if it has as many; else the corner before."""
     lines = np.concatenate([[0], np.cumsum(line_count)])
     corners = np.concatenate([[0], np.cumsum(corner_count)])[lines]
-    size, first, before = np.diff(corners), corners[:-1], same_before(owner)
+    size, first, before = np.diff(corners), corners[:-1], row_before(owner)
     alike = (before >= 0) & (size[before] == size)
     shift = np.where(alike, first - first[before], 1)
     rows: Indices = np.arange(corners[-1]) - np.repeat(shift, size)

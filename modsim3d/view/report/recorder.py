@@ -23,18 +23,8 @@ from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.map_marks import footprint
+from modsim3d.view.report import packing
 from modsim3d.view.report.overview import OutcomesBuilder, OutcomeStretches, Overview, PartMotion, ShownRows, rows_of
-from modsim3d.view.report.packing import (
-    NONE,
-    ROW_BEFORE,
-    Coded,
-    Column,
-    Columns,
-    StretchesBuilder,
-    in_quanta,
-    packed,
-    starts,
-)
 from modsim3d.view.report.part_columns import (
     ALL_SEA,
     PartFrames,
@@ -68,7 +58,7 @@ class TrackRows:
             flags = flags + bit * _at_next(np.flatnonzero(marked), tracks.identity, self._drawn)
         self._flags = flags
 
-    def columns(self, frames: PartFrames, quantum: float) -> dict[str, Column | Coded]:
+    def columns(self, frames: PartFrames, quantum: float) -> dict[str, packing.Column | packing.Coded]:
         """The rows in the frames of a part. A lane is one track of one camera."""
         followed, tracks = self._followed, self._followed.tracks
         first, last = (int(reach(frames.numbers)) for reach in (np.min, np.max)) if frames.count else (0, -1)
@@ -78,13 +68,13 @@ class TrackRows:
         order = order[frame[order] != NOBODY]
         rows = some[order]
         return {
-            "trackStart": Coded(starts(frame[order], frames.pages), by=ROW_BEFORE),
-            "trackLane": Coded(tracks.identity[rows].astype(np.uint32), by=ROW_BEFORE),
-            "trackVessel": Coded(
-                np.where(followed.false, NONE, followed.vessel)[rows].astype(np.uint16), by="trackLane"
+            "trackStart": packing.Coded(packing.starts(frame[order], frames.pages), by=packing.ROW_BEFORE),
+            "trackLane": packing.Coded(tracks.identity[rows].astype(np.uint32), by=packing.ROW_BEFORE),
+            "trackVessel": packing.Coded(
+                np.where(followed.false, packing.NONE, followed.vessel)[rows].astype(np.uint16), by="trackLane"
             ),
             "trackFlags": self._flags[rows].astype(np.uint8),
-            "trackBox": Coded(in_quanta(tracks.boxes_px[rows], quantum), by="trackLane"),
+            "trackBox": packing.Coded(packing.in_quanta(tracks.boxes_px[rows], quantum), by="trackLane"),
         }
 
 
@@ -104,15 +94,15 @@ class Lanes:
     def __init__(self, vessels: int) -> None:
         """Begin with no track in a scene with so many vessels."""
         self._vessels = vessels
-        self._found, self._marks = StretchesBuilder(), [np.empty((0, 3), dtype=np.int64)]
+        self._found, self._marks = packing.StretchesBuilder(), [np.empty((0, 3), dtype=np.int64)]
         self._taken = NOBODY
 
-    def add(self, index: Indices, shown: Indices, taken: Indices, columns: Mapping[str, Column]) -> None:
+    def add(self, index: Indices, shown: Indices, taken: Indices, columns: Mapping[str, packing.Column]) -> None:
         """Add the tracks at some steps: their indices, the frame of each in a part, and its step, all of shape (i,)."""
         rows, at = rows_of(shown, columns["trackStart"])
         lane, flags = columns["trackLane"][rows].astype(np.int64), columns["trackFlags"][rows]
         vessel = columns["trackVessel"][rows].astype(np.int64)
-        vessel = np.where(vessel == NONE, self._vessels, vessel)
+        vessel = np.where(vessel == packing.NONE, self._vessels, vessel)
         key = (lane * (self._vessels + 1) + vessel) * 2 + (flags & UNSCORED > 0)
         self._found.add(key, index[at])
         new = np.diff(taken, prepend=self._taken) != 0
@@ -120,21 +110,21 @@ class Lanes:
         self._marks.append(np.column_stack([lane[marked], index[at[marked]], flags[marked]]))
         self._taken = int(taken[-1])
 
-    def columns(self, prefix: str) -> dict[str, Column | Coded]:
+    def columns(self, prefix: str) -> dict[str, packing.Column | packing.Coded]:
         """The stretches of the lanes in order of time, and their marks."""
         found = self._found.stretches().by_time()
         lane_and_vessel, pale = np.divmod(found.key, 2)
         lane, vessel = np.divmod(lane_and_vessel, self._vessels + 1)
-        vessel = np.where(vessel == self._vessels, NONE, vessel)
+        vessel = np.where(vessel == self._vessels, packing.NONE, vessel)
         marks = np.concatenate(self._marks)
         return {
-            f"{prefix}lane": Coded(lane.astype(np.uint32), by=ROW_BEFORE),
-            f"{prefix}index": Coded(found.first.astype(np.uint32), by=ROW_BEFORE),
-            f"{prefix}long": Coded((found.until - found.first).astype(np.uint32)),
-            f"{prefix}vessel": Coded(vessel.astype(np.uint16), by=f"{prefix}lane"),
+            f"{prefix}lane": packing.Coded(lane.astype(np.uint32), by=packing.ROW_BEFORE),
+            f"{prefix}index": packing.Coded(found.first.astype(np.uint32), by=packing.ROW_BEFORE),
+            f"{prefix}long": packing.Coded((found.until - found.first).astype(np.uint32)),
+            f"{prefix}vessel": packing.Coded(vessel.astype(np.uint16), by=f"{prefix}lane"),
             f"{prefix}pale": pale.astype(np.uint8),
             f"{prefix}markLane": marks[:, 0].astype(np.uint32),
-            f"{prefix}markIndex": Coded(marks[:, 1].astype(np.uint32), by=ROW_BEFORE),
+            f"{prefix}markIndex": packing.Coded(marks[:, 1].astype(np.uint32), by=packing.ROW_BEFORE),
             f"{prefix}markFlags": marks[:, 2].astype(np.uint8),
         }
 
@@ -150,7 +140,7 @@ def track_facts(followed: FollowedTracks) -> dict[str, Any]:
     }
 
 
-def _at_next(marked: Indices, identity: Indices, drawn: Indices) -> Column:
+def _at_next(marked: Indices, identity: Indices, drawn: Indices) -> packing.Column:
     """Whether each row is the first drawn one of its track at or after a marked one, shape (k,)."""
     order = np.lexsort((drawn, identity[drawn]))
     keys = identity[drawn[order]] * len(identity) + drawn[order]  # ascending, as rows are in order of time
@@ -177,7 +167,7 @@ class Places:
         self._reach: list[Array] = []
         self._half_m = np.array([vessel.length_m for vessel in scene.vessels])[:, None] / 2
 
-    def columns(self, steps: Indices, motion: PartMotion) -> dict[str, Column | Coded]:
+    def columns(self, steps: Indices, motion: PartMotion) -> dict[str, packing.Column | packing.Coded]:
         """The places at ascending steps, shape (S,): a row a step, with a column for each vessel or camera."""
         scene, poses = self._scene, motion.at(steps).poses
         there, place_m = poses.present, poses.positions_m[..., :2]
@@ -189,13 +179,13 @@ class Places:
         self._reach = [np.array([every.min(axis=0), every.max(axis=0)])]
         return {
             "placed": there.astype(np.uint8),
-            "place": Coded(
-                _centimetres(np.where(there[..., None], place_m, 0.0)).reshape(len(steps), -1), by=ROW_BEFORE
+            "place": packing.Coded(
+                _centimetres(np.where(there[..., None], place_m, 0.0)).reshape(len(steps), -1), by=packing.ROW_BEFORE
             ),
-            "heading": Coded(_turns(np.where(there, poses.headings_rad, 0.0)), by=ROW_BEFORE),
+            "heading": packing.Coded(_turns(np.where(there, poses.headings_rad, 0.0)), by=packing.ROW_BEFORE),
             "cameraPlaced": camera_there.astype(np.uint8),
-            "cameraPlace": Coded(_centimetres(camera_m).reshape(len(steps), -1), by=ROW_BEFORE),
-            "cameraLooks": Coded(_turns(looks).reshape(len(steps), -1), by=ROW_BEFORE),
+            "cameraPlace": packing.Coded(_centimetres(camera_m).reshape(len(steps), -1), by=packing.ROW_BEFORE),
+            "cameraLooks": packing.Coded(_turns(looks).reshape(len(steps), -1), by=packing.ROW_BEFORE),
         }
 
     def facts(self) -> dict[str, Any]:
@@ -227,11 +217,11 @@ def _camera_places(scene: Scene, camera: Camera, steps: Indices, motion: PartMot
     return place_m, looks_rad, there
 
 
-def _centimetres(metres: Array) -> Column:
+def _centimetres(metres: Array) -> packing.Column:
     return np.rint(metres * PER_METRE).astype(np.int32)
 
 
-def _turns(angles_rad: Array) -> Column:
+def _turns(angles_rad: Array) -> packing.Column:
     return np.rint(angles_rad / (2 * np.pi) * PER_TURN).astype(np.int64).astype(np.uint16)
 
 
@@ -249,7 +239,7 @@ MAX_DIGITS = 15
 """Whole numbers up to here are exact in the browser."""
 
 
-def clock(timestamps: Sequence[str]) -> tuple[dict[str, Any], Columns]:
+def clock(timestamps: Sequence[str]) -> tuple[dict[str, Any], packing.Columns]:
     """Facts and columns from which the player has the texts of the steps' times; see `said`.
 
     Texts that are not plain decimals in their shortest form are stored as they are.
@@ -261,7 +251,7 @@ def clock(timestamps: Sequence[str]) -> tuple[dict[str, Any], Columns]:
         exact = max(map(abs, units)) < 10**MAX_DIGITS and np.abs(differences).max(initial=0) < LONGEST_DIFFERENCE
         if exact and all(said(unit, decimals) == text for unit, text in zip(units, timestamps, strict=True)):
             facts = {"decimals": decimals, "first": units[0]}
-            return facts, {"clock": Coded(differences.astype(np.int32), by=ROW_BEFORE)}
+            return facts, {"clock": packing.Coded(differences.astype(np.int32), by=packing.ROW_BEFORE)}
     return {}, {"clockTexts": np.frombuffer("\n".join(timestamps).encode("utf-8"), np.uint8)}
 
 
@@ -325,11 +315,11 @@ def recording(
     recorder = _Recorder(run, every, followed)
     done = []
     for part in parts(run, every, count):
-        done.append(packed(recorder.columns(part)))
+        done.append(packing.packed(recorder.columns(part)))
         progress(len(part.steps))
     facts, overview = recorder.overview()
     facts |= {"parts": len(done), "partSteps": shown_in_a_part(run.scene, every)}
-    return Recording(name, facts, packed(overview), tuple(done), recorder.outcomes())
+    return Recording(name, facts, packing.packed(overview), tuple(done), recorder.outcomes())
 
 
 class _Recorder:
@@ -349,7 +339,7 @@ class _Recorder:
             self._lanes = [Lanes(len(run.scene.vessels)) for _ in run.scene.cameras]
             self._tracks = TrackRows(followed, run.scene, self._steps)
 
-    def columns(self, part: PartRows) -> dict[str, Column | Coded]:
+    def columns(self, part: PartRows) -> dict[str, packing.Column | packing.Coded]:
         """The columns of a part, which is added to the overviews."""
         frames = PartFrames(part)
         horizons = np.empty((frames.pages, 3))
@@ -358,8 +348,8 @@ class _Recorder:
         shape_frame, silhouettes = self._silhouettes.columns(part.rows, frames.steps, motion, horizons)
         columns = {
             **frame_columns(part, frames),
-            "horizon": Coded(horizons.astype(np.float32), by=ROW_BEFORE),
-            "shapeStart": Coded(starts(shape_frame, frames.pages), by=ROW_BEFORE),
+            "horizon": packing.Coded(horizons.astype(np.float32), by=packing.ROW_BEFORE),
+            "shapeStart": packing.Coded(packing.starts(shape_frame, frames.pages), by=packing.ROW_BEFORE),
             **silhouettes,
             **truth_columns(part.rows, frames, self._quantum),
             **detection_columns(part.rows, frames, self._quantum),
@@ -370,9 +360,9 @@ class _Recorder:
         self._add(part, frames.shown, columns)
         return columns
 
-    def _add(self, part: PartRows, shown: Indices, columns: Mapping[str, Column | Coded]) -> None:
+    def _add(self, part: PartRows, shown: Indices, columns: Mapping[str, packing.Column | packing.Coded]) -> None:
         index = part.steps // self._every
-        plain = {name: each.values if isinstance(each, Coded) else each for name, each in columns.items()}
+        plain = {name: each.values if isinstance(each, packing.Coded) else each for name, each in columns.items()}
         for camera, (overview, outcomes) in enumerate(zip(self._overviews, self._outcomes, strict=True)):
             rows = ShownRows.of(index, shown[:, camera], plain)
             overview.add(rows)
@@ -384,12 +374,12 @@ class _Recorder:
         """Outcomes of the vessels, of each camera, once all parts are there."""
         return tuple(each.stretches() for each in self._outcomes)
 
-    def overview(self) -> tuple[dict[str, Any], dict[str, Column | Coded]]:
+    def overview(self) -> tuple[dict[str, Any], dict[str, packing.Column | packing.Coded]]:
         """The facts, and the columns of what the timeline shows, once all parts are there."""
         scene, steps = self._scene, self._steps
         timestamps = scene.timestamps(0, int(steps[-1]) + 1)[:: self._every]
         times, columns = clock(timestamps)
-        every: dict[str, Column | Coded] = {**columns, **self._silhouettes.still_columns()}
+        every: dict[str, packing.Column | packing.Coded] = {**columns, **self._silhouettes.still_columns()}
         for camera, overview in enumerate(self._overviews):
             every |= overview.columns(f"{camera}.", half=bool(self._lanes))
         for camera, lanes in enumerate(self._lanes):
@@ -437,4 +427,4 @@ def _facts(scene: Scene, quantum: float) -> dict[str, Any]:
 
 def quantum_px(image_sizes_px: list[tuple[int, int]]) -> float:
     """The finest length with which every place in the images fits into 16 bits."""
-    return max(FINEST_PX, max(max(size) for size in image_sizes_px) / (NONE - 1))
+    return max(FINEST_PX, max(max(size) for size in image_sizes_px) / (packing.NONE - 1))

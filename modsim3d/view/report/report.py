@@ -31,15 +31,7 @@ from modsim3d.view.pages.provenance import (
     track_inputs,
 )
 from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
-from modsim3d.view.report.count_tables import (
-    CAMERA_HEADER,
-    STATE_HEADER,
-    VESSEL_HEADER,
-    CountTables,
-    DetectorCounts,
-    Rows,
-    named_values,
-)
+from modsim3d.view.report import count_tables
 from modsim3d.view.report.packing import as_text
 from modsim3d.view.report.recorder import Recording, recording
 
@@ -59,14 +51,6 @@ def recording_html(recording: Recording, folder: str | None = None) -> str:
         *(data_element(f"part-{name}-{i}", part) for i, part in enumerate(recording.parts) if folder is None),
     ]
     return "\n".join(elements)
-
-
-def part_files(recording: Recording) -> dict[str, str]:
-    """A script for each part, by the name of its file: it hands the part over, as a page on a disk can read no data."""
-    return {
-        f"{recording.name}-{i}.js": f'takePart("part-{recording.name}-{i}", "{as_text(part)}");\n'
-        for i, part in enumerate(recording.parts)
-    }
 
 
 def data_element(element: str, data: bytes) -> str:
@@ -188,8 +172,9 @@ def write_page(
         return
     with put_folder_in_place(folder, PART_FILES) as partial:
         for recording in recordings:
-            for name, content in part_files(recording).items():
-                (partial / name).write_text(content, encoding="utf-8")
+            for i, part in enumerate(recording.parts):  # as scripts: a page on a disk can read no data
+                script = f'takePart("part-{recording.name}-{i}", "{as_text(part)}");\n'
+                (partial / f"{recording.name}-{i}.js").write_text(script, encoding="utf-8")
         write_files({out: page})
 
 
@@ -270,7 +255,7 @@ def write_report(
     """
     check_steps(run)
     out = run.folder / REPORT_FILE if out is None else out
-    counts = CountTables(run.scene)
+    counts = count_tables.CountTables(run.scene)
     frames = recording(run, every, progress, followed, count=counts.add)
     lead = html.escape(_lead(run, every))
     text = PageText(
@@ -335,7 +320,7 @@ def note_on_steps(every: int) -> str:
     return f"<p class=soft>One of {every:,} steps is shown; the tables count all of them.</p>"
 
 
-def _result(counts: DetectorCounts) -> str:
+def _result(counts: count_tables.DetectorCounts) -> str:
     """The counts of what the detector did, under a warning where many of its boxes do not fit."""
     tiles = "\n".join(
         f"<div><dt>{html.escape(name)}</dt><dd>{count}</dd><dd>{html.escape(meaning)}</dd></div>"
@@ -368,17 +353,19 @@ def _steps(run: StoredRun, every: int) -> str:
     return f"{run.steps:,}{whole}" + (f", one of {every} shown" if every > 1 else "")
 
 
-def _tables(counts: CountTables, settings: dict[str, Any], rests_on: Provenance) -> str:
+def _tables(counts: count_tables.CountTables, settings: dict[str, Any], rests_on: Provenance) -> str:
     parts = [
         ("What happened", counts.overall(), ()),
-        *([("By camera", cameras, CAMERA_HEADER)] if len(cameras := counts.by_camera()) > 1 else []),
-        ("By performance state of the detector", counts.by_state(), STATE_HEADER),
-        ("By vessel", counts.by_vessel(), VESSEL_HEADER),
+        *([("By camera", cameras, count_tables.CAMERA_HEADER)] if len(cameras := counts.by_camera()) > 1 else []),
+        ("By performance state of the detector", counts.by_state(), count_tables.STATE_HEADER),
+        ("By vessel", counts.by_vessel(), count_tables.VESSEL_HEADER),
     ]
-    every_setting = folded("All settings of the run", facts([(name, text) for name, text in named_values(settings)]))
+    every_setting = folded(
+        "All settings of the run", facts([(name, text) for name, text in count_tables.named_values(settings)])
+    )
     return f"{sections(parts)}\n<section>{every_setting}</section>\n{provenance(rests_on)}"
 
 
-def sections(parts: Sequence[tuple[str, Rows, Sequence[str]]]) -> str:
+def sections(parts: Sequence[tuple[str, count_tables.Rows, Sequence[str]]]) -> str:
     """Tables below the player: their titles, rows and headers."""
     return "\n".join(f"<section>{heading(title)}{table(rows, header)}</section>" for title, rows, header in parts)

@@ -18,19 +18,11 @@ from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages.page import heading
 from modsim3d.view.pages.provenance import Provenance, provenance, run_inputs, run_seeds, run_versions
 from modsim3d.view.pages.tables import table
+from modsim3d.view.report import report
 from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, Rows, named_values
 from modsim3d.view.report.overview import OutcomeStretches
 from modsim3d.view.report.packing import ROW_BEFORE, Coded, Column, packed
 from modsim3d.view.report.recorder import recording
-from modsim3d.view.report.report import (
-    PageText,
-    check_steps,
-    data_element,
-    json_in_html,
-    note_on_steps,
-    sections,
-    write_page,
-)
 
 # ---- Two runs of the same truth ----
 
@@ -131,12 +123,6 @@ def difference_columns(found: Differences) -> dict[str, Column | Coded]:
 PAIRED_HEADER = ("Vessel", "Annotated", "Detected by both", "Only by A", "Only by B", "By neither")
 
 
-def compared_counts(first: CountTables, second: CountTables) -> Rows:
-    """Name of each count of `DetectorCounts.named`, the count and its share in the first and in the second run."""
-    pairs = zip(first.total.named(), second.total.named(), strict=True)
-    return [(name, one, share, other, second_share) for (name, one, share), (_, other, second_share) in pairs]
-
-
 def paired_detections(first: RunRows, second: RunRows) -> Rows:
     """How many annotated vessels both, one or none of the runs detected, by vessel and in all; see `PAIRED_HEADER`."""
     vessel, given = first.truth_vessel, first.annotated
@@ -179,17 +165,18 @@ def write_side_by_side(
         OutputError: A file cannot be written.
     """
     for run in (first, second):
-        check_steps(run)
+        report.check_steps(run)
     check_same_truth(first, second)
     out = first.folder / SIDE_BY_SIDE_FILE if out is None else out
-    runs, names = (first, second), run_names(first, second)
+    runs, names = (first, second), (f"A {first.folder.resolve().name}", f"B {second.folder.resolve().name}")
     tables = [CountTables(run.scene) for run in runs]
     recordings = [
         recording(run, every, progress, name=name, count=counts.add)
         for run, name, counts in zip(runs, "AB", tables, strict=True)
     ]
     found = differences(recordings[0].outcomes, recordings[1].outcomes)
-    compared = compared_counts(tables[0], tables[1])
+    pairs = zip(tables[0].total.named(), tables[1].total.named(), strict=True)
+    compared: Rows = [(name, one, share, other, second_share) for (name, one, share), (_, other, second_share) in pairs]
     paired = paired_detections(*(RunRows.of(run) for run in runs))
     parts = [
         ("What happened", compared, ("", names[0], "", names[1], "")),
@@ -199,8 +186,8 @@ def write_side_by_side(
             for name, counts in zip(names, tables, strict=True)
         ),
     ]
-    note = note_on_steps(every) if every > 1 else ""
-    text = PageText(
+    note = report.note_on_steps(every) if every > 1 else ""
+    text = report.PageText(
         title=f"{first.scene.name}: two runs side by side",
         name=f"{first.scene.name}: two runs",
         lead=html.escape(
@@ -210,10 +197,12 @@ def write_side_by_side(
         notes=note,
         result=_result(compared, names),
         tables="\n".join(
-            [sections(parts), _settings(first, second, names), provenance(_provenance(runs, every, command))]
+            [report.sections(parts), _settings(first, second, names), provenance(_provenance(runs, every, command))]
         ),
     )
-    write_page(text, recordings, out, in_files=in_files, differences=_differences_html(found, names))
+    facts = f'<script type="application/json" id="runs">{report.json_in_html(names)}</script>'
+    columns = report.data_element("differences-columns", packed(difference_columns(found)))
+    report.write_page(text, recordings, out, in_files=in_files, differences=f"{facts}\n{columns}")
     return out
 
 
@@ -230,11 +219,6 @@ def _provenance(runs: tuple[StoredRun, StoredRun], every: int, command: str | No
     )
 
 
-def run_names(first: StoredRun, second: StoredRun) -> tuple[str, str]:
-    """Names of the runs on the page: their letters and the names of their folders."""
-    return f"A {first.folder.resolve().name}", f"B {second.folder.resolve().name}"
-
-
 def _settings(first: StoredRun, second: StoredRun, names: tuple[str, str]) -> str:
     """The settings that differ, but for checksums, which stand below, and what follows from the noise."""
     one, other = ({row[0]: row[1] for row in named_values(run.settings)} for run in (first, second))
@@ -243,11 +227,6 @@ def _settings(first: StoredRun, second: StoredRun, names: tuple[str, str]) -> st
     rows = [(key, *(each.get(key, UNKNOWN) for each in (one, other))) for key in differ]
     shown = table(rows, ("", *names))
     return f"<section>{heading('Settings that differ')}{shown}</section>"
-
-
-def _differences_html(found: Differences, names: tuple[str, str]) -> str:
-    facts = f'<script type="application/json" id="runs">{json_in_html(names)}</script>'
-    return f"{facts}\n{data_element('differences-columns', packed(difference_columns(found)))}"
 
 
 def _times(number: int) -> str:

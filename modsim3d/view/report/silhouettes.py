@@ -11,14 +11,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.core.arrays import Array, Indices, Mask, run_starts
+from modsim3d.core.arrays import Array, Indices, Mask, row_before, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.occlusion_order import in_boxes, order_of_pairs, overlapping_pairs
 from modsim3d.truth.outlines import Outlines, new_numbers
 from modsim3d.view.report.overview import PartMotion
-from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column, same_before
+from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column
 from modsim3d.view.report.silhouette_edges import Edges, contours, silhouette_edges, tidy_at_border
 from modsim3d.world.vessel_motion import PosesInWaves
 
@@ -45,7 +45,7 @@ def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[I
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
     others = outlines.occluder[first] != outlines.occluder[second]
     first, second = first[others], second[others]
-    nearest_m, farthest_m = _depths_m(boxes)
+    nearest_m, farthest_m = boxes.depths_m()
     first_nearer, second_nearer = farthest_m[first] <= nearest_m[second], farthest_m[second] <= nearest_m[first]
     apart = first_nearer | second_nearer
     order = order_of_pairs(boxes, first[~apart], second[~apart])
@@ -58,15 +58,6 @@ def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[I
     farther = second[first_nearer], first[second_nearer & ~first_nearer]
     nearer = first[first_nearer], second[second_nearer & ~first_nearer]
     return np.concatenate([*hidden, *farther]), np.concatenate([*hider, *nearer])
-
-
-def _depths_m(outlines: Outlines) -> tuple[Array, Array]:
-    """The least and the greatest depth of each row's vertices, two arrays of shape (n,)."""
-    nearest_m, farthest_m = np.zeros((2, len(outlines)))
-    for part in outlines.parts:
-        depths_m = part.vertices_camera[..., 2]
-        nearest_m[part.rows], farthest_m[part.rows] = depths_m.min(axis=1), depths_m.max(axis=1)
-    return nearest_m, farthest_m
 
 
 def _keys(outlines: Outlines, hidden: Indices, hider: Indices, occluder_count: int) -> Indices:
@@ -344,7 +335,7 @@ def outline_numbers(moving: Shapes, camera: Indices) -> tuple[Indices, Mask]:
 
     A shape has the outline of the shape before of its occluder in its camera if that is the same.
     """
-    before = same_before(moving.occluder * (int(camera.max(initial=0)) + 1) + camera)
+    before = row_before(moving.occluder * (int(camera.max(initial=0)) + 1) + camera)
     new = ~moving.equal(before)
     number = np.cumsum(new) - 1
     while len(repeated := np.flatnonzero(~new & (number != number[before]))):

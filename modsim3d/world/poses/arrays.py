@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -86,22 +86,24 @@ def pose_file(poses: RecordedPoses, names: Sequence[str], source: str) -> bytes:
     Raises:
         InputError: It would be too large to be read again.
     """
-    rows = poses.recorded
-    positions, headings = rows.positions_m.tolist(), rows.headings_rad.tolist()
-    lines = []
-    for step, timestamp in enumerate(poses.timestamps):
-        entries = {
-            names[column]: {"center_position_m": positions[step][column], "heading_rad": headings[step][column]}
-            for column in np.flatnonzero(rows.present[step]).tolist()
-        }
-        lines.append(orjson.dumps({timestamp: entries})[1:-1])
-    text = b"{" + b",\n".join(lines) + b"}\n"
+    text = b"{" + b",\n".join(line[1:-1] for line in pose_texts(poses.recorded, poses.timestamps, names)) + b"}\n"
     if len(text) > input_files.MAX_TEXT_BYTES:
         problem = (
             f"poses: the arrays make a pose file of {len(text):,} bytes, and at most {input_files.MAX_TEXT_BYTES:,}"
         )
         raise InputError(source, [f"{problem} can be read again: use fewer steps or vessels"])
     return text
+
+
+def pose_texts(poses: Poses, timestamps: Sequence[str], names: Sequence[str]) -> Iterator[bytes]:
+    """The JSON text of each step, an object of its timestamp alone; reading it gives exactly the same numbers."""
+    positions, headings = poses.positions_m.tolist(), poses.headings_rad.tolist()
+    for step, timestamp in enumerate(timestamps):
+        entries = {
+            names[column]: {"center_position_m": positions[step][column], "heading_rad": headings[step][column]}
+            for column in np.flatnonzero(poses.present[step]).tolist()
+        }
+        yield orjson.dumps({timestamp: entries})
 
 
 def _names(given: object, vessels: Sequence[str] | None, problems: list[str]) -> list[str] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import cast
 
@@ -86,50 +87,6 @@ def _check_files(files: object, request: PoseRequest) -> None:
             raise ModsimError(f"files names {file!r}, which is no file")
 
 
-def plugin_vessels(keys: SourceKeys, plugin: Plugin, request: PoseRequest) -> Mapping[str, Mapping[str, object]]:
-    """Entries of the vessels that a plug-in draws; each entry is checked elsewhere.
-
-    Raises:
-        InputError: The plug-in fails, or returns something that is no mapping of names to mappings.
-    """
-    try:
-        entries = keys.vessels(request)
-        if not isinstance(entries, Mapping) or not all(isinstance(entry, Mapping) for entry in entries.values()):
-            raise ModsimError("vessels() must return a mapping of vessel ID to the mapping of a vessels file's entry")
-        return {name: dict(entry) for name, entry in entries.items()}
-    except InputError:
-        raise
-    except ModsimError as error:
-        raise InputError(f"poses.{plugin.name}", [f"{plugin}: {error}"]) from error
-    except Exception as error:
-        raise InputError(f"poses.{plugin.name}", [str(failed(plugin, error))]) from error
-
-
-def build_plugin(keys: SourceKeys, plugin: Plugin, request: PoseRequest) -> PoseSource:
-    """The pose source of a plug-in.
-
-    Raises:
-        InputError: The plug-in fails, or returns something that is no pose source.
-    """
-    try:
-        source = keys.build(request)
-        _check_files(keys.files, request)
-        if not (hasattr(source, "timestamps") and callable(getattr(source, "poses", None))):
-            raise ModsimError(
-                f"build() must return a pose source, with timestamps and poses(first, stop), not {source!r}"
-            )
-        vessels = len(request.names or ())
-        if isinstance(source, LivePoses):
-            return LivePoses(_checked_steps(source.steps, plugin, vessels), vessels, source.source)
-        return CheckedPoses(source, plugin, vessels)
-    except InputError:
-        raise
-    except ModsimError as error:
-        raise InputError(f"poses.{plugin.name}", [f"{plugin}: {error}"]) from error
-    except Exception as error:
-        raise InputError(f"poses.{plugin.name}", [str(failed(plugin, error))]) from error
-
-
 SOURCES: dict[str, type[SourceKeys]] = {
     "file": FileKeys,
     "circular": CircularKeys,
@@ -149,12 +106,51 @@ class NamedSource:
     plugin: Plugin | None
 
     def vessels(self, request: PoseRequest) -> Mapping[str, Mapping[str, object]]:
-        """Entries of the vessels that it draws; see `SourceKeys.vessels`."""
-        return self.keys.vessels(request) if self.plugin is None else plugin_vessels(self.keys, self.plugin, request)
+        """Entries of the vessels that it draws, see `SourceKeys.vessels`; each entry of a plug-in is checked elsewhere.
+
+        Raises:
+            InputError: With every problem found, or a plug-in fails or returns no mapping of names to mappings.
+        """
+        if self.plugin is None:
+            return self.keys.vessels(request)
+        with _failures_of(self.plugin):
+            entries = self.keys.vessels(request)
+            if not isinstance(entries, Mapping) or not all(isinstance(entry, Mapping) for entry in entries.values()):
+                raise ModsimError(
+                    "vessels() must return a mapping of vessel ID to the mapping of a vessels file's entry"
+                )
+            return {name: dict(entry) for name, entry in entries.items()}
 
     def build(self, request: PoseRequest) -> PoseSource:
-        """The poses of a scene's vessels; see `SourceKeys.build`."""
-        return self.keys.build(request) if self.plugin is None else build_plugin(self.keys, self.plugin, request)
+        """The poses of a scene's vessels; see `SourceKeys.build`.
+
+        Raises:
+            InputError: With every problem found, or a plug-in fails or returns no pose source.
+        """
+        if self.plugin is None:
+            return self.keys.build(request)
+        with _failures_of(self.plugin):
+            source = self.keys.build(request)
+            _check_files(self.keys.files, request)
+            if not (hasattr(source, "timestamps") and callable(getattr(source, "poses", None))):
+                raise ModsimError(
+                    f"build() must return a pose source, with timestamps and poses(first, stop), not {source!r}"
+                )
+            vessels = len(request.names or ())
+            if isinstance(source, LivePoses):
+                return LivePoses(_checked_steps(source.steps, self.plugin, vessels), vessels, source.source)
+            return CheckedPoses(source, self.plugin, vessels)
+
+
+@contextmanager
+def _failures_of(plugin: Plugin) -> Iterator[None]:
+    """Name a plug-in in whatever it raises; with every problem in an `InputError`, it has done so itself."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"poses.{plugin.name}", [str(failed(plugin, error))]) from error
 
 
 def read_source(poses: Mapping[str, object], scene: str) -> NamedSource:

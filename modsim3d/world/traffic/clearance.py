@@ -12,7 +12,7 @@ import shapely
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.geometry.kinematics import union_of
-from modsim3d.world.bodies import Obstacle
+from modsim3d.world.bodies import Obstacle, solid_footprint
 from modsim3d.world.traffic.tracks import Sweep, Track
 
 # ---- Water between hulls, and between hulls and land, over a whole drive ----
@@ -117,7 +117,7 @@ class Land:
             for solid, vertices in obstacle.solids:
                 if vertices[:, 2].max() > 0:
                     base = max(float(vertices[:, 2].min()), 0.0)
-                    found.setdefault(base, []).append(_footprint(vertices, None if solid.convex else solid.faces))
+                    found.setdefault(base, []).append(solid_footprint(solid, vertices))
         levels, so_far = [], shapely.Polygon()
         for base in sorted(found):
             so_far = union_of([so_far, *found[base]])
@@ -157,13 +157,6 @@ def corners(places: Array, axes: Array, half: tuple[float, float]) -> Array:
     """Corners of n rectangles, shape (n, 4, 2)."""
     along, across = axes * half[0], np.stack([-axes[:, 1], axes[:, 0]], axis=-1) * half[1]
     return places[:, None] + np.stack([along + across, along - across, -along - across, across - along], axis=1)
-
-
-def _footprint(vertices: Array, faces: Indices | None) -> shapely.Geometry:
-    if faces is None:
-        return shapely.MultiPoint(vertices[:, :2]).convex_hull
-    triangles = shapely.polygons(vertices[:, :2][faces])
-    return union_of(triangles[shapely.area(triangles) > 0])
 
 
 COMFORT = 0.4

@@ -15,7 +15,6 @@ from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.core.random_streams import Purpose, Streams, on_grid
 from modsim3d.io.validation import join_path, nearest
-from modsim3d.world.bodies import Obstacle
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.world.poses.replay import RecordedPoses, check_pose_count
 from modsim3d.world.traffic.clearance import LONGEST_INTERVAL_S, Land, TooCrowded, Waters, least_gaps
@@ -175,17 +174,6 @@ MAX_SECONDS = 2_000_000
 AFTER_LAST_ENCOUNTER_S = 30.0
 
 
-@dataclass(frozen=True)
-class TrafficSetting:
-    """Setting of traffic beside its keys: the scene file's vessels that have a route, obstacles, times, seed."""
-
-    own: tuple[Vessel, ...]
-    obstacles: tuple[Obstacle, ...]
-    steps: int
-    time_step_s: float
-    seed: int
-
-
 @dataclass(frozen=True, eq=False)
 class DrivePlan:
     """A drive: tracks of the scene file's vessels, drawn vessels, and how many of each section found no room."""
@@ -196,19 +184,23 @@ class DrivePlan:
 
 
 @lru_cache(maxsize=4)
-def plan(keys_json: str, setting: TrafficSetting) -> DrivePlan:
+def plan(keys_json: str, setting: PoseRequest) -> DrivePlan:
     """The plan for some keys, as JSON. A scene asks twice: for the vessels, then for their poses.
+
+    `setting` has no vessels of the scene file but those with a route, and no names.
 
     Raises:
         InputError: With every problem found.
     """
     keys = TrafficSections.model_validate_json(keys_json)
-    duration = _duration_s(keys, setting)
+    # Of a short scene as of a longer one, so that a short run sees the beginning of the same traffic.
+    last = max((meeting.time_s[1] + AFTER_LAST_ENCOUNTER_S for meeting in keys.encounters.values()), default=0.0)
+    duration = max(((setting.steps or 0) - 1) * (setting.time_step_s or 0.0), keys.duration_s, last)
     if duration > MAX_SECONDS:
         raise refused([f": a drive of {duration:,.0f} s is too long: at most {MAX_SECONDS:,} s"])
-    waters = Waters.during(Land.of(setting.obstacles), duration, setting.time_step_s, keys.clearance_m)
+    waters = Waters.during(Land.of(setting.obstacles), duration, setting.time_step_s or 0.0, keys.clearance_m)
     chart = Chart(keys, Streams(setting.seed), waters, {})
-    problems = _problems(chart) + enter_own(chart, setting.own)
+    problems = _problems(chart) + enter_own(chart, setting.vessels)
     for name, meeting in keys.encounters.items():
         problems += encounter_problems(chart, name, meeting)
     if problems:
@@ -225,12 +217,6 @@ def plan(keys_json: str, setting: TrafficSetting) -> DrivePlan:
 def refused(problems: list[str]) -> InputError:
     """The error for problems, each with its path below the section."""
     return InputError(WHERE, [f"{WHERE}{'' if text.startswith(':') else '.'}{text}" for text in problems])
-
-
-def _duration_s(keys: TrafficSections, setting: TrafficSetting) -> float:
-    """Time that is planned: the scene, or more, so that a short run sees the beginning of the same traffic."""
-    last = max((meeting.time_s[1] + AFTER_LAST_ENCOUNTER_S for meeting in keys.encounters.values()), default=0.0)
-    return max((setting.steps - 1) * setting.time_step_s, keys.duration_s, last)
 
 
 def _problems(chart: Chart) -> list[str]:
@@ -334,5 +320,4 @@ class TrafficKeys(SourceKeys, TrafficSections):
             raise refused(problems)
         own = tuple(replace(vessel, solid=shoebox()) for vessel in request.vessels if vessel.name in self.own)
         check_pose_count(WHERE, request.steps or 0, len(request.vessels))
-        setting = TrafficSetting(own, request.obstacles, request.steps or 0, request.time_step_s or 0.0, request.seed)
-        return plan(self.model_dump_json(), setting)
+        return plan(self.model_dump_json(), replace(request, names=None, vessels=own))

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from modsim3d.io.validation import Metres, Number, Strict, nearest, shown
 from modsim3d.world.traffic.paths import SHARPEST_RAD, turns_rad
-from modsim3d.world.traffic.tracks import KindKeys, SpeedRange, rising, shipped_kinds
+from modsim3d.world.traffic.tracks import KindKeys, SpeedRange, one_as_range, rising, shipped_kinds
 
 MAX_WAYPOINTS, MAX_SECTIONS = 200, 100
 MIN_LEG_M = 1.0
@@ -64,20 +64,16 @@ def _labels(labels: object) -> object:
     return labels
 
 
-def _one_as_range(value: object) -> object:
-    return (value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
-
-
 Route = Annotated[list[Place], Field(min_length=2, max_length=MAX_WAYPOINTS), AfterValidator(_route)]
 Polygon = Annotated[list[Place], Field(min_length=3, max_length=MAX_WAYPOINTS), AfterValidator(_area)]
 Mix = Annotated[dict[str, Share], BeforeValidator(_weights), AfterValidator(_some_weight)]
 """Kind → weight; a list of kinds, or one, where all weigh the same."""
 MetresRange = Annotated[
     tuple[Annotated[Number, Field(ge=0)], Annotated[Number, Field(ge=0)]],
-    BeforeValidator(_one_as_range),
+    BeforeValidator(one_as_range),
     AfterValidator(rising),
 ]
-SecondsRange = Annotated[tuple[Seconds, Seconds], BeforeValidator(_one_as_range), AfterValidator(rising)]
+SecondsRange = Annotated[tuple[Seconds, Seconds], BeforeValidator(one_as_range), AfterValidator(rising)]
 
 
 class OwnKeys(Strict):

@@ -10,11 +10,10 @@ from itertools import product
 
 import numpy as np
 
-from modsim3d.core.arrays import Array
 from modsim3d.core.random_streams import Purpose, Streams, on_grid
 from modsim3d.world.traffic.clearance import Waters
 from modsim3d.world.traffic.keys import Drawn, LaneKeys, TrafficSections
-from modsim3d.world.traffic.paths import VesselPath, corner_radii_m, rounded
+from modsim3d.world.traffic.paths import VesselPath, corner_radii_m, length_m, rounded
 from modsim3d.world.traffic.tracks import SPREAD, DrawnHull, Track, draw_hull, draw_one, turning_radius_m
 
 # ---- Vessels of drawn traffic, and what all ways to draw them share ----
@@ -99,12 +98,6 @@ def arrivals(streams: Streams, name: str, mean: float) -> Sequence[float]:
         places.append(place)
 
 
-def greatest_radius_m(keys: TrafficSections, section: Drawn, kind: str) -> float:
-    """Turning radius of the longest and fastest vessel of a kind in a section."""
-    entry = keys.kinds[kind]
-    return turning_radius_m(entry.turning_lengths, entry.length_m[2], keys.speed_range(section, kind)[1])
-
-
 TRIES = 6
 EASY = 2.0
 """Radii of turns in least radii, where the legs leave room: ships do not turn as tightly as they can."""
@@ -153,24 +146,26 @@ class _Drawn:
         if middle_m < ramp or middle_m > track.path.length_m - ramp:
             return None  # she would enter or leave outside the lane
         path = track.path.displaced(-aside_m * (1 + np.cos(math.pi * np.minimum(off, 1.0))) / 2)
-        if _tightest_m(path) < self.hull.turning_radius_m:
+        bend = np.abs(np.diff(path.headings_rad)) / np.diff(path.along_m)
+        if 1 / max(float(bend.max()), 1e-9) < self.hull.turning_radius_m:
             return None
         return replace(track, path=path, cost=track.cost + SIDESTEP_COST + aside_m / METRES_A_COST)
 
 
 def lane_problems(keys: TrafficSections, name: str, lane: LaneKeys) -> list[str]:
     """Why vessels of a kind cannot pass through a lane: no room to turn, or too narrow."""
-    waypoints, problems = np.array(lane.waypoints_m), []
+    waypoints, long_m, problems = np.array(lane.waypoints_m), length_m(lane.waypoints_m), []
     room = corner_radii_m(waypoints, np.inf) - lane.width_m / 2
     for kind in (kind for kind, weight in lane.kinds.items() if weight > 0):
-        entry, needed = keys.kinds[kind], greatest_radius_m(keys, lane, kind)
+        entry = keys.kinds[kind]
+        needed = turning_radius_m(entry.turning_lengths, entry.length_m[2], keys.speed_range(lane, kind)[1])
         beam = max(entry.beam_m) * (1 + SPREAD)
         least = 2 * beam + keys.clearance_m if lane.both_ways else beam
         if lane.width_m < least:
             problems.append(f"lanes.{name}.width_m: {kind} with a beam of {beam:.0f} m needs {least:.0f} m here")
-        if _length_m(lane) < LENGTHS * entry.length_m[2]:
+        if long_m < LENGTHS * entry.length_m[2]:
             problems.append(
-                f"lanes.{name}.waypoints_m: the lane is {_length_m(lane):.0f} m long: at least {LENGTHS:g} lengths of "
+                f"lanes.{name}.waypoints_m: the lane is {long_m:.0f} m long: at least {LENGTHS:g} lengths of "
                 f"a {kind}, {LENGTHS * entry.length_m[2]:.0f} m, are needed"
             )
         tight = np.flatnonzero(room < needed)
@@ -186,13 +181,8 @@ def lane_problems(keys: TrafficSections, name: str, lane: LaneKeys) -> list[str]
 def expected_arrivals(keys: TrafficSections, lane: LaneKeys, duration_s: float) -> tuple[float, float]:
     """Mean number of vessels of a lane, and the time before 0 at which the first ones come."""
     slowest = min(keys.speed_range(lane, kind)[0] for kind, weight in lane.kinds.items() if weight > 0)
-    before_s = _length_m(lane) / slowest * LONGER
+    before_s = length_m(lane.waypoints_m) / slowest * LONGER
     return lane.per_hour / 3600 * (before_s + duration_s), before_s
-
-
-def _length_m(lane: LaneKeys) -> float:
-    legs = np.diff(np.array(lane.waypoints_m), axis=0)
-    return float(np.hypot(legs[:, 0], legs[:, 1]).sum())
 
 
 def draw_lane(chart: Chart, name: str, lane: LaneKeys) -> Iterator[Craft]:
@@ -269,9 +259,3 @@ def _sidesteps(drawn: _Drawn, track: Track, conflict_m: float) -> list[Track]:
 
 def _later(track: Track, delay_s: float) -> Track:
     return replace(track, start_s=track.start_s + delay_s, cost=track.cost + abs(delay_s) / SECONDS_A_COST)
-
-
-def _tightest_m(path: VesselPath) -> float:
-    """Least radius on a path."""
-    bend: Array = np.abs(np.diff(path.headings_rad)) / np.diff(path.along_m)
-    return 1 / max(float(bend.max()), 1e-9)

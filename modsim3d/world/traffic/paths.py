@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
 from shapely.ops import substring
 
 from modsim3d.core.arrays import Array
@@ -187,7 +188,7 @@ class Wanderer:
             return None
         places, headings, back = [start], [math.nan], 0
         # Rounding the corners shortens the way.
-        while (gone := _length_m(places) - 0.6 * self.radius_m * (len(places) - 1)) < needed_m:
+        while (gone := length_m(places) - 0.6 * self.radius_m * (len(places) - 1)) < needed_m:
             leg = self._next(places[-1], headings[-1], gone)
             if leg is not None:
                 places.append(leg[0])
@@ -227,22 +228,18 @@ class Wanderer:
         )
         for trial in range(COURSES):
             urge = trial / (COURSES - 1)  # she turns sharper, and sooner, if the water ahead is short
-            leg, turn, side = self.rng.random(3)
-            length = max((short + (long - short) * leg) * (1 - 0.6 * urge), LEG_RADII[0] * self.radius_m)
+            share, turn, side = self.rng.random(3)
+            length = max((short + (long - short) * share) * (1 - 0.6 * urge), LEG_RADII[0] * self.radius_m)
             most = TURN_RAD[1] + (SHARPEST_TURN_RAD - TURN_RAD[1]) * urge
             turned = math.copysign(TURN_RAD[0] + (most - TURN_RAD[0]) * turn, side - 0.5)
             course = 2 * math.pi * side if math.isnan(heading) else heading + turned
             end = place + length * np.array([math.cos(course), math.sin(course)])
-            if self._can_sail(course) and self._is_free(np.array([place, end]), gone_m):
+            if self.wind_from_rad is not None and math.cos(course - self.wind_from_rad) >= math.cos(CLOSE_HAULED_RAD):
+                continue
+            leg = np.array([place, end])
+            if self.water.contains(shapely.LineString(leg)) and (self.is_clear is None or self.is_clear(leg, gone_m)):
                 return end, course
         return None
-
-    def _is_free(self, leg: Array, gone_m: float) -> bool:
-        in_water = self.water.contains(shapely.LineString(leg))
-        return bool(in_water and (self.is_clear is None or self.is_clear(leg, gone_m)))
-
-    def _can_sail(self, course: float) -> bool:
-        return self.wind_from_rad is None or math.cos(course - self.wind_from_rad) < math.cos(CLOSE_HAULED_RAD)
 
     def _somewhere(self) -> Array | None:
         """A place in the water, evenly drawn."""
@@ -254,7 +251,8 @@ class Wanderer:
         return places[inside[0]] if len(inside) else None
 
 
-def _length_m(places: list[Array]) -> float:
+def length_m(places: Sequence[ArrayLike]) -> float:
+    """Length of the way along some places, shape (2,) each."""
     steps = np.diff(np.array(places), axis=0)
     return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
 

@@ -30,7 +30,8 @@ LATERAL_M_S2 = 1.0
 Speed = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=40)]
 
 
-def _one_as_range(value: object) -> object:
+def one_as_range(value: object) -> object:
+    """A number as a range from it to itself; anything else as it is."""
     return (value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
@@ -41,7 +42,7 @@ def rising(values: tuple[float, ...]) -> tuple[float, ...]:
     return values
 
 
-SpeedRange = Annotated[tuple[Speed, Speed], BeforeValidator(_one_as_range), AfterValidator(rising)]
+SpeedRange = Annotated[tuple[Speed, Speed], BeforeValidator(one_as_range), AfterValidator(rising)]
 """One speed, or least and greatest."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -80,3 +81,12 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Campaigns]:
         made = Campaigns(folder)
         made.run("plain", ThisProcess, "reference")
         yield made
+
+
+@pytest.fixture
+def doomed(campaigns: Campaigns) -> Path:
+    """A folder of marks: each death comes once, so a run that is tried again does not die."""
+    folder = campaigns.folder / "marks"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    return folder

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from modsim3d.campaign.dask import DaskEngine, _raise_unless_killed
+from modsim3d.campaign.folder import killed_sentence
 from modsim3d.campaign.work.task import TaskReport
 from modsim3d.campaign.workers import Death, ThisProcess
 from modsim3d.core.errors import ModsimError
@@ -63,6 +64,15 @@ def test_a_worker_without_the_folder_says_so(campaigns: Campaigns, shared: Clust
     with pytest.raises(ModsimError, match=r"the worker on .* cannot read .*/plan.json \(No such file or directory\)"):
         engine.next()
     engine.close()
+
+
+def test_a_run_that_ends_the_process_of_a_worker_has_crashed(
+    campaigns: Campaigns, doomed: Path, shared: Cluster, tmp_path: Path
+) -> None:
+    result = campaigns.run("killed", lambda: DaskEngine(shared.address), tmp_path / "out")
+    assert result is not None
+    assert result.table["error"].to_pylist() == [None, "the run ended its worker process (exit status 3)", None]
+    assert "1 worker (SIGKILL 1×); runs under way: 2 (" in str(killed_sentence(result.folder))
 
 
 def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.dask import DaskEngine
 from modsim3d.campaign.folder import killed_sentence
 from modsim3d.campaign.report.campaign_page import cautions
 from modsim3d.campaign.work.task import Task, TaskReport
 from modsim3d.campaign.workers import LOST, Death, ProcessPool, ThisProcess
 from tests.campaign.engines.campaigns import MORTAL, Campaigns, content
-from tests.campaign.engines.cluster import cluster
 
 CRASHES = {
     "exit": "the run ended its worker process (exit status 3)",
@@ -24,15 +21,6 @@ CRASHES = {
     "int": "the run ended its worker process (SIGINT)",
     "interrupt": "the run ended its worker process (exit status 130)",
 }
-
-
-@pytest.fixture
-def doomed(campaigns: Campaigns) -> Path:
-    """A folder of marks: each death comes once, so a run that is tried again does not die."""
-    folder = campaigns.folder / "marks"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    return folder
 
 
 def test_a_run_that_ends_its_process_once_has_crashed_and_one_that_is_killed_is_tried_again(
@@ -62,16 +50,6 @@ def test_a_kill_changes_no_byte(campaigns: Campaigns, doomed: Path, tmp_path: Pa
     assert made[0] == made[1]
     assert "killed" in (tmp_path / "killed" / "campaign.log").read_text()
     assert "killed" not in (tmp_path / "undisturbed" / "campaign.log").read_text()
-
-
-def test_a_run_that_ends_the_process_of_a_dask_worker_has_crashed(
-    campaigns: Campaigns, doomed: Path, tmp_path: Path
-) -> None:
-    with cluster(tmp_path, 1) as made:
-        result = campaigns.run("killed", lambda: DaskEngine(made.address), tmp_path / "out")
-    assert result is not None
-    assert result.table["error"].to_pylist() == [None, CRASHES["exit"], None]
-    assert "1 worker (SIGKILL 1×); runs under way: 2 (" in str(killed_sentence(result.folder))
 
 
 class Losing(ThisProcess):

@@ -54,9 +54,15 @@ def half(campaigns: Campaigns, made: CampaignFolder, tmp_path: Path) -> Iterator
     assert content(tmp_path / "out") == campaigns.reference
 
 
-def test_a_file_that_was_cut_off_is_made_again(half: Path) -> None:
+def test_a_file_that_was_cut_off_is_made_again_and_what_is_half_written_or_of_another_plan_is_nothing(
+    half: Path,
+) -> None:
     damaged = min((half / "done").iterdir())
     damaged.write_bytes(damaged.read_bytes()[:-100])
+    (half / "done" / ".000000008_0.rows.0").write_bytes(b"PAR1")
+    (half / ".results.0" / "scene=harbour").mkdir(parents=True)
+    rows = task.table_of([crashed_row(number, "of another plan") for number in (4, 1_000)])
+    task.store(half / "done" / "000000004_0123456789abcdef.rows", rows, TaskReport(2, 2, 1.0, 1.0, "", 0))
 
 
 def test_a_file_with_a_flipped_bit_anywhere_is_made_again(half: Path) -> None:
@@ -65,18 +71,6 @@ def test_a_file_with_a_flipped_bit_anywhere_is_made_again(half: Path) -> None:
     for place in (*range(0, len(whole), 61), len(whole) - 1):  # values, descriptions of columns, and the checksum
         damaged.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
         assert task.stored_report(damaged) is None
-
-
-def test_rows_of_another_plan_are_not_counted(half: Path) -> None:
-    rows = task.table_of([crashed_row(number, "of another plan") for number in (4, 1_000)])
-    task.store(half / "done" / "000000004_0123456789abcdef.rows", rows, TaskReport(2, 2, 1.0, 1.0, "", 0))
-
-
-def test_half_written_files_are_nothing(half: Path) -> None:
-    (half / "done" / ".000000008_0.rows.0").write_bytes(b"PAR1")
-    (half / ".results.0" / "scene=harbour").mkdir(parents=True)
-    (half / ".plan.json.0").write_bytes(b"{")
-    (half / ".plan.json.0").unlink()
 
 
 def test_a_full_disk_is_told_and_nothing_that_is_done_is_lost(
@@ -121,13 +115,7 @@ def test_a_crash_between_any_two_steps_of_the_end(
     assert steps > len(STEPS)
 
 
-def test_two_processes_that_end_at_once_where_there_are_no_locks(half: Path, campaigns: Campaigns) -> None:
-    campaigns.run("plain", ThisProcess, half)
-    here, _ = campaigns.planned(half)
-    done_rows.write_results(here, done_rows.results_table(here), [])
-
-
-def test_results_in_place_beside_rows_that_were_not_removed(
+def test_results_in_place_beside_rows_that_were_not_removed_and_two_processes_that_end_at_once(
     half: Path, campaigns: Campaigns, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def killed(folder: object) -> None:
@@ -138,6 +126,9 @@ def test_results_in_place_beside_rows_that_were_not_removed(
         campaigns.run("plain", ThisProcess, half)
     assert (half / "results").is_dir()
     assert (half / "done").is_dir()
+    campaigns.run("plain", ThisProcess, half)
+    here, _ = campaigns.planned(half)
+    done_rows.write_results(here, done_rows.results_table(here), [])  # by another one, where there are no locks
 
 
 def test_a_worker_that_comes_late_does_not_bring_the_folder_back(campaigns: Campaigns, tmp_path: Path) -> None:

@@ -34,23 +34,35 @@ def decided_by_the_second_seed(plan: Plan, table: pa.Table) -> tuple[Verdict, ..
     return (Verdict(0, "", "", 0, outcome, "", 0.95, None, None, None, seeds),)
 
 
+@pytest.fixture
+def decided(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(running, "judged", decided_by_the_second_seed)
+
+
+@pytest.fixture(scope="module")
+def one_by_one(campaigns: Campaigns) -> dict[str, bytes]:
+    """What comes of a campaign that is decided by two of four seeds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "judged", decided_by_the_second_seed)
+        result = campaigns.run("sequential", ThisProcess, "one_by_one")
+    assert result is not None
+    assert result.table["run"].to_pylist() == list(range(4))
+    return content(campaigns.folder / "one_by_one")
+
+
+@pytest.mark.usefixtures("decided")
 @pytest.mark.parametrize("width", [2, 8])
 def test_runs_beyond_the_end_are_left_out(
-    campaigns: Campaigns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, width: int
+    campaigns: Campaigns, tmp_path: Path, one_by_one: dict[str, bytes], width: int
 ) -> None:
-    monkeypatch.setattr(running, "judged", decided_by_the_second_seed)
-    one_by_one = campaigns.run("sequential", ThisProcess, tmp_path / "one")
-    assert one_by_one is not None
-    assert one_by_one.table["run"].to_pylist() == list(range(4))  # two of four seeds
     campaigns.run("sequential", lambda: Shuffled(width), tmp_path / "many")
-    assert content(tmp_path / "many") == content(tmp_path / "one")
+    assert content(tmp_path / "many") == one_by_one
 
 
+@pytest.mark.usefixtures("decided")
 def test_a_campaign_that_went_on_beyond_its_end_and_was_killed_ends_where_it_should(
-    campaigns: Campaigns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    campaigns: Campaigns, tmp_path: Path, one_by_one: dict[str, bytes]
 ) -> None:
-    monkeypatch.setattr(running, "judged", decided_by_the_second_seed)
-    campaigns.run("sequential", ThisProcess, tmp_path / "one")
     here, tasks = campaigns.planned(tmp_path / "killed", "sequential")
     engine = ThisProcess()
     for task in (tasks[3], tasks[1], tasks[0]):  # the third is missing
@@ -59,7 +71,7 @@ def test_a_campaign_that_went_on_beyond_its_end_and_was_killed_ends_where_it_sho
     engine.close()
     assert len(list(here.done.iterdir())) == 3
     campaigns.run("sequential", ThisProcess, tmp_path / "killed")
-    assert content(tmp_path / "killed") == content(tmp_path / "one")
+    assert content(tmp_path / "killed") == one_by_one
 
 
 class Deadly(ThisProcess):

@@ -19,15 +19,11 @@ def test_a_clock_that_is_off_by_less_than_half_a_frame_loses_no_frame() -> None:
     assert late_s[-1] == 0.8
 
 
-def test_frames_that_are_clearly_outside_are_left_out() -> None:
-    _, inside = within_scene(FRAMES_S, -0.15, 0.8)
-    assert inside.tolist() == [False, True, True, True, True]
-    _, inside = within_scene(FRAMES_S * 0.1, -0.011, 0.8)  # more than half of 0.02 s
-    assert inside.tolist() == [False, True, True, True, True]
-
-
-def test_without_a_registered_clock_frames_outside_are_left_out() -> None:
-    _, inside = within_scene(FRAMES_S - 0.01, 0.0, 0.8)
-    assert inside.tolist() == [False, True, True, True, True]
-    _, inside = within_scene(FRAMES_S - 1e-9, 0.0, 0.8)
-    assert inside.all()
+def test_frames_that_are_clearly_outside_are_left_out_without_a_registered_clock_all() -> None:
+    for frames_s, clock_s in (
+        (FRAMES_S, -0.15),
+        (FRAMES_S * 0.1, -0.011),  # more than half of 0.02 s
+        (FRAMES_S - 0.01, 0.0),
+    ):
+        assert within_scene(frames_s, clock_s, 0.8)[1].tolist() == [False, True, True, True, True]
+    assert within_scene(FRAMES_S - 1e-9, 0.0, 0.8)[1].all()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -70,13 +71,19 @@ def test_logs_of_several_cameras_say_which(voyage: Path, strait: Scene) -> None:
         on_scene(log_of(voyage, "run"), strait, "mast")
 
 
+def coco(
+    folder: Path, images: list[dict[str, object]], found: Sequence[object] = (), **options: object
+) -> DetectionLog:
+    """The log of a COCO file."""
+    content = {"images": images, "annotations": found, "categories": [{"id": 3, "name": "boat"}]}
+    (folder / "log.json").write_text(json.dumps(content))
+    return read_log(folder / "log.json", LogOptions(**options))  # type: ignore[arg-type]
+
+
 def test_an_image_without_detections_is_a_frame(tmp_path: Path) -> None:
     entry = {"id": 7, "file_name": "a.png", "width": 640, "height": 480, "date_captured": "2024-01-04 10:00:00"}
     later = entry | {"id": 8, "date_captured": "2024-01-04T12:00:01.5+02:00"}
-    found = {"image_id": 8, "category_id": 3, "bbox": [1, 2, 3, 4]}
-    content = {"images": [entry, later], "annotations": [found], "categories": [{"id": 3, "name": "boat"}]}
-    (tmp_path / "log.json").write_text(json.dumps(content))
-    log = read_log(tmp_path / "log.json")
+    log = coco(tmp_path, [entry, later], [{"image_id": 8, "category_id": 3, "bbox": [1, 2, 3, 4]}])
     assert log.clock is Clock.UTC
     assert log.span == "2024-01-04T10:00:00Z to 2024-01-04T10:00:01.500Z"
     assert log.frame.tolist() == [1]
@@ -92,9 +99,7 @@ def test_images_that_date_captured_does_not_tell_apart_have_the_frame_rate(tmp_p
         {"id": k, "date_captured": captured} | ({} if number is None else {"frame_id": number})
         for k, number in enumerate(numbers)
     ]
-    content = {"images": images, "annotations": [], "categories": [{"id": 3, "name": "boat"}]}
-    (tmp_path / "log.json").write_text(json.dumps(content))
-    log = read_log(tmp_path / "log.json", LogOptions(frame_rate_hz=10))
+    log = coco(tmp_path, images, frame_rate_hz=10)
     np.testing.assert_allclose(log.time_s, times)
     assert log.clock is Clock.STEP
     said = " ".join(log.notes)
@@ -102,7 +107,7 @@ def test_images_that_date_captured_does_not_tell_apart_have_the_frame_rate(tmp_p
         assert "date_captured is empty or the same in several images, so their" in said
     assert ("places in the file are taken, at 10 Hz" in said) == (numbers[0] is None)
     with pytest.raises(InputError, match=r"a time is needed: .*, or --frame-rate|another image has the time"):
-        read_log(tmp_path / "log.json")
+        coco(tmp_path, images)
 
 
 def test_results_may_name_images_by_their_files(tmp_path: Path) -> None:
@@ -129,12 +134,15 @@ def frames_of_results(folder: Path, files: list[str], given: list[object], **key
     return read_log(folder / "dt.json", LogOptions(images=folder / "gt.json"))
 
 
-def test_a_name_that_several_images_have_stands_for_none(tmp_path: Path) -> None:
+def test_a_name_that_several_images_have_stands_for_none_and_one_beside_an_image_id_decides(tmp_path: Path) -> None:
     """Not for the last: both cameras' boxes would be on its images."""
     files = ["left/0001.jpg", "right/0001.jpg", "left/0002.jpg"]
     assert frames_of_results(tmp_path, files, ["right/0001.jpg", "0002"]).frame.tolist() == [1, 2]
     with pytest.raises(InputError, match=r"\[0\]: unknown image_id '0001'"):
         frames_of_results(tmp_path, files, ["0001", "0002"])
+    log = frames_of_results(tmp_path, ["000001.jpg", "000002.jpg", "000003.jpg"], [1], file_name="000001.jpg")
+    assert log.frame.tolist() == [0]
+    assert log.notes == ()
 
 
 @pytest.mark.parametrize(
@@ -153,12 +161,6 @@ def test_numbers_that_name_files_are_told_from_ids(tmp_path: Path, given, frames
     assert said in " ".join(log.notes) and bool(said) == bool(log.notes)
 
 
-def test_a_file_name_beside_an_image_id_decides(tmp_path: Path) -> None:
-    log = frames_of_results(tmp_path, ["000001.jpg", "000002.jpg", "000003.jpg"], [1], file_name="000001.jpg")
-    assert log.frame.tolist() == [0]
-    assert log.notes == ()
-
-
 @pytest.mark.parametrize(
     "names", ["left,top,right,bottom", "x1,y1,x2,y2", "xmin,ymin,xmax,ymax", "x_min,y_min,x_max,y_max"]
 )
@@ -169,9 +171,7 @@ def test_corners_have_the_names_that_detectors_give_them(tmp_path: Path, names: 
 
 def test_images_with_times_of_their_own_keep_them_beside_a_frame_rate(tmp_path: Path) -> None:
     images = [{"id": k, "frame_id": k, "date_captured": f"2024-01-04 10:00:0{k}"} for k in range(3)]
-    content = {"images": images, "annotations": [], "categories": []}
-    (tmp_path / "log.json").write_text(json.dumps(content))
-    log = read_log(tmp_path / "log.json", LogOptions(frame_rate_hz=10))
+    log = coco(tmp_path, images, frame_rate_hz=10)
     assert log.span == "2024-01-04T10:00:00Z to 2024-01-04T10:00:02Z"
     assert log.notes == ()
 
@@ -182,65 +182,53 @@ def table(folder: Path, *rows: str, head: str = HEAD) -> Path:
     return path
 
 
-def test_frames_without_detections_come_from_the_usual_gap(tmp_path: Path) -> None:
-    rows = [f"{time},1,2,3,4,boat,0.5" for time in (0, 0.5, 1, 1.51, 2, 4, 4.5)]
-    log = read_log(table(tmp_path, *rows))
+def boat_at(*times: float) -> list[str]:
+    return [f"{time},1,2,3,4,boat,0.5" for time in times]
+
+
+def test_frames_without_detections_come_from_the_usual_gap_a_frame_rate_or_empty_boxes(tmp_path: Path) -> None:
+    log = read_log(table(tmp_path, *boat_at(0, 0.5, 1, 1.51, 2, 4, 4.5)))
     np.testing.assert_allclose(log.time_s, [0, 0.5, 1, 1.51, 2, 2.5, 3, 3.5, 4, 4.5])
-    assert "usual gap between its times, 2 Hz: 3 without detections were added to 7, in gaps of up to 2 s" in (
-        log.frames_from
-    )
-
-
-def test_frames_without_detections_come_from_the_frame_rate_that_is_given(tmp_path: Path) -> None:
-    rows = [f"{time},1,2,3,4,boat,0.5" for time in (0, 0.5, 1)]
-    log = read_log(table(tmp_path, *rows), LogOptions(frame_rate_hz=4))
+    said = "usual gap between its times, 2 Hz: 3 without detections were added to 7, in gaps of up to 2 s"
+    assert said in log.frames_from
+    log = read_log(table(tmp_path, *boat_at(0, 0.5, 1)), LogOptions(frame_rate_hz=4))
     np.testing.assert_allclose(log.time_s, [0, 0.25, 0.5, 0.75, 1])
-    with pytest.raises(InputError, match=r"0.5 s apart after 0 s do not fit --frame-rate 3"):
-        read_log(table(tmp_path, *rows), LogOptions(frame_rate_hz=3))
-
-
-def test_frames_without_detections_may_be_rows_with_empty_boxes(tmp_path: Path) -> None:
-    log = read_log(table(tmp_path, "0,1,2,3,4,boat,0.5", "1.3,,,,,,", "9,1,2,3,4,boat,0.5"))
+    log = read_log(table(tmp_path, *boat_at(0), "1.3,,,,,,", *boat_at(9)))
     assert log.time_s.tolist() == [0, 1.3, 9]
     assert log.frame.tolist() == [0, 2]
     assert "empty boxes" in log.frames_from
 
 
-def test_times_without_a_frame_rate_are_refused(tmp_path: Path) -> None:
-    rows = [f"{time},1,2,3,4,boat,0.5" for time in (0, 1, 2.5, 3.2, 7, 8.45)]
+def test_times_without_a_frame_rate_or_with_another_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"cannot be known: the usual gap .* give --frame-rate"):
-        read_log(table(tmp_path, *rows))
+        read_log(table(tmp_path, *boat_at(0, 1, 2.5, 3.2, 7, 8.45)))
+    with pytest.raises(InputError, match=r"0.5 s apart after 0 s do not fit --frame-rate 3"):
+        read_log(table(tmp_path, *boat_at(0, 0.5, 1)), LogOptions(frame_rate_hz=3))
 
 
-def test_parquet_is_read_as_csv_is(tmp_path: Path) -> None:
-    columns = {"utc": ["2024-01-04T10:00:00Z", "2024-01-04T10:00:01Z"], "camera": ["bow", "bow"]}
+def test_parquet_is_read_as_csv_is_also_times_with_a_zone(tmp_path: Path) -> None:
+    seconds = pa.array([1704362400, 1704362401], pa.int64()).cast(pa.timestamp("s", tz="Europe/Oslo"))
     boxes = {"left": [1.5, 2.0], "top": [2.0, 3.0], "right": [4.0, 5.0], "bottom": [6.0, 7.0], "score": [0.5, 0.25]}
-    pq.write_table(pa.table(columns | boxes), tmp_path / "log.parquet")
-    log = read_log(tmp_path / "log.parquet")
-    assert (log.clock, log.cameras, log.labels) == (Clock.UTC, ("bow",), ())
-    assert log.boxes_px.tolist() == [[1.5, 2, 4, 6], [2, 3, 5, 7]]
-    assert log.confidence.tolist() == [0.5, 0.25]
+    for utc in (["2024-01-04T10:00:00Z", "2024-01-04T10:00:01Z"], seconds):
+        pq.write_table(pa.table({"utc": utc, "camera": ["bow", "bow"]} | boxes), tmp_path / "log.parquet")
+        log = read_log(tmp_path / "log.parquet")
+        assert (log.clock, log.cameras, log.labels) == (Clock.UTC, ("bow",), ())
+        assert log.time_s.tolist() == [1704362400, 1704362401]
+        assert log.boxes_px.tolist() == [[1.5, 2, 4, 6], [2, 3, 5, 7]]
+        assert log.confidence.tolist() == [0.5, 0.25]
 
 
-def test_frames_that_lack_the_time_of_a_detection_are_refused(tmp_path: Path) -> None:
+def test_frames_that_lack_a_detection_and_cameras_that_are_named_here_and_there_are_refused(
+    tmp_path: Path, strait: Scene
+) -> None:
+    path = table(tmp_path, "1,2,3,40,50,boat,0.9,bow", "2,2,3,40,50,boat,0.9,", head=HEAD.strip() + ",camera\n")
+    with pytest.raises(InputError, match="some frames or detections name a camera and others do not"):
+        on_scene(read_log(path), strait, "bow")
     log = tmp_path / "detections.csv"
     log.write_text(HEAD + "1,2,3,40,50,boat,0.9\n2.0001,2,3,40,50,boat,0.9\n")
     (tmp_path / "frames.csv").write_text("time_s\n1\n2\n")
     with pytest.raises(InputError, match=r"lacks the time of 1 detection \(first 2.0001\)"):
         read_log(log)
-
-
-def test_times_of_parquet_with_a_zone_are_the_same_moments(tmp_path: Path) -> None:
-    seconds = pa.array([1704362400, 1704362401], pa.int64()).cast(pa.timestamp("s", tz="Europe/Oslo"))
-    boxes = {"left": [1.5, 2.0], "top": [2.0, 3.0], "right": [4.0, 5.0], "bottom": [6.0, 7.0], "score": [0.5, 0.25]}
-    pq.write_table(pa.table({"utc": seconds} | boxes), tmp_path / "log.parquet")
-    assert read_log(tmp_path / "log.parquet").time_s.tolist() == [1704362400, 1704362401]
-
-
-def test_a_log_that_names_cameras_here_and_there_is_refused(tmp_path: Path, strait: Scene) -> None:
-    path = table(tmp_path, "1,2,3,40,50,boat,0.9,bow", "2,2,3,40,50,boat,0.9,", head=HEAD.strip() + ",camera\n")
-    with pytest.raises(InputError, match="some frames or detections name a camera and others do not"):
-        on_scene(read_log(path), strait, "bow")
 
 
 def test_mot_begins_at_the_start_and_has_the_frame_rate(tmp_path: Path) -> None:
@@ -388,22 +376,19 @@ def test_a_row_that_is_there_twice_counts_once(tmp_path: Path) -> None:
     assert not read_log(table(tmp_path, *rows)).notes
 
 
-def test_labels_that_the_scene_has_not_are_refused(tmp_path: Path, strait: Scene) -> None:
-    with pytest.raises(InputError, match=r"no label 'boats' \(did you mean 'boat'\?\)"):
-        on_scene(read_log(table(tmp_path, "0,1,2,3,4,boats,1")), strait, "bow")
+UTC_ROW = "2024-01-04T10:00Z,1,2,3,4,boat,1"
 
 
-def test_a_log_in_utc_needs_a_scene_that_knows_its_start(tmp_path: Path, strait: Scene) -> None:
-    with pytest.raises(InputError, match=r"its times are UTC .* does not say when it starts"):
-        on_scene(read_log(table(tmp_path, "2024-01-04T10:00Z,1,2,3,4,boat,1")), strait, "bow")
-
-
-def test_images_are_for_coco(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"--images:\n +is for COCO results, and .*log.csv says itself"):
-        read_log(table(tmp_path, ROW), LogOptions(images=tmp_path / "gt.json"))
-
-
-def test_a_start_is_for_logs_that_count_from_zero(tmp_path: Path) -> None:
-    path = table(tmp_path, "2024-01-04T10:00Z,1,2,3,4,boat,1")
-    with pytest.raises(InputError, match="leave --start out"):
-        read_log(path, LogOptions(start=Start(0, Clock.STEP)))
+@pytest.mark.parametrize(
+    ("row", "given", "said"),
+    [
+        ("0,1,2,3,4,boats,1", {}, r"no label 'boats' \(did you mean 'boat'\?\)"),
+        (UTC_ROW, {}, r"its times are UTC .* does not say when it starts"),
+        (ROW, {"images": Path("gt.json")}, r"--images:\n +is for COCO results, and .*log.csv says itself"),
+        (UTC_ROW, {"start": Start(0, Clock.STEP)}, "leave --start out"),
+    ],
+    ids=["labels", "UTC", "images are for COCO", "a start is for logs that count from zero"],
+)
+def test_a_log_that_does_not_fit_scene_or_options_is_refused(tmp_path: Path, strait: Scene, row, given, said) -> None:
+    with pytest.raises(InputError, match=said):
+        on_scene(read_log(table(tmp_path, row), LogOptions(**given)), strait, "bow")

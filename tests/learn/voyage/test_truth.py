@@ -19,6 +19,8 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from tests.scenes import crossing
 
+HEAD = "time_s,roll_rad,pitch_rad,heading_rad\n"
+
 
 @pytest.fixture(scope="module")
 def log(voyage: Path, strait: Scene) -> SceneLog:
@@ -123,14 +125,13 @@ def test_a_camera_that_is_changed_sees_what_such_a_camera_sees(tmp_path: Path, c
     assert np.abs(found.truth.full_boxes_px - usual.truth.full_boxes_px).max() > 0.5
 
 
-def test_clocks_hours_apart_are_refused_with_both_spans(voyage: Path, strait: Scene) -> None:
+def test_clocks_hours_apart_and_corrections_that_move_all_frames_out_are_refused(
+    voyage: Path, strait: Scene, log: SceneLog
+) -> None:
     text = r"has frames from 7200 s to 7204.6 s, and scene .* is from 0 s to 4.6 s: .* after the scene's last step"
-    log = read_log(voyage / "run")
+    read = read_log(voyage / "run")
     with pytest.raises(InputError, match=text):
-        on_scene(replace(log, time_s=log.time_s + 7200), strait)
-
-
-def test_a_correction_that_moves_all_frames_out_of_the_scene_is_refused(log: SceneLog) -> None:
+        on_scene(replace(read, time_s=read.time_s + 7200), strait)
     with pytest.raises(InputError, match="24 of 24 frames are before or after the scene"):
         labelled_voyage(log, VoyageOptions(Correction(clock_s=100)))
 
@@ -163,19 +164,16 @@ def test_an_attitude_in_milliseconds_is_refused_and_a_long_one_is_not(strait: Sc
             assert len(read_attitude(path, strait).time_s) == 46
 
 
-def test_the_yaw_of_an_attitude_is_added_to_its_heading(strait: Scene, tmp_path: Path) -> None:
-    path = tmp_path / "attitude.csv"
-    path.write_text("time_s,roll_rad,pitch_rad,heading_rad,yaw_rad\n0,0,0,0,0.1\n1,0,0,0,0.3\n")
-    measured = read_attitude(path, strait)
-    assert measured.at(np.array([0.5]), np.array([-3.0])).round(9).tolist() == [[0, 0, round(3.2 - 2 * math.pi, 9)]]
-
-
-def test_headings_may_go_on_counting(strait: Scene, tmp_path: Path) -> None:
-    """As those of a vessel that goes in circles do, in a run and in recorders."""
+def test_the_yaw_of_an_attitude_is_added_to_its_heading_which_may_go_on_counting(strait: Scene, tmp_path: Path) -> None:
+    """As that of a vessel that goes in circles does, in a run and in recorders."""
     path, turns = tmp_path / "attitude.csv", 20 * math.pi
-    path.write_text(f"time_s,roll_rad,pitch_rad,heading_rad\n0,0,0,{turns + 0.1}\n1,0,0,{turns + 0.3}\n")
-    measured = read_attitude(path, strait)
-    assert measured.at(np.array([0.5]), np.array([0.0])).round(9).tolist() == [[0, 0, 0.2]]
+    for rows, heading, expected in (
+        (f"{HEAD.strip()},yaw_rad\n0,0,0,0,0.1\n1,0,0,0,0.3\n", -3.0, 3.2 - 2 * math.pi),
+        (f"{HEAD}0,0,0,{turns + 0.1}\n1,0,0,{turns + 0.3}\n", 0.0, 0.2),
+    ):
+        path.write_text(rows)
+        found = read_attitude(path, strait).at(np.array([0.5]), np.array([heading]))
+        assert found.round(9).tolist() == [[0, 0, round(expected, 9)]]
 
 
 def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> None:
@@ -189,7 +187,6 @@ def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> 
     assert "camera 'quay' is not on board 'own', so the attitude is not used for it" in found.notes
 
 
-HEAD = "time_s,roll_rad,pitch_rad,heading_rad\n"
 WRONG = {
     "columns": ("time_s,roll_rad\n0,1\n", "the columns pitch_rad, heading_rad are missing"),
     "a number": (f"{HEAD}0,1,0,3\n1,x,0,3\n", "line 3: roll_rad must be a number"),

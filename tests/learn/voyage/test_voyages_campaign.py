@@ -27,18 +27,13 @@ def committed() -> dict[str, dict[str, Any]]:
     return content
 
 
-@pytest.fixture(scope="module")
-def again() -> dict[str, Any]:
-    return trial("detector_ais", FIRST_SEED)
-
-
 def test_the_page_says_what_its_numbers_say(committed: dict[str, dict[str, Any]]) -> None:
     assert (OUT / "voyages.md").read_text(encoding="utf-8") == text(committed)
     assert [name for name in committed if name != "pixels"] == [case.name for case in CASES]
 
 
-def test_a_voyage_comes_out_as_committed(committed: dict[str, dict[str, Any]], again: dict[str, Any]) -> None:
-    first = committed["detector_ais"]["first"]
+def test_a_voyage_comes_out_as_committed(committed: dict[str, dict[str, Any]]) -> None:
+    first, again = committed["detector_ais"]["first"], trial("detector_ais", FIRST_SEED)
     numbers = again["registration"] | again["detector"]
     assert first.keys() == numbers.keys()
     for name, number in numbers.items():
@@ -46,12 +41,12 @@ def test_a_voyage_comes_out_as_committed(committed: dict[str, dict[str, Any]], a
         assert number["value"] == pytest.approx(first[name], abs=close), name
 
 
-def test_without_registration_it_is_visibly_worse(again: dict[str, Any]) -> None:
-    wrong = trial("unregistered", FIRST_SEED)
-    assert not wrong["registration"]
+def test_without_registration_it_is_visibly_worse(committed: dict[str, dict[str, Any]]) -> None:
+    """A voyage is learned without and with it in `test_registered_voyage`."""
+    assert "registration" not in committed["unregistered"]
+    wrong, right = (committed[name]["first"] for name in ("unregistered", "detector_ais"))
     for label in ("cargo", "tanker", "ferry"):
-        missed = DETECTED.format(label)
-        assert wrong["detector"][missed]["value"] > again["detector"][missed]["value"] + 0.15
+        assert wrong[DETECTED.format(label)] > right[DETECTED.format(label)] + 0.15
 
 
 def test_as_many_intervals_hold_as_the_campaign_claims(committed: dict[str, dict[str, Any]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import re
 from collections import defaultdict
@@ -14,7 +15,7 @@ import yaml
 
 from modsim3d.detector.records import KINDS
 from modsim3d.runs.run import run_scene
-from modsim3d.runs.streaming.lines import Pace, StepLines, header_line, step_lines
+from modsim3d.runs.streaming.lines import Pace, StepLines, header_line, short_collections, step_lines
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 
@@ -144,3 +145,13 @@ def test_no_step_leaves_before_its_time_and_errors_do_not_add_up() -> None:
         left.append(clock.now - 1000.01)
     assert left == pytest.approx([0, 1, 8.0, 8.01, 8.02], abs=1e-6)
     assert (pace.latest, pace.late_s) == (2, pytest.approx(6.0))
+
+
+def test_collections_leave_out_what_was_there_before_and_only_inside() -> None:
+    before = gc.get_threshold()
+    with pytest.raises(ZeroDivisionError), short_collections():
+        assert len(gc.get_objects()) < 100 < gc.get_freeze_count()
+        assert gc.get_threshold()[0] == 700
+        raise ZeroDivisionError
+    assert gc.get_threshold() == before
+    assert gc.get_freeze_count() == 0

@@ -29,6 +29,7 @@ from modsim3d.view.report.packing import NONE, in_quanta
 from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.recorder import quantum_px
 from modsim3d.view.report.report import write_report
+from tests.run_folders import interrupt
 from tests.scenes import mistaken_strait, write_scene
 from tests.view.report.conftest import STEPS
 from tests.view.report.unpacking import read
@@ -228,27 +229,6 @@ def test_pages_of_other_commands_are_linked_when_they_are_there(run_folder, tmp_
     assert "compare.html" not in text
 
 
-def interrupted(folder: Path, after: int) -> Path:
-    """A run that was stopped after some blocks."""
-
-    class Stop(Exception):
-        pass
-
-    done = 0
-
-    def stop(steps: int) -> None:
-        nonlocal done
-        done += 1
-        if done == after:
-            raise Stop
-
-    with pytest.raises(Stop):
-        run_scene(
-            load_scene("simulation_3", mode=2, seed=5, steps=STEPS + 300, source="analytic"), folder, progress=stop
-        )
-    return folder
-
-
 def test_a_run_in_which_no_vessel_is_ever_seen_has_a_page_and_one_without_a_finished_step_none(tmp_path):
     boats = {"astern": ([30.0, 8.0, 9.0], [[0, -300, 60], [2, -300, 50]])}
     run_scene(load_scene(str(write_scene(tmp_path, boats, steps=3)), source="analytic"), tmp_path / "run")
@@ -258,7 +238,8 @@ def test_a_run_in_which_no_vessel_is_ever_seen_has_a_page_and_one_without_a_fini
 
 
 def test_interrupted_run_shows_what_is_there_and_says_so(tmp_path, page):
-    cut = open_run(interrupted(tmp_path / "cut", after=1))
+    scene = load_scene("simulation_3", mode=2, seed=5, steps=STEPS + 300, source="analytic")
+    cut = open_run(interrupt(scene, tmp_path / "cut"))
     text = (written := write_report(cut)).read_text(encoding="utf-8")
     assert f"This run was interrupted.</strong> {cut.steps} of {STEPS + 300} steps" in text
     assert f"<td>{cut.steps} of {STEPS + 300}: the run was interrupted</td>" in text

@@ -10,7 +10,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.evidence import ManyDetections
-from modsim3d.verify.false_positive_checks import clutter_checks
+from modsim3d.verify.false_positive_checks import false_positive_checks
 from tests.detector_variants import thesis_data
 
 PERSISTENCE = {"lifetime_s": 2.0, "share": 0.5}
@@ -27,7 +27,7 @@ def model(**keys: Any) -> DetectorModel:
 
 
 def p_values(many: ManyDetections, made_with: DetectorModel, asked: DetectorModel, seed: int) -> dict[str, float]:
-    found = clutter_checks(asked, many.detect(made_with, seed))
+    found = false_positive_checks(asked, many.detect(made_with, seed))
     wanted = ("false_positives.placement", "false_positives.size", "false_positives.persistence.lifetime_s")
     return {p.name: p.measure.p_value() for p in found if p.measure is not None and p.name.startswith(wanted)}
 
