@@ -7,7 +7,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from modsim3d.cli.campaign_text import UNKNOWN, values_text
 from modsim3d.cli.shared import print_line
 from modsim3d.cli.terminal import open_console, print_prose, print_table
 from modsim3d.core.errors import ModsimError
@@ -66,6 +65,9 @@ def frames_of(campaign: CheckedCampaign) -> int:
 
 
 def _row(plan: Plan, each: NeededSeeds) -> tuple[str, ...]:
-    values = "all" if each.condition is None else values_text(plan.conditions[each.condition].values) or UNKNOWN
+    from modsim3d.campaign.plan import values_text
+    from modsim3d.core.text import UNKNOWN
+
+    values = "all" if each.condition is None else values_text(plan.conditions[each.condition].values)
     seeds = UNKNOWN if each.seeds is None else f"{each.seeds:,}"
     return (each.text, each.tracker or "all", values, seeds, each.why)
