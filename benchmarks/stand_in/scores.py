@@ -133,7 +133,7 @@ def simulated_detections(
     """What a detector file gives with each seed, in the state of the film's weather.
 
     Noise belongs to a seed, a vessel and a step, so films of one seed would not be independent: seed k of a film is
-    1000 times the film's own plus k. `modsim3d detect RUN --detector FILE --state WEATHER --seed N` gives the same.
+    1000 times the film's own plus k. `modsim3d detect --state WEATHER --detector-seed N` gives the same.
 
     Raises:
         ModsimError: The file is wrong, or does not suit the run.

@@ -232,7 +232,7 @@ def run_campaign(
     folder = as_path(out, "out", "the folder of the campaign")
     found = checked(read_campaign(campaign))
     if found.file.keys.search is not None:
-        raise ModsimError(f"{found.file.path} is a search: modsim3d campaign {found.file.path} --out {folder}")
+        raise ModsimError(f"{found.file.path} is a search: modsim3d campaign run {found.file.path} --out {folder}")
     layers = None if cache is None else as_path(cache, "cache", "a folder")
     result = run_plan(found, folder, engine_of(workers, scheduler, slurm), cache=layers, progress=progress)
     assert result is not None
@@ -269,7 +269,7 @@ def engine_of(workers: WorkerCount, scheduler: str | None = None, slurm: int | N
     """
     worker_count(workers)
     if scheduler is not None and slurm is not None:
-        raise ModsimError("--scheduler and --slurm contradict each other: leave one out")
+        raise ModsimError("scheduler and slurm contradict each other: leave one out")
     if scheduler is not None or slurm is not None:
         from modsim3d.campaign.dask import check_libraries
 

@@ -1,4 +1,4 @@
-"""The command `modsim3d campaign-status`."""
+"""The command `modsim3d campaign status`."""
 
 from __future__ import annotations
 
@@ -32,14 +32,11 @@ if TYPE_CHECKING:
 
 
 def campaign_status_command(
-    campaign: CampaignArgument,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    campaign: CampaignArgument, quiet: QuietOption = False, verbose: VerboseOption = False, json: JsonOption = False
 ) -> None:
     """Say how far a campaign is and what is known of its requirements, while it is worked on or afterwards.
 
-    Example: modsim3d campaign-status runs/example
+    Example: modsim3d campaign status runs/example
     """
     from modsim3d.campaign.campaign import present_state
     from modsim3d.campaign.folder import opened_campaign
@@ -51,7 +48,7 @@ def campaign_status_command(
     say_json(
         {
             "format": 1,
-            "command": "campaign-status",
+            "command": "campaign status",
             "folder": campaign,
             "runs": found.total,
             "done": found.done,
@@ -103,7 +100,7 @@ def _how(found: Present) -> list[str]:
     return [*lines, f"worked on by {found.worked_on_by}, {duration_text(found.left_s)}"]
 
 
-# ---- The command `modsim3d campaign-table` ----
+# ---- The command `modsim3d campaign table` ----
 
 ENDINGS = (".csv", ".parquet")
 
@@ -131,7 +128,7 @@ def campaign_table_command(
 ) -> None:
     """Mean scores of a campaign by tracker and condition, with 95 % intervals over traffic seeds.
 
-    Example: modsim3d campaign-table runs/example --by state --score hota
+    Example: modsim3d campaign table runs/example --by state --score hota
     """
     from modsim3d.campaign.campaign import has_ended, rows_of
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
@@ -160,7 +157,7 @@ def campaign_table_command(
     say_json(
         {
             "format": 1,
-            "command": "campaign-table",
+            "command": "campaign table",
             "folder": campaign,
             "finished": has_ended(opened),
             "by": [] if runs else [*dict.fromkeys([*keys, "tracker"])],
@@ -215,7 +212,7 @@ def _write(out: Path, table: pa.Table) -> None:
             pyarrow.parquet.write_table(table, partial, compression="zstd")
 
 
-# ---- The command `modsim3d campaign-report` ----
+# ---- The command `modsim3d campaign report` ----
 
 
 def campaign_report_command(
@@ -231,7 +228,7 @@ def campaign_report_command(
 ) -> None:
     """Write a page about a campaign: requirements first, then means, charts, the worst runs and what was covered.
 
-    Example: modsim3d campaign-report runs/example
+    Example: modsim3d campaign report runs/example
     """
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
     from modsim3d.campaign.report.campaign_page import REPORT_FILE
@@ -246,4 +243,4 @@ def campaign_report_command(
         lead = write_page(opened, path, advance, typed_command(context))
     say(lead)
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB)")
-    say_json({"format": 1, "command": "campaign-report", "conclusion": lead, "written": [path]})
+    say_json({"format": 1, "command": "campaign report", "conclusion": lead, "written": [path]})

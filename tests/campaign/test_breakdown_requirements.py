@@ -162,7 +162,7 @@ def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(
     keys = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 2}, "trackers": ["reference"], "require": require}
     file = tmp_path / "c.yaml"
     file.write_text(yaml.safe_dump(keys), encoding="utf-8")
-    said = modsim3d("campaign", file, "--out", tmp_path / "out")
+    said = modsim3d("campaign", "run", file, "--out", tmp_path / "out")
     assert said.status in (1, 3), said.err
     _, _, means = said.out.partition("mean scores")
     assert "those of requirements are above" in means
@@ -170,7 +170,7 @@ def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(
         assert column in means
     (line,) = [line for line in means.splitlines() if line.startswith("reference")]
     assert line.split()[2:4] == ["–", "0.321"] and not line.split()[4].startswith("[")  # nothing is in the first range
-    assert modsim3d("campaign-report", tmp_path / "out").status == 0
+    assert modsim3d("campaign", "report", tmp_path / "out").status == 0
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "recall at least 0.1, range 100 to 200 or 400 to 800" in page
     assert "hota at least 0.1, state excellent or terrible" in page

@@ -95,8 +95,8 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
     versions = {**facts["versions"], **facts["conditions"][0]["trackers"]["sort"]["versions"]}
     assert "trackers" in versions
     assert all(lines_of(page)[name] == [version] for name, version in versions.items())
-    assert f"modsim3d campaign-run {result.folder.path} 0 --out run_0" in page
-    assert f"modsim3d campaign {result.folder.path}/campaign.yaml --out campaign_again" in page
+    assert f"modsim3d campaign reproduce {result.folder.path} 0 --out run_0" in page
+    assert f"modsim3d campaign run {result.folder.path}/campaign.yaml --out campaign_again" in page
     assert f"{RATE} differ from seed to seed" in page
 
 
@@ -106,7 +106,7 @@ def test_a_trace_shows_the_first_of_very_many_verdicts_and_may_have_none(result:
     assert "200. hota" in page and "201. hota" not in page
     assert "100 more are in verdicts.json." in page
     page = html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), []))
-    assert "no requirements" in page and "campaign-run" in page
+    assert "no requirements" in page and "campaign reproduce" in page
     assert "none" in html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), verdicts[:1]))
 
 

@@ -19,7 +19,7 @@ from tests.campaign.small_campaign import small_campaign
 from tests.cli.conftest import Modsim3d
 
 KEYS = {"scene": "harbour", "steps": 3, "trackers": ["reference"], "require": [{"score": "hota", "at_least": 0.9}]}
-COMMANDS = (["campaign-status"], ["campaign-table"], ["campaign-report"], ["campaign-run", "0", "--out", "again"])
+COMMANDS = (["status"], ["table"], ["report"], ["reproduce", "0", "--out", "again"])
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +109,6 @@ def test_a_plan_that_was_changed_before_the_end_is_refused(tmp_path: Path) -> No
 def test_every_command_refuses_altered_results(modsim3d: Modsim3d, tmp_path: Path, command: list[str]) -> None:
     folder = small_campaign(tmp_path)
     other_scores(folder / "results/scene=harbour/part-00000.parquet")
-    said = modsim3d(command[0], folder, *command[1:])
+    said = modsim3d("campaign", command[0], folder, *command[1:])
     assert said.status == 2
     assert "part-00000.parquet was changed after the campaign ended" in said.err

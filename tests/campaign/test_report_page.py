@@ -120,7 +120,7 @@ def test_crashes_are_grouped_by_their_error(campaign):
     html = html_of_blocks(crash_sections(campaign, with_plan(table_of(rows), campaign.plan)))
     assert "3 runs of 3 crashed" in html
     assert html.index("ValueError: &lt;a&gt;") < html.index("KeyError: b")
-    assert f"campaign-run {campaign.path} 0 --out" in html
+    assert f"campaign reproduce {campaign.path} 0 --out" in html
     assert html_of_blocks(crash_sections(campaign, table_for(plan_of(2)))) == ""
 
 

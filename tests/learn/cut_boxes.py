@@ -11,7 +11,7 @@ from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.learned import Learned
-from modsim3d.learn.matching_bias import simulated
+from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.one_state import detector_file, learned_in, observed_in
 

@@ -17,7 +17,7 @@ from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.learn.learning import learn_detector
-from modsim3d.learn.matching_bias import simulated
+from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_sets import found, images, truth
 
 FRAMES = 60

@@ -187,15 +187,19 @@ def test_the_table_of_the_page_has_the_rates_of_the_conditions() -> None:
 # ---- the command -------------------------------------------------------------------------------------------------
 
 
+def guess(detector: Path | str, before: Path | str, after: str) -> tuple[str, ...]:
+    return ("learn", "--detector", str(detector), "--from-condition", str(before), "--to-condition", after)
+
+
 def test_the_command_writes_a_detector_that_says_that_it_is_a_guess(call: Call, tmp_path: Path) -> None:
     out = tmp_path / "in_fog.yaml"
-    arguments = ("guess", str(RICH), "--from", "noon_clear", "--to", "foggy_cloudy", "--out", str(out))
+    arguments = (*guess(RICH, "noon_clear", "foggy_cloudy"), "--out", str(out))
     status, said = call(*arguments)
     assert status == 0, said
     assert "A guess, not a measurement: rich.yaml in foggy_cloudy" in said
     assert "warning" not in said
     comments = [line for line in out.read_text().splitlines() if line.startswith("#")]
-    assert "Written by modsim3d guess. A guess, not a measurement" in comments[0]
+    assert "Written by modsim3d learn --from-condition. A guess, not a measurement" in comments[0]
     assert "noon_clear" in " ".join(comments)
     assert "odds of a miss by 4.01" in " ".join(comments)
     assert max(map(len, comments)) <= 120
@@ -205,8 +209,8 @@ def test_the_command_writes_a_detector_that_says_that_it_is_a_guess(call: Call, 
 
 
 def test_conditions_measured_on_other_images_are_remarked_on(call: Call, tmp_path: Path) -> None:
-    between = ("--from", "noon_clear", "--to", "real_world_experiment_1", "--out", str(tmp_path / "real.yaml"))
-    status, said = call("guess", str(RICH), *between)
+    line = guess(RICH, "noon_clear", "real_world_experiment_1")
+    status, said = call(*line, "--out", str(tmp_path / "real.yaml"))
     assert status == 0
     assert "warning: the box errors of the two conditions differ by more than a factor of four" in said
 
@@ -214,8 +218,7 @@ def test_conditions_measured_on_other_images_are_remarked_on(call: Call, tmp_pat
 def test_the_detector_itself_is_never_written_over(call: Call, tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"
     mine.write_bytes(RICH.read_bytes())
-    between = ("--from", "noon_clear", "--to", "foggy_cloudy", "--out", str(mine), "--overwrite")
-    status, _ = call("guess", str(mine), *between)
+    status, _ = call(*guess(mine, "noon_clear", "foggy_cloudy"), "--out", str(mine), "--overwrite")
     assert (status, mine.read_bytes()) == (2, RICH.read_bytes())
 
 
@@ -233,7 +236,7 @@ def test_what_cannot_be_guessed_from_is_one_error(
     call: Call, tmp_path: Path, detector: Path | str, before: Path | str, after: str, part: str
 ) -> None:
     out = tmp_path / "out.yaml"
-    status, said = call("guess", str(detector), "--from", str(before), "--to", after, "--out", str(out))
+    status, said = call(*guess(detector, before, after), "--out", str(out))
     assert status == 2
     assert part in " ".join(said.split())
     assert "Traceback" not in said
@@ -242,3 +245,10 @@ def test_what_cannot_be_guessed_from_is_one_error(
 
 def test_the_error_components_are_those_of_the_comment() -> None:
     assert ERROR_COMPONENTS == ("e_x", "e_y", "e_w", "e_h")  # as cli/guess.py writes them
+
+
+@pytest.mark.parametrize("others", [("--to-condition", "foggy_cloudy"), ("--detector", "rich.yaml", "run")])
+def test_a_guess_needs_a_detector_and_two_conditions_and_nothing_else(call: Call, tmp_path: Path, others) -> None:
+    status, said = call("learn", "--from-condition", "noon_clear", *others, "--out", tmp_path / "out.yaml")
+    assert status == 2 and not (tmp_path / "out.yaml").exists()
+    assert "needs --detector, --from-condition and --to-condition together" in said

@@ -111,7 +111,7 @@ def test_an_optimal_assignment_ranks_by_confidence_for_average_precision_and_say
         np.testing.assert_array_equal(
             first.average_precision.all_points.values, second.average_precision.all_points.values
         )
-    said = learn(tmp_path, "--run", run, "--match", "optimal")
+    said = learn(tmp_path, run, "--match", "optimal")
     assert "matched by IoU at least 0.5, optimal assignment, confidence at least" in said
     assert "every detection counted, matched by IoU at least 0.5, in order of confidence" in said
     assert "in order of confidence</h2>" in (tmp_path / "d.html").read_text()
@@ -144,21 +144,21 @@ def test_by_centres_an_error_is_well_placed_where_the_centres_are_near():
 
 
 def test_a_run_is_matched_by_provenance_unless_asked_otherwise(far_off, tmp_path):
-    usual, asked = (learn(tmp_path, "--run", far_off, *options) for options in ((), ("--match", "provenance")))
+    usual, asked = (learn(tmp_path, far_off, *options) for options in ((), ("--match", "provenance")))
     assert usual == asked
     assert "matched by provenance" in usual and "warning" not in usual
     page = (tmp_path / "d.html").read_text()
     assert "Precision against recall, matched by provenance" in page
-    assert "IoU at least" in learn(tmp_path, "--run", far_off, "--match", "confidence")
+    assert "IoU at least" in learn(tmp_path, far_off, "--match", "confidence")
 
 
 @pytest.mark.parametrize(
-    ("rule", "options"),
-    [(Rule(), ()), (Rule("optimal", 0.4), ("--iou", 0.4)), (Rule("centre", 0.5, 5.0), ("--distance", 5))],
+    ("rule", "limit"),
+    [(Rule(), ""), (Rule("optimal", 0.4), ":0.4"), (Rule("centre", 0.5, 5.0), ":5")],
     ids=str,
 )
-def test_the_last_line_says_that_the_rule_loses_most_detections_of_a_run(rule, options, far_off, tmp_path):
-    said = learn(tmp_path, "--run", far_off, "--match", rule.method, *options)
+def test_the_last_line_says_that_the_rule_loses_most_detections_of_a_run(rule, limit, far_off, tmp_path):
+    said = learn(tmp_path, far_off, "--match", rule.method + limit)
     labelled, _ = labelled_run(far_off)
     own = np.flatnonzero(labelled.results.origin >= 0)
     lost = sum(not pair(labelled, rule, d, labelled.results.origin[d])[0] for d in own)

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import modsim3d
-from modsim3d.cli.main import app, main
+from modsim3d.cli.main import app
 from modsim3d.cli.run_summary import _check_rows
 from modsim3d.runs import pipeline
 from modsim3d.runs.pipeline import simulate_frames
@@ -36,6 +36,7 @@ from modsim3d.truth.crosscheck import comparison
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.silhouettes import Spans
+from tests.command_line import call
 from tests.run_folders import interrupt
 from tests.scenes import CAMERA_HEIGHT_M, camera_keys, write_scene
 
@@ -361,15 +362,12 @@ def test_the_command_names_vessel_and_command_and_draws_the_picture(
     span_off_by_one(monkeypatch)
     (tmp_path / "my boats").mkdir()
     path = write_boats(tmp_path / "my boats", supersample=2)
-    monkeypatch.setattr("sys.argv", ["modsim3d", "run", str(path), "--out", str(tmp_path / "run"), "--no-sheet"])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code == 2
+    assert call(monkeypatch, "run", path, "--out", tmp_path / "run", "--no-sheet") == 2
     text = " ".join(capsys.readouterr().err.split())
     assert "silhouette pixels" in text
     assert f"run '{path}' --seed" in text
     assert "--set annotation.supersample=2" in text
-    assert "view unchecked --ids --frame" in text
+    assert "view frame unchecked" in text
     assert (tmp_path / "run" / "unfinished" / "cross_check.png").is_file()
     assert "cross_check.png" in text
 
@@ -422,14 +420,14 @@ def test_view_writes_an_id_buffer_as_png_or_npy(scene: Scene, tmp_path: Path) ->
 
     run_scene(scene, tmp_path / "run")
     expected = scene.at(1).render_ids("C0").ids
-    command = ["view", str(tmp_path / "run"), "--ids", "--frame", "1"]
+    command = ["view", "frame", str(tmp_path / "run"), "1", "--kind", "id_buffer"]
     for line in (command, [*command, "--out", str(tmp_path / "ids.npy")]):
         done = CliRunner().invoke(app, line)
         assert done.exit_code == 0, done.output
         assert "near" in done.output
     np.testing.assert_array_equal(np.array(Image.open(tmp_path / "run" / "id_buffer_C0_000001.png")), expected)
     np.testing.assert_array_equal(np.load(tmp_path / "ids.npy"), expected)
-    refused = CliRunner().invoke(app, ["view", str(tmp_path / "run"), "--ids"])
+    refused = CliRunner().invoke(app, ["view", "frame", str(tmp_path / "run"), "--kind", "id_buffer"])
     assert refused.exit_code != 0
 
 

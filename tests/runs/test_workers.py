@@ -100,7 +100,16 @@ def test_workers_without_a_renderer_say_what_one_process_says(prepared, tmp_path
 
 def test_interrupted_command_says_how_to_go_on(prepared, tmp_path):
     # A scene of many blocks, so that it cannot be done before this process has seen the first of them.
-    command = [prepared, "run", "simulation_2", "--no-sheet", "--render", "full", "--out", str(tmp_path / "run")]
+    command = [
+        prepared,
+        "run",
+        "simulation_2",
+        "--no-sheet",
+        "--set",
+        "annotation.render=full",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     (tmp_path / "first.py").write_text(SHORT_BLOCKS)
     environment = {**os.environ, "FIRST": str(tmp_path / "first.py")}
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)

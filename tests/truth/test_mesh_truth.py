@@ -174,7 +174,7 @@ def test_run_with_meshes_repeats_from_its_own_copy(tmp_path):
 
 def test_compare_compares_meshes_and_says_how_much_looser_their_shoeboxes_are(tmp_path):
     path = own_ship_scene(tmp_path)
-    result = CliRunner().invoke(app, ["compare", str(path), "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(app, ["check", "truth", str(path), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
     figures = json.loads((tmp_path / "out" / "compare.json").read_text())
     assert figures["unexplained"] == 0

@@ -1,4 +1,4 @@
-"""`modsim3d compare` finds an error planted in the fast path, in the analytic source, in both, or in the drawing.
+"""`modsim3d check truth` finds an error planted in the fast path, in the analytic source, in both, or in the drawing.
 
 There are four: of order, of near and far, of one vessel's corners, and of the near plane.
 """
@@ -152,7 +152,7 @@ def scene(tmp_path):
 
 def unexplained(monkeypatch, capsys, scene):
     """Exit status and the number of unexplained differences."""
-    status = call(monkeypatch, "compare", scene, "--json")
+    status = call(monkeypatch, "check", "truth", scene, "--json")
     return status, json.loads(capsys.readouterr().out)["unexplained"]
 
 

@@ -73,7 +73,7 @@ def views(path: Path) -> dict[str, tuple[str, list[str]]]:
 def written(run, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "new" / "run.rrd"
     with pytest.MonkeyPatch.context() as monkeypatch:
-        assert call(monkeypatch, "rerun", run, "--out", out, "--every", EVERY) == 0
+        assert call(monkeypatch, "export", run, "--format", "rerun", "--out", out.parent, "--every", EVERY) == 0
     return out
 
 
@@ -277,11 +277,11 @@ def test_without_the_sdk_the_error_names_the_extra_and_no_empty_bar_stands_befor
     monkeypatch, capsys, run, tmp_path
 ):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    assert call(monkeypatch, "rerun", run, "--out", tmp_path / "x.rrd") == 2
-    assert capsys.readouterr().err == "modsim3d: modsim3d rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'\n"
+    assert call(monkeypatch, "export", run, "--format", "rerun", "--out", tmp_path / "x") == 2
+    assert capsys.readouterr().err == "modsim3d: --format rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'\n"
 
 
 def test_file_that_cannot_be_written_is_one_message(monkeypatch, capsys, run, tmp_path):
     (tmp_path / "file").touch()
-    assert call(monkeypatch, "rerun", run, "--out", tmp_path / "file" / "x.rrd") == 2
-    assert f"{tmp_path / 'file'} is a file, and x.rrd is to be written into a folder" in capsys.readouterr().err
+    assert call(monkeypatch, "export", run, "--format", "rerun", "--out", tmp_path / "file") == 2
+    assert f"{tmp_path / 'file'} is a file, and run.rrd is to be written into a folder" in capsys.readouterr().err

@@ -57,7 +57,7 @@ def stalled(run, prepared, tmp_path_factory):
             "JE_ARROW_MALLOC_CONF": "background_thread:false",
         }
         program = [sys.executable, "-m", "modsim3d.cli.main"] if alone else [prepared]
-        arguments = ("view", run, "--film", "detections", "--width", "320", "--out", out, *options)
+        arguments = ("view", "film", run, "--kind", "detections", "--width", "320", "--out", out, *options)
         drawing = subprocess.Popen(
             [*map(str, program), *map(str, arguments)],
             env={**os.environ, **(of_its_own if alone else {"FIRST": str(first)})},
@@ -153,7 +153,7 @@ def test_a_killed_film_leaves_what_the_next_one_removes(stalled, run, prepared, 
     left = entries(tmp_path)
     assert left
     assert all(entry.startswith(".film.") and entry.endswith((".partial.mp4", ".lock")) for entry in left), left
-    command = [prepared, "view", run, "--film", "detections", "--width", "320", "--out", tmp_path / "film.mp4"]
+    command = [prepared, "view", "film", run, "--kind", "detections", "--width", "320", "--out", tmp_path / "film.mp4"]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
     assert entries(tmp_path) == ["film.mp4"]
 

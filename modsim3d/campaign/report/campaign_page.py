@@ -65,7 +65,7 @@ def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ())
         worst = sorted(rows, key=lambda row: _badness(score, row.means[scores[0]].value))[:MAX_ROWS]
         rows = [row for row in rows if any(row is each for each in worst)]
         remark = f" The {MAX_ROWS} rows of {count:,} with the worst {score.name} are shown; "
-        remark += "modsim3d campaign-table has all."
+        remark += "modsim3d campaign table has all."
     shown = without_judged(plan, rows, verdicts)
     remark += " Intervals of means that are required are those of the requirements, above." * (shown != rows)
     return [
@@ -239,9 +239,8 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
         "requirements count each crash as wrong, or stay undecided. To see an error again:"
     )
     first, path = ordered[0][1][0]["run"], folder.path
-    again = (
-        f"modsim3d campaign-run {shlex.quote(str(path))} {first} --out {shlex.quote(str(path / 'runs' / str(first)))}"
-    )
+    out = shlex.quote(str(path / "runs" / str(first)))
+    again = f"modsim3d campaign reproduce {shlex.quote(str(path))} {first} --out {out}"
     more = f"The {MAX_ERRORS} most frequent errors are shown." if len(ordered) > MAX_ERRORS else ""
     return [
         Heading("Runs that crashed"),

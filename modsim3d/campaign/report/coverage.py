@@ -131,8 +131,8 @@ def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[Block]:
     )
     path, again = folder.path, f"{folder.path.name}_again"
     commands = {
-        "the whole campaign again": ["modsim3d", "campaign", str(path / FILE), "--out", again],
-        f"run {number} alone": ["modsim3d", "campaign-run", str(path), str(number), "--out", f"run_{number}"],
+        "the whole campaign again": ["modsim3d", "campaign", "run", str(path / FILE), "--out", again],
+        f"run {number} alone": ["modsim3d", "campaign", "reproduce", str(path), str(number), "--out", f"run_{number}"],
     }
     for what, words in commands.items():
         yield Text(f"{what[0].upper()}{what[1:]}:")

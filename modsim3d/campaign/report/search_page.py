@@ -166,10 +166,8 @@ def _facts(folder: CampaignFolder) -> list[tuple[str, str]]:
 
 
 def _again(folder: CampaignFolder, number: int) -> str:
-    path = folder.path
-    return (
-        f"modsim3d campaign-run {shlex.quote(str(path))} {number} --out {shlex.quote(str(path / 'runs' / str(number)))}"
-    )
+    out = shlex.quote(str(folder.path / "runs" / str(number)))
+    return f"modsim3d campaign reproduce {shlex.quote(str(folder.path))} {number} --out {out}"
 
 
 def _value(value: Any) -> str:

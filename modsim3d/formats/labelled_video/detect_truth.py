@@ -262,7 +262,7 @@ def detect_truth(
     if frame_rate_hz is not None and not 0 < frame_rate_hz < math.inf:
         raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate_hz:g})"])
     if seed < 0:
-        raise InputError("--seed", [f"must be 0 or more (got {seed})"])
+        raise InputError("--detector-seed", [f"must be 0 or more (got {seed})"])
     with inputs_noted() as read:
         model, file = choose_detector(detector, settings=settings, state=state, state_from=state_from)
         options = ReadOptions((), image_size_px, skip_bad, frame_rate_hz)

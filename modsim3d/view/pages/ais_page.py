@@ -271,7 +271,7 @@ def _options(traffic: AisTraffic) -> list[tuple[str, str]]:
         rows.append((f"--{name} {value:g}", default if value == unless else given))
     if options.swap_coordinates:
         rows.append(("--swap-coordinates", given))
-    rows.append(("--labels type", given) if options.labels_by_type else ("--labels vessel", default))
+    rows.append(("--label type", given) if options.labels_by_type else ("--label Vessel, for all", default))
     return rows + [(f"--label {group}={_shown(label)}", given) for group, label in sorted(options.labels.items())]
 
 

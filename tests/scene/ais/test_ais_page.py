@@ -12,7 +12,8 @@ import pytest
 
 from modsim3d.scene.ais.messages import SeaRegion
 from modsim3d.view.pages.ais_page import MAX_ROWS, ais_page
-from tests.scene.ais.ais_builders import SAMPLES, command, old_file, row, traffic_of
+from tests.command_line import call as command
+from tests.scene.ais.ais_builders import SAMPLES, old_file, row, traffic_of
 
 
 def text_of(written: str) -> str:

@@ -38,12 +38,12 @@ CAMPAIGN = {
     "require": [{"score": "hota", "at_least": 0.0}, {"score": "hota", "at_least": 0.9}],
 }
 COMMANDS = {
-    "verify": "verify run --out verify",
-    "compare": "compare harbour --steps 2 --out compare",
-    "learn": "learn --run run --replicates 20 --out learn/detector.yaml",
+    "verify": "check run run --out verify",
+    "compare": "check truth harbour --steps 2 --out compare",
+    "learn": "learn run --replicates 20 --out learn/detector.yaml",
     "score": "score run tracks.csv --threshold 0.4 --out score",
     "report": "report run --out run.html",
-    "campaign": "campaign-report campaign --out campaign.html",
+    "campaign": "campaign report campaign --out campaign.html",
 }
 PAGES = {
     "verify": "verify/verify.html",

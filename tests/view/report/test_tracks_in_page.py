@@ -107,7 +107,7 @@ def test_how_boxes_are_compared_is_an_option_and_in_the_legend(
     monkeypatch, browser, run_folder, rows, followed, tmp_path
 ):
     file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
-    options = ("--similarity", "centre", "--scale", 150, "--threshold", 0.3, "--every", 20)
+    options = ("--similarity", "centre:150", "--threshold", 0.3, "--every", 20)
     assert call(monkeypatch, "report", run_folder, "--tracks", file, *options, "--out", out) == 0
     browser.open(out)
     legend = browser.run("document.querySelector('#legend').textContent")
