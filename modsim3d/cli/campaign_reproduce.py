@@ -89,7 +89,7 @@ def campaign_reproduce_command(
 
 
 def _print_run(again: RunAgain) -> None:
-    from modsim3d.campaign.done_rows import text_of
+    from modsim3d.campaign.plan import text_of
 
     run = again.run
     rows = [

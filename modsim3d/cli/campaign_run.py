@@ -24,7 +24,17 @@ from modsim3d.cli.shared import (
     print_path,
     stoppable,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say, say_json, tell_files, timed, warn
+from modsim3d.cli.terminal import (
+    open_console,
+    print_blocks,
+    print_prose,
+    print_table,
+    say,
+    say_json,
+    tell_files,
+    timed,
+    warn,
+)
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -192,19 +202,11 @@ def _introduced(campaign: CheckedCampaign) -> list[str]:
 
 
 def _print_result(result: CampaignResult) -> None:
-    from modsim3d.campaign.means import mean_rows, usual_keys, usual_scores
-    from modsim3d.campaign.verdicts.wording import levels_of
-    from modsim3d.cli.campaign_text import print_crashed, print_means, print_verdicts, without_judged
+    from modsim3d.campaign.report.campaign_page import compared_blocks, requirement_blocks
 
-    console, plan, folder = open_console(), result.folder.plan, result.folder.path
-    print_verdicts(console, "requirements", result.verdicts, reasons=True)
-    for sentence in levels_of(plan).sentences():
-        print_prose(console, sentence, "dim")
-    rows = mean_rows(result.table, usual_keys(plan), usual_scores(plan, result.table))
-    shown_rows = without_judged(plan, rows, result.verdicts)
-    above = "" if shown_rows == rows else "; those of requirements are above"
-    print_means(console, f"mean scores [95 % interval over traffic seeds{above}]", shown_rows)
-    print_crashed(console, result.table, folder)
+    console, folder = open_console(), result.folder.path
+    print_blocks(console, requirement_blocks(result.folder.plan, result.verdicts))
+    print_blocks(console, compared_blocks(result.folder, result.table, result.verdicts))
     print_line(console, "")
     print_prose(console, _conclusion(result), "bold")
     print_path(console, "campaign", folder)
@@ -347,8 +349,9 @@ def _frames_of(campaign: CheckedCampaign) -> int:
 
 
 def _needed_row(plan: Plan, each: NeededSeeds) -> tuple[str, ...]:
-    from modsim3d.cli.campaign_text import UNKNOWN, values_text
+    from modsim3d.campaign.plan import values_text
+    from modsim3d.core.text import UNKNOWN
 
-    values = "all" if each.condition is None else values_text(plan.conditions[each.condition].values) or UNKNOWN
+    values = "all" if each.condition is None else values_text(plan.conditions[each.condition].values)
     seeds = UNKNOWN if each.seeds is None else f"{each.seeds:,}"
     return (each.text, each.tracker or "all", values, seeds, each.why)

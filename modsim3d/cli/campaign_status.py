@@ -20,7 +20,7 @@ from modsim3d.cli.shared import (
     progress,
     typed_command,
 )
-from modsim3d.cli.terminal import open_console, print_prose, say, say_json, tell_files, timed
+from modsim3d.cli.terminal import open_console, print_blocks, print_prose, say, say_json, tell_files, timed
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -64,21 +64,22 @@ def campaign_status_command(
 
 def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
     from modsim3d.campaign.folder import killed_sentence
+    from modsim3d.campaign.report.campaign_page import crash_sections, requirement_blocks
     from modsim3d.cli.campaign_progress import present_text
-    from modsim3d.cli.campaign_text import MAX_ROWS, print_crashed, print_verdicts
+    from modsim3d.cli.campaign_text import MAX_ROWS
 
     console = open_console()
     print_line(console, f"{found.done:,} of {found.total:,} runs are done, {found.crashed:,} of them crashed", "bold")
     for line in _how(found):
         print_line(console, line)
     if found.finished:
-        print_verdicts(console, "requirements", found.verdicts, reasons=True)
+        print_blocks(console, requirement_blocks(opened.plan, found.verdicts))
     elif found.verdicts:
         print_line(console, "")
         print_line(console, "requirements so far" if once else "requirements at the last look", "bold")
         for verdict in found.verdicts[:MAX_ROWS]:
             print_line(console, f"  {present_text(verdict, once)}")
-    print_crashed(console, found.table, opened.path)
+    print_blocks(console, crash_sections(opened, found.table))
     if killed := killed_sentence(opened):
         print_prose(console, killed)
 
@@ -131,8 +132,7 @@ def campaign_table_command(
     """
     from modsim3d.campaign.campaign import has_ended, rows_of
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
-    from modsim3d.campaign.means import mean_rows, usual_keys, usual_scores
-    from modsim3d.cli.campaign_text import print_means
+    from modsim3d.campaign.means import mean_rows, mean_table, usual_keys, usual_scores
     from modsim3d.io.overwrite_guard import claimed
 
     _check(runs, bool(by or score), out)
@@ -152,7 +152,7 @@ def campaign_table_command(
         if out is not None:
             _write(out, table if runs else flat_table(rows))
     if not runs:
-        print_means(open_console(), "mean scores [95 % interval over traffic seeds]", rows, most=None)
+        print_blocks(open_console(), [mean_table(rows)])
     print_written(open_console(), paths)
     say_json(
         {

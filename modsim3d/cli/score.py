@@ -74,9 +74,9 @@ def score_command(
     from modsim3d.io.overwrite_guard import claimed
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.stored_run import open_run
+    from modsim3d.tracking.score_outcome import score_data
     from modsim3d.tracking.score_page import FILES, document, write_scores
     from modsim3d.tracking.score_run import score_run
-    from modsim3d.tracking.score_tables import score_data
 
     with timed("opening the run"):
         opened = open_run(run)

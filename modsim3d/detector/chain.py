@@ -296,7 +296,7 @@ def false_positive_rates(model: DetectorModel) -> FalsePositiveRates:
 
 
 def target_statistics(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetStatistics:
-    """What a detector needs of a scene: give the result to `Detector`, whatever the model.
+    """Statistics that a detector needs of a scene: give the result to `Detector`, whatever the model.
 
     Args:
         model: The detector; only targets that pass its gates count.

@@ -18,13 +18,15 @@ from rich.console import Console
 from scipy import stats
 
 import modsim3d as package
+from modsim3d.campaign.folder import opened_campaign
 from modsim3d.campaign.keys import read_campaign
+from modsim3d.campaign.report.campaign_page import crash_sections
 from modsim3d.campaign.running import Progress, run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.workers import ThisProcess
 from modsim3d.cli.campaign_run import exit_status
-from modsim3d.cli.campaign_text import print_crashed
+from modsim3d.cli.terminal import print_blocks
 from modsim3d.core.errors import ModsimError, OutputError
 from modsim3d.io.overwrite_guard import locked_folder
 from tests.campaign.campaigns import checked_campaign
@@ -179,9 +181,9 @@ def test_commands_that_are_printed_can_be_pasted(
     assert f"modsim3d campaign report '{out}'" in said.out and f"modsim3d campaign table '{out}'" in said.out
     said = modsim3d("campaign", "run", file, "--out", out, "--shard", "1/2")
     assert f"modsim3d campaign run {file} --out '{out}'" in said.out
-    crashed = pa.table({"run": [7], "status": ["crashed"], "error": ["ValueError: no"]})
+    crashed = pa.table({"run": [7], "tracker": ["sort"], "status": ["crashed"], "error": ["ValueError: no"]})
     console = Console(width=400, record=True, file=io.StringIO())
-    print_crashed(console, crashed, out)
+    print_blocks(console, crash_sections(opened_campaign(out), crashed))
     assert f"modsim3d campaign reproduce '{out}' 7 --out '{out}/runs/7'" in console.export_text()
 
 
@@ -342,13 +344,12 @@ def test_the_terminal_says_what_a_verdict_leaves_out_and_a_mean_has_one_interval
     said = modsim3d("campaign", "run", needy, "--out", needy.parent / "out")
     assert said.status == 1
     text = " ".join(said.out.split())
-    assert "false_positives at most 1000 (sort): Over 3 traffic seeds" in text
+    assert "sort, ? undecided: Over 3 traffic seeds" in text
     assert "No tracks at all would meet it too" in text
-    assert (
-        "assa at least 0.01 resting on 1 % (late): Over 3 traffic seeds no run has assa. In 3 runs the tracker" in text
-    )
-    assert "interval, level of each end" in text and "those of requirements are above" in text
-    _, _, means = said.out.partition("mean scores")
+    failed = text.partition("2. assa at least 0.01 resting on 1 %: ✗ failed")[2]
+    assert "late, ✗ failed: Over 3 traffic seeds no run has assa. In 3 runs the tracker" in failed
+    assert "interval, each end 95 %" in text and "those of the requirements, above" in text
+    _, _, means = said.out.partition("Means")
     (line,) = [line for line in means.splitlines() if line.startswith("sort")]
     with_interval = dict(zip(("hota", "assa", "rmse_px", "false_positives"), line.split()[2:], strict=False))
     assert not any(cell.startswith("[") for cell in with_interval.values())

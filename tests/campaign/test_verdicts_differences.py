@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from benchmarks.resampled_means import STORED, TRAFFICS, differences, turned
+from modsim3d.campaign.done_rows import with_plan
 from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.plan import cases_of
 from modsim3d.campaign.ranking import worst_runs
@@ -19,7 +20,7 @@ from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import table_of
 from modsim3d.cli.campaign_text import requirement_in_words
 from modsim3d.core.errors import InputError
-from tests.campaign.campaigns import run_campaign_file
+from tests.campaign.campaigns import html_of_blocks, run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_scores
 
 NO_WORSE = {"score": "siap_completeness", "of": "new", "minus": "old", "at_least": -0.02}
@@ -167,9 +168,9 @@ def test_the_page_holds_no_mean_against_the_threshold_of_a_difference_and_prints
     (score,) = required_scores(plan)
     assert score.column == "siap_completeness" and score.thresholds == ()
     table = table_of_scores(plan, "siap_completeness", values_of(0.1))
-    (_, text, rows) = paired_sections(plan, table)
-    assert "above" in text and ">−0.099</td>" in rows
-    assert "Intervals of means that are required" not in "".join(mean_sections(plan, table))
+    html = html_of_blocks(paired_sections(plan, table))
+    assert "above" in html and ">−0.099</td>" in html
+    assert "Intervals of means that are required" not in html_of_blocks(mean_sections(plan, with_plan(table, plan)))
 
 
 @pytest.mark.parametrize(("lost", "outcome"), [(1, "failed"), (0, "undecided")])
@@ -187,5 +188,5 @@ def test_a_campaign_page_traces_a_difference_to_the_runs_of_both_and_its_worst_r
     hota = result.table["hota"].to_numpy().reshape(3, 2)
     (worst,) = worst_runs(result.folder, result.table, result.verdicts, count=1)
     assert worst.number == 2 * int(np.argmin(hota[:, 1] - hota[:, 0])) + 1
-    traced = "".join(trace_sections(result.folder, result.table, result.verdicts))
+    traced = html_of_blocks(trace_sections(result.folder, result.table, result.verdicts))
     assert "new − old" in traced and "0–5 (6 of them)" in traced

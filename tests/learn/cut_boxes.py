@@ -11,9 +11,9 @@ from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.learned import Learned
+from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.one_state import detector_file, learned_in, observed_in
-from tests.learn.simulated_results import simulated
 
 SIZE = (640.0, 480.0)
 _CORRELATION = np.array([[1, 0.2, 0.3, 0], [0.2, 1, 0, -0.2], [0.3, 0, 1, 0.4], [0, -0.2, 0.4, 1]])

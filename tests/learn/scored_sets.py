@@ -10,9 +10,9 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.learned import Learned
+from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.one_state import detector_file, learned_in, observed_in
-from tests.learn.simulated_results import simulated
 
 BOATS, RATE_HZ, SIDE_PX = 3, 5.0, 900.0
 

@@ -17,8 +17,8 @@ from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.learn.learning import learn_detector
+from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_sets import found, images, truth
-from tests.learn.simulated_results import simulated
 
 FRAMES = 60
 

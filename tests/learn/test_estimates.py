@@ -116,9 +116,12 @@ def test_the_singular_covariance_of_two_errors_is_still_one_as_it_is_written(see
     np.testing.assert_allclose(section["covariance"], np.cov(errors.T), rtol=3e-5)
 
 
-def test_numbers_that_differ_by_rounding_alone_determine_no_distribution_and_are_written_as_equal():
+def test_errors_that_differ_by_rounding_alone_determine_no_distribution():
     errors = np.random.default_rng(0).normal(0, [1, 1, 1e-14, 1], (50, 4))
     assert not _regular(errors) and _regular(errors * [1, 1, 1e13, 1])
+
+
+def test_confidences_that_hardly_differ_are_written_as_equal():
     mean, std = (Entry(Key((name,)), Column(np.array([x]), "mean", np.array(1.0))) for name, x in FLAT.items())
     assert LearnedNormal(mean, std, 0.2).section() == {"mean": 0.99, "std": 0.0}
 

@@ -12,10 +12,10 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.bootstrap import entries_of, resample
 from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.one_state import detector_file, observed_in
-from tests.learn.simulated_results import simulated
 
 FRAMES, RATE_HZ = 1200, 4.0
 SIZE = {"model": "lognormal", "px": [60, 30], "log_std": 0.3}

@@ -24,13 +24,13 @@ from modsim3d.learn.learned import LearnSettings, learn
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.model_selection import RICHER
 from modsim3d.learn.report import NearGate
+from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.states import Transitions, each_its_own, transitions_of
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verify_run import verify_run
 from tests.formats.labelled_sets import found, images, random_set, truth
 from tests.learn.one_state import detector_file
 from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
-from tests.learn.simulated_results import simulated
 
 
 @pytest.fixture(scope="module")

@@ -18,11 +18,11 @@ from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
 from modsim3d.learn.learned import Learned, LearnSettings, learn, uncertainty_text
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.misses import own_effects
+from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.states import Transitions
 from modsim3d.scene.settings import choose_detector
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.scored_sets import detector
-from tests.learn.simulated_results import simulated
 
 FRAMES, BOATS, STATES = 900, 3, ("clear", "fog")
 SLOPES = {"clear": 0.004, "fog": 0.03}

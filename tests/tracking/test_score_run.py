@@ -19,9 +19,9 @@ from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.detector_seeds import detector_runs
 from modsim3d.tracking.oracle import REFERENCES
-from modsim3d.tracking.score_page import score_page
+from modsim3d.tracking.score_outcome import remarks_of, score_data
+from modsim3d.tracking.score_page import score_page, seed_rows
 from modsim3d.tracking.score_run import RunScores, score_run
-from modsim3d.tracking.score_tables import remarks_of, score_data, seed_rows
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.track_run import track_run
 from modsim3d.tracks.tracks import Tracks, TrackSet

@@ -46,11 +46,6 @@ def _inked(colour: str) -> str:
 FOUND, ASKED = colour_of(0), colour_of(1)
 
 
-def figure(drawings: Sequence[str], caption: str) -> str:
-    """Drawings side by side with one caption."""
-    return f"<figure>\n{''.join(drawings)}\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>"
-
-
 @dataclass(frozen=True)
 class Axes:
     """The frame of a chart: ranges of the data, and the size of the whole drawing with its margins in pixels.

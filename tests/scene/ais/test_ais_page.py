@@ -68,7 +68,7 @@ def test_the_page_begins_with_the_result(said):
         "219000005|outside the region (3)|",
         "1 other sender is no ship: base stations, aids to navigation, aircraft, beacons.",
         "dropped: faster than 60 kn from the position before|2|2.4 %|",
-        "row 83: LAT is not a number (got 'x56')|",
+        "row 83: LAT is not a number (got 'x56')",
         "219000002|X|16|20|20|1|300|282|48.5 %|",
         "Length missing: typical of the ship type|1|",
         "--max-gap 120|given|",
