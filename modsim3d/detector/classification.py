@@ -36,6 +36,8 @@ class ConfusionClassifier:
         distributions = cumulative(np.swapaxes(model.column("confusion"), 1, 2))
         misses = _miss_rates(distributions)
         intercepts = np.zeros_like(misses)
+        for state, of_labels in model.dropout.intercepts.items():
+            intercepts[state] = of_labels
         if model.dropout.anchored:
             for state, label in np.ndindex(*misses.shape):
                 intercepts[state, label] = anchor(

@@ -96,11 +96,13 @@ class Dropout:
         effects: Effects of the vessel's attributes; their log-odds add up.
         anchored: Whether each state's rate is held as the average over the scene.
         own: Effects of single states, by index of the state; each replaces the shared one of its attribute there.
+        intercepts: Log-odds added to all misses of each label, by index of the state; none where a state has none.
     """
 
     effects: tuple[Effect, ...] = ()
     anchored: bool = False
     own: Mapping[int, tuple[Effect, ...]] = field(default_factory=dict)
+    intercepts: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def every_effect(self) -> tuple[Effect, ...]:

@@ -19,6 +19,7 @@ from modsim3d.learn.bootstrap import (
     Resampling,
     columns_of_one,
     digits,
+    nested,
     ratio,
     resample,
     spread,
@@ -206,7 +207,9 @@ class ClassForm:
         inflation = float(by_label.max())
         slopes = () if fit is None else _slopes(observed, self.effects, fit, inflation)
         confusion = _confusion(observed, fit, resampling, by_label)
-        return LearnedClasses(slopes, class_s, share, confusion, inflation)
+        intercepts = () if fit is None else _intercepts(observed, fit)
+        log_odds = None if fit is None else fit.log_odds
+        return LearnedClasses(slopes, class_s, share, intercepts, confusion, inflation, log_odds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,22 +226,26 @@ class LearnedClasses:
 
     Attributes:
         class_vessel_share: Share of the latent noise that each thing keeps; None if there is none.
+        intercepts: Log-odds of a miss at the references less those of the mean rate, of each state, shape (k,).
         confusion: Of each state, shape (k + 1, k); NaN in columns of labels that were never there.
         inflation: Variance of the number of frames in which a thing is missed or confused, over that of independent
             frames.
+        log_odds: Quantiles of what the effects add in the learning set, shape (states, k, quantiles).
     """
 
     effects: tuple[LearnedEffect, ...]
     class_s: Entry | None
     class_vessel_share: Entry | None
+    intercepts: tuple[Entry, ...]
     confusion: tuple[Entry, ...]
     inflation: float
+    log_odds: Array | None
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """Dropout and the persistence of misses."""
         sections: dict[str, dict[str, Any]] = {}
         if self.effects:
-            sections["dropout"] = {"model": "logistic", "anchor": "state_rate"} | self._effects_of(None)
+            sections["dropout"] = {"model": "logistic"} | self._effects_of(None)
         if self.class_s is not None and self.class_s.estimate > 0:
             sections["persistence"] = {"class_s": digits(self.class_s.estimate)}
             if self.class_vessel_share is not None:
@@ -246,8 +253,13 @@ class LearnedClasses:
         return sections
 
     def state_section(self, state: int) -> dict[str, Any]:
-        """The confusion matrix, and effects that are the state's own."""
+        """The confusion matrix, effects that are the state's own, and the intercepts."""
         own = self._effects_of(state)
+        if self.log_odds is not None:
+            own |= {
+                "intercept": nested(self.intercepts[state].estimate),
+                "learned_log_odds": [[round(float(each), 3) for each in row] for row in self.log_odds[state]],
+            }
         confusion = {"confusion": columns_of_one(filled(self.confusion[state].estimate))}
         return confusion | ({"dropout": own} if own else {})
 
@@ -416,6 +428,14 @@ def _slopes(
         key = Key(("dropout", effect.attribute, effect.slope_key), state)
         learned.append(LearnedEffect(effect, Entry(key, column)))
     return tuple(learned)
+
+
+def _intercepts(observed: Observed, fit: MissFit) -> tuple[Entry, ...]:
+    """Intercepts of each state, one for each label."""
+    labels, count = observed.labelled.labels, np.array(float(len(observed.rows)))
+    keys = [Key(("dropout", "intercept"), name, (labels,)) for name in observed.states]
+    columns = [Column(fit.intercepts[:, index], "mean", np.full(len(labels), count)) for index in range(len(keys))]
+    return tuple(Entry(key, column) for key, column in zip(keys, columns, strict=True))
 
 
 def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, inflation: Array) -> tuple[Entry, ...]:

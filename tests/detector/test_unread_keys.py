@@ -38,6 +38,8 @@ OTHERS: dict[str, list[Any]] = {
     "visible_fraction": [{"per_unit": -3, "reference": 0.5}, {"edges": [0.5], "odds": [1, 5]}],
     "size_px": [{"per_doubling": -0.9, "reference": 20}, {"edges": [50], "odds": [1, 5]}],
     "distance_m": [{"per_doubling": 0.9, "reference": 20}, {"edges": [900], "odds": [1, 5]}],
+    "intercept": [[0.5], [0.5] * 2, [0.5] * 3],
+    "learned_log_odds": [[[0.5]], [[0.5]] * 2, [[0.5]] * 3],
     "per_unit": [-2.5],
     "per_doubling": [-0.4],
     "reference": [0.3],

@@ -95,7 +95,12 @@ def _dropout_problems(file: DetectorFile) -> list[str]:
     if model != "confusion" and not any(each.effects() for each in (file.dropout, *_own_dropout(file).values())):
         return [f"dropout: model {model} needs at least one of {', '.join(ATTRIBUTES)}"]
     misfits = {name: own.misfit(model) for name, own in _own_dropout(file).items()}
-    return [f"states.{name}.dropout: {misfit} (dropout.model)" for name, misfit in misfits.items() if misfit]
+    anchored = "anchor state_rate holds the state's rate whatever it is: choose anchor none, or leave it out"
+    sections = {"dropout": file.dropout} | {f"states.{name}.dropout": own for name, own in _own_dropout(file).items()}
+    given = [path for path, section in sections.items() if section.intercept is not None]
+    return [f"states.{name}.dropout: {misfit} (dropout.model)" for name, misfit in misfits.items() if misfit] + [
+        f"{path}.intercept: {anchored}" for path in given if file.dropout.anchor == "state_rate"
+    ]
 
 
 def _own_dropout(file: DetectorFile) -> dict[str, EffectsSection]:
@@ -320,7 +325,12 @@ def _scores(section: ScoreSection) -> ConfidenceLaw:
 
 def _dropout(content: DetectorFile) -> Dropout:
     own = {index: _effects(section.dropout) for index, section in enumerate(content.states.values())}
-    dropout = Dropout(_effects(content.dropout), own={index: effects for index, effects in own.items() if effects})
+    of_states = [section.dropout.intercept or content.dropout.intercept for section in content.states.values()]
+    dropout = Dropout(
+        _effects(content.dropout),
+        own={index: effects for index, effects in own.items() if effects},
+        intercepts={index: tuple(intercept) for index, intercept in enumerate(of_states) if intercept is not None},
+    )
     return replace(dropout, anchored=bool(dropout.every_effect) and content.dropout.anchor == "state_rate")
 
 

@@ -55,12 +55,23 @@ class EffectSection(Strict):
         return self
 
 
+def _one_for_each_label(value: list[Any], info: ValidationInfo) -> list[Any]:
+    labels: Sequence[str] = (info.context or {}).get("labels", ())
+    if labels and len(value) != len(labels):
+        raise ValueError(f"has {len(value)} entries, must have one for each of the labels {', '.join(labels)}")
+    return value
+
+
 class EffectsSection(Strict):
     """Effects of what a vessel looks like on its misses; those of a state replace the shared ones."""
 
     visible_fraction: EffectSection | None = None
     size_px: EffectSection | None = None
     distance_m: EffectSection | None = None
+    intercept: Annotated[list[Number], AfterValidator(_one_for_each_label)] | None = None
+    learned_log_odds: (
+        Annotated[list[Annotated[list[Number], Field(min_length=1)]], AfterValidator(_one_for_each_label)] | None
+    ) = None
 
     def effects(self) -> dict[str, EffectSection]:
         """Effects that are given."""
@@ -69,6 +80,10 @@ class EffectsSection(Strict):
 
     def misfit(self, model: str) -> str | None:
         """Problem of the effects under the name of the model of all of them; None if there is none."""
+        if self.learned_log_odds is not None and self.intercept is None:
+            return "learned_log_odds goes with an intercept, which a miss_rate finds anew from them"
+        if model == "confusion" and self.intercept is not None:
+            return "model confusion has no intercept: choose model logistic or table"
         for name, effect in self.effects().items():
             if model == "confusion":
                 return f"model confusion has no {name}: choose model logistic or table"
