@@ -33,6 +33,32 @@ _MAX_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the 
 
 
 @dataclass(frozen=True)
+class LatentScore:
+    """A standard normal number of each vessel in each camera, behind its misses and its confidence.
+
+    A vessel is missed where the number's probability is below the chance of a miss; above it the number says how sure
+    the detector is. It is a sum: a part that the vessel keeps, autoregressive parts, and white noise.
+
+    Attributes:
+        vessel_share: Share of the variance that a vessel keeps.
+        parts: Share of the variance and correlation time in seconds of each autoregressive part.
+    """
+
+    vessel_share: float
+    parts: tuple[tuple[float, float], ...]
+
+    @property
+    def white_share(self) -> float:
+        """Share of the variance that is new at every step."""
+        return max(1.0 - self.vessel_share - sum(share for share, _ in self.parts), 0.0)
+
+    def correlation(self, apart_s: Array) -> Array:
+        """Correlation of a vessel's numbers at times above 0 apart, same shape."""
+        kept = np.full(np.shape(apart_s), self.vessel_share)
+        return kept + sum(share * np.exp(-apart_s / time_s) for share, time_s in self.parts)
+
+
+@dataclass(frozen=True)
 class Persistence:
     """How long misses, confusions, box errors, confidence and merges persist, and what a vessel keeps for a whole run.
 
@@ -44,6 +70,8 @@ class Persistence:
         class_vessel_share: Share of the variance of the latent number of misses and confusions that each vessel keeps
             in each camera, in [0, 1).
         box_vessel_share: That of the latent numbers of box errors.
+        score: The number behind misses and confidence, None if they are drawn apart; `class_s` and
+            `class_vessel_share` are then those of the label alone.
     """
 
     class_s: float = 0.0
@@ -52,6 +80,7 @@ class Persistence:
     merge_s: float = 0.0
     class_vessel_share: float = 0.0
     box_vessel_share: float = 0.0
+    score: LatentScore | None = None
 
     @property
     def class_memory_s(self) -> float:
@@ -143,6 +172,19 @@ class AutoregressiveScore(Autoregressive):
         return grid_normals(streams.uniforms(Purpose.CONFIDENCE, camera, vessel, first=first, count=count)[:, :1])
 
 
+@dataclass(frozen=True)
+class AutoregressivePart(Autoregressive):
+    """An autoregressive part of the score of a vessel, of width 1."""
+
+    width: int = 1
+    ordinal: int = 1
+
+    def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
+        """Independent standard normal numbers, shape (count, 1)."""
+        uniforms = streams.uniforms(Purpose.SCORE, camera, vessel, str(self.ordinal), first=first, count=count)
+        return grid_normals(uniforms)
+
+
 @functools.lru_cache(_DECAYS_KEPT)
 def decay(seconds: float, correlation_s: float) -> float:
     """e^(−Δt/τ), one at a time: how a run is split must not show in how an array of exponentials is rounded."""
@@ -198,7 +240,7 @@ class VesselNoise:
     def __init__(self, persistence: Persistence, streams: Streams, clock: Clock) -> None:
         """Read the times of steps from a clock where noise persists."""
         self._persistence, self._streams, self._clock = persistence, streams, clock
-        self._walks: dict[tuple[type[Process], str, tuple[str, ...]], Walk] = {}
+        self._walks: dict[tuple[Process, str, tuple[str, ...]], Walk] = {}
 
     def uniforms(self, frames: CameraFrames, targets: Targets) -> Array:
         """Uniform numbers for class and dropout, shape (n,)."""
@@ -244,8 +286,18 @@ class VesselNoise:
             uniforms[:, 0] = np.clip(level, _UNIFORM_STEP, 1 - _UNIFORM_STEP)
         return uniforms
 
+    def scores(self, score: LatentScore, frames: CameraFrames, targets: Targets) -> Array:
+        """Probabilities of the normal numbers behind misses and confidence, uniform in (0, 1), shape (n,)."""
+        total = math.sqrt(score.vessel_share) * self._kept_by_vessels(Purpose.SCORE_VESSEL, frames, targets)[:, 0]
+        for ordinal, (share, time_s) in enumerate(score.parts, start=1):
+            walked = self._walked(AutoregressivePart(time_s, ordinal=ordinal), frames, targets)[:, 0]
+            total = total + math.sqrt(share) * walked
+        white = grid_normals(target_uniforms(self._streams, Purpose.SCORE_WHITE, frames, targets))[:, 0]
+        total = total + math.sqrt(score.white_share) * white
+        return np.clip(on_grid(special.ndtr(total), _UNIFORM_STEP), _UNIFORM_STEP, 1 - _UNIFORM_STEP)
+
     def _walked(self, process: Process, frames: CameraFrames, targets: Targets) -> Array:
-        key = (type(process), frames.camera, targets.vessel_ids)
+        key = (process, frames.camera, targets.vessel_ids)
         if key not in self._walks:
             self._walks[key] = Walk(process, self._streams, self._clock, frames.camera, targets.vessel_ids)
         return self._walks[key].at(frames.steps[targets.frame], targets.vessel)

@@ -27,12 +27,13 @@ from modsim3d.detector.file.schema_models import (
     ConfidenceKeys,
     EffectsSection,
     PerformanceSection,
+    PersistenceSection,
     ScoreSection,
     SizeSection,
 )
 from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.model import DetectorModel, Performance, PerformanceState
-from modsim3d.detector.persistence import Persistence
+from modsim3d.detector.persistence import LatentScore, Persistence
 from modsim3d.detector.records import Gates
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml
@@ -272,7 +273,7 @@ def _model(content: DetectorFile) -> DetectorModel:
         transition_interval_s=content.transition_interval_s,
         dropout=_dropout(content),
         gates=Gates(**content.gates.model_dump()),
-        persistence=Persistence(**content.persistence.model_dump()),
+        persistence=_persistence(content.persistence),
         clutter=_clutter(content.false_positives),
         merges_and_splits=MergesAndSplits(
             **{field.name: getattr(content.false_positives, field.name) for field in fields(MergesAndSplits)}
@@ -362,6 +363,14 @@ def _sizes(section: SizeSection) -> Sizes | None:
     if section.px is None:
         return None
     return FixedSize(*section.px) if section.log_std is None else LognormalSize(*section.px, section.log_std)
+
+
+def _persistence(section: PersistenceSection) -> Persistence:
+    numbers, score = section.model_dump(exclude={"score"}), section.score
+    if score is None:
+        return Persistence(**numbers)
+    parts = tuple((part.share, part.time_s) for part in score.parts)
+    return Persistence(**numbers, score=LatentScore(score.vessel_share, parts))
 
 
 def _performance(section: PerformanceSection, states: list[str]) -> Performance:

@@ -117,6 +117,27 @@ class GatesSection(Strict):
     max_detections: Annotated[int, Field(strict=True, gt=0)] | None = None
 
 
+class ScorePartSection(Strict):
+    """An autoregressive part of a score."""
+
+    share: Annotated[float, Field(strict=True, gt=0, le=1)]
+    time_s: Positive
+
+
+class LatentScoreSection(Strict):
+    """The number behind misses and confidence."""
+
+    vessel_share: Fraction = 0.0
+    parts: list[ScorePartSection] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _at_most_one(self) -> LatentScoreSection:
+        total = self.vessel_share + sum(part.share for part in self.parts)
+        if total > 1 + 1e-9:
+            raise ValueError(f"vessel_share and the shares of its parts sum to {total:g}, must not exceed 1")
+        return self
+
+
 class PersistenceSection(Strict):
     """Correlation times, and shares of the noise that a vessel keeps; 0 is none."""
 
@@ -126,6 +147,13 @@ class PersistenceSection(Strict):
     merge_s: NotNegative = 0.0
     class_vessel_share: Fraction = 0.0
     box_vessel_share: Fraction = 0.0
+    score: LatentScoreSection | None = None
+
+    @model_validator(mode="after")
+    def _one_memory(self) -> PersistenceSection:
+        if self.score is not None and self.confidence_s:
+            raise ValueError("confidence_s: with a score, confidence lasts as the score's parts do: leave it out")
+        return self
 
 
 class SizeSection(Strict):
