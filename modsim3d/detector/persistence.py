@@ -41,21 +41,25 @@ class LatentScore:
 
     Attributes:
         vessel_share: Share of the variance that a vessel keeps.
-        parts: Share of the variance and correlation time in seconds of each autoregressive part.
+        shares: Share of the variance of each autoregressive part.
+        times_s: Its correlation time.
     """
 
     vessel_share: float
-    parts: tuple[tuple[float, float], ...]
+    shares: tuple[float, ...] = ()
+    times_s: tuple[float, ...] = ()
 
     @property
     def white_share(self) -> float:
         """Share of the variance that is new at every step."""
-        return max(1.0 - self.vessel_share - sum(share for share, _ in self.parts), 0.0)
+        return max(1.0 - self.vessel_share - sum(self.shares), 0.0)
 
     def correlation(self, apart_s: Array) -> Array:
         """Correlation of a vessel's numbers at times above 0 apart, same shape."""
-        kept = np.full(np.shape(apart_s), self.vessel_share)
-        return kept + sum(share * np.exp(-apart_s / time_s) for share, time_s in self.parts)
+        correlation = np.full(np.shape(apart_s), self.vessel_share)
+        for share, time_s in zip(self.shares, self.times_s, strict=True):
+            correlation = correlation + share * np.exp(-apart_s / time_s)
+        return correlation
 
 
 @dataclass(frozen=True)
@@ -177,7 +181,7 @@ class AutoregressivePart(Autoregressive):
     """An autoregressive part of the score of a vessel, of width 1."""
 
     width: int = 1
-    ordinal: int = 1
+    ordinal: int = 0
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
         """Independent standard normal numbers, shape (count, 1)."""
@@ -289,7 +293,7 @@ class VesselNoise:
     def scores(self, score: LatentScore, frames: CameraFrames, targets: Targets) -> Array:
         """Probabilities of the normal numbers behind misses and confidence, uniform in (0, 1), shape (n,)."""
         total = math.sqrt(score.vessel_share) * self._kept_by_vessels(Purpose.SCORE_VESSEL, frames, targets)[:, 0]
-        for ordinal, (share, time_s) in enumerate(score.parts, start=1):
+        for ordinal, (share, time_s) in enumerate(zip(score.shares, score.times_s, strict=True)):
             walked = self._walked(AutoregressivePart(time_s, ordinal=ordinal), frames, targets)[:, 0]
             total = total + math.sqrt(share) * walked
         white = grid_normals(target_uniforms(self._streams, Purpose.SCORE_WHITE, frames, targets))[:, 0]

@@ -25,7 +25,7 @@ from tests.detector.detector_builders import (
 )
 
 VESSELS, FRAMES, STEP_S, MISS_RATE = 3000, 40, 0.5, 0.25
-SCORE = {"vessel_share": 0.3, "parts": [{"share": 0.2, "time_s": 1}, {"share": 0.4, "time_s": 6}]}
+SCORE = {"vessel_share": 0.3, "shares": [0.2, 0.4], "times_s": [1, 6]}
 
 
 def seen(vessels: int = VESSELS) -> Targets:
@@ -96,9 +96,9 @@ def test_the_frames_before_and_other_vessels_change_nothing() -> None:
 @pytest.mark.parametrize(
     ("score", "others", "problem"),
     [
-        ({"vessel_share": 0.7, "parts": [{"share": 0.4, "time_s": 1}]}, {}, "sum to 1.1, must not exceed 1"),
-        ({"parts": [{"share": 0.4}]}, {}, "time_s"),
-        ({"parts": [{"share": 0.4, "time_s": 0}]}, {}, "time_s"),
+        ({"vessel_share": 0.7, "shares": [0.4], "times_s": [1]}, {}, "sum to 1.1, must not exceed 1"),
+        ({"shares": [0.4]}, {}, "1 shares and 0 times_s"),
+        ({"shares": [0.4], "times_s": [0]}, {}, "times_s"),
         (SCORE, {"confidence_s": 1.0}, "confidence_s: with a score"),
     ],
 )

@@ -369,8 +369,7 @@ def _persistence(section: PersistenceSection) -> Persistence:
     numbers, score = section.model_dump(exclude={"score"}), section.score
     if score is None:
         return Persistence(**numbers)
-    parts = tuple((part.share, part.time_s) for part in score.parts)
-    return Persistence(**numbers, score=LatentScore(score.vessel_share, parts))
+    return Persistence(**numbers, score=LatentScore(score.vessel_share, tuple(score.shares), tuple(score.times_s)))
 
 
 def _performance(section: PerformanceSection, states: list[str]) -> Performance:

@@ -117,24 +117,20 @@ class GatesSection(Strict):
     max_detections: Annotated[int, Field(strict=True, gt=0)] | None = None
 
 
-class ScorePartSection(Strict):
-    """An autoregressive part of a score."""
-
-    share: Annotated[float, Field(strict=True, gt=0, le=1)]
-    time_s: Positive
-
-
 class LatentScoreSection(Strict):
-    """The number behind misses and confidence."""
+    """The number behind misses and confidence: shares of its variance, and the times in which some are forgotten."""
 
     vessel_share: Fraction = 0.0
-    parts: list[ScorePartSection] = Field(default_factory=list)
+    shares: list[Probability] = Field(default_factory=list)
+    times_s: list[Positive] = Field(default_factory=list)
 
     @model_validator(mode="after")
-    def _at_most_one(self) -> LatentScoreSection:
-        total = self.vessel_share + sum(part.share for part in self.parts)
+    def _shares_fit(self) -> LatentScoreSection:
+        if len(self.shares) != len(self.times_s):
+            raise ValueError(f"has {len(self.shares)} shares and {len(self.times_s)} times_s: one belongs to each")
+        total = self.vessel_share + sum(self.shares)
         if total > 1 + 1e-9:
-            raise ValueError(f"vessel_share and the shares of its parts sum to {total:g}, must not exceed 1")
+            raise ValueError(f"vessel_share and shares sum to {total:g}, must not exceed 1")
         return self
 
 
