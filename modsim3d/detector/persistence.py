@@ -54,6 +54,11 @@ class LatentScore:
         """Share of the variance that is new at every step."""
         return max(1.0 - self.vessel_share - sum(self.shares), 0.0)
 
+    @property
+    def memory_s(self) -> float:
+        """Time in which it is forgotten; endless where vessels keep a share."""
+        return NEVER_CHANGES_S if self.vessel_share else max(self.times_s, default=0.0)
+
     def correlation(self, apart_s: Array) -> Array:
         """Correlation of a vessel's numbers at times above 0 apart, same shape."""
         correlation = np.full(np.shape(apart_s), self.vessel_share)
@@ -89,7 +94,14 @@ class Persistence:
     @property
     def class_memory_s(self) -> float:
         """Time in which misses and confusions are forgotten; endless where vessels keep a share."""
+        if self.score is not None:
+            return self.score.memory_s
         return NEVER_CHANGES_S if self.class_vessel_share else self.class_s
+
+    @property
+    def confidence_memory_s(self) -> float:
+        """Time in which confidence is forgotten; endless where vessels keep a share."""
+        return self.confidence_s if self.score is None else self.score.memory_s
 
     @property
     def box_memory_s(self) -> float:
