@@ -17,9 +17,11 @@ import typer.testing
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
+from modsim3d.cli import main
 from modsim3d.cli.main import COLLECT_AFTER
 from modsim3d.render.context import open_context
 from modsim3d.render.id_pass import IdRenderer
+from tests.cli.bad_input.builders import Call
 
 # A busy machine fails no test, and a run of the tests is the same as the one before.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
@@ -66,6 +68,20 @@ def pytest_collection_finish() -> None:
 def renderer() -> Iterator[IdRenderer]:
     with open_context() as context:
         yield IdRenderer(context)
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
+    """A function that runs the command line in this process and returns its exit status and output."""
+
+    def run(*arguments: object) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stopped:
+            main.main()
+        said = capsys.readouterr()
+        return int(stopped.value.code or 0), said.out + said.err
+
+    return run
 
 
 @pytest.fixture(scope="session")

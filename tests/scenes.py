@@ -8,8 +8,10 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import shapely
 import yaml
 from numpy.typing import NDArray
 
@@ -207,6 +209,22 @@ def cyclic_beams() -> tuple[list[Box], Mount]:
     return boxes, mount
 
 
+def camera_keys(width_px: int = 800, height_px: int = 600, **keys: Any) -> dict[str, Any]:
+    """Keys of a camera of a scene file: a focal length of 1000 px about the middle of the image, unless keys differ."""
+    size = {"principal_point_px": [width_px // 2, height_px // 2], "image_size_px": [width_px, height_px]}
+    return {"focal_length_m": 0.01, "pixel_size_m": [1e-5, 1e-5], **size, **keys}
+
+
+def footprints(scene: Scene, steps: NDArray[np.int64]) -> NDArray[np.object_]:
+    """Polygons of the vessels' rectangles on the sea, shape (S, V)."""
+    poses = scene.poses.poses(0, scene.steps)
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
+    extents = np.array([vessel.extents_m[:2] for vessel in scene.vessels])
+    turns = world_R_vehicle(poses.headings_rad[steps])[..., :2, :2]
+    places = poses.positions_m[steps][..., None, :2]
+    return shapely.polygons((corners * extents[:, None]) @ np.swapaxes(turns, -1, -2) + places)
+
+
 def write_scene(
     folder: Path, boats: Mapping[str, tuple[Sequence[float], Sequence[Sequence[float]]]], steps: int, **keys: object
 ) -> Path:
@@ -223,13 +241,7 @@ def write_scene(
         name: {"length_m": size[0], "beam_m": size[1], "air_draft_m": size[2], "label": "Vessel"}
         for name, (size, _) in boats.items()
     }
-    camera = {
-        "focal_length_m": 0.01,
-        "pixel_size_m": [1e-5, 1e-5],
-        "principal_point_px": [400, 300],
-        "image_size_px": [800, 600],
-        "pose": {"position_m": [0, 0, CAMERA_HEIGHT_M]},
-    }
+    camera = camera_keys(pose={"position_m": [0, 0, CAMERA_HEIGHT_M]})
     scene = {
         "steps": steps,
         "time_step_s": 1.0,

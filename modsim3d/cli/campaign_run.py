@@ -151,7 +151,8 @@ def _sentences(again: RunAgain) -> list[str]:
 
 def _score_rows(campaign: CampaignFolder, again: RunAgain) -> list[tuple[str, ...]]:
     from modsim3d.campaign.verdicts.seed_values import columns_of
-    from modsim3d.tracking.score_text import COLUMNS, number
+    from modsim3d.core.text import number
+    from modsim3d.tracking.score_text import COLUMNS
 
     row, before = again.row or {}, again.before or {}
     known = {key: (name, decimals) for name, key, decimals in COLUMNS}

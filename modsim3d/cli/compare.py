@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -17,18 +17,12 @@ from modsim3d.cli.shared import (
     SetOption,
     StepsOption,
     VerboseOption,
-    print_rows,
     print_written,
     progress,
     typed_command,
 )
-from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed
+from modsim3d.cli.terminal import open_console, print_document, say_json, tell, tell_files, timed
 from modsim3d.core.errors import ModsimError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from modsim3d.verify.sources.figures import ComparisonFigures
 
 
 def compare_command(
@@ -81,24 +75,9 @@ def compare_command(
             compare_report.write_report(comparison, loaded, renderer, out, typed_command(context), scene)
     figures = comparison.figures
     console = open_console()
-    _print_figures(console, figures)
+    print_document(console, compare_report.document(comparison, loaded))
     written = [path for path in written if path.exists()]  # a picture only where a vessel is occluded
     print_written(console, written)
     say_json({"command": "compare", **asdict(figures), "written": written})
     if figures.unexplained:
         raise typer.Exit(1)
-
-
-def _print_figures(console: Console, figures: ComparisonFigures) -> None:
-    """Print the tables that have rows."""
-    from modsim3d.verify.sources import report as compare_report
-
-    for title, rows in (
-        ("rendered against drawn and analytic", compare_report.figure_rows(figures)),
-        ("agreement: full box, visible part", compare_report.verdict_rows(figures)),
-        ("idealised rectangle rule against rendered", compare_report.rule_rows(figures)),
-        ("shoebox against mesh", compare_report.shoebox_rows(figures)),
-        ("time per frame", compare_report.time_rows(figures)),
-        ("no plane between the hulls", compare_report.intersection_rows(figures)),
-    ):
-        print_rows(console, title, rows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -31,8 +31,6 @@ from modsim3d.cli.learn_voyage import (
     StartOption,
     WriteSceneOption,
     asked_voyage,
-    show_voyage,
-    show_voyage_tables,
 )
 from modsim3d.cli.shared import (
     JsonOption,
@@ -40,16 +38,13 @@ from modsim3d.cli.shared import (
     QuietOption,
     VerboseOption,
     out_file,
-    print_line,
     print_written,
     typed_command,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell_files, timed, warn
+from modsim3d.cli.terminal import open_console, print_document, say_json, tell_files, timed, warn
 from modsim3d.core.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from modsim3d.formats.labelled import LabelledSet
     from modsim3d.formats.matching import Rule
     from modsim3d.formats.reading.builder import ReadOptions
@@ -58,48 +53,6 @@ if TYPE_CHECKING:
     from modsim3d.learn.report import LearnReport
     from modsim3d.learn.voyage.report import VoyageReport
     from modsim3d.runs.stored_run import StoredRun
-
-# ---- The tables that `modsim3d learn` prints ----
-
-
-def show_report(report: LearnReport, written: Sequence[Path], told: VoyageReport | None) -> None:
-    """Print what was learned; of a voyage what AIS does not see before it."""
-    from modsim3d.learn.report import lead
-    from modsim3d.learn.report_page import NEVER_LEARNED, tables
-
-    console = open_console()
-    print_prose(console, lead(report))
-    for remark in report.remarks:
-        print_prose(console, f"Remark: {remark}.")
-    if told:
-        show_voyage_tables(told)
-    for table in tables(report):
-        _print(console, table.title, table.header, table.rows)
-    print_line(console, "\nLeft simple, and why", "bold")
-    for note in report.learned.notes or ("nothing: there was enough of everything",):
-        print_prose(console, note, indent=2)
-    print_line(console, "")
-    print_prose(console, NEVER_LEARNED)
-    print_written(console, written)
-    if report.warning:
-        warn(report.warning)
-
-
-_BREAKS: tuple[Callable[[str], str], ...] = (
-    lambda cell: cell.replace(" [", "\n["),
-    lambda cell: "\n".join(cell.split()) if " to " not in cell else cell,
-)
-"""Where cells are broken that are too wide: first before intervals, then before both their ends."""
-
-
-def _print(console: Console, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    left = {
-        place
-        for place in range(len(header))
-        if place == 0 or not any(row[place][:1].isdigit() or row[place][:1] in ("", "-", "–") for row in rows)
-    }
-    print_table(console, title, rows, header=header, right=set(range(len(header))) - left, breaks=_BREAKS)
-
 
 # ---- What `modsim3d learn --json` says of what was learned ----
 
@@ -134,9 +87,8 @@ def learn_json(report: LearnReport, written: Sequence[Path]) -> dict[str, Any]:
 def _figures(figures: Figures, report: LearnReport) -> dict[str, Any]:
     """Figures of a condition or state whatever the label, and the mean average precision."""
 
-    def found(column: Column) -> dict[str, Any]:
-        low, high = column.interval(report.level, figures.units)
-        return {"value": float(column.estimate), "low": float(low), "high": float(high)}
+    def found(column: Column) -> dict[str, float]:
+        return column.content(report.level, figures.units)
 
     return {
         "name": figures.name,
@@ -304,7 +256,7 @@ def learn_command(
     from modsim3d.learn.learned import LearnSettings, uncertainty_file
     from modsim3d.learn.learning import learned_files
     from modsim3d.learn.model_selection import left_out
-    from modsim3d.learn.report_page import Sources
+    from modsim3d.learn.report_page import Sources, document
     from modsim3d.learn.voyage.report import voyage_json, voyage_sections
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.scene.parts import SCENE_FILE
@@ -361,9 +313,11 @@ def learn_command(
             sources = Sources(*given, runs, tuple(noted), settings, typed_command(context))
             sections = voyage_sections(told) if told else ()
             write_files(learned_files(report, out, page, sources, correct, sections) | scene_files)
-    if told:
-        show_voyage(told)
-    show_report(report, written, told)
+    console = open_console()
+    print_document(console, document(report, out.name, sources.names, sections))
+    print_written(console, written)
+    if report.warning:
+        warn(report.warning)
     say_json(learn_json(report, written) | {"voyage": voyage_json(told) if told else None})
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modsim3d.cli.completion import complete_scene
-from modsim3d.cli.shared import print_line
-from modsim3d.cli.terminal import open_console, print_prose, print_table
 from modsim3d.core.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
@@ -265,36 +263,6 @@ def asked_voyage(
         position_noise_m(loaded, position_noise),
         write_scene,
     )
-
-
-def show_voyage(told: VoyageReport) -> None:
-    """Print the registration, before the detector."""
-    from modsim3d.learn.voyage.report import NOT_REGISTERED
-
-    console = open_console()
-    if not told.voyage.registered:
-        print_prose(console, NOT_REGISTERED)
-    for lead, table, exchanges in told.registration:
-        print_prose(console, lead)
-        print_table(console, table.title, table.rows, header=table.header, right={1, 2, 3}, breaks=BREAKS)
-        print_line(console, "\nCannot be told apart by these data, so that a rule settles it", "bold")
-        for line in exchanges:
-            print_prose(console, line, indent=2)
-    print_line(console, "")
-
-
-def show_voyage_tables(told: VoyageReport) -> None:
-    """Print what AIS does not see, how well truth is known, coverage, and the longest stretches without a match."""
-    console = open_console()
-    for table in told.tables:
-        print_table(console, table.title, table.rows, header=table.header, breaks=BREAKS)
-
-
-BREAKS: tuple[Callable[[str], str], ...] = (
-    lambda cell: cell.replace(" (", "\n(").replace(" to ", "\nto "),
-    lambda cell: "\n".join(cell.split()),
-)
-"""Where cells are broken that are too wide."""
 
 
 def _start(text: str) -> Start:

@@ -14,14 +14,13 @@ from modsim3d.cli.shared import (
     OverwriteOption,
     QuietOption,
     VerboseOption,
-    print_line,
     print_written,
     typed_command,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell_files, timed
+from modsim3d.cli.terminal import open_console, print_document, say_json, tell_files, timed
 
 if TYPE_CHECKING:
-    from modsim3d.tracking.score_run import RunScores
+    pass
 
 
 def score_command(
@@ -80,7 +79,7 @@ def score_command(
     from modsim3d.io.overwrite_guard import claimed
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.stored_run import open_run
-    from modsim3d.tracking.score_page import FILES, write_scores
+    from modsim3d.tracking.score_page import FILES, document, write_scores
     from modsim3d.tracking.score_run import score_run
     from modsim3d.tracking.score_tables import score_data
 
@@ -110,84 +109,7 @@ def score_command(
         if out is not None:
             with timed("files"):
                 write_scores(scores, out, typed_command(context))
-    _print_scores(scores)
-    print_written(open_console(), paths)
+    console = open_console()
+    print_document(console, document(scores))
+    print_written(console, paths)
     say_json({"command": "score", **score_data(scores), "written": paths})
-
-
-def _print_scores(scores: RunScores) -> None:
-    from modsim3d.tracking.score_tables import HEADER, remarks_of, score_rows
-    from modsim3d.tracking.score_text import rules_in_words
-
-    console = open_console()
-    if scores.trackers:
-        rows = score_rows(scores)
-        dim = ["" if place < len(scores.trackers) else "dim" for place in range(len(rows))]
-        print_table(console, "scores", rows, header=HEADER, right=range(1, len(HEADER)), row_styles=dim)
-        print_table(console, "rules", rules_in_words(scores.rules))
-        _print_parts(scores)
-        _print_breakdown(scores)
-        _print_seeds(scores)
-    _print_world(scores)
-    print_line(console, "")
-    print_prose(console, scores.conclusion, "bold")
-    if scores.trackers:
-        print_prose(console, remarks_of(scores), "dim")
-
-
-def _print_parts(scores: RunScores) -> None:
-    """By class, if asked for; the page has states and cameras too."""
-    from modsim3d.tracking.score_tables import part_tables
-
-    for title, header, rows in part_tables(scores):
-        if title == "By class":
-            print_table(open_console(), title, rows, header=header, right=range(2, len(header)))
-
-
-def _print_breakdown(scores: RunScores) -> None:
-    """Where the best tracker loses vessels."""
-    from modsim3d.tracking.score_tables import BIN_HEADER, bin_rows
-
-    best = scores.trackers[0]
-    print_table(
-        open_console(),
-        f"where {best.name} loses vessels",
-        bin_rows(best.scores.breakdown),
-        header=BIN_HEADER,
-        right=range(2, len(BIN_HEADER)),
-        breaks=(lambda cell: cell.replace("vessel-frames", "vessel-\nframes"),),
-    )
-
-
-def _print_seeds(scores: RunScores) -> None:
-    from modsim3d.tracking.score_tables import SEED_HEADER, seed_rows, seeds_in_words
-
-    if scores.seeds is not None:
-        console = open_console()
-        print_table(
-            console,
-            "detector seeds",
-            seed_rows(scores),
-            header=SEED_HEADER,
-            right=(2, 3, 4),
-            breaks=(
-                lambda cell: cell.replace("standard deviation", "standard\ndeviation"),
-                lambda cell: (
-                    cell.replace("standard deviation", "standard\ndeviation")
-                    .replace(" of the", "\nof the")
-                    .replace(" … ", " …\n")
-                ),
-            ),
-        )
-        print_prose(console, seeds_in_words(scores), "dim")
-
-
-def _print_world(scores: RunScores) -> None:
-    from modsim3d.tracking.score_tables import ENCOUNTER_HEADER, WORLD_HEADER, encounter_rows, world_rows, world_rules
-
-    console = open_console()
-    print_table(console, "scores in the world", world_rows(scores), header=WORLD_HEADER, right=range(1, 10))
-    for each in scores.world:
-        print_prose(console, world_rules(each), "dim")
-        rows = encounter_rows(each.scores.encounters)
-        print_table(console, f"{each.name}: encounters", rows, header=ENCOUNTER_HEADER, right=range(3, 9))

@@ -18,11 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from modsim3d.core.document import Beside, Block, Document, Fold, Heading, Items, Style, Table, Text, Where, shown
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.text import is_numeric
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.text import Text
+    from rich.text import Text as Styled
 
 # ---- Output to the terminal ----
 
@@ -202,7 +204,7 @@ def open_console(**options: Any) -> Console:
     from rich.segment import Segment
 
     class PlainConsole(Console):
-        def render_str(self, text: str, **rest: Any) -> Text:
+        def render_str(self, text: str, **rest: Any) -> Styled:
             return super().render_str(visible(text), **rest)
 
         def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
@@ -362,8 +364,10 @@ def print_table(
         console.print()
         print_prose(console, title, "bold")
     table = [[visible(cell) for cell in row] for row in ([header, *rows] if header else rows)]
-    for broken in ((lambda cell: cell), *breaks):
+    for names, broken in [(_whole, _whole), *((_in_two, each) for each in (_whole, *breaks) if breaks)]:
         lines = [[[row[0]], *(broken(cell).split("\n") for cell in row[1:])] for row in table]
+        if header:
+            lines[0] = [names(cell).split("\n") for cell in table[0]]
         if widths := _widths(lines, console.width, wraps=not header):
             _print_aligned(console, lines, widths, bool(header), right, styles, row_styles)
             return
@@ -371,6 +375,15 @@ def print_table(
     for place, row in enumerate(body):
         style = row_styles[place] if place < len(row_styles) else ""
         _print_stacked(console, row, header, at_edge, style or (styles[0] if styles else ""), style)
+
+
+def _whole(cell: str) -> str:
+    return cell
+
+
+def _in_two(cell: str) -> str:
+    """A name of a column on about two lines."""
+    return "\n".join(wrapped(cell, max([(len(cell) + 1) // 2, *map(len, cell.split())])))
 
 
 def _widths(table: Sequence[Sequence[Sequence[str]]], width: int, wraps: bool) -> list[int]:
@@ -466,14 +479,14 @@ def _packed(pieces: Sequence[str], width: int) -> list[str]:
 
 
 def _print_line(console: Console, line: Line) -> None:
-    from rich.text import Text
+    from rich.text import Text as Styled
 
-    text = Text.assemble(*line)
+    text = Styled.assemble(*line)
     text.rstrip()
     _print_whole(console, text)
 
 
-def _print_whole(console: Console, text: Text) -> None:
+def _print_whole(console: Console, text: Styled) -> None:
     console.print(text, highlight=False, soft_wrap=True)
 
 
@@ -481,3 +494,62 @@ def print_prose(console: Console, text: str, style: str = "", indent: int = 0) -
     """Print text, broken between words."""
     for line in wrapped(visible(text), console.width - indent):
         _print_line(console, [(" " * indent + line, style)])
+
+
+# ---- Documents for the terminal ----
+
+STYLES: dict[Style, str] = {"": "", "lead": "bold", "soft": "dim", "bad": "bold red", "code": "dim"}
+CELL_BREAKS: tuple[Callable[[str], str], ...] = (
+    lambda cell: cell.replace(" [", "\n[").replace(" (", "\n(").replace(" to ", "\nto ").replace(" … ", " …\n"),
+    lambda cell: "\n".join(cell.split()) if " to " not in cell else cell,
+)
+"""Where cells are broken that are too wide: first before intervals, then between all words."""
+OUTCOMES = ("verdict", "outcome")
+"""Columns that stand at the right edge where each row has lines of its own."""
+
+
+def print_document(console: Console, document: Document) -> None:
+    """Print what a terminal shows of a document; its outcome stands last, where it is seen."""
+    print_blocks(console, document.blocks)
+    console.print()
+    print_blocks(console, document.lead)
+
+
+def print_blocks(console: Console, blocks: Iterable[Block]) -> None:
+    """Print blocks; a table with a title of its own has no heading besides."""
+    heading = ""
+    for block in shown(blocks, Where.TERMINAL):
+        if isinstance(block, Heading):
+            heading = block.text
+            continue
+        if isinstance(block, Fold | Beside):
+            print_blocks(console, [Heading(block.title if isinstance(block, Fold) else heading), *block.blocks])
+        elif isinstance(block, Table):
+            _print_document_table(console, block, block.title or heading)
+        elif heading:
+            console.print()
+            print_prose(console, heading, "bold")
+        if isinstance(block, Text):
+            print_prose(console, block.text, STYLES[block.style])
+        elif isinstance(block, Items):
+            for item in block.texts:
+                print_prose(console, item, indent=2)
+        heading = ""
+
+
+def _print_document_table(console: Console, table: Table, title: str) -> None:
+    rows = table.texts
+    columns = list(zip(*rows, strict=True))
+    print_table(
+        console,
+        title,
+        rows,
+        header=table.header,
+        right={place for place, name in enumerate(table.header) if name and place and is_numeric(columns[place])},
+        row_styles=["bold red" if row in table.bad else "dim" if row in table.soft else "" for row in range(len(rows))],
+        breaks=CELL_BREAKS,
+        at_edge=next((place for place, name in enumerate(table.header) if name in OUTCOMES), None),
+    )
+    for row, note in table.notes.items():
+        if note:
+            print_prose(console, f"{', '.join(filter(None, rows[row][:2]))}: {note}", "dim", indent=2)

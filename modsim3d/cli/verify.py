@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,14 +13,10 @@ from modsim3d.cli.shared import (
     OverwriteOption,
     QuietOption,
     VerboseOption,
-    print_line,
     print_written,
     typed_command,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell_files, timed
-
-if TYPE_CHECKING:
-    from modsim3d.verify.parameters import Verification
+from modsim3d.cli.terminal import open_console, print_document, say_json, tell_files, timed
 
 
 def verify_command(
@@ -62,29 +58,10 @@ def verify_command(
         with timed("files"):
             verify_report.write_report(verified, folder, typed_command(context))
     verification = verified.verification
-    _print_verification(verification)
     console = open_console()
+    print_document(console, verify_report.document(verified))
     print_written(console, paths)
     said = {"conclusion": verify_report.conclusion(verification), "notes": verify_report.notes_of(verification)}
     say_json({"command": "verify", **verify_report.report_data(verified), **said, "written": paths})
     if not verification.obeys:
         raise typer.Exit(1)
-
-
-def _print_verification(verification: Verification) -> None:
-    from modsim3d.verify.verify_run import HEADER, conclusion, groups_of, notes_of, row_of
-
-    console = open_console()
-    for group, verdicts in groups_of(verification).items():
-        print_table(
-            console,
-            group,
-            [row_of(verdict) for verdict in verdicts],
-            header=HEADER,
-            row_styles=["bold red" if verdict.fails else "" for verdict in verdicts],
-            at_edge=HEADER.index("verdict"),
-        )
-    for note in notes_of(verification):
-        print_prose(console, note, "dim")
-    print_line(console, "")
-    print_prose(console, conclusion(verification), "bold" if verification.obeys else "bold red")

@@ -9,6 +9,9 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+NOBODY = -1
+"""The index of a name that is not given, or not among the names."""
+
 
 def read_only(values: ArrayLike) -> Array:
     """A copy as doubles that cannot be written to, of the same shape."""

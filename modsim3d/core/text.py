@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 MAX_NAMES = 6
+UNKNOWN = "–"
+"""What stands for a number that is not known."""
+_START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d|\d+\. )(\d|∞)")
+"""How a number begins; a version with two points is none, and neither is an ordinal."""
+_CHECKSUM = re.compile(r"[0-9a-f]{32,}")
+_MAX_WORDS = 3
 
 
 def key_table(title: str, rows: Mapping[str, str]) -> str:
     """A table with a key and a value in each row, under a title."""
-    cells = "".join(
-        f'<tr><th style="text-align:left">{escape(key)}</th><td style="text-align:left">{escape(value)}</td></tr>'
-        for key, value in rows.items()
-    )
-    return f"<table>{_caption(title)}{cells}</table>"
+    return column_table(title, (), list(rows.items()))
 
 
 def column_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table with named columns, under a title."""
-    head = "".join(f'<th style="text-align:left">{escape(name)}</th>' for name in header)
+    """A table with named columns, or with a name before each row if there is no header, under a title."""
+    head = f"<thead><tr>{''.join(_cell('th', name) for name in header)}</tr></thead>" if header else ""
+    first = "td" if header else "th"
     body = "".join(
-        "<tr>" + "".join(f'<td style="text-align:left">{escape(cell)}</td>' for cell in row) + "</tr>" for row in rows
+        f"<tr>{''.join(_cell('td' if place else first, cell) for place, cell in enumerate(row))}</tr>" for row in rows
     )
-    return f"<table>{_caption(title)}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    if header:
+        body = f"<tbody>{body}</tbody>"
+    return f'<table><caption style="text-align:left"><b>{escape(title)}</b></caption>{head}{body}</table>'
 
 
-def _caption(title: str) -> str:
-    return f'<caption style="text-align:left"><b>{escape(title)}</b></caption>'
+def _cell(kind: str, text: str) -> str:
+    return f'<{kind} style="text-align:left">{escape(text)}</{kind}>'
 
 
 def listed(names: Sequence[str], most: int = MAX_NAMES) -> str:
@@ -39,3 +45,35 @@ def listed(names: Sequence[str], most: int = MAX_NAMES) -> str:
 def counted(number: int, one: str, many: str | None = None) -> str:
     """A number with its noun in the singular or plural, such as `1 camera`."""
     return f"{number:,} {one if number == 1 else many or one + 's'}"
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell of a table is a number, with a unit, an interval or a few words."""
+    if _START.match(cell) is None or _CHECKSUM.search(cell):
+        return False
+    return len(re.findall(r"[^\W\d_]{2,}", cell)) <= _MAX_WORDS
+
+
+def is_numeric(column: Sequence[str]) -> bool:
+    """Whether at least half of the known cells of a column are numbers."""
+    known = [cell for cell in column if cell not in (UNKNOWN, "")]
+    return bool(known) and 2 * sum(map(is_number, known)) >= len(known)
+
+
+def number(value: float | None, decimals: int = 3) -> str:
+    """A number with its decimals; a dash where it is not known."""
+    if value is None or value != value:
+        return UNKNOWN
+    return f"{value:,.{decimals}f}".replace("-", "−").replace("inf", "∞")
+
+
+def with_interval(value: float | None, low: float | None, high: float | None, decimals: int = 3) -> str:
+    """A number with its interval; the number alone where an end is not known."""
+    ends = [number(end, decimals) for end in (low, high)]
+    known = value is not None and not {UNKNOWN, "∞", "−∞"} & set(ends)
+    return number(value, decimals) + (f" [{ends[0]}, {ends[1]}]" if known else "")
+
+
+def percent_of(part: float, whole: float) -> str:
+    """A share in percent with one decimal; a dash of nothing."""
+    return f"{100 * part / whole:.1f} %" if whole else UNKNOWN

@@ -9,13 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import InputError
 from modsim3d.io.validation import shown
-
-NOBODY = -1
-"""No identity, no annotation."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,10 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, intersections, iou
 from modsim3d.core.errors import ModsimError
-from modsim3d.formats.labelled import NOBODY, LabelledSet
+from modsim3d.formats.labelled import LabelledSet
 from modsim3d.io.input_files import MAX_PAIRS
 from modsim3d.io.validation import shown
 

@@ -140,6 +140,11 @@ class Column:
             low, high = np.where(at_end, counted_low, low), np.where(at_end, counted_high, high)
         return low, high
 
+    def content(self, level: float, units: int) -> dict[str, float]:
+        """The estimate and both ends of its interval for JSON, of a column of one number."""
+        low, high = self.interval(level, units)
+        return {"value": float(self.estimate), "low": float(low), "high": float(high)}
+
     def _counted(self, widen: float, tail: float) -> tuple[Array, Array]:
         """Jeffreys's intervals for as many independent observations as the spread of the replicates implies."""
         value, trials = self.estimate, self.independent / widen

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.text import counted
 from modsim3d.detector.merges_and_splits import MergesAndSplits
-from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
+from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.bootstrap import SIGNIFICANT, Resampling, resample, spread
 from modsim3d.learn.match_shapes import Trials

@@ -16,8 +16,8 @@ from enum import Enum
 
 import numpy as np
 
-from modsim3d.core.arrays import Indices, Mask
-from modsim3d.formats.labelled import NOBODY, LabelledSet
+from modsim3d.core.arrays import NOBODY, Indices, Mask
+from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched, Rule, fits, image_pairs, overlap
 from modsim3d.learn.figures import Curve
 

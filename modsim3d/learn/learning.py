@@ -6,15 +6,14 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
+from modsim3d.core.document import Block
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import column_table
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.writing import detector_text
 from modsim3d.detector.model import DetectorModel
@@ -32,7 +31,7 @@ from modsim3d.learn.learn_detector import LearnOptions
 from modsim3d.learn.learned import LearnSettings, uncertainty_file, uncertainty_text
 from modsim3d.learn.model_selection import left_out
 from modsim3d.learn.report import LearnReport, lead
-from modsim3d.learn.report_page import Sources, page_text, tables
+from modsim3d.learn.report_page import Sources, document, page_text
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
 
@@ -51,13 +50,13 @@ class LearnResult:
         report: Every number with its interval, and the figures of an evaluation.
         inputs: The files that it was learned from; none of them is written over.
         sources: The same with what the page says of them.
-        sections: Further sections of the page, as HTML, such as those of a voyage.
+        sections: Further sections of the page, such as those of a voyage.
     """
 
     report: LearnReport
     inputs: tuple[Path, ...]
     sources: Sources
-    sections: tuple[str, ...] = ()
+    sections: tuple[Block, ...] = ()
 
     def __repr__(self) -> str:
         """From how much it was learned, and that most matches are lost where they are."""
@@ -66,11 +65,7 @@ class LearnResult:
 
     def _repr_html_(self) -> str:
         """From how much it was learned, what to be careful about, and how well the detector detects."""
-        warnings = [f"<b>Warning: {escape(self.report.warning)}.</b>"] if self.report.warning else []
-        remarks = [f"Remark: {escape(remark)}." for remark in self.report.remarks]
-        found = tables(self.report)[: 2 if self.report.states_differ else 1]
-        parts = [column_table(table.title, table.header, table.rows) for table in found]
-        return f"<p>{escape(lead(self.report))}</p>{_paragraphs([*warnings, *remarks])}{''.join(parts)}"
+        return document(self.report).notebook()
 
     @property
     def content(self) -> dict[str, Any]:
@@ -113,7 +108,7 @@ def learned_files(
     page: Path,
     sources: Sources,
     corrected: bool = False,
-    sections: Sequence[str] = (),
+    sections: Sequence[Block] = (),
 ) -> dict[Path, bytes | str]:
     """The content of the files that are written: the detector, the page, and how well the numbers are known.
 
@@ -123,16 +118,12 @@ def learned_files(
         page: The page.
         sources: What it was learned from.
         corrected: Whether to take the bias of matching off the numbers.
-        sections: Further sections of the page, as HTML.
+        sections: Further sections of the page.
     """
     learned = report.bias.corrected() if corrected and report.bias else report.learned
     detector = detector_text(learned.detector(), comments(report, corrected))
     text = page_text(report, out, detector, sources, sections)
     return {out: detector, page: text, uncertainty_file(out): uncertainty_text(learned, detector)}
-
-
-def _paragraphs(texts: Iterable[str]) -> str:
-    return "".join(f"<p>{text}</p>" for text in texts)
 
 
 def comments(report: LearnReport, corrected: bool = False) -> list[str]:

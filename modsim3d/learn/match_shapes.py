@@ -18,9 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, intersections, iou, sizes, unions
-from modsim3d.formats.labelled import NOBODY
 from modsim3d.formats.matching import Rule, image_pairs
 
 MIN_FIT = 0.5

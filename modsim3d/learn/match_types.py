@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import errors_between, move, sizes
 from modsim3d.detector.records import DUPLICATE, FRAGMENT, MERGED, SPLIT
-from modsim3d.formats.labelled import NOBODY, Images, LabelledSet
+from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.formats.matching import Matched, Rule
 from modsim3d.learn.match_shapes import (
     MIN_ASPECT,

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from modsim3d.core.arrays import Array, Indices, Mask, run_starts
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, run_starts
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel, Performance
 from modsim3d.detector.records import FALSE_KINDS, CameraFrames, Targets
-from modsim3d.formats.labelled import EVERYWHERE, NOBODY, LabelledSet, Results
+from modsim3d.formats.labelled import EVERYWHERE, LabelledSet, Results
 from modsim3d.formats.matching import match
 from modsim3d.learn.bootstrap import Column, Entry, Kind, entries_of, from_scale, spread, to_scale, with_entries
 from modsim3d.learn.learned import Learned, LearnSettings, learn_again

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.core.arrays import Array
-from modsim3d.core.text import counted, listed
+from modsim3d.core.text import counted, listed, percent_of
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.bootstrap import Column
@@ -203,9 +203,9 @@ def results(report: LearnReport) -> list[tuple[str, str, str]]:
         precise = [("Average precision", points, f"points of 100, by {report.curves_matched_by}")]
     return [
         ("Matches", f"{found:,}", f"of {counted(sought, 'annotation')}"),
-        ("Missed", _percent(sought - found, sought), f"{sought - found:,} of {counted(sought, 'annotation')}"),
-        ("False", _percent(counts - found, counts), f"{counts - found:,} of {counted(counts, 'detection')}"),
-        ("Wrong class", _percent(wrong, found), f"{wrong:,} of {counted(found, 'match', 'matches')}"),
+        ("Missed", percent_of(sought - found, sought), f"{sought - found:,} of {counted(sought, 'annotation')}"),
+        ("False", percent_of(counts - found, counts), f"{counts - found:,} of {counted(counts, 'detection')}"),
+        ("Wrong class", percent_of(wrong, found), f"{wrong:,} of {counted(found, 'match', 'matches')}"),
         *precise,
         ("Left simple", f"{len(report.learned.notes):,}", "parts of which the data say too little; listed below"),
     ]
@@ -215,7 +215,3 @@ def _wrong_class(report: LearnReport) -> int:
     detections, annotations = report.learned.observed.matched.pairs
     labelled = report.labelled
     return int(np.count_nonzero(labelled.results.label[detections] != labelled.annotations.label[annotations]))
-
-
-def _percent(part: int, whole: int) -> str:
-    return f"{100 * part / whole:.1f} %" if whole else "–"

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
-from modsim3d.core.arrays import Array
-from modsim3d.core.text import counted
+from modsim3d.core.document import Beside, Block, Cell, Document, Figure, Heading, Items, Table, Text, Tiles, Where
+from modsim3d.core.text import UNKNOWN, counted, with_interval
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, stationary_shares
 from modsim3d.learn.bootstrap import Column
 from modsim3d.learn.box_errors import estimate
 from modsim3d.learn.box_errors.laws import CELLS, ErrorMoments
-from modsim3d.learn.figures import AveragePrecisions, Curve, Figures, Ranking, Rates
+from modsim3d.learn.figures import Curve, Figures, Ranking, Rates
 from modsim3d.learn.learned import LearnSettings, models_and_learners
 from modsim3d.learn.matching_bias import Bias
 from modsim3d.learn.report import LearnReport, how_well, lead, learned_from, results
@@ -33,18 +34,6 @@ from modsim3d.view.pages.provenance import (
 
 # ---- What was learned, as tables ----
 
-Row = tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Table:
-    """A title, the names of the columns, and rows of cells."""
-
-    title: str
-    header: Row
-    rows: tuple[Row, ...]
-
-
 _RATES = ("precision", "recall", "F1", "FNR", "FDR")
 _AVERAGE_PRECISIONS = ("AP, all points", "AP, 11 points", "AP, 101 points", "AUC")
 _ERROR_COLUMNS = tuple(f"{name} {key}" for name in ("x", "y", "width", "height") for key in ("exp", "std"))
@@ -52,33 +41,41 @@ _ERROR_COLUMNS = tuple(f"{name} {key}" for name in ("x", "y", "width", "height")
 
 def _cell(column: Column, level: float, units: int, digits: int, *place: int) -> str:
     """An estimate with its interval."""
-    low, high = column.interval(level, units)
-    value, low_, high_ = (float(np.asarray(each)[place]) for each in (column.estimate, low, high))
-    if not np.isfinite(value):
-        return "–"
-    if not (np.isfinite(low_) and np.isfinite(high_)):
-        return f"{value:.{digits}f}"
-    return f"{value:.{digits}f} [{low_:.{digits}f}, {high_:.{digits}f}]"
+    ends = (column.estimate, *column.interval(level, units))
+    value, low, high = (float(np.asarray(each)[place]) for each in ends)
+    return with_interval(value, low, high, digits)
 
 
-def tables(report: LearnReport, every: bool = False) -> list[Table]:
+def _row(figures: Figures, level: float, digits: int, columns: Sequence[Column], *place: int) -> list[str]:
+    return [_cell(column, level, figures.units, digits, *place) for column in columns]
+
+
+def tables(report: LearnReport) -> list[Table]:
     """All tables in the order of the thesis's chapter 8.
 
-    `every` adds what a terminal has no room for: labels of each condition, errors of labels, covariances.
+    A terminal has no room for labels of each condition, errors of labels and covariances.
     """
     groups = [*report.conditions, *report.states] if report.states_differ else list(report.states)
-    detailed = groups if every else report.states
     several = len(report.labelled.labels) > 1
-    found = [_state_table(report)] if report.states_differ else []
-    found += [_rates(report, groups), _errors(report, groups), _correlations(report, groups), _used(report)]
-    found += [_covariances(report, groups)] if every else []
-    found += _curves(report, groups)
-    found += [_labels(report, figures) for figures in detailed if several]
-    found += [_label_errors(report, figures) for figures in detailed if several and every]
-    found += [_confusion(report, figures) for figures in detailed]
-    found += [*_shares(report), _parameters(report), *_long_run(report)]
-    found += [] if report.bias is None else [_bias(report.bias)]
-    return [*found, _models()]
+
+    def detail(make: Callable[[LearnReport, Figures], Table], wanted: bool = True) -> list[Table]:
+        places = [
+            (each, Where.TEXT if any(each is state for state in report.states) else Where.PAGE) for each in groups
+        ]
+        return [replace(make(report, each), where=where) for each, where in places if wanted]
+
+    return [
+        *([_state_table(report)] if report.states_differ else []),
+        *(_rates(report, groups), _errors(report, groups), _correlations(report, groups), _used(report)),
+        _covariances(report, groups),
+        *_curves(report, groups),
+        *detail(_labels, several),
+        *(replace(each, where=Where.PAGE) for each in detail(_label_errors, several)),
+        *detail(_confusion),
+        *(*_shares(report), _parameters(report), *_long_run(report)),
+        *([] if report.bias is None else [_bias(report.bias)]),
+        _models(),
+    ]
 
 
 def _state_table(report: LearnReport) -> Table:
@@ -93,42 +90,36 @@ def _state_table(report: LearnReport) -> Table:
 
 
 def _rates(report: LearnReport, groups: Sequence[Figures]) -> Table:
-    rows = tuple(
-        (
-            report.name(figures),
-            str(figures.images),
-            *(_cell(column, report.level, figures.units, 3) for column in figures.any_label),
-        )
-        for figures in groups
-    )
+    rows = [(report.name(each), str(each.images), *_row(each, report.level, 3, each.any_label)) for each in groups]
     header = ("condition", "images", "precision", "recall", "F1", f"F-{report.beta:g}", "FNR", "FDR")
-    return Table("Precision, recall, F1, false negative and false discovery rate, whatever the label", header, rows)
+    title = "Precision, recall, F1, false negative and false discovery rate, whatever the label"
+    return Table(title, header, rows, where=Where.EVERYWHERE)
 
 
 def _labels(report: LearnReport, figures: Figures) -> Table:
-    def cells(columns: Sequence[Column], *place: int) -> list[str]:
-        return [_cell(column, report.level, figures.units, 3, *place) for column in columns]
+    def cells(rates: Rates, *place: int) -> list[str]:
+        return _row(figures, report.level, 3, (*rates[:3], *rates[4:]), *place)  # without F-beta
 
-    def row(rates: Rates) -> tuple[Column, ...]:
-        return (*rates[:3], *rates[4:])  # without F-beta
-
-    def area(of: AveragePrecisions | None) -> tuple[Column, ...]:
-        return () if of is None else (of.all_points,)
-
-    columns, last = [*row(figures.of_labels), *area(figures.average_precision)], ("AP",) * report.labelled.scored
+    of_labels, mean = figures.average_precision, figures.mean_average_precision
     rows = [
-        (name, f"{figures.counts[:, place].sum():.0f}", *cells(columns, place))
+        (
+            name,
+            f"{figures.counts[:, place].sum():.0f}",
+            *cells(figures.of_labels, place),
+            *(_row(figures, report.level, 3, (of_labels.all_points,), place) if of_labels else ()),
+        )
         for place, name in enumerate(report.labelled.labels)
     ]
-    rows.append(("arithmetic mean", "", *cells([*row(figures.mean), *area(figures.mean_average_precision)])))
-    rows.append(("weighted mean", "", *cells(row(figures.weighted)), *("" for _ in last)))
+    area = _row(figures, report.level, 3, (mean.all_points,)) if mean else []
+    rows.append(("arithmetic mean", "", *cells(figures.mean), *area))
+    rows.append(("weighted mean", "", *cells(figures.weighted), *("" for _ in area)))
     title = f"Labels in {report.name(figures)}: another label is a miss of one and a false one of the other"
-    return Table(title, ("label", "annotations", *_RATES, *last), tuple(rows))
+    return Table(title, ("label", "annotations", *_RATES, *("AP" for _ in area)), rows)
 
 
 def _error_cells(report: LearnReport, figures: Figures, moments: ErrorMoments) -> list[str]:
     columns = (moments.mean, moments.std)
-    return [_cell(column, report.level, figures.units, 1, k) for k in range(4) for column in columns]
+    return [cell for k in range(4) for cell in _row(figures, report.level, 1, columns, k)]
 
 
 def _errors(report: LearnReport, groups: Sequence[Figures]) -> Table:
@@ -143,7 +134,8 @@ def _correlations(report: LearnReport, groups: Sequence[Figures]) -> Table:
 
 def _covariances(report: LearnReport, groups: Sequence[Figures]) -> Table:
     title = "Covariances of the box errors in square pixels"
-    return _by_pair(title, report, groups, lambda figures: figures.error_covariance, 1, CELLS)
+    table = _by_pair(title, report, groups, lambda figures: figures.error_covariance, 1, CELLS)
+    return replace(table, where=Where.PAGE)
 
 
 def _by_pair(
@@ -155,10 +147,10 @@ def _by_pair(
     pairs: Sequence[tuple[int, int]],
 ) -> Table:
     """A row for each group, a column for each pair of components of the box error."""
-    rows = tuple(
+    rows = [
         (report.name(each), *(_cell(column(each), report.level, each.units, digits, k) for k in range(len(pairs))))
         for each in groups
-    )
+    ]
     return Table(title, ("condition", *(f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in pairs)), rows)
 
 
@@ -179,27 +171,30 @@ def _curves(report: LearnReport, groups: Sequence[Figures]) -> list[Table]:
             return []
         entropies = [figures.confidence_entropy, *([figures.label_entropy] if figures.label_entropy else [])]
         columns = [*figures.mean_average_precision, *entropies]
-        rows.append((report.name(figures), *(_cell(column, report.level, figures.units, 3) for column in columns)))
+        rows.append((report.name(figures), *_row(figures, report.level, 3, columns)))
     extra = ("confidence cross-entropy", *(("label cross-entropy",) if groups[0].label_entropy else ()))
     title = f"Mean average precision over labels, every detection counted, matched by {report.curves_matched_by}"
     return [Table(title, ("condition", *_AVERAGE_PRECISIONS, *extra), tuple(rows))]
 
 
 def _confusion(report: LearnReport, figures: Figures) -> Table:
+    """The confusion matrix with its probabilities: the darker, the larger."""
     names, k = report.labelled.labels, len(report.labelled.labels)
-    rows = []
-    for row, name in enumerate([*names, "missed"]):
-        cells = [
-            f"{figures.counts[row, column]:.0f}  "
-            + _cell(figures.confusion, report.level, figures.units, 3, row, column)
-            for column in range(k)
-        ]
-        last = ""
-        if row < k:
-            last = f"{figures.counts[row, k]:.0f}  {_cell(figures.false_labels, report.level, figures.units, 3, row)}"
-        rows.append((name, *cells, last))
+
+    def cell(column: Column, row: int, true: int, *place: int) -> Cell:
+        text = f"{figures.counts[row, true]:.0f}  {_cell(column, report.level, figures.units, 3, *place)}"
+        return Cell(text, float(np.nan_to_num(np.asarray(column.estimate)[place])))
+
+    rows = [
+        (
+            name,
+            *(cell(figures.confusion, row, true, row, true) for true in range(k)),
+            cell(figures.false_labels, row, k, row) if row < k else "",  # nothing taken for nothing is no number
+        )
+        for row, name in enumerate([*names, "missed"])
+    ]
     title = f"Confusion matrix of {report.name(figures)}: detected as, by what was there; counts and probabilities"
-    return Table(title, ("", *names, "background"), tuple(rows))
+    return Table(title, ("", *names, "background"), rows)
 
 
 def _shares(report: LearnReport) -> list[Table]:
@@ -234,14 +229,12 @@ def _long_run(report: LearnReport) -> list[Table]:
 
 def _number(value: float, low: float, high: float) -> tuple[str, str]:
     """A number and its interval; a dash for what the data do not tell."""
-    if not np.isfinite(value):
-        return "–", "–"
-    told = np.isfinite(low) and np.isfinite(high)
-    return f"{value:.4g}", f"{low:.4g} to {high:.4g}" if told else "–"
+    told = np.isfinite([value, low, high]).all()
+    return f"{value:.4g}" if np.isfinite(value) else UNKNOWN, f"{low:.4g} to {high:.4g}" if told else UNKNOWN
 
 
 def _bias(bias: Bias) -> Table:
-    rows: list[tuple[float, Row]] = []
+    rows: list[tuple[float, tuple[str, ...]]] = []
     for each in bias.shifts:
         for found in zip(*np.nonzero(np.atleast_1d(bias.significant(each))), strict=True):
             place = found if np.ndim(each.shift) else ()
@@ -357,7 +350,46 @@ class Sources:
         return found, rest
 
 
-def page_text(report: LearnReport, out: Path, detector: str, sources: Sources, sections: Sequence[str] = ()) -> str:
+def document(
+    report: LearnReport, name: str = "detector", sources: Sequence[str] = (), sections: Sequence[Block] = ()
+) -> Document:
+    """What was learned, to be read.
+
+    Args:
+        report: What was learned.
+        name: Name of the detector file.
+        sources: The labelled sets, as they were given.
+        sections: Further sections, which come before the figures.
+    """
+    cautions = [*report.remarks_on_data, *([report.near_gate.remark] if report.near_gate.shares else [])]
+    return Document(
+        f"{name}: a detector learned from {counted(len(report.labelled.images), 'image')}",
+        [
+            Text(learned_from(report, name, sources), "lead"),
+            Text(how_well(report)),
+            Text(f"Warning: {report.warning}." if report.warning else "", "bad", Where.EVERYWHERE & ~Where.TERMINAL),
+        ],
+        [
+            Tiles(results(report)),
+            Text(lead(report), "soft", Where.EVERYWHERE),
+            Heading("Read the numbers with this"),
+            Items([f"{each}." for each in cautions], Where.EVERYWHERE),
+            *sections,
+            *_curve_charts(report),
+            Heading("Box errors"),
+            Beside(list(_scatters(report))),
+            *_share_chart(report),
+            Heading("Figures"),
+            *tables(report),
+            Heading("Left simple"),
+            Items(report.learned.notes or ["nothing: there was enough of everything"]),
+            Text(NEVER_LEARNED),
+            Text(_POINTS if report.shares else "", "soft", Where.PAGE),
+        ],
+    )
+
+
+def page_text(report: LearnReport, out: Path, detector: str, sources: Sources, sections: Sequence[Block] = ()) -> str:
     """The page, in one file.
 
     Args:
@@ -365,34 +397,10 @@ def page_text(report: LearnReport, out: Path, detector: str, sources: Sources, s
         out: The detector file.
         detector: Its content.
         sources: What it was learned from.
-        sections: Further sections, as HTML, which come before the pictures.
+        sections: Further sections.
     """
-    body = [f"<style>{_STYLE}</style>", page.paragraph(learned_from(report, out.name, sources.names), "lead")]
-    body += [page.paragraph(how_well(report), "lead")]
-    body += [page.paragraph(f"Warning: {report.warning}.", "bad")] if report.warning else []
-    body += [page.tiles(results(report)), *_to_know(report), page.paragraph(lead(report), "soft")]
-    body += [*sections, *_curve_pictures(report)]
-    body += [page.heading("Box errors"), *_scatter(report)]
-    body += [page.heading("Confusion matrices"), *_matrices(report)]
-    if report.shares is not None:
-        gains = {each.kind.value: max(each.gain_points, 0.0) for each in report.shares.shares}
-        body += [page.heading("What average precision is lost to"), charts.named_bars(gains, "points", _SHARES)]
-    for table in tables(report, every=True):
-        body += [page.heading(table.title), '<div class="wide">', page.table(table.rows, table.header), "</div>"]
-    body.append(page.heading("Left simple"))
-    notes = report.learned.notes
-    body.append(page.listed(notes) if notes else page.paragraph("Nothing: there was enough of everything."))
-    body += [page.paragraph(NEVER_LEARNED), *([page.paragraph(_POINTS, "soft")] if report.shares else [])]
-    title = f"{out.name}: a detector learned from {counted(len(report.labelled.images), 'image')}"
-    return page.page(title, body, _provenance(report, out, detector, sources))
-
-
-def _to_know(report: LearnReport) -> list[str]:
-    """Cautions for reading the numbers, in one list."""
-    remarks = [*report.remarks_on_data, *([report.near_gate.remark] if report.near_gate.shares else [])]
-    if not remarks:
-        return []
-    return [page.heading("Read the numbers with this"), page.listed(f"{remark}." for remark in remarks)]
+    found = document(report, out.name, sources.names, sections)
+    return page.document_page(found, _provenance(report, out, detector, sources))
 
 
 def _provenance(report: LearnReport, out: Path, detector: str, sources: Sources) -> Provenance:
@@ -414,15 +422,6 @@ def _provenance(report: LearnReport, out: Path, detector: str, sources: Sources)
     )
 
 
-_STYLE = (
-    "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
-    ".plots figure { width: 25rem; margin: 0; } "
-    ".wide { font-size: 0.9rem; } "
-    "@media screen and (max-width: 40rem) { table.shares { font-size: 0.8rem; } } "
-    "table.shares td, table.shares th { padding: 0.25rem 0.6rem; } "
-    ".shares .soft { color: inherit; } table.shares th + th { text-align: right; } "
-    ".wide td, .wide th { padding: 0.2rem 0.9rem 0.2rem 0; }"
-)
 _SHARES = (
     "Points of mean average precision that correcting one kind of error would gain (Bolya et al., 2020): "
     "classification, localisation, both, duplicate, background, missed."
@@ -433,30 +432,35 @@ _POINTS = (
 )
 
 
-def _curve_pictures(report: LearnReport) -> list[str]:
+def _curve_charts(report: LearnReport) -> list[Block]:
     if report.by_label is None:
         return []
-    curves, states = [], report.learned.observed.states
-    for label, name in enumerate(report.labelled.labels):
-        of_state: dict[str, tuple[Array, Array]] = {}
-        colours = []
-        for index, (state, colour) in enumerate(zip(states, charts.state_colours(len(states)), strict=True)):
-            images = report.learned.observed.image_state == index
-            curve: Curve | None = Ranking.of(report.labelled, report.by_label, label, images).curve()
-            if curve is not None and len(curve.recall):
-                of_state[f"{state}: AP {curve.all_points():.3f}"] = curve.recall, curve.interpolated
-                colours.append(colour)
-        curves.append(
-            charts.precision_recall(of_state, colours, f"{name}: largest precision at each recall or beyond.")
-        )
-    title = page.heading(f"Precision against recall, matched by {report.curves_matched_by}")
-    return [title, '<div class="plots">', *curves, "</div>"]
+    title = f"Precision against recall, matched by {report.curves_matched_by}"
+    said = "largest precision at each recall or beyond."
+    labels = enumerate(report.labelled.labels)
+    return [
+        Heading(title),
+        Beside([Figure(partial(_curve_chart, report, label), f"{name}: {said}") for label, name in labels]),
+    ]
 
 
-def _scatter(report: LearnReport) -> list[str]:
+def _curve_chart(report: LearnReport, label: int) -> str:
+    states, of_state = report.learned.observed.states, {}
+    colours = []
+    for index, (state, colour) in enumerate(zip(states, charts.state_colours(len(states)), strict=True)):
+        images = report.learned.observed.image_state == index
+        assert report.by_label is not None
+        curve: Curve | None = Ranking.of(report.labelled, report.by_label, label, images).curve()
+        if curve is not None and len(curve.recall):
+            of_state[f"{state}: AP {curve.all_points():.3f}"] = curve.recall, curve.interpolated
+            colours.append(colour)
+    return charts.precision_recall(of_state, colours)
+
+
+def _scatters(report: LearnReport) -> Iterator[Block]:
     pairs, relative = report.learned.observed.pairs, report.learned.form.box_errors.relative
     error, state = pairs.errors(pairs.sure, relative), pairs.state[pairs.sure]  # in the unit in which they are learned
-    states, plots = report.learned.observed.states, []
+    states = report.learned.observed.states
     there = [index for index in range(len(states)) if np.any(state == index)]
     colours = [charts.state_colours(len(states))[index] for index in there]
     for (i, j), what in (((0, 1), "centres"), ((2, 3), "sizes")):
@@ -464,19 +468,12 @@ def _scatter(report: LearnReport) -> list[str]:
         units = ("widths", "heights") if relative else ("px", "px")
         x, y = (f"{ERROR_COMPONENTS[k]} in {unit}" for k, unit in zip((i, j), units, strict=True))
         caption = f"Errors of {what}; ellipses hold 95 % of normal errors with the same mean and covariance."
-        plots.append(charts.error_scatter(groups, colours, x, y, caption))
-    return ['<div class="plots">', *plots, "</div>"]
+        yield Figure(partial(charts.error_scatter, groups, colours, x, y), caption)
 
 
-def _matrices(report: LearnReport) -> list[str]:
-    parts = []
-    for figures in report.states:
-        k = len(report.labelled.labels)
-        shares = np.full((k + 1, k + 1), np.nan)
-        shares[:, :k] = figures.confusion.estimate
-        shares[:k, k] = figures.false_labels.estimate
-        parts += [
-            page.paragraph(figures.name),
-            f'<div class="wide">{charts.confusion_table(report.labelled.labels, figures.counts, shares)}</div>',
-        ]
-    return parts
+def _share_chart(report: LearnReport) -> list[Block]:
+    if report.shares is None:
+        return []
+    gains = {each.kind.value: max(each.gain_points, 0.0) for each in report.shares.shares}
+    title = "What average precision is lost to"
+    return [Heading(title), Figure(partial(charts.named_bars, gains, "points", title), _SHARES)]

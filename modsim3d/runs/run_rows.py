@@ -11,11 +11,10 @@ from typing import Self
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.runs.counts import Outcomes, outcomes
 from modsim3d.runs.files.tables import (
-    NOBODY,
     Occluders,
     detection_boxes_px,
     flags,

@@ -1,26 +1,32 @@
-"""The page of scores: its sentence, the table, the rules, and where tracks fail."""
+"""Scores of tracks as a document: the outcome, the table, the rules, and where tracks fail."""
 
 from __future__ import annotations
 
-import html
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import orjson
 
+from modsim3d.core.arrays import Array
+from modsim3d.core.document import Block, Cell, Document, Figure, Fold, Heading, Table, Text, Where
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import counted
+from modsim3d.core.text import counted, number
 from modsim3d.io.atomic_write import write_files
-from modsim3d.tracking.oracle import RAW, REFERENCES
+from modsim3d.tracking.oracle import SMOOTHED
 from modsim3d.tracking.run_scores import ScoredTracks, TrackScores
 from modsim3d.tracking.score_tables import (
-    GROUP_NAMES,
+    ENCOUNTER_HEADER,
     HEADER,
     HIDDEN_HEADER,
     OCCLUSION_HEADER,
     SEED_HEADER,
+    WORLD_HEADER,
     conclusion_of,
+    encounter_rows,
+    encounters_in_words,
     hidden_rows,
+    is_missed,
     key_rows,
     named_scores,
     occlusion_rows,
@@ -32,18 +38,28 @@ from modsim3d.tracking.score_tables import (
     seeds_in_words,
     survived_and_judged,
     survived_of,
-    world_sections,
+    world_rows,
+    world_rules,
 )
-from modsim3d.tracking.score_text import MEANINGS, number, rules_in_words
+from modsim3d.tracking.score_text import MEANINGS, rules_in_words
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.provenance import Provenance, run_inputs, run_seeds, run_versions, track_inputs
 
 FILES = ("score.json", "score.html")
-CLOSE = "padding-right: 0.4rem"
-"""Style of the columns of bars, so that those of four trackers and a reference fit on a page."""
-GROUP_TITLES = {"phase": "Before, during and after an occlusion", "occlusion": "By length of the occlusion, s"}
+OCCLUSION = "occlusion"
+GROUP_NAMES = {
+    "visible_fraction": "visible fraction",
+    "phase": "an occlusion",
+    OCCLUSION: "length of the occlusion",
+    "range": "range, m",
+    "size": "size, px",
+    "edge": "edge of the image",
+    "state": "performance state",
+    "label": "class",
+}
+"""What tables call the groups of a breakdown."""
 
 
 def write_scores(scores: ScoredTracks, folder: StrPath, command: str | None = None) -> None:
@@ -56,44 +72,58 @@ def write_scores(scores: ScoredTracks, folder: StrPath, command: str | None = No
 
 def score_page(scores: ScoredTracks, command: str | None = None) -> str:
     """The whole page; it names the command, or the call if it is None."""
-    run = scores.run
+    return page.document_page(document(scores), _provenance(scores, command))
+
+
+def document(scores: ScoredTracks) -> Document:
+    """The scores, to be read."""
+    return Document(
+        f"{scores.run.scene.name}: how well is it tracked?",
+        [Text(conclusion_of(scores), "lead", Where.EVERYWHERE)],
+        [*(_in_images(scores) if scores.trackers else ()), *_in_world(scores)],
+    )
+
+
+def _in_images(scores: ScoredTracks) -> Iterator[Block]:
+    run, rows = scores.run, score_rows(scores)
+    yield Table("Scores", HEADER, rows, soft=range(len(scores.trackers), len(rows)), where=Where.EVERYWHERE)
+    yield Text(
+        "The last two lines are the same detections with perfect association: each detection is given to the vessel "
+        "that it came from, and false ones are removed. They are references and no ceilings: a tracker that smooths "
+        "better may exceed them.",
+        "soft",
+        Where.PAGE,
+    )
     of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
-    body = [page.paragraph(conclusion_of(scores), "lead")]
-    if scores.trackers:
-        body += [
-            page.table(score_rows(scores), HEADER),
-            page.paragraph(
-                "The last two lines are the same detections with perfect association: each detection is given to the "
-                "vessel that it came from, and false ones are removed. They are references and no ceilings: a tracker "
-                "that smooths better may exceed them.",
-                "soft",
-            ),
-            page.paragraph(f"{of_run} {remarks_of(scores)}", "soft"),
-            page.folded("What the scores mean", page.table(list(MEANINGS.items()))),
-            _alpha_chart(scores),
-            page.heading("Rules"),
-            page.table(rules_in_words(scores.rules)),
-            *_seeds(scores),
-            page.heading("Where vessels are lost"),
-            page.paragraph(
-                "Tracks and vessels are matched once. Recall is the share of the vessel-frames in a line that a track "
-                "follows; association is how much of the vessel and of the track belong together, where one follows.",
-                "soft",
-            ),
-            *_breakdowns(scores),
-            *_parts(scores),
-            page.heading("Wholly hidden vessels"),
-            page.paragraph("They count neither way in all other tables. A good tracker coasts over them.", "soft"),
-            page.table(hidden_rows(scores), HIDDEN_HEADER),
-            page.heading("Occlusions"),
-            *(part for each in scores.trackers for part in _occlusions(each)),
-            page.heading("All scores"),
-            page.folded(
-                "By their keys", page.table(key_rows(scores), ("score", *(name for name, _ in named_scores(scores))))
-            ),
-        ]
-    title = f"{run.scene.name}: how well is it tracked?"
-    return page.page(title, [*body, *world_sections(scores)], _provenance(scores, command))
+    yield Text(f"{of_run} {remarks_of(scores)}", "soft")
+    yield Fold("What the scores mean", [Table("", (), list(MEANINGS.items()), where=Where.PAGE)])
+    if curves := _curves(scores):
+        said = "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then "
+        yield Figure(partial(_alpha_chart, curves), f"{said}compare centres instead of IoU.")
+    yield Heading("Rules")
+    yield Table("", (), rules_in_words(scores.rules))
+    yield Heading("Detector seeds")
+    yield Text(seeds_in_words(scores), "soft")
+    yield Table("", SEED_HEADER, seed_rows(scores))
+    yield Heading("Where vessels are lost", where=Where.PAGE)
+    yield Text(
+        "Tracks and vessels are matched once. Recall is the share of the vessel-frames in a line that a track "
+        "follows; association is how much of the vessel and of the track belong together, where one follows. The "
+        "oracle is the smoothed reference.",
+        "soft",
+        Where.PAGE,
+    )
+    yield from _breakdowns(scores)
+    yield from part_tables(scores)
+    yield Heading("Wholly hidden vessels")
+    yield Text("They count neither way in all other tables. A good tracker coasts over them.", "soft", Where.PAGE)
+    yield Table("", HIDDEN_HEADER, hidden_rows(scores), where=Where.PAGE)
+    yield Heading("Occlusions")
+    for each in scores.trackers:
+        yield _occlusions(each)
+    yield Heading("All scores")
+    header = ("score", *(name for name, _ in named_scores(scores)))
+    yield Fold("By their keys", [Table("", header, key_rows(scores), where=Where.PAGE)])
 
 
 def _provenance(scores: ScoredTracks, command: str | None) -> Provenance:
@@ -113,92 +143,90 @@ def _provenance(scores: ScoredTracks, command: str | None) -> Provenance:
     )
 
 
-def _alpha_chart(scores: ScoredTracks) -> str:
-    """HOTA at each threshold of similarity."""
+def _curves(scores: ScoredTracks) -> dict[str, Array]:
+    """HOTA at each threshold of similarity, shape (n,), by tracker and reference."""
+    curves = {name: found.flat()["hota_by_alpha"] for name, found in named_scores(scores)}
+    return {name: np.array(values) for name, values in curves.items() if isinstance(values, tuple)}
+
+
+def _alpha_chart(curves: Mapping[str, Array]) -> str:
     axes, content = charts.Axes((0, 1), (0, 1.02), width=560), ""
-    names: list[str] = []
-    for name, found in named_scores(scores):
-        values = found.flat()["hota_by_alpha"]
-        if not isinstance(values, tuple):
-            continue
-        alphas = np.linspace(0.05, 0.95, len(values))
-        content += charts.line(axes, alphas, np.array(values), charts.colour_of(len(names)))
-        names.append(name)
-    if not names:
-        return ""
-    content += charts.key(names, axes.height - 38)
-    drawing = axes.drawing(content, "HOTA by threshold", "least similarity of a match", "HOTA")
-    return charts.figure(
-        [drawing],
-        "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then "
-        "compare centres instead of IoU.",
-    )
+    for place, values in enumerate(curves.values()):
+        content += charts.line(axes, np.linspace(0.05, 0.95, len(values)), values, charts.colour_of(place))
+    content += charts.key(list(curves), axes.height - 38)
+    return axes.drawing(content, "HOTA by threshold", "least similarity of a match", "HOTA")
 
 
-def _seeds(scores: ScoredTracks) -> list[str]:
-    if scores.seeds is None:
-        return []
-    rows = page.table(seed_rows(scores), SEED_HEADER)
-    return [page.heading("Detector seeds"), page.paragraph(seeds_in_words(scores), "soft"), rows]
+def _breakdowns(scores: ScoredTracks) -> Iterator[Block]:
+    """Recall by each property: on a page of all trackers and the oracle side by side, on a terminal of the best one."""
+    best, oracle = scores.trackers[0], ("oracle", scores.references[SMOOTHED])
+    yield Heading(f"Where {best.name} loses vessels", where=Where.TERMINAL)
+    yield from _breakdown_tables([("", best.scores)], Where.TERMINAL)
+    yield from _breakdown_tables([*((each.name, each.scores) for each in scores.trackers), oracle], Where.PAGE)
+    groups = [(GROUP_NAMES[group.name], group.explanation) for group in best.scores.breakdown]
+    yield Fold("What the lines are", [Table("", (), groups, where=Where.PAGE)])
 
 
-def _breakdowns(scores: ScoredTracks) -> list[str]:
-    """A table for each property, with the trackers and the smoothed reference side by side."""
-    shown = [each for each in named_scores(scores) if each[0] != REFERENCES[RAW]]
-    parts = []
-    for index, group in enumerate(shown[0][1].breakdown):
-        bins = {name: {each.bin: each for each in found.breakdown[index].rows} for name, found in shown}
-        title = GROUP_TITLES.get(group.name, f"By {GROUP_NAMES[group.name]}")
-        parts += [f"<h3>{html.escape(title)}</h3>", page.paragraph(group.explanation, "soft")]
-        parts.append(_bin_table(bins, group.name == "occlusion") if group.rows else page.paragraph("There are none."))
-    return parts
+def _breakdown_tables(named: Sequence[tuple[str, Scores]], where: Where) -> Iterator[Table]:
+    names = [f"{name}: " if name else "" for name, _ in named]
+    rows: list[list[str | Cell]] = []
+    for index, group in enumerate(named[0][1].breakdown):
+        bins = list(zip(*(found.breakdown[index].rows for _, found in named), strict=True))
+        if group.name == OCCLUSION:
+            header = ["length, s", "occlusions", "vessel-frames"]
+            lengths = [
+                (
+                    each[0].bin,
+                    f"{each[0].occlusions}",
+                    f"{each[0].vessel_frames:,}",
+                    *_cells(each, "survived", "recall"),
+                )
+                for each in bins
+            ]
+            columns = [name + key for name in names for key in ("survived", "recall")]
+            of_occlusions = Table("By length of the occlusion", [*header, *columns], lengths, where=where)
+        else:
+            for place, each in enumerate(bins):
+                name = "" if place else GROUP_NAMES[group.name]
+                first = [name, each[0].bin, f"{each[0].vessel_frames:,}"]
+                rows.append(first + _cells(each, "recall", "association"))
+    columns = [name + key for name in names for key in ("recall", "association")]
+    yield Table("", ("by", "", "vessel-frames", *columns), rows, where=where)
+    yield of_occlusions
 
 
-def _bin_table(bins: Mapping[str, Mapping[str, Bin]], of_occlusions: bool) -> str:
-    """Recall and association of the bins of one property, as bars."""
-    first = next(iter(bins.values()))
-    per = ("survived", "recall") if of_occlusions else ("recall", "association")
-    spans = "".join(f'<th colspan="{len(per)}">{html.escape(name)}</th>' for name in bins)
-    counts = ("occlusions", "vessel-frames") if of_occlusions else ("vessel-frames",)
-    head = "".join(f'<th class="number">{name}</th>' for name in counts)
-    head += "".join(f'<th class="number" style="{CLOSE}">{name}</th>' for name in per * len(bins))
-    lines = [f"<thead><tr><th></th>{'<th></th>' * len(counts)}{spans}</tr>", f"<tr><th></th>{head}</tr></thead>"]
-    for name, row in first.items():
-        cells = [f'<td class="number">{row.occlusions}</td>'] if of_occlusions else []
-        cells.append(f'<td class="number">{row.vessel_frames:,}</td>')
-        for each in bins.values():
-            cells += [_bar(getattr(each[name], key), _text(each[name], key)) for key in per]
-        lines.append(f'<tr><th style="white-space: nowrap">{html.escape(name)}</th>{"".join(cells)}</tr>')
-    return page.scrolling("<table>\n" + "\n".join(lines) + "\n</table>")
+def _cells(bins: tuple[Bin, ...], *keys: str) -> list[str | Cell]:
+    """Shares of a bin of each tracker, as bars."""
+    return [
+        Cell(
+            survived_of(each) if key == "survived" else number(getattr(each, key), 2),
+            getattr(each, key) or 0.0,
+            bar=True,
+        )
+        for each in bins
+        for key in keys
+    ]
 
 
-def _text(row: Bin, key: str) -> str:
-    return survived_of(row) if key == "survived" else number(getattr(row, key), 2)
-
-
-def _bar(share: float | None, text: str) -> str:
-    """A share as text with a bar behind it, of one width for a share in all columns, so that bars can be compared."""
-    width = f"{3.5 * min(max(share or 0.0, 0.0), 1.0):.3g}rem"
-    shade = f"color-mix(in srgb, {charts.COLOURS[0]} 35%, transparent)"
-    fill = f"linear-gradient(to right, {shade} {width}, transparent {width})"
-    return f'<td class="number" style="background: {fill}; min-width: 3.5rem; {CLOSE}">{text}</td>'
-
-
-def _parts(scores: ScoredTracks) -> list[str]:
-    """HOTA and others by state, by camera and by class."""
-    found = []
-    for title, header, rows in part_tables(scores):
-        found += [page.heading(title), page.table(rows, header)]
-    return found
-
-
-def _occlusions(tracker: TrackScores) -> list[str]:
+def _occlusions(tracker: TrackScores) -> Block:
     """The list of a tracker's occlusions, closed at first where there are many."""
-    found: Scores = tracker.scores
-    if not found.occlusions:
-        return [page.paragraph(f"{tracker.name}: no vessel is occluded.")]
-    survived, judged = survived_and_judged(found.occlusions)
-    said = f"{tracker.name}: {survived} of {judged} survived; {counted(len(found.occlusions), 'occlusion')} in all"
-    failed = {index for index, each in enumerate(found.occlusions) if each.survived is False}
-    table = page.table(occlusion_rows(found.occlusions), OCCLUSION_HEADER, failed)
-    return [page.folded(said, table, opened=len(found.occlusions) <= 15)]
+    found = tracker.scores.occlusions
+    if not found:
+        return Text(f"{tracker.name}: no vessel is occluded.", "", Where.PAGE)
+    survived, judged = survived_and_judged(found)
+    said = f"{tracker.name}: {survived} of {judged} survived; {counted(len(found), 'occlusion')} in all"
+    failed = {index for index, each in enumerate(found) if each.survived is False}
+    table = Table("", OCCLUSION_HEADER, occlusion_rows(found), bad=failed, where=Where.PAGE)
+    return Fold(said, [table], opened=len(found) <= 15)
+
+
+def _in_world(scores: ScoredTracks) -> Iterator[Block]:
+    yield Heading("Tracks in the world")
+    yield Table("", WORLD_HEADER, world_rows(scores))
+    for each in scores.world[:1]:
+        yield Text(world_rules(each), "soft")
+    for each in scores.world:
+        met = each.scores.encounters
+        yield Text(encounters_in_words(each))
+        missed = {place for place, vessel in enumerate(met) if is_missed(vessel)}
+        yield Table("", ENCOUNTER_HEADER, encounter_rows(met), bad=missed)

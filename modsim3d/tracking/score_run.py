@@ -7,11 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import astuple, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import column_table
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.io.validation import nearest, shown
 from modsim3d.runs.files.overwrite import read_of_run
@@ -19,7 +17,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.tracking.oracle import reference_tracks
 from modsim3d.tracking.run_scores import ScoredTracks, TrackScores, WorldTrackScores
-from modsim3d.tracking.score_tables import HEADER, conclusion_of, score_rows
+from modsim3d.tracking.score_tables import conclusion_of
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.scored import Rules, SetDistance
 from modsim3d.tracking.scores.scoring import score_tracks
@@ -28,9 +26,6 @@ from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.tracks import Similarity, SimilarityName, TrackSet, WorldTracks
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 from modsim3d.tracks.world_reading import is_world, read_world_tracks
-
-if TYPE_CHECKING:
-    pass
 
 
 class RunScores(ScoredTracks):
@@ -46,7 +41,9 @@ class RunScores(ScoredTracks):
 
     def _repr_html_(self) -> str:
         """The outcome, and a line for each tracker."""
-        return column_table(self.conclusion, HEADER, score_rows(self))
+        from modsim3d.tracking.score_page import document  # pages take 0.1 s to import
+
+        return document(self).notebook()
 
     @cached_property
     def conclusion(self) -> str:

@@ -1,4 +1,4 @@
-"""Scores as the rows of tables, for the terminal, a notebook and the page."""
+"""Scores as rows of tables and as JSON."""
 
 from __future__ import annotations
 
@@ -7,25 +7,23 @@ from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
-from modsim3d.core.text import counted
+from modsim3d.core.document import Table, Where
+from modsim3d.core.text import UNKNOWN, counted, number
 from modsim3d.tracking.oracle import RAW, REFERENCES, SMOOTHED
 from modsim3d.tracking.run_scores import ScoredTracks, TrackScores, WorldTrackScores
 from modsim3d.tracking.score_text import (
     COLUMNS,
-    UNKNOWN,
     LengthBin,
     TrackerOutcome,
     conclusion,
     keys_of,
-    number,
     percent,
 )
-from modsim3d.tracking.scores.breakdown import Bin, Breakdown
+from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode
 from modsim3d.tracking.scores.scored import Rules
-from modsim3d.tracking.scores.scoring import Scores, SubsetScores
+from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.tracking.world.scoring import MetVessel
-from modsim3d.view.pages import page
 
 # ---- Scores of tracks in the world ----
 
@@ -77,33 +75,19 @@ def encounter_rows(encounters: Sequence[MetVessel]) -> list[tuple[str, ...]]:
     ]
 
 
-def world_sections(scores: ScoredTracks) -> list[str]:
-    """The sections of the page; none without tracks in the world."""
-    if not scores.world:
-        return []
-    body = [page.heading("Tracks in the world"), page.table(world_rows(scores), WORLD_HEADER)]
-    body.append(page.paragraph(world_rules(scores.world[0]), "soft"))
-    for each in scores.world:
-        rows = encounter_rows(each.scores.encounters)
-        body.append(page.paragraph(_encounters_in_words(each)))
-        never = {place for place, met in enumerate(each.scores.encounters) if _is_missed(met)}
-        body += [page.table(rows, ENCOUNTER_HEADER, never)] if rows else []
-    return body
-
-
-def _is_missed(met: MetVessel) -> bool:
+def is_missed(met: MetVessel) -> bool:
     """Whether a camera saw the vessel, and no track ever followed it."""
     return met.seen_s is not None and met.established_s is None
 
 
-def _encounters_in_words(each: WorldTrackScores) -> str:
+def encounters_in_words(each: WorldTrackScores) -> str:
     """How many vessels met own ship, and which of them the table of encounters marks."""
     met = each.scores.encounters
     if not met:
         return f"{each.name}: no vessel came nearer to own ship."
     passed = sum(one.passed for one in met)
     said = f"{each.name}: {counted(len(met), 'vessel')} came nearer to own ship, and {passed} passed her in this run."
-    return f"{said} Red: a camera saw the vessel, and no track followed it." if any(map(_is_missed, met)) else said
+    return f"{said} Red: a camera saw the vessel, and no track followed it." if any(map(is_missed, met)) else said
 
 
 def world_data(scores: ScoredTracks) -> list[dict[str, Any]]:
@@ -144,20 +128,8 @@ HEADER = ("tracker", *(name for name, _, _ in COLUMNS), "occlusions survived")
 SEED_HEADER = ("tracker", "score", "mean", "standard deviation", "95 % of the mean")
 HIDDEN_HEADER = ("tracker", "vessel-frames", "followed", "by the track from before")
 OCCLUSION_HEADER = ("camera", "vessel", "from", "length", "least visible", "track before", "track after", "survived")
-BIN_HEADER = ("by", "", "vessel-frames", "recall", "association", "survived")
 PART_COLUMNS = COLUMNS[:5]
 PART_HEADER = ("", "tracker", *(name for name, _, _ in PART_COLUMNS))
-GROUP_NAMES = {
-    "visible_fraction": "visible fraction",
-    "phase": "an occlusion",
-    "occlusion": "its length, s",
-    "range": "range, m",
-    "size": "size, px",
-    "edge": "edge of the image",
-    "state": "performance state",
-    "label": "class",
-}
-"""What tables call the groups of a breakdown."""
 ONE_RUN = (
     "One run is one sample: over seeds the HOTA of a tracker has a standard deviation of up to 0.1, so compare "
     "trackers over many traffic seeds."
@@ -284,22 +256,6 @@ def hidden_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
     ]
 
 
-def bin_rows(groups: Breakdown) -> list[tuple[str, ...]]:
-    """A line for each bin of a breakdown, under `BIN_HEADER`."""
-    return [
-        (
-            GROUP_NAMES[group.name] if place == 0 else "",
-            each.bin,
-            f"{each.vessel_frames:,}",
-            number(each.recall, 2),
-            number(each.association, 2),
-            survived_of(each),
-        )
-        for group in groups
-        for place, each in enumerate(group.rows)
-    ]
-
-
 def survived_of(each: Bin) -> str:
     """How many occlusions of a bin are survived, of those that could be; empty outside the group of occlusions."""
     if each.occlusions is None:
@@ -313,22 +269,18 @@ def key_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
     return [(key, *(_any_number(keys[key]) for keys in every)) for key in every[0]]
 
 
-def part_tables(scores: ScoredTracks) -> list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
-    """Title, header and rows of the scores by performance state, by camera and by class, where there are several."""
+def part_tables(scores: ScoredTracks) -> list[Table]:
+    """Scores by performance state, by camera and by class, where there are several."""
     named = named_scores(scores)
-    parts: dict[str, list[tuple[str, Mapping[str, Mapping[str, Any]]]]] = {
-        "By performance state": [(name, _as_keys(found.by_state)) for name, found in named],
-        "By camera": [(name, _as_keys(found.by_camera)) for name, found in named],
-    }
-    tables = [(title, PART_HEADER, _part_rows(part)) for title, part in parts.items() if len(part[0][1]) > 1]
+    tables = []
+    for title, part in (("By performance state", "by_state"), ("By camera", "by_camera")):
+        parts = [(name, {key: vars(each) for key, each in getattr(found, part).items()}) for name, found in named]
+        if len(parts[0][1]) > 1:
+            tables.append(Table(title, PART_HEADER, _part_rows(parts), where=Where.PAGE))
     if scores.rules.by_class:
         of_class = [(name, {key: each.flat() for key, each in found.by_class.items()}) for name, found in named]
-        tables.append(("By class", PART_HEADER, _part_rows(of_class)))
+        tables.append(Table("By class", PART_HEADER, _part_rows(of_class)))
     return tables
-
-
-def _as_keys(parts: Mapping[str, SubsetScores]) -> dict[str, Mapping[str, Any]]:
-    return {name: vars(each) for name, each in parts.items()}
 
 
 def _part_rows(named: Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]]) -> list[tuple[str, ...]]:
@@ -402,12 +354,7 @@ def _seeds(scores: ScoredTracks) -> dict[str, Any] | None:
         "detector_seeds": scores.seeds.seeds,
         "scores": {
             name: {
-                key: {
-                    "values": spread.values,
-                    "mean": spread.mean,
-                    "deviation": spread.deviation,
-                    "interval": spread.interval,
-                }
+                key: {part: getattr(spread, part) for part in ("values", "mean", "deviation", "interval")}
                 for key, spread in spreads.items()
             }
             for name, spreads in scores.seeds.spreads.items()

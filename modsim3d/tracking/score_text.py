@@ -1,17 +1,16 @@
-"""Numbers of scores as text."""
+"""What scores say in words: percentages, rules and the outcome."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from modsim3d.core.text import counted
+from modsim3d.core.text import UNKNOWN, counted
 from modsim3d.tracking.scores.scored import Rules
 from modsim3d.tracking.scores.scoring import Scores
 
 Keys = dict[str, float | int | None]
 
-UNKNOWN = "–"
 COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("HOTA", "hota", 3),
     ("DetA", "deta", 3),
@@ -27,11 +26,6 @@ COLUMNS: tuple[tuple[str, str, int], ...] = (
 def keys_of(scores: Scores) -> Keys:
     """The scores that are one number each, by their keys."""
     return {key: value for key, value in scores.flat().items() if not isinstance(value, tuple)}
-
-
-def number(value: float | None, decimals: int = 3) -> str:
-    """A score with its decimals; a dash where it is undefined."""
-    return UNKNOWN if value is None else f"{value:,.{decimals}f}".replace("-", "−").replace("inf", "∞")
 
 
 def percent(share: float | None) -> str:

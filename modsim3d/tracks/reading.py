@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import Field, ValidationError
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io import input_files
@@ -23,17 +23,17 @@ from modsim3d.io.atomic_write import write_files
 from modsim3d.io.input_files import open_input
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.io.strict_text import load_json
+from modsim3d.io.text_table import RowProblems
 from modsim3d.io.validation import Count, Strict, describe, nearest, shown
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.files.run_file import FileEntry, Sha256, Text
 from modsim3d.runs.files.table_columns import BOX_SIDES
-from modsim3d.runs.files.tables import NOBODY, ROW_GROUP_ROWS, indices, integer_column, number_column, positions
+from modsim3d.runs.files.tables import ROW_GROUP_ROWS, indices, integer_column, number_column, positions
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracks.diagnosis import CORNERS, BoxRows, KnownBoxes, misreading
-from modsim3d.tracks.text_table import RowProblems, name_of, source_of
 from modsim3d.tracks.text_tracks import FileRows, frames_at, read_csv_tracks, read_mot_tracks, tracks_of
-from modsim3d.tracks.tracks import COVARIANCES, SCHEMA, Origin, TrackSet, track_table
+from modsim3d.tracks.tracks import COVARIANCES, SCHEMA, Origin, TrackSet, name_of, source_of, track_table
 
 # ---- The folder that `modsim3d track` writes ----
 

@@ -8,17 +8,26 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import InputError
 from modsim3d.io.input_files import read_text
 from modsim3d.io.misreadings import no_commas, other_unit
+from modsim3d.io.text_table import RowProblems, TextTable, named_lines
 from modsim3d.io.validation import nearest, shown
-from modsim3d.runs.files.tables import NOBODY, positions
+from modsim3d.runs.files.tables import positions
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.diagnosis import CENTRE, CORNERS, MOT, BoxForm
-from modsim3d.tracks.text_table import RowProblems, TextTable, source_of
-from modsim3d.tracks.tracks import COVARIANCES, FAR, Tracks, camera_sequence_names, covariances, far_tracks, plain_name
+from modsim3d.tracks.tracks import (
+    COVARIANCES,
+    FAR,
+    Tracks,
+    camera_sequence_names,
+    covariances,
+    far_tracks,
+    plain_name,
+    source_of,
+)
 
 # ---- The rows of a file ----
 
@@ -155,9 +164,7 @@ def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
         InputError: The file cannot be read, a column is wrong, or a line has something that the run has not.
     """
     source = source_of(path)
-    text = read_text(path, "tracks")
-    head, _, body = text.partition("\n")
-    names = [name.strip().strip('"') for name in head.split(",")]
+    names, body = named_lines(path, "tracks")
     form = _form(names, rows, source)
     table = TextTable.of(body, names, source, first_line=2)
     many, cameras = len(table), [camera.name for camera in rows.scene.cameras]
@@ -166,9 +173,9 @@ def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
     track = table.identities("track", 0)
     numbers = np.column_stack([table.numbers(name) for name in form.names])
     labels = rows.scene.detector.labels
-    label = table.names("label", labels, needed=False) if table.has("label") else np.full(many, NOBODY)
-    confidence = _optional(table, "confidence")
-    variances = [_optional(table, name) for name in COVARIANCES]
+    label = table.names("label", labels, needed=False)
+    confidence = table.numbers("confidence", missing=("",))
+    variances = [table.numbers(name, missing=("",)) for name in COVARIANCES]
     table.problems.settle()
     covariance = np.stack([variances[i] for i in (0, 1, 1, 2)], axis=-1).reshape(-1, 2, 2)
     return FileRows(table.problems, frame, track, numbers, form, label, confidence, covariance)
@@ -208,10 +215,6 @@ def _form(names: Sequence[str], rows: RunRows, source: str) -> BoxForm:
 def _hint(name: str) -> str:
     hint = nearest(name, _COLUMNS)
     return hint if hint.startswith("did") else f"known: {', '.join(_COLUMNS)}; leave others out"
-
-
-def _optional(table: TextTable, name: str) -> Array:
-    return table.numbers(name, needed=False) if table.has(name) else np.full(len(table), np.nan)
 
 
 def _csv_frames(table: TextTable, rows: RunRows, camera: Indices) -> Indices:

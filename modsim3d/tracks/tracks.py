@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -239,7 +240,18 @@ class TrackSet:
         return replace(self, tracks=self.tracks.take(np.isin(self.tracks.camera, cameras)))
 
 
+def source_of(path: Path) -> str:
+    """Name of a file of tracks in messages."""
+    return f"tracks {path}"
+
+
+def name_of(path: Path) -> str:
+    """Name of somebody's own tracks in a file, in tables."""
+    return path.name.removesuffix(".gz").rsplit(".", 1)[0]
+
+
 # ---- Which boxes and covariances a track may have ----
+
 
 FAR = "the box lies more than an image away from the image, as does all of its track"
 

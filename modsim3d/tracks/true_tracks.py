@@ -8,8 +8,8 @@ from typing import Literal, Self
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from modsim3d.core.arrays import Array, Indices, Mask, extents
-from modsim3d.runs.files.tables import NOBODY, indices
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, extents
+from modsim3d.runs.files.tables import indices
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.tracks import Similarity, Tracks
 

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
-from pyarrow import csv
 from scipy.spatial.transform import Rotation
 
 from modsim3d.core.arrays import Array
-from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io import input_files
-from modsim3d.io.input_files import open_input, read_text
+from modsim3d.io.input_files import open_input
 from modsim3d.io.misreadings import no_commas
+from modsim3d.io.ros_bag import DETECTIONS_3D, ODOMETRY, BagMessage, is_bag, read_bag
+from modsim3d.io.text_table import RowProblems, TextTable, named_lines
 from modsim3d.io.validation import nearest, shown
-from modsim3d.runs.files.tables import number_column
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.messages import local_metres, wrapped_deg
-from modsim3d.tracks.text_table import name_of, source_of
-from modsim3d.tracks.tracks import WorldTracks
+from modsim3d.tracks.tracks import WorldTracks, name_of, source_of
 from modsim3d.tracks.world_rows import MAX_DEG, WorldRows, checked
 
 STATE = ("w1", "w2", "v1", "v2")
@@ -53,6 +51,7 @@ GROUPS = (IN_SCENE, ON_EARTH, ALONG_AXES, OVER_GROUND, BY_COURSE, _OF_POSITION, 
 COLUMNS = ("track", "time_s", "step", *(name for group in GROUPS for name in group))
 _ALIKE = 0.85
 """Of names that are taken for slips of the pen; other columns are ignored."""
+_MISSING = ("", "nan", "NaN", "null")
 
 
 def header(path: Path) -> tuple[str, ...]:
@@ -74,35 +73,30 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
         InputError: It cannot be read, or its columns are not those of tracks.
     """
     source = source_of(path)
-    columns = header(path)
+    columns, body = named_lines(path, "tracks")
     if marks := no_commas(line := ",".join(columns)):
         raise InputError(source, [f"line 1 must name the columns, with commas between them (got {shown(line)}){marks}"])
     groups = _groups(source, columns)
-    table = _table(path, source, columns)
-
-    def column(name: str) -> Array:
-        return number_column(table, name)
-
-    if {"time_s", "step"} <= {*columns}:
-        _check_steps(source, column("step"), column("time_s"), run.scene.times_s(0, run.steps))
+    table = TextTable.of(body, columns, source, first_line=2)
+    known = {name: table.numbers(name, missing=_MISSING) for name in COLUMNS if name != "track" and table.has(name)}
+    table.problems.settle()
     covariance = np.full((len(table), 4, 4), np.nan)
     for (i, j), name in COVARIANCES.items():
-        if name in table.column_names:
-            covariance[:, i, j] = covariance[:, j, i] = column(name)
-    degrees = None
-    if ON_EARTH in groups:
-        degrees = np.column_stack([column(name) for name in ON_EARTH])
-    return WorldRows(
-        source=source,
+        if name in known:
+            covariance[:, i, j] = covariance[:, j, i] = known[name]
+    degrees = np.column_stack([known[name] for name in ON_EARTH]) if ON_EARTH in groups else None
+    rows = WorldRows(
+        problems=table.problems,
         name=name_of(path),
-        place=lambda row: f"row {row + 2}",
-        track=[text or "" for text in table["track"].to_pylist()],
-        time_s=_times_s(source, column, groups, run),
-        position_m=_positions_m(source, column, degrees, run),
-        velocity_m_s=_velocities_m_s(column, groups, degrees, run, len(table)),
+        track=table.columns["track"].to_pylist(),
+        time_s=_times_s(known, table.problems, run),
+        position_m=_positions_m(known, degrees, table.problems, run),
+        velocity_m_s=_velocities_m_s(known, groups, degrees, run),
         covariance=covariance,
         degrees=degrees,
     )
+    table.problems.settle()
+    return rows
 
 
 def _groups(source: str, columns: Sequence[str]) -> set[tuple[str, ...]]:
@@ -133,79 +127,64 @@ def _groups(source: str, columns: Sequence[str]) -> set[tuple[str, ...]]:
         problems.append(f"has {_OF_BOTH[0]} without the covariances of position and velocity")
     if problems:
         raise InputError(source, problems)
-    return found | ({("time_s",)} if "time_s" in columns else {("step",)})
-
-
-def _table(path: Path, source: str, columns: Sequence[str]) -> pa.Table:
-    names = [name for name in columns if name in COLUMNS]
-    types = {name: pa.string() if name == "track" else pa.float64() for name in names}
-    convert = csv.ConvertOptions(
-        include_columns=names, column_types=types, strings_can_be_null=False, null_values=["", "nan", "NaN", "null"]
-    )
-    try:
-        file = pa.BufferReader(read_text(path, "tracks").encode())
-        read = csv.ReadOptions(use_threads=False, column_names=list(columns), skip_rows=1)
-        return csv.read_csv(file, read, convert_options=convert)
-    except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
-        raise InputError(source, [f"cannot be read as CSV: {str(error).splitlines()[0]}"]) from None
-
-
-def _times_s(source: str, column: Callable[[str], Array], groups: set[tuple[str, ...]], run: StoredRun) -> Array:
-    if ("time_s",) in groups:
-        return column("time_s")
-    steps, times_s = column("step"), run.scene.times_s(0, run.steps)
-    wrong = ~((steps >= 0) & (steps < len(times_s)) & (steps == np.floor(steps)))
-    if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
-        must = f"must be a whole number from 0 to {len(times_s) - 1}, the run's last"
-        raise InputError(source, [f"row {row + 2}: step {must} (got {steps[row]:.15g})"])
-    found: Array = times_s[steps.astype(np.int64)]
     return found
 
 
-def _check_steps(source: str, steps: Array, time_s: Array, times_s: Array) -> None:
-    """Refuse steps that are farther than half a step from the time beside them; blank ones say nothing."""
-    of_time = np.interp(time_s, times_s, np.arange(len(times_s)), left=np.nan, right=np.nan)
-    for row in np.flatnonzero(np.abs(of_time - steps) > 0.5 + 1e-9)[:1].tolist():
-        of_step = f"time_s {time_s[row]:.9g} is that of step {of_time[row]:.0f}, but step is {steps[row]:.9g}"
-        raise InputError(source, [f"row {row + 2}: {of_step}: leave out the column that is wrong"])
+def _times_s(known: Mapping[str, Array], problems: RowProblems, run: StoredRun) -> Array:
+    """The time of each row, by its own or its step, which may not contradict each other."""
+    times_s = run.scene.times_s(0, run.steps)
+    steps = known.get("step")
+    if "time_s" not in known:
+        steps = known["step"]
+        wrong = ~((steps >= 0) & (steps < len(times_s)) & (steps == np.floor(steps)))
+        must = f"must be a whole number from 0 to {len(times_s) - 1}, the run's last"
+        problems.refuse(wrong, lambda row: f"step {must} (got {steps[row]:.15g})")
+        return times_s[np.where(wrong, 0, steps).astype(np.int64)]
+    time_s = known["time_s"]
+    if steps is not None:  # blank ones say nothing
+        of_time = np.interp(time_s, times_s, np.arange(len(times_s)), left=np.nan, right=np.nan)
+        problems.refuse(
+            np.abs(of_time - steps) > 0.5 + 1e-9,
+            lambda row: (
+                f"time_s {time_s[row]:.9g} is that of step {of_time[row]:.0f}, but step is {steps[row]:.9g}: leave out "
+                "the column that is wrong"
+            ),
+        )
+    return time_s
 
 
-def _positions_m(source: str, column: Callable[[str], Array], degrees: Array | None, run: StoredRun) -> Array:
+def _positions_m(known: Mapping[str, Array], degrees: Array | None, problems: RowProblems, run: StoredRun) -> Array:
     if degrees is None:
-        return np.column_stack([column(name) for name in IN_SCENE])
+        return np.column_stack([known[name] for name in IN_SCENE])
     if run.scene.origin is None:
         problem = (
             "has latitude and longitude, but the run's scene has no origin: give the scene the key "
             "origin: {latitude_deg: ..., longitude_deg: ...}, or give w1_m and w2_m"
         )
-        raise InputError(source, [problem])
-    wrong = (np.abs(degrees) > (MAX_DEG[0], 360.0)).any(axis=1)
-    if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
-        swapped = "" if (np.abs(degrees[:, 1]) > MAX_DEG[0]).any() else ": are latitude and longitude swapped?"
-        got = f"(got {degrees[row, 0]:g} and {degrees[row, 1]:g})"
-        raise InputError(source, [f"row {row + 2}: is no latitude and longitude in degrees {got}{swapped}"])
+        raise InputError(problems.source, [problem])
+    swapped = "" if (np.abs(degrees[:, 1]) > MAX_DEG[0]).any() else ": are latitude and longitude swapped?"
+    problems.refuse(
+        (np.abs(degrees) > (MAX_DEG[0], 360.0)).any(axis=1),
+        lambda row: (
+            f"is no latitude and longitude in degrees (got {degrees[row, 0]:g} and {degrees[row, 1]:g}){swapped}"
+        ),
+    )
     return local_metres(degrees[:, 0], degrees[:, 1], run.scene.origin)
 
 
 def _velocities_m_s(
-    column: Callable[[str], Array],
-    groups: set[tuple[str, ...]],
-    degrees: Array | None,
-    run: StoredRun,
-    count: int,
+    known: Mapping[str, Array], groups: set[tuple[str, ...]], degrees: Array | None, run: StoredRun
 ) -> Array:
     """Along w1 and w2, NaN where unknown, shape (k, 2)."""
     if ALONG_AXES in groups:
-        return np.column_stack([column(name) for name in ALONG_AXES])
+        return np.column_stack([known[name] for name in ALONG_AXES])
     if BY_COURSE in groups:
-        speed, course = column("speed_m_s"), np.deg2rad(column("course_deg"))
+        speed, course = known["speed_m_s"], np.deg2rad(known["course_deg"])
         east, north = speed * np.sin(course), speed * np.cos(course)
     elif OVER_GROUND in groups:
-        east, north = (column(name) for name in OVER_GROUND)
+        east, north = (known[name] for name in OVER_GROUND)
     else:
-        return np.full((count, 2), np.nan)
+        return np.full((len(next(iter(known.values()))), 2), np.nan)
     if degrees is None or run.scene.origin is None:
         return np.column_stack([east, north])
     # True north differs from w2 by the convergence of the meridians, as in the export of AIS.
@@ -217,29 +196,12 @@ def _velocities_m_s(
 
 MAP = "map"
 """The frame of the scene's axes in the bags that a run is exported to."""
-ARRAYS, ODOMETRY = "vision_msgs/msg/Detection3DArray", "nav_msgs/msg/Odometry"
-KINDS = (ARRAYS, ODOMETRY)
-_VISION_MSGS = {
-    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
-    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
-    "vision_msgs/msg/ObjectHypothesisWithPose": (
-        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
-    ),
-    "vision_msgs/msg/Detection3D": (
-        "std_msgs/Header header\n"
-        "vision_msgs/ObjectHypothesisWithPose[] results\n"
-        "vision_msgs/BoundingBox3D bbox\n"
-        "string id\n"
-    ),
-    ARRAYS: "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
-}
-"""Fields of vision_msgs 4, for bags that hold no definitions, as those in SQLite of Humble."""
+_KINDS = (DETECTIONS_3D, ODOMETRY)
 
 
 class _Estimate(NamedTuple):
     """Content of a message on a track; its covariances are rows of 6 × 6, and all zeros stand for unknown."""
 
-    place: str
     track: str
     stamp_ns: int
     position_m: tuple[float, float]
@@ -262,7 +224,16 @@ def read_world_bag(path: Path, run: StoredRun, topic: str | None = None) -> Worl
         ModsimError: rosbags is not installed.
     """
     source = source_of(path)
-    found = list(_estimates(path, source, topic))
+    messages = list(read_bag(path, "tracks", lambda topics: [_chosen(topics, source, topic)], _estimates))
+    word = f"{messages[0][0]} message" if messages else "message"
+    number, frames = np.arange(len(messages)) + 1, [frame for _, frame, _ in messages]
+    of_messages = RowProblems(source, number, word)
+    of_messages.refuse(
+        [frame != MAP for frame in frames],
+        lambda row: f"frame_id must be '{MAP}', the scene's axes (got {shown(frames[row])})",
+    )
+    of_messages.settle()
+    found = [each for _, _, estimates in messages for each in estimates]
     start = float(run.scene.timestamps(0, 1)[0])
     covariance = np.full((len(found), 4, 4), np.nan)
     velocity = np.full((len(found), 2), np.nan)
@@ -270,9 +241,8 @@ def read_world_bag(path: Path, run: StoredRun, topic: str | None = None) -> Worl
         covariance[:, :2, :2] = _known(np.array([each.covariance for each in found]))[:, :2, :2]
         velocity, covariance[:, 2:, 2:] = _velocities(found)
     return WorldRows(
-        source=source,
+        problems=RowProblems(source, np.repeat(number, [len(estimates) for _, _, estimates in messages]), word),
         name=path.name,
-        place=lambda row: found[row].place,
         track=[each.track for each in found],
         time_s=np.array([each.stamp_ns for each in found], dtype=np.float64) / 1e9 - start,
         position_m=np.array([each.position_m for each in found], dtype=np.float64).reshape(-1, 2),
@@ -302,40 +272,20 @@ def _velocities(found: list[_Estimate]) -> tuple[Array, Array]:
     return turn.apply(velocity)[:, :2], in_map[:, :2, :2]
 
 
-def _estimates(path: Path, source: str, topic: str | None) -> Iterator[_Estimate]:
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError:
-        raise ModsimError('tracks in a ROS 2 bag need rosbags: pip install "modsim3d[ros]"') from None
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in _VISION_MSGS.items():
-        store.register(get_types_from_msg(text, name))
-    try:
-        with AnyReader([path], default_typestore=store) as reader:
-            chosen = _chosen({each.topic: each.msgtype for each in reader.connections}, source, topic)
-            wanted = [each for each in reader.connections if each.topic == chosen]
-            for number, (connection, _, raw) in enumerate(reader.messages(wanted), start=1):
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                place = f"{chosen} message {number}"
-                if (frame := message.header.frame_id) != MAP:
-                    problem = f"{place}: frame_id must be '{MAP}', the scene's axes (got {shown(frame)})"
-                    raise InputError(source, [problem])
-                yield from (_of_array if connection.msgtype == ARRAYS else _of_odometry)(place, message)
-    except ModsimError:
-        raise
-    except Exception as error:  # of a damaged bag the readers raise whatever they meet, not only their own errors
-        raise InputError(source, [f"cannot be read as a ROS 2 bag: {error}"]) from None
+def _estimates(message: BagMessage) -> tuple[str, str, list[_Estimate]]:
+    """Topic, frame and estimates of a message."""
+    of_kind = _of_array if message.kind == DETECTIONS_3D else _of_odometry
+    return message.topic, message.content.header.frame_id, list(of_kind(message.stamp_ns, message.content))
 
 
-def _chosen(topics: dict[str, str], source: str, topic: str | None) -> str:
+def _chosen(topics: Mapping[str, str], source: str, topic: str | None) -> str:
     """The topic of the tracks."""
-    able = [name for name, kind in topics.items() if kind in KINDS]
+    able = [name for name, kind in topics.items() if kind in _KINDS]
     if topic is not None:
         if topic not in able:
-            raise InputError(source, [f"has no topic {topic} of {' or '.join(KINDS)} ({nearest(topic, able)})"])
+            raise InputError(source, [f"has no topic {topic} of {' or '.join(_KINDS)} ({nearest(topic, able)})"])
         return topic
-    for kind in KINDS:  # own ship's odometry is often there too
+    for kind in _KINDS:  # own ship's odometry is often there too
         of_kind = [name for name in able if topics[name] == kind]
         if len(of_kind) == 1:
             return of_kind[0]
@@ -343,27 +293,25 @@ def _chosen(topics: dict[str, str], source: str, topic: str | None) -> str:
             names = ", ".join(sorted(of_kind))
             raise InputError(source, [f"must have one topic of {kind} (got {len(of_kind)}: {names})"])
     names = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "no topic at all"
-    raise InputError(source, [f"must have a topic of {' or '.join(KINDS)} (got {names})"])
+    raise InputError(source, [f"must have a topic of {' or '.join(_KINDS)} (got {names})"])
 
 
-def _of_array(place: str, message: Any) -> Iterator[_Estimate]:
-    stamp_ns = _stamp_ns(message.header)
+def _of_array(stamp_ns: int, message: Any) -> Iterator[_Estimate]:
     for each in message.detections:
         best = each.results[0].pose if len(each.results) else None
         centre = best.pose if best else each.bbox.center
         covariance = np.asarray(best.covariance) if best else np.zeros(36)
         at = (centre.position.x, centre.position.y)
         track = each.id if hasattr(each, "id") else each.tracking_id  # as vision_msgs 2 calls it
-        yield _Estimate(place, track, stamp_ns, at, covariance, (0, 0, 0, 1), (0, 0, 0), np.zeros(36))
+        yield _Estimate(track, stamp_ns, at, covariance, (0, 0, 0, 1), (0, 0, 0), np.zeros(36))
 
 
-def _of_odometry(place: str, message: Any) -> Iterator[_Estimate]:
+def _of_odometry(stamp_ns: int, message: Any) -> Iterator[_Estimate]:
     pose, twist = message.pose, message.twist
     turn, speed = pose.pose.orientation, twist.twist.linear
     yield _Estimate(
-        place,
         message.child_frame_id,
-        _stamp_ns(message.header),
+        stamp_ns,
         (pose.pose.position.x, pose.pose.position.y),
         np.asarray(pose.covariance),
         (turn.x, turn.y, turn.z, turn.w),
@@ -372,25 +320,16 @@ def _of_odometry(place: str, message: Any) -> Iterator[_Estimate]:
     )
 
 
-def _stamp_ns(header: Any) -> int:
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
-
-
 # ---- Tracks in the world from files ----
 
-BAG_FILE = "metadata.yaml"
-"""What every ROS 2 bag has in its folder."""
-BAG_ENDINGS = (".mcap", ".db3")
 IN_IMAGE = "x_min_px"
 
 
 def is_world(path: StrPath) -> bool:
     """Whether a file or folder has tracks in the world: a ROS 2 bag, or CSV with places in the world and no boxes."""
     path = as_path(path, "path", "tracks")
-    if path.is_dir():
-        return (path / BAG_FILE).is_file()
-    if path.suffix.lower() in BAG_ENDINGS:
-        return True
+    if path.is_dir() or is_bag(path):
+        return is_bag(path)
     try:
         columns = ",".join(header(path)).translate(str.maketrans(";\t|", ",,,")).split(",")  # which the reader refuses
     except InputError:  # whoever reads it says so
@@ -402,7 +341,7 @@ def read_world_tracks(path: StrPath, run: StoredRun, topic: str | None = None) -
     """Read tracks in the world.
 
     Args:
-        path: A CSV file, or the folder of a ROS 2 bag.
+        path: A CSV file, or a ROS 2 bag: its folder, or a file of it.
         run: The run that the tracker was given.
         topic: The bag's topic; None for the only one that can be.
 
@@ -412,11 +351,7 @@ def read_world_tracks(path: StrPath, run: StoredRun, topic: str | None = None) -
     """
     path = as_path(path, "path", "tracks")
     run.check_has_steps()
-    if path.suffix.lower() in BAG_ENDINGS and path.is_file():
-        if not (path.parent / BAG_FILE).is_file():
-            raise InputError(source_of(path), [f"{BAG_FILE} is missing beside it: give the whole folder of the bag"])
-        path = path.parent
-    if path.is_dir():
+    if path.is_dir() or is_bag(path):
         return checked(read_world_bag(path, run, topic), run)
     if topic is not None:
         raise InputError(source_of(path), ["a topic is for a ROS 2 bag"])

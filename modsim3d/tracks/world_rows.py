@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +11,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.geometry.kinematics import HullTracks
 from modsim3d.io.misreadings import LOST, ROUNDED, are_rounded, has_lost_digits, other_unit
+from modsim3d.io.text_table import RowProblems
 from modsim3d.io.validation import shown
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.messages import local_metres
@@ -82,7 +83,6 @@ def _nearest_m(position_m: Array, vessels_m: Array) -> Array:
 
 FAR_M = 100_000.0
 """Tracks that are all farther than that from where vessels are have another unit or another order."""
-SHOWN_PROBLEMS = 5
 MAX_DEG = (90.0, 180.0)
 
 
@@ -91,9 +91,8 @@ class WorldRows:
     """Rows of a file, in its order.
 
     Attributes:
-        source: The file, for errors.
+        problems: Problems of the rows.
         name: What tables call the tracks.
-        place: Name of a row by its index, for errors.
         track: The tracker's name of each row's track, shape (k,).
         time_s: Times since the scene's first step, shape (k,).
         position_m: Along w1 and w2, shape (k, 2).
@@ -102,9 +101,8 @@ class WorldRows:
         degrees: Latitudes and longitudes, shape (k, 2), if the file gives these.
     """
 
-    source: str
+    problems: RowProblems
     name: str
-    place: Callable[[int], str]
     track: list[str]
     time_s: Array
     position_m: Array
@@ -121,18 +119,21 @@ def checked(rows: WorldRows, run: StoredRun) -> WorldTracks:
     """
     names, track = np.unique(np.array(rows.track, dtype=object).astype(str), return_inverse=True)
     track = np.asarray(track, dtype=np.int64).reshape(-1)
-    _report(rows, np.array([not name for name in rows.track], dtype=bool), "track is empty")
+    refuse = rows.problems.refuse
+    refuse([not name for name in rows.track], lambda _: "track is empty")
     lost = [has_lost_digits(name) and any(mark in name for mark in ".,+") for name in rows.track]  # 1e10 may be a name
-    _report(rows, np.array(lost, dtype=bool), f"track {LOST}", lambda row: f" (got {shown(rows.track[row])})")
+    refuse(lost, lambda row: f"track {LOST} (got {shown(rows.track[row])})")
     if are_rounded(int(name) for name in names.tolist() if name.isdecimal()):
-        raise InputError(rows.source, [f"its tracks {ROUNDED}"])
-    _report(rows, ~np.isfinite(rows.time_s), "has no time")
-    _report(rows, _in_row(~np.isfinite(rows.position_m)), "has no position")
-    _report(rows, _in_row(np.isinf(rows.velocity_m_s)), "the velocity is not finite")
-    _report(rows, _in_row(np.isinf(rows.covariance)), "the covariance is not finite")
+        raise InputError(rows.problems.source, [f"its tracks {ROUNDED}"])
+    refuse(~np.isfinite(rows.time_s), lambda _: "has no time")
+    refuse(_in_row(~np.isfinite(rows.position_m)), lambda _: "has no position")
+    refuse(_in_row(np.isinf(rows.velocity_m_s)), lambda _: "the velocity is not finite")
+    refuse(_in_row(np.isinf(rows.covariance)), lambda _: "the covariance is not finite")
+    rows.problems.settle()
     _check_times(rows, run)
     _check_twice(rows, track)
     _check_covariances(rows)
+    rows.problems.settle()
     _check_place(rows, run)
     return WorldTracks.of(
         rows.name, track, tuple(names.tolist()), rows.time_s, rows.position_m, rows.velocity_m_s, rows.covariance
@@ -144,41 +145,31 @@ def _in_row(flags: Mask) -> Mask:
     return np.asarray(flags.any(axis=tuple(range(1, flags.ndim))), dtype=np.bool_)
 
 
-def _report(rows: WorldRows, wrong: Mask, what: str, got: Callable[[int], str] = lambda _: "") -> None:
-    found = np.flatnonzero(wrong)
-    if len(found):
-        problems = [f"{rows.place(row)}: {what}{got(row)}" for row in found[:SHOWN_PROBLEMS].tolist()]
-        if len(found) > SHOWN_PROBLEMS:
-            problems.append(f"… and {len(found) - SHOWN_PROBLEMS:,} more")
-        raise InputError(rows.source, problems)
-
-
 def _check_times(rows: WorldRows, run: StoredRun) -> None:
     times_s = run.scene.times_s(0, run.steps)
     slack = float(np.median(np.diff(times_s))) / 2 if len(times_s) > 1 else 0.0
     outside = (rows.time_s < times_s[0] - slack) | (rows.time_s > times_s[-1] + slack)
-    if not outside.any():
-        return
-    row = int(np.flatnonzero(outside)[0])
-    problem = (
-        f"{rows.place(row)}: time {rows.time_s[row]:.15g} s is outside of the run, which has 0 to {times_s[-1]:g} s "
-        "since its first step"
-    )
     start = float(run.scene.timestamps(0, 1)[0])
     shifted = rows.time_s - start
+    why = other_unit(rows.time_s, float(times_s[-1]))
     if start and ((shifted >= -slack) & (shifted <= times_s[-1] + slack)).all():
-        problem += f": the scene's own time begins at {start:.15g} s, take it off"
-    raise InputError(rows.source, [problem + other_unit(rows.time_s, float(times_s[-1]))])
+        why = f": the scene's own time begins at {start:.15g} s, take it off{why}"
+    rows.problems.refuse(
+        outside,
+        lambda row: (
+            f"time {rows.time_s[row]:.15g} s is outside of the run, which has 0 to {times_s[-1]:g} s since its first "
+            f"step{why}"
+        ),
+    )
 
 
 def _check_twice(rows: WorldRows, track: Indices) -> None:
     order = np.lexsort((rows.time_s, track))
-    same = (np.diff(track[order]) == 0) & (np.diff(rows.time_s[order]) == 0)
     twice = np.zeros(len(track), dtype=bool)
-    twice[order[1:]] = same
-    if twice.any():
-        row = int(np.flatnonzero(twice)[0])
-        _report(rows, twice, f"a track may be there once at a time (got track {rows.track[row]!r} again)")
+    twice[order[1:]] = (np.diff(track[order]) == 0) & (np.diff(rows.time_s[order]) == 0)
+    rows.problems.refuse(
+        twice, lambda row: f"a track may be there once at a time (got track {rows.track[row]!r} again)"
+    )
 
 
 def _check_covariances(rows: WorldRows) -> None:
@@ -187,7 +178,7 @@ def _check_covariances(rows: WorldRows) -> None:
         known = ~_in_row(~np.isfinite(block))
         wrong = np.zeros_like(known)
         wrong[known] = np.linalg.eigvalsh(block[known])[:, 0] <= 0
-        _report(rows, wrong, f"the covariance of the {what} is not positive definite")
+        rows.problems.refuse(wrong, lambda _, what=what: f"the covariance of the {what} is not positive definite")  # type: ignore[misc]
 
 
 def _check_place(rows: WorldRows, run: StoredRun) -> None:
@@ -203,7 +194,7 @@ def _check_place(rows: WorldRows, run: StoredRun) -> None:
     if not len(rows.position_m) or near(rows.position_m):
         wrong = world_misreading(rows.time_s, rows.position_m, hulls, run.scene.own_ships)
         if wrong and rows.degrees is None:
-            raise InputError(rows.source, [wrong])
+            raise InputError(rows.problems.source, [wrong])
         return
     problem = f"all positions are more than {FAR_M / 1000:g} km from where the run's vessels are"
     if rows.degrees is not None and run.scene.origin is not None:
@@ -213,9 +204,9 @@ def _check_place(rows: WorldRows, run: StoredRun) -> None:
             ("latitude and longitude seem to be radians, must be degrees", np.rad2deg(rows.degrees)),
         ):
             if (np.abs(degrees) <= MAX_DEG).all() and near(local_metres(degrees[:, 0], degrees[:, 1], origin)):
-                raise InputError(rows.source, [f"{problem}: {reason}"])
+                raise InputError(rows.problems.source, [f"{problem}: {reason}"])
     elif near(rows.position_m / 1000):
         problem += ": they seem to be millimetres, must be metres"
     else:
         problem += ": must be metres along w1 and w2 from the scene's own zero"
-    raise InputError(rows.source, [problem])
+    raise InputError(rows.problems.source, [problem])

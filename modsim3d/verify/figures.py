@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, run_starts
 from modsim3d.core.boxes import sizes
+from modsim3d.core.document import Figure
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel
 from modsim3d.detector.records import TRUE
@@ -95,14 +98,16 @@ _MAX_DOTS = 1200
 _BINS = 10
 
 
-def timelines(model: DetectorModel, evidence: Evidence) -> list[str]:
+def timelines(model: DetectorModel, evidence: Evidence) -> list[Figure]:
     """One timeline for all cameras, or one for each where they have states of their own."""
     cameras = evidence.cameras if model.performance.per_camera else evidence.cameras[:1]
-    figures = []
-    for camera, seen in enumerate(cameras):
-        caption = "Which state the detector was in" + (f": {seen.frames.camera}" if len(cameras) > 1 else "")
-        figures.append(charts.figure([_timeline(model, evidence, camera)], caption))
-    return figures
+    return [
+        Figure(
+            partial(_timeline, model, evidence, camera),
+            "Which state the detector was in" + (f": {seen.frames.camera}" if len(cameras) > 1 else ""),
+        )
+        for camera, seen in enumerate(cameras)
+    ]
 
 
 def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
@@ -114,7 +119,7 @@ def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
     return charts.timeline(times[changes], stops, states[changes].tolist(), [state.name for state in model.states])
 
 
-def error_scatters(verification: Verification, model: DetectorModel, evidence: Evidence) -> list[str]:
+def error_scatters(verification: Verification, model: DetectorModel, evidence: Evidence) -> list[Figure]:
     """A figure of the box errors of each state, with the laws asked for and measured."""
     found = {verdict.parameter.name: verdict for verdict in verification.verdicts}
     state_of_hits = evidence.instances.state[evidence.true_detections.instance]
@@ -128,12 +133,12 @@ def error_scatters(verification: Verification, model: DetectorModel, evidence: E
         path = f"states.{state.name}.box_error"
         laws = [_law(found, path, measured) for measured in (False, True)]
         unit = "sides" if state.box_error.relative else "px"
-        drawings = [_scatter(errors, pair, laws, state.name, unit) for pair in ((0, 1), (2, 3))]
+        draw = partial(_scatters, errors, laws, state.name, unit)
         caption = (
             f"{state.name}: errors as put out, two standard deviations of the law asked for (dashed) and of the law "
             "fitted (solid), both before truncation: boxes cut the errors down, which the fit takes out."
         )
-        figures.append(charts.figure(drawings, caption))
+        figures.append(Figure(draw, caption))
     return figures
 
 
@@ -151,6 +156,10 @@ def _law(found: dict[str, TestResult], path: str, measured: bool) -> Law:
     for value, (i, j) in zip(numbers[8:], ERROR_PAIRS, strict=True):
         correlation[i, j] = correlation[j, i] = value
     return numbers[:4], correlation * np.outer(numbers[4:8], numbers[4:8])
+
+
+def _scatters(errors: Array, laws: list[Law], name: str, unit: str) -> str:
+    return "".join(_scatter(errors, pair, laws, name, unit) for pair in ((0, 1), (2, 3)))
 
 
 def _scatter(errors: Array, pair: tuple[int, int], laws: list[Law], name: str, unit: str) -> str:

@@ -10,8 +10,9 @@ from typing import Any
 
 import orjson
 
+from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Items, Table, Text, Tiles, Where
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import column_table, counted
+from modsim3d.core.text import counted
 from modsim3d.detector.file.reading import find_detector
 from modsim3d.io.atomic_write import write_files
 from modsim3d.io.overwrite_guard import claimed
@@ -34,7 +35,7 @@ from modsim3d.verify.parameters import (
     Verification,
 )
 from modsim3d.verify.verification import CheckedRun, verify_evidence
-from modsim3d.view.pages import charts, page
+from modsim3d.view.pages.page import document_page
 from modsim3d.view.pages.provenance import Provenance, file_input, run_inputs, run_seeds, run_versions
 
 # ---- The verdicts on a run as terminal rows, `verify.json` and a page ----
@@ -42,14 +43,6 @@ from modsim3d.view.pages.provenance import Provenance, file_input, run_inputs, r
 FORMAT = 1
 FILES = ("verify.json", "verify.html")
 HEADER = ("parameter", "asked", "measured", "interval", "noticed from", "verdict")
-
-
-def groups_of(verification: Verification) -> dict[str, list[TestResult]]:
-    """The verdicts by part of the detector, in order."""
-    groups: dict[str, list[TestResult]] = {}
-    for verdict in verification.verdicts:
-        groups.setdefault(verdict.parameter.group, []).append(verdict)
-    return groups
 
 
 def row_of(verdict: TestResult) -> tuple[str, ...]:
@@ -169,52 +162,59 @@ def _finite(value: float | None) -> float | None:
 def write_report(verified: CheckedRun, folder: StrPath, command: str | None = None) -> None:
     """Write `verify.json` and `verify.html` into a folder; the page names the command, or the call if it is None."""
     target = as_path(folder, "folder")
+    page = document_page(document(verified), _provenance(verified, command))
     data = orjson.dumps(report_data(verified), option=orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY) + b"\n"
-    write_files(dict(zip((target / name for name in FILES), (data, _page(verified, command)), strict=True)))
+    write_files(dict(zip((target / name for name in FILES), (data, page), strict=True)))
 
 
-def _page(verified: CheckedRun, command: str | None) -> str:
+def document(verified: CheckedRun) -> Document:
+    """The verdicts, to be read."""
     verification, model, evidence = verified.verification, verified.model, verified.evidence
     found, false = evidence.true_detections, evidence.false_detections
-    body = [
-        page.paragraph(conclusion(verification), "lead" if verification.obeys else "bad"),
-        page.paragraph(
-            f"{verified.run.steps} steps, {len(evidence.instances.state)} chances to detect a vessel, "
-            f"{len(found.instance)} true detections, {len(false.frame_row)} false ones. Each interval holds the values "
-            "that its test would not have rejected; the level of all tests together is "
-            f"{OVERALL_ALPHA:.0%}. “Noticed from” is the smallest change of the file that this run would have shown, "
-            "with 90 % power.",
-            "soft",
-        ),
-        page.tiles(_results(verification)),
-        *([page.heading("What fails"), _table(verification.failed)] if verification.failed else []),
-        page.heading("Performance states"),
-        *timelines(model, evidence),
-        page.heading("Box errors"),
-        *error_scatters(verification, model, evidence),
-        page.heading("Misses and confidence"),
-        charts.figure(
-            [miss_lengths(model, evidence), reliability(evidence)],
-            "Left: how many frames in a row a vessel is missed; line: expected. Right: share of true ones among the "
-            "detections of each confidence, with 95 % intervals; one that is a probability follows the dashes.",
-        ),
-    ]
-    body += [page.heading("Every test"), *(_group(name, found) for name, found in groups_of(verification).items())]
-    if notes_of(verification):
-        body += [page.heading("Notes"), *_notes(verification)]
-    title = f"{verified.run.scene.name}: does the run obey its detector file?"
-    return page.page(title, body, _provenance(verified, command))
+    tested = [verdict for verdict in verification.verdicts if verdict.measured is not None and not verdict.fails]
+    about = (
+        f"{verified.run.steps} steps, {len(evidence.instances.state)} chances to detect a vessel, "
+        f"{len(found.instance)} true detections, {len(false.frame_row)} false ones. Each interval holds the values "
+        f"that its test would not have rejected; the level of all tests together is {OVERALL_ALPHA:.0%}. “Noticed "
+        "from” is the smallest change of the file that this run would have shown, with 90 % power."
+    )
+    misses_and_confidence = (
+        "Left: how many frames in a row a vessel is missed; line: expected. Right: share of true ones among the "
+        "detections of each confidence, with 95 % intervals; one that is a probability follows the dashes."
+    )
+    return Document(
+        f"{verified.run.scene.name}: does the run obey its detector file?",
+        [Text(conclusion(verification), "lead" if verification.obeys else "bad", Where.EVERYWHERE)],
+        [
+            Text(about, "soft", Where.PAGE),
+            Tiles(_results(verification)),
+            Heading("What fails"),
+            _table(verification.failed, Where.PAGE),
+            _table([*verification.failed, *tested], Where.NOTEBOOK),
+            Heading("Performance states"),
+            *timelines(model, evidence),
+            Heading("Box errors"),
+            *error_scatters(verification, model, evidence),
+            Heading("Misses and confidence"),
+            Figure(lambda: miss_lengths(model, evidence) + reliability(evidence), misses_and_confidence),
+            Heading("Every test"),
+            *_groups(verification),
+            Heading("Notes"),
+            *_notes(verification),
+        ],
+    )
 
 
-def _notes(verification: Verification) -> Iterator[str]:
+def _notes(verification: Verification) -> Iterator[Block]:
     """The notes, each once with the names that it is about."""
     names: dict[str, list[str]] = {}
     for name, note in named_notes(verification):
         names.setdefault(note, []).append(name)
-    yield page.listed(f"{found[0]}: {note}" for note, found in names.items() if len(found) == 1)
+    yield Items([f"{found[0]}: {note}" for note, found in names.items() if len(found) == 1])
     for note, found in names.items():
         if len(found) > 1:
-            yield page.folded(f"{note[0].upper()}{note[1:]}: {len(found)} entries", page.paragraph(", ".join(found)))
+            title = f"{note[0].upper()}{note[1:]}: {len(found)} entries"
+            yield Fold(title, [Text(", ".join(found))])
 
 
 def _provenance(verified: CheckedRun, command: str | None) -> Provenance:
@@ -246,21 +246,25 @@ def _results(verification: Verification) -> list[tuple[str, str, str]]:
     return found
 
 
-def _group(name: str, verdicts: Sequence[TestResult]) -> str:
-    """The tests of a part of the detector, folded; those that fail stand at the top of the page too."""
-    count = Counter(verdict.verdict for verdict in verdicts)
-    said = [f"{counted(count[OBEYS], 'test')} passed"] if count[OBEYS] else []
-    said += [f"{count[DIFFERS]:,} failed"] if count[DIFFERS] else []
-    said += [f"{count[FALLS_SHORT]:,} fall short of the asked rate"] if count[FALLS_SHORT] else []
-    said += [f"{count[UNTESTED]:,} not tested: too little seen"] if count[UNTESTED] else []
-    said += [f"{count[UNCHECKED]:,} without a check"] if count[UNCHECKED] else []
-    passed = " (all within the interval of their test)" if count[OBEYS] == len(verdicts) else ""
-    return page.folded(f"{name.capitalize()}: {', '.join(said)}{passed}", _table(verdicts))
+def _groups(verification: Verification) -> Iterator[Block]:
+    """The tests of each part of the detector, folded; those that fail stand at the top of the page too."""
+    groups: dict[str, list[TestResult]] = {}
+    for verdict in verification.verdicts:
+        groups.setdefault(verdict.parameter.group, []).append(verdict)
+    for name, verdicts in groups.items():
+        count = Counter(verdict.verdict for verdict in verdicts)
+        said = [f"{counted(count[OBEYS], 'test')} passed"] if count[OBEYS] else []
+        said += [f"{count[DIFFERS]:,} failed"] if count[DIFFERS] else []
+        said += [f"{count[FALLS_SHORT]:,} fall short of the asked rate"] if count[FALLS_SHORT] else []
+        said += [f"{count[UNTESTED]:,} not tested: too little seen"] if count[UNTESTED] else []
+        said += [f"{count[UNCHECKED]:,} without a check"] if count[UNCHECKED] else []
+        passed = " (all within the interval of their test)" if count[OBEYS] == len(verdicts) else ""
+        yield Fold(f"{name.capitalize()}: {', '.join(said)}{passed}", [_table(verdicts)])
 
 
-def _table(verdicts: Sequence[TestResult]) -> str:
+def _table(verdicts: Sequence[TestResult], where: Where = Where.TEXT) -> Table:
     bad = {index for index, verdict in enumerate(verdicts) if verdict.fails}
-    return page.table([row_of(verdict) for verdict in verdicts], HEADER, bad)
+    return Table("", HEADER, [row_of(verdict) for verdict in verdicts], bad, where=where)
 
 
 # ---- A run held against its detector file ----
@@ -279,8 +283,7 @@ class VerifiedRun(CheckedRun):
 
     def _repr_html_(self) -> str:
         """The outcome, and a table of what was tested, with what fails first."""
-        tested = [verdict for verdict in self.verdicts if verdict.measured is not None and not verdict.fails]
-        return column_table(conclusion(self.verification), HEADER, map(row_of, (*self.failed, *tested)))
+        return document(self).notebook()
 
     def write(self, folder: StrPath | None = None, *, overwrite: bool = False) -> tuple[Path, ...]:
         """Write `verify.json` and `verify.html`.

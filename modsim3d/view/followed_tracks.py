@@ -9,11 +9,10 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import centres
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted
-from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracks.reading import read_tracks

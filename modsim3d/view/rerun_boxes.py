@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import centres
 from modsim3d.runs.counts import Outcome, having
-from modsim3d.runs.files.tables import NOBODY, indices, number_column
+from modsim3d.runs.files.tables import indices, number_column
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette

@@ -113,13 +113,15 @@ def test_labels_of_what_is_detected_keep_their_shares() -> None:
             assert abs(np.mean(seen != label) - share) < 4 * np.sqrt(share * (1 - share) / len(seen))
 
 
-def test_effects_of_nothing_leave_the_chain_as_it_is() -> None:
-    targets, frames = varied_targets(400), make_frames(400)
-    none = {"model": "logistic", "size_px": {"per_doubling": 0, "reference": 1}}
-    assert np.array_equal(
-        labels_of(detect(model_data(dropout=none), frames, targets), targets),
-        labels_of(detect(model_data(), frames, targets), targets),
-    )
+def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is() -> None:
+    plain, frames = varied_targets(400), make_frames(400)
+    unknown = dataclasses.replace(plain, visible_fraction=np.full(400 * VESSELS, np.nan))
+    for targets, effect in (
+        (plain, {"size_px": {"per_doubling": 0, "reference": 1}}),
+        (unknown, {"visible_fraction": {"per_unit": -9, "reference": 1}}),
+    ):
+        found = detect(model_data(dropout={"model": "logistic"} | effect), frames, targets)
+        assert np.array_equal(labels_of(found, targets), labels_of(detect(model_data(), frames, targets), targets))
 
 
 def test_a_slope_may_start_at_nothing_seen() -> None:
@@ -129,25 +131,11 @@ def test_a_slope_may_start_at_nothing_seen() -> None:
     np.testing.assert_allclose(added, -3 * targets.visible_fraction)
 
 
-def test_an_unknown_visible_fraction_changes_nothing() -> None:
-    targets = dataclasses.replace(varied_targets(400), visible_fraction=np.full(400 * VESSELS, np.nan))
-    only = {"model": "logistic", "visible_fraction": {"per_unit": -9, "reference": 1}}
-    frames = make_frames(400)
-    assert np.array_equal(
-        labels_of(detect(model_data(dropout=only), frames, targets), targets),
-        labels_of(detect(model_data(), frames, targets), targets),
-    )
-
-
-def test_a_detector_cannot_be_made_without_a_census() -> None:
-    with pytest.raises(TypeError, match="census"):
-        Detector(parse_detector(model_data()), 1)  # type: ignore[call-arg]
-
-
 def test_no_part_of_a_scene_is_read_for_a_detector_that_needs_no_census() -> None:
-    parts = iter([(make_frames(50), varied_targets(50))])
-    assert not len(target_statistics(parse_detector(model_data(dropout=LOGISTIC)), parts).sides.counts)
-    assert len(list(parts)) == 1
+    parts, model = iter([(make_frames(50), varied_targets(50))]), parse_detector(model_data(dropout=LOGISTIC))
+    assert not len(target_statistics(model, parts).sides.counts)
+    assert len(list(parts)) == 1 and not model.needs_census
+    assert parse_detector(model_data(dropout=LOGISTIC | {"anchor": "state_rate"})).needs_census
 
 
 def gated(**gates: float) -> tuple[Targets, Detections]:
@@ -177,11 +165,6 @@ def test_vessel_at_the_limit_of_a_gate_passes_and_one_of_unknown_visibility_too(
     targets.depth_m[:] = [99.0, 100.0, 100.5]
     targets.visible_fraction[:] = [np.nan, 0.75, 0.7]
     assert Gates(**limit).passed(make_frames(1), targets).tolist() == [bool(each) for each in passes]
-
-
-def test_census_is_needed_by_anchored_misses() -> None:
-    assert parse_detector(model_data(dropout=LOGISTIC | {"anchor": "state_rate"})).needs_census
-    assert not parse_detector(model_data(dropout=LOGISTIC)).needs_census
 
 
 def test_gates_change_nothing_in_what_passes() -> None:

@@ -1,3 +1,5 @@
+"""Detector files: what a model has of them, and what is said of wrong ones."""
+
 from __future__ import annotations
 
 import copy
@@ -10,12 +12,41 @@ import pytest
 from modsim3d.core.errors import InputError
 from modsim3d.detector.confidence import NormalScores
 from modsim3d.detector.file.reading import load_detector, parse_detector
-from tests.detector.detector_builders import COVARIANCE_PX2, box_error, detector_data, state_data
+from modsim3d.io.strict_text import load_yaml
+from tests.detector.detector_builders import (
+    COVARIANCE_PX2,
+    all_bytes,
+    box_error,
+    detector_data,
+    make_frames,
+    run,
+    state_data,
+)
+from tests.detector.test_chain import scattered_targets
 
 SKEWED = [list(row) for row in COVARIANCE_PX2]
 SKEWED[0][2] = 1150
+DELETED = object()
+SLOPE = {"per_doubling": 1, "reference": 50}
+GROWTH = {"unit": "mixed", "mean": [0] * 4, "covariance": [[0] * 4] * 4, "growth": [0, 0.1, 0, 0]}
 INDEFINITE = np.diag([4.0, 9.0, 1.0, 1.0])
 INDEFINITE[2, 3] = INDEFINITE[3, 2] = 3.0  # eigenvalues 4 and −2
+
+
+OFF = {
+    "dropout": {"model": "confusion", "anchor": "state_rate"},
+    "gates": {},
+    "persistence": {"class_s": 0, "box_s": 0},
+    "performance": {"scope": "shared", "schedule": []},
+}
+CLUTTER_OFF = {
+    "model": "calibrated",
+    "placement": "uniform",
+    "size": {"model": "truth"},
+    "duplicates": 0,
+    "merges": 0,
+    "splits": 0,
+}
 
 
 def changed(path: str, value: Any) -> dict[str, Any]:
@@ -23,8 +54,10 @@ def changed(path: str, value: Any) -> dict[str, Any]:
     *sections, key = path.split(".")
     section = data
     for name in sections:
-        section = section[name]
+        section = section.setdefault(name, {})
     section[key] = value
+    if value is DELETED:
+        del section[key]
     return data
 
 
@@ -108,12 +141,65 @@ BAD = [
     ("states.fog.confidence", {"mean": 0.6, "std": -0.1}, "states.fog.confidence.std: Input should be great"),
     ("states.fog.confidence", {"mean": 67, "std": 0.1}, "states.fog.confidence.mean: Input should be less"),
     ("states.fog.drop_out", 0.3, "states.fog.drop_out: unknown key"),
+    ("dropout", {"model": "logistc"}, "dropout.model: Input should be 'confusion', 'logistic' or 'table'"),
+    ("dropout", {"model": "logistic"}, "needs at least one of visible_fraction, size_px, distance_m"),
+    ("dropout", {"model": "confusion", "size_px": SLOPE}, "model confusion has no size_px"),
+    ("dropout", {"model": "table", "size_px": SLOPE}, "size_px: model table needs edges and odds"),
+    ("dropout", {"model": "logistic", "size_px": {"per_unit": 1}}, "a reference at which nothing changes"),
+    ("dropout", {"model": "logistic", "size_px": SLOPE | {"per_unit": 1}}, "exactly one of per_unit and per_doubling"),
+    ("dropout", {"model": "logistic", "size_px": SLOPE | {"reference": 0}}, "it must be above 0 with per_doubling"),
+    ("dropout", {"model": "table", "size_px": {"edges": [9, 4], "odds": [1, 1, 1]}}, "must ascend (got 9, 4)"),
+    ("dropout", {"model": "table", "size_px": {"edges": [9], "odds": [1]}}, "has 1 edges and 1 odds"),
+    ("dropout", {"model": "table", "size_px": {"edges": [9], "odds": [1, 0]}}, "dropout.size_px.odds[1]"),
+    ("dropout", {"model": "logistic", "siz_px": SLOPE}, "dropout.siz_px: unknown key (did you mean 'size_px'?)"),
+    ("gates", {"max_detections": 0}, "gates.max_detections: Input should be greater than 0"),
+    ("gates", {"max_occlusion": 2}, "gates.max_occlusion: Input should be less than or equal to 1"),
+    ("persistence", {"class_s": -1}, "persistence.class_s: Input should be greater than or equal to 0"),
+    ("performance", {"schedule": [[5, "fgo"]]}, "unknown state 'fgo' (did you mean 'fog'?)"),
+    ("performance", {"schedule": [[5, "fog"], [5, "clear"]]}, "must ascend (got 5, 5)"),
+    ("performance", {"scope": "each"}, "performance.scope: Input should be 'shared' or 'per_camera'"),
+    ("false_positives", {"model": "thesis", "far_half_px": 9}, "false_positives.far_half_px: model thesis has its own"),
+    ("false_positives", {"model": "per_image"}, "missing in clear, fog"),
+    ("false_positives", {"model": "calibrated", "rate": 1}, "false_positives.rate: model calibrated has none"),
+    ("false_positives", {"model": "calibrated", "band_px": 9}, "goes with placement horizon_band"),
+    ("false_positives", {"model": "calibrated", "placement": "density"}, "goes with placement density"),
+    ("false_positives", {"model": "calibrated", "density": [[1], [1, 2]]}, "must have rows of one length"),
+    ("false_positives", {"model": "calibrated", "density": [[0, 0]]}, "must have a weight above 0"),
+    (
+        "false_positives",
+        {"model": "calibrated", "size": {"model": "fixed"}},
+        "px [width, height] goes with model fixed",
+    ),
+    ("false_positives", {"model": "calibrated", "duplicates": 0.3}, "may make 0.3: lower them, or choose per_image"),
+    ("false_positives", {"model": "calibrated", "persistence": {"lifetime_s": 0}}, "greater than or equal to 0.01"),
+    ("states.fog.false_positives_per_image", 1, "model calibrated has none"),
+    ("states.fog.box_error.unit", "mixed", "growth goes with unit mixed"),
+    ("states.fog.box_error.growth", [1, 1, 1], "growth: has 3 entries, must have 4"),
+    ("states.fog.confidence", {"mean": 0.5}, "give mean and std, or true and false, or precision_recall"),
+    ("states.fog.confidence", {True: {"mean": 0.5, "std": 0}}, "give mean and std, or true and false"),
+    (
+        "states.fog.confidence",
+        {True: {"mean": 0.5}, False: {"mean": 0.5, "std": 0}},
+        "confidence.true: give either mean",
+    ),
+    ("states.fog.confidence", {True: {"quantiles": [0.5, 0.4]}, False: {}}, "must not fall: they are quantiles"),
+    ("states.fog.confidence", {"precision_recall": [[0.5, 0.6], [0.4, 0.6]]}, "recalls must ascend"),
+    ("states.fog.confidence", {"precision_recall": [[0.5, 0.1], [0.6, 0.9]]}, "no detector has such a curve"),
+    ("states.fog.confidence", {"precision_recall": [[0.9, 0.6]]}, "ends at recall 0.9, but the confusion matrix"),
+    (
+        "states.fog.confidence",
+        {"precision_recall": [[0.6, 0.8]]},
+        "ends at precision 0.8, but false_disc",
+    ),
+    ("states.fog.box_error", GROWTH, "e_y can only grow from a variance above 0"),
+    *((key, DELETED, f"{key}: missing") for key in ("labels", "states", "transition_matrix", "initial_state")),
+    *(("states", value, "states") for value in (None, [1], "fog", {"fog": None})),
 ]
 
 
-@pytest.mark.parametrize(("path", "value", "message"), BAD, ids=[f"{p}-{i}" for i, (p, _, _) in enumerate(BAD)])
-def test_a_bad_value_is_told_with_its_path_and_what_would_be_right(path: str, value: Any, message: str) -> None:
-    assert message in "\n".join(problems(changed(path, value)))
+def test_a_bad_value_is_told_with_its_path_and_what_would_be_right() -> None:
+    for path, value, message in BAD:
+        assert message in "\n".join(problems(changed(path, value))), (path, value)
 
 
 def test_every_problem_is_told_at_once() -> None:
@@ -142,32 +228,19 @@ def test_every_problem_is_told_at_once() -> None:
     ]
 
 
-def test_both_wrong_columns_are_named() -> None:
+def test_something_that_is_no_mapping_or_no_file_is_refused(tmp_path: Path) -> None:
+    for data in (None, [], "thesis", 3):
+        assert "must be a mapping with the keys labels" in problems(data)[0]
+    with pytest.raises(InputError, match=r"nothing\.yaml"):
+        load_detector(tmp_path / "nothing.yaml")
+
+
+def test_enormous_covariances_are_judged_without_overflow_and_all_wrong_columns_are_named() -> None:
+    data = changed("states.fog.box_error.covariance", (INDEFINITE * 1e8).tolist())
+    assert "smallest eigenvalue is -2e+08" in problems(data)[0]
     (problem,) = problems(changed("transition_matrix", [[0.9, 0.2], [0.2, 0.9]]))
     assert "column 'clear' sums to 1.1" in problem
     assert "column 'fog' sums to 1.1" in problem
-
-
-@pytest.mark.parametrize("key", ["labels", "states", "transition_matrix", "initial_state"])
-def test_a_missing_key_is_told(key: str) -> None:
-    data = detector_data()
-    del data[key]
-    assert f"{key}: missing" in problems(data)
-
-
-@pytest.mark.parametrize("data", [None, [], "thesis", 3])
-def test_something_that_is_no_mapping_is_refused(data: Any) -> None:
-    assert "must be a mapping with the keys labels" in problems(data)[0]
-
-
-@pytest.mark.parametrize("states", [None, [1], "fog", {"fog": None}])
-def test_states_of_another_type_are_refused(states: Any) -> None:
-    assert any(problem.startswith("states") for problem in problems(detector_data(states=states)))
-
-
-def test_enormous_covariances_are_judged_without_overflow() -> None:
-    data = changed("states.fog.box_error.covariance", (INDEFINITE * 1e8).tolist())
-    assert "smallest eigenvalue is -2e+08" in problems(data)[0]
 
 
 def test_singular_and_zero_covariances_are_accepted() -> None:
@@ -183,11 +256,13 @@ def test_columns_that_lack_a_few_digits_are_completed() -> None:
 
 
 def test_a_model_holds_what_the_mapping_says() -> None:
-    model = parse_detector(detector_data(initial_state="fog", transition_interval_s=5))
+    data = detector_data(initial_state="fog", transition_interval_s=5)
+    del data["false_positives"]
+    model = parse_detector(data)
     assert model.labels == ("sail", "motor")
     assert model.initial_state == 1
     assert model.transition_interval_s == 5
-    assert model.clutter.model == "calibrated"
+    assert model.clutter.model == "calibrated"  # by default
     assert [state.name for state in model.states] == ["clear", "fog"]
     assert model.states[1].confusion.tolist() == [[0.5, 0.2], [0.1, 0.4], [0.4, 0.4]]
     assert model.states[1].false_discovery_rate == 0.4
@@ -201,12 +276,31 @@ def test_arrays_of_a_model_cannot_be_written_to() -> None:
             array[0] = 1
 
 
-def test_calibrated_is_the_default() -> None:
+def test_models_that_are_switched_off_leave_every_byte_of_the_plain_chain() -> None:
     data = detector_data()
-    del data["false_positives"]
-    assert parse_detector(data).clutter.model == "calibrated"
+    targets, frames = scattered_targets(), make_frames(120)
+    apart = copy.deepcopy(data) | OFF | {"false_positives": CLUTTER_OFF}
+    for state in apart["states"].values():
+        normal = state["confidence"]
+        state["confidence"] = {True: dict(normal), False: dict(normal), "visibility_slope": 0, "size_slope": 0}
+    assert not parse_detector(apart).needs_census
+    assert all_bytes(run(parse_detector(apart), frames, targets)) == all_bytes(
+        run(parse_detector(data), frames, targets)
+    )
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nothing\.yaml"):
-        load_detector(tmp_path / "nothing.yaml")
+def test_every_contradiction_between_sections_is_told_at_once() -> None:
+    data = changed("false_positives", {"model": "calibrated", "rate": 1, "band_px": 3, "duplicates": 0.9})
+    assert [problem.split(":")[0] for problem in problems(data)] == [
+        "false_positives.rate",
+        "false_positives.band_px",
+        "states.clear.false_discovery_rate",
+        "states.fog.false_discovery_rate",
+    ]
+
+
+def test_true_and_false_may_be_written_as_yaml_has_them(tmp_path: Any) -> None:
+    (tmp_path / "part.yaml").write_text("true: {mean: 0.7, std: 0.1}\nfalse: {mean: 0.4, std: 0.2}\n")
+    model = parse_detector(changed("states.fog.confidence", load_yaml(tmp_path / "part.yaml", "part")))
+    assert model.states[1].confidence.true == NormalScores(0.7, 0.1)
+    assert model.states[1].confidence.false.mean == 0.4  # type: ignore[attr-defined]

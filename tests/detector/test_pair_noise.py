@@ -13,9 +13,7 @@ from modsim3d.detector.records import MERGED, Detections
 from modsim3d.detector.target_statistics import TargetStatistics
 from tests.detector.detector_builders import (
     all_bytes,
-    chunk,
     clock,
-    detect_in_chunks,
     make_frames,
     make_targets,
     no_error,
@@ -72,17 +70,3 @@ def test_a_vanishing_correlation_time_gives_the_plain_detectors_bytes() -> None:
     )
     assert (plain.kind == MERGED).any()
     assert all_bytes(plain) == all_bytes(zero) == all_bytes(brief)
-
-
-@pytest.mark.parametrize("borders", [[0, 1, 513, 514, 900], [0, 700, 900]])
-@pytest.mark.parametrize("merge_s", [2.0, 1e9])
-def test_chunk_borders_change_nothing_in_what_is_merged(borders: list[int], merge_s: float) -> None:
-    data = asked({"merge_s": merge_s, "class_s": 1.0})
-    boxes = pairs_px(900, 3)
-    boxes[200:400, 1] = np.nan  # a vessel that was hidden for a while
-    frames, targets = make_frames(900), make_targets(boxes)
-    whole = detector(data).detect(frames, targets)
-    assert all_bytes(detect_in_chunks(detector(data), frames, targets, borders)) == all_bytes(whole)
-    part, part_targets, _ = chunk(frames, targets, 600, 900)
-    later = detector(data).detect(part, part_targets)  # as another worker would
-    np.testing.assert_array_equal(later.boxes_px, whole.boxes_px[whole.frame >= 600])

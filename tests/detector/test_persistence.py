@@ -19,7 +19,6 @@ from tests.detector.detector_builders import (
     centred,
     chunk,
     clock,
-    detect_in_chunks,
     detector_data,
     make_frames,
     make_targets,
@@ -215,22 +214,6 @@ def test_a_vanishing_correlation_time_gives_the_plain_chains_bytes() -> None:
     targets = all_seen(200)
     brief = detect(plain | {"persistence": {"class_s": 1e-4, "box_s": 1e-4}}, targets, 200, 0.1)
     assert all_bytes(brief) == all_bytes(detect(plain, targets, 200, 0.1))
-
-
-@pytest.mark.parametrize("borders", [[0, 1, 513, 514, 1200], [0, 700, 1200]])
-def test_chunk_borders_change_nothing_in_what_persists(borders: list[int]) -> None:
-    data = detector_data(persistence={"class_s": 3, "box_s": 0.7, "confidence_s": 2})
-    targets, frames = make_targets(same_boxes(1200, 4, centred(300, 200))), make_frames(1200)
-    whole = Detector(parse_detector(data), 1, TargetStatistics(), clock(0.1)).detect(frames, targets)
-    split = detect_in_chunks(
-        Detector(parse_detector(data), 1, TargetStatistics(), clock(0.1)), frames, targets, borders
-    )
-    assert all_bytes(split) == all_bytes(whole)
-
-
-def test_a_detector_cannot_be_made_without_a_clock() -> None:
-    with pytest.raises(TypeError, match="clock"):
-        Detector(parse_detector(detector_data()), 1, TargetStatistics())  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("first", [1, 2, 40])

@@ -10,15 +10,11 @@ import pytest
 from scipy import stats
 
 from modsim3d.core.random_streams import Streams
-from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.false_positives import PersistentFalsePositives, persistent_false_positives
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, Detections
 from tests.detector.detector_builders import (
-    all_bytes,
     centred,
-    clock,
-    detect_in_chunks,
     make_frames,
     make_targets,
     no_error,
@@ -139,11 +135,3 @@ def test_they_drift_along_the_horizon_at_their_speed() -> None:
     speeds = [abs(later[1] - earlier[1]) / (0.1 * (later[0] - earlier[0])) for earlier, later in pairs]
     assert len(speeds) > 200
     assert np.mean(np.isclose(speeds, 30, rtol=1e-6)) > 0.9  # but for those that turn or are cut at the edge
-
-
-def test_chunk_borders_change_nothing_in_persistent_ones() -> None:
-    model = parse_detector(detector_file(lifetime_s=3.0, drift_px_s=9.0, share=0.5))
-    targets, frames = make_targets(same_boxes(400, 6, centred(80, 40))), make_frames(400, first_step=70)
-    detector = Detector(model, 1, target_statistics(model, [(frames, targets)]), clock())
-    whole = detector.detect(frames, targets)
-    assert all_bytes(detect_in_chunks(detector, frames, targets, [0, 1, 133, 400])) == all_bytes(whole)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +10,18 @@ import pytest
 
 from modsim3d.core.boxes import sizes
 from modsim3d.detector.chain import Detector, target_statistics
-from modsim3d.detector.file.reading import load_detector
+from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.detector.records import FALSE_KINDS, KINDS, CameraFrames, Detections, Targets
-from tests.detector.detector_builders import all_bytes, clock, detect_in_chunks, make_frames, make_targets
+from tests.detector.detector_builders import all_bytes, chunk, clock, detect_in_chunks, make_frames, make_targets
+from tests.detector_variants import variant
 
 RICH = Path(__file__).resolve().parents[2] / "scenes" / "detectors" / "rich.yaml"
 STEPS, VESSELS, STEP_S = 600, 9, 0.2
 MODEL = load_detector(RICH)
 
 
-def rich_frames() -> CameraFrames:
-    return make_frames(STEPS, time_step_s=STEP_S, sea=(0.02, 1.0, -800.0))
+def rich_frames(steps: int = STEPS) -> CameraFrames:
+    return make_frames(steps, time_step_s=STEP_S, sea=(0.02, 1.0, -800.0))
 
 
 def rich_targets(seed: int = 3) -> Targets:
@@ -56,6 +57,23 @@ def test_the_example_is_short_and_has_every_kind_of_detection(whole: Detections)
 def test_chunk_borders_change_nothing_with_every_model_on(whole: Detections, borders: list[int]) -> None:
     found = detect_in_chunks(detector(), rich_frames(), rich_targets(), borders)
     assert all_bytes(found) == all_bytes(whole)
+
+
+PERSISTENCE = {"class_s": 1.0, "box_s": 0.7, "confidence_s": 2.0, "merge_s": 2.0, "box_vessel_share": 0.3}
+MODELS = ("plain", "Student's t box errors", "persistent false positives", "doubled, split and merged boxes", "gates")
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_chunk_borders_change_nothing_in_what_persists(name: str) -> None:
+    model = parse_detector(variant(name) | {"persistence": PERSISTENCE})
+    frames, targets = rich_frames(), replace(rich_targets(), label=np.zeros_like(rich_targets().label))
+    census = target_statistics(model, [(frames, targets)])
+    whole = Detector(model, 5, census, clock(STEP_S)).detect(frames, targets)
+    split = detect_in_chunks(Detector(model, 5, census, clock(STEP_S)), frames, targets, [0, 1, 513, 514, STEPS])
+    assert all_bytes(split) == all_bytes(whole)
+    part, part_targets, _ = chunk(frames, targets, 400, STEPS)
+    later = Detector(model, 5, census, clock(STEP_S)).detect(part, part_targets)  # as another worker would
+    np.testing.assert_array_equal(later.boxes_px, whole.boxes_px[whole.frame >= 400])
 
 
 def test_chunks_may_come_in_any_order_with_every_model_on(whole: Detections) -> None:

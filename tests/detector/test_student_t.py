@@ -26,10 +26,8 @@ from tests.detector.detector_builders import (
     COVARIANCE_PX2,
     IMAGE_PX,
     MEAN_PX,
-    all_bytes,
     centred,
     clock,
-    detect_in_chunks,
     detector_data,
     make_frames,
     make_targets,
@@ -132,16 +130,6 @@ def test_scales_persist_like_the_errors_do() -> None:
     far = np.corrcoef(lengths[60:].ravel(), lengths[:-60].ravel())[0, 1]
     assert near > 0.8
     assert abs(far) < 0.1
-
-
-@pytest.mark.parametrize("borders", [[0, 1, 513, 514, 900], [0, 700, 900]])
-def test_chunk_borders_change_nothing(borders: list[int]) -> None:
-    data = detector_data(persistence={"box_s": 0.7}) | {"states": {"clear": state_data(), "fog": state_data()}}
-    data["states"]["fog"]["box_error"] = t_error()
-    targets, frames = make_targets(same_boxes(900, 3, centred(60, 40))), make_frames(900)
-    whole = Detector(parse_detector(data), 1, TargetStatistics(), clock()).detect(frames, targets)
-    split = detect_in_chunks(Detector(parse_detector(data), 1, TargetStatistics(), clock()), frames, targets, borders)
-    assert all_bytes(split) == all_bytes(whole)
 
 
 @pytest.mark.parametrize("box_px", [centred(20, 20), [0, 1000, 60, 1040]])

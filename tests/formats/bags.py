@@ -16,6 +16,7 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 import modsim3d
+from tests.scenes import camera_keys
 
 STEPS = 14
 FERRY, KAYAK, OWN = "MMSI-257123456", "MMSI-257999999", "own ship"
@@ -25,12 +26,7 @@ VESSELS = {
     FERRY: {"length_m": 60, "beam_m": 12, "air_draft_m": 15, "label": "ship"},
     KAYAK: {"length_m": 5, "beam_m": 1, "air_draft_m": 2, "label": "boat"},
 }
-LENS = {
-    "focal_length_m": 0.008,
-    "pixel_size_m": [1e-5, 0.8e-5],
-    "principal_point_px": [650, 340],
-    "image_size_px": [1280, 720],
-}
+LENS = camera_keys(1280, 720, focal_length_m=0.008, pixel_size_m=[1e-5, 0.8e-5], principal_point_px=[650, 340])
 
 
 def voyage(**keys: Any) -> modsim3d.Scene:

@@ -30,6 +30,7 @@ from modsim3d.scene.scene import Scene
 from tests.runs.test_stream import lines as live_lines
 from tests.runs.test_stream import live_scene
 from tests.scene.ais.ais_builders import SAMPLES, command
+from tests.scenes import camera_keys
 
 STEPS, STEP_S = 500, 1.0
 ORIGIN = (56.03, 12.65)
@@ -43,14 +44,8 @@ SIZES = {
     "canoe": (4.5, 0.8),
     "219000001": (30, 8),
 }
-CAMERA = {
-    "focal_length_m": 0.01,
-    "pixel_size_m": [1e-5, 1e-5],
-    "principal_point_px": [200, 150],
-    "image_size_px": [400, 300],
-}
-BOW = {**CAMERA, "mount": {"vessel": "own", "position_m": [4, 0, 4]}}
-SHORE = {**CAMERA, "pose": {"position_m": [-900, -900, 20]}}
+BOW = camera_keys(400, 300, mount={"vessel": "own", "position_m": [4, 0, 4]})
+SHORE = camera_keys(400, 300, pose={"position_m": [-900, -900, 20]})
 
 
 def tracks():
@@ -414,7 +409,11 @@ def test_a_live_run_is_exported_as_any_other(tmp_path, monkeypatch):
 
 
 def test_a_log_has_one_own_ship(tmp_path, monkeypatch, capsys):
-    cameras = {"bow": BOW, "other": {**CAMERA, "mount": {"vessel": "turner", "position_m": [9, 0, 8]}}, "shore": SHORE}
+    cameras = {
+        "bow": BOW,
+        "other": camera_keys(400, 300, mount={"vessel": "turner", "position_m": [9, 0, 8]}),
+        "shore": SHORE,
+    }
     run_scene(scene_of(cameras=cameras, steps=3), tmp_path / "run")
     export = ("export", tmp_path / "run", "--format", "ais", "--out", tmp_path / "out")
     assert command(monkeypatch, *export) == 2

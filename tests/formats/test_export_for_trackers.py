@@ -17,7 +17,7 @@ from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.runs.camera_sequences import camera_sequences
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
-from tests.formats.exported import VESSELS, exported_run
+from tests.formats.exported import VESSELS
 
 READ_BY_TRACKERS = {
     "coco": ("dt.json",),
@@ -27,8 +27,8 @@ READ_BY_TRACKERS = {
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    return exported_run(tmp_path_factory.mktemp("told"), source="analytic")
+def run(analytic_run: StoredRun) -> StoredRun:
+    return analytic_run
 
 
 def told(path: Path) -> list[tuple[int, float]]:

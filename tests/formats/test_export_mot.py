@@ -19,7 +19,7 @@ from modsim3d.formats.writing import mot
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.runs.camera_sequences import SequenceTruth
 from modsim3d.runs.stored_run import StoredRun
-from tests.formats.exported import LABELS, STEPS, VESSELS, exported_run
+from tests.formats.exported import LABELS, STEPS, VESSELS
 
 CLASS_NAMES = ("sailing_boat", "F_hre_ro-ro__gross", "RIB")
 SEQUENCES = {
@@ -29,8 +29,8 @@ SEQUENCES = {
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    return exported_run(tmp_path_factory.mktemp("mot"), source="analytic")
+def run(analytic_run: StoredRun) -> StoredRun:
+    return analytic_run
 
 
 @pytest.fixture(scope="module")

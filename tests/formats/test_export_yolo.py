@@ -15,12 +15,12 @@ from modsim3d.formats.reading.pair import read_pair
 from modsim3d.formats.writing import yolo
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.runs.stored_run import StoredRun
-from tests.formats.exported import LABELS, STEPS, exported_run
+from tests.formats.exported import LABELS, STEPS
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    return exported_run(tmp_path_factory.mktemp("yolo"), source="analytic")
+def run(analytic_run: StoredRun) -> StoredRun:
+    return analytic_run
 
 
 @pytest.fixture(scope="module")

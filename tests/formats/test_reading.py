@@ -204,19 +204,10 @@ def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,4
     return read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(labels, size))
 
 
-def test_an_empty_column_of_mot_does_not_shift_the_others(tmp_path):
+def test_an_empty_column_of_mot_does_not_shift_the_others_and_frames_are_no_times(tmp_path):
     assert len(mot(tmp_path, detections="1,-1,12,20,30,40,0.9,\n").results) == 1
     with pytest.raises(InputError, match=r"det.txt line 1: must be numbers \(got '1,-1,,12"):
         mot(tmp_path, detections="1,-1,,12,20,30,40,0.9\n")
-
-
-def test_mot_with_a_byte_order_mark_and_windows_line_ends(tmp_path):
-    labelled = mot(tmp_path, truth="\ufeff1,3,10,20,30,40,1,1,0.5\r\n", detections="\ufeff1,-1,12,20,30,40,0.9\r\n")
-    assert labelled.annotations.visible_fraction.tolist() == [0.5]
-    assert labelled.results.image.tolist() == [0]
-
-
-def test_mot_frames_that_are_times_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"gt.txt line 1: frame must be a whole number from 1 to"):
         mot(tmp_path, truth="1700000000000,3,10,20,30,40,1,1,0.5\n")
 
@@ -271,30 +262,24 @@ def yolo(tmp_path, line="0 0.5 0.5 0.25 0.5\n", data="names: [ferry]\n", labels=
 
 def test_yolo_names_are_those_of_their_numbers(tmp_path):
     assert yolo(tmp_path, data="names: {2: kayak, 1: ferry}\n").labels == ("class_0", "ferry", "kayak")
-    for names in ("{0: ferry, x: kayak}", "{-1: ferry}", "{1000000000: ferry}"):
-        with pytest.raises(InputError, match="names: must be numbered"):
-            yolo(tmp_path, data=f"names: {names}\n")
+    numbered, twice = "names: must be numbered", "'ferry' names more than one class"
+    for said, wrong in (
+        (numbered, {"data": "names: {0: ferry, x: kayak}\n"}),
+        (numbered, {"data": "names: {-1: ferry}\n"}),
+        (numbered, {"data": "names: {1000000000: ferry}\n"}),
+        (twice, {"data": "names: [ferry, ferry]\n"}),
+        (twice, {"labels": ("ferry", "ferry")}),
+        ("a.txt line 1: class must be a whole number from 0 to", {"line": "900000000 0.5 0.5 0.25 0.5\n"}),
+    ):
+        with pytest.raises(InputError, match=said):
+            yolo(tmp_path, **wrong)
 
 
-def test_yolo_classes_that_are_none_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"a.txt line 1: class must be a whole number from 0 to"):
-        yolo(tmp_path, line="900000000 0.5 0.5 0.25 0.5\n")
-
-
-def test_labels_of_the_same_name_are_refused(tmp_path):
-    for files in ({"data": "names: [ferry, ferry]\n"}, {"labels": ("ferry", "ferry")}):
-        with pytest.raises(InputError, match="'ferry' names more than one class"):
-            yolo(tmp_path, **files)
-
-
-def test_what_is_not_there_is_not_taken_for_another_kind(tmp_path):
+def test_what_is_not_there_is_not_taken_for_another_kind_and_two_kinds_do_not_go_together(tmp_path):
     yolo(tmp_path)
     with pytest.raises(InputError) as raised:
         read_pair("day", tmp_path / "labels", tmp_path / "nowhere", ReadOptions())
     assert raised.value.problems == (f"detections {tmp_path / 'nowhere'}: no such file or folder",)
-
-
-def test_two_kinds_of_files_do_not_go_together(tmp_path):
     gt, _ = written(tmp_path)
     (tmp_path / "det.txt").touch()
     with pytest.raises(InputError, match=r"looks like COCO and .* like MOT"):

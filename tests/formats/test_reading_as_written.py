@@ -35,40 +35,30 @@ def result(image_id, category_id=1, **more):
     return {"image_id": image_id, "category_id": category_id, "bbox": [1, 2, 30, 40], "score": 0.87512} | more
 
 
+NUMBERED = ("000010.jpg", "000011.jpg", "000012.jpg")
+
+
 @pytest.mark.parametrize(
-    ("names", "given"),
+    ("names", "results", "rows", "doubtful"),
     [
-        (NAMES, ["frame_002", "frame_000"]),  # ultralytics: the file's name without its ending
-        (tuple(f"images/val/{name}" for name in NAMES), ["frame_002", "frame_000"]),
-        (NAMES, ["frame_002.jpg", "frame_000.jpg"]),
-        (("000100.jpg", "000101.jpg", "000102.jpg"), [102, 100]),  # ultralytics: a number where it is one
-        (NAMES, [13, 11]),  # detectron2 and mmdetection: the ID
+        (NAMES, [result("frame_002"), result("frame_000")], [0, 2], False),  # ultralytics: the name without its ending
+        (tuple(f"images/val/{name}" for name in NAMES), [result("frame_002"), result("frame_000")], [0, 2], False),
+        (NAMES, [result("frame_002.jpg"), result("frame_000.jpg")], [0, 2], False),
+        (("000100.jpg", "000101.jpg", "000102.jpg"), [result(102), result(100)], [0, 2], False),  # ultralytics too
+        (NAMES, [result(13), result(11)], [0, 2], False),  # detectron2 and mmdetection: the ID
+        (("000012.jpg", "000013.jpg", "000011.jpg"),
+         [result(11, file_name="000011.jpg"), result(12, file_name="000012.jpg")], [0, 2], False),
+        (NUMBERED, [result(11), result(12)], [0, 1], True),
+        (NUMBERED, [result(11), result(13)], [0, 2], False),
+        (NUMBERED, [result(10), result(11)], [0, 1], False),
+        (NUMBERED, [result(11, file_name="000011.jpg")], [1], False),
     ],
 )  # fmt: skip
-def test_an_image_is_named_by_its_id_or_by_its_file(names, given, tmp_path):
-    labelled = read_pair("day", *coco(tmp_path, [result(each) for each in given], names), ReadOptions())
-    assert labelled.results.image.tolist() == [0, 2] and labelled.results.confidence.tolist() == [0.87512] * 2
-
-
-def test_a_file_name_beside_a_number_that_is_another_images_id_decides(tmp_path):
-    names = ("000012.jpg", "000013.jpg", "000011.jpg")
-    results = [result(11, file_name="000011.jpg"), result(12, file_name="000012.jpg")]
+def test_an_image_is_named_by_its_id_or_by_its_file_and_what_may_be_either_is_told(
+    names, results, rows, doubtful, tmp_path
+):
     labelled = read_pair("day", *coco(tmp_path, results, names), ReadOptions())
-    assert labelled.results.image.tolist() == [0, 2]
-
-
-@pytest.mark.parametrize(
-    ("results", "rows", "doubtful"),
-    [
-        ([result(11), result(12)], [0, 1], True),
-        ([result(11), result(13)], [0, 2], False),
-        ([result(10), result(11)], [0, 1], False),
-        ([result(11, file_name="000011.jpg")], [1], False),
-    ],
-)
-def test_numbers_that_are_ids_and_names_of_other_files_are_told(results, rows, doubtful, tmp_path):
-    labelled = read_pair("day", *coco(tmp_path, results, ("000010.jpg", "000011.jpg", "000012.jpg")), ReadOptions())
-    assert labelled.results.image.tolist() == rows
+    assert labelled.results.image.tolist() == rows and set(labelled.results.confidence) == {0.87512}
     assert any("the name of another's file" in note for note in labelled.notes) == doubtful
 
 
@@ -128,12 +118,8 @@ def test_a_track_that_is_twice_in_an_image_is_refused(tmp_path):
 
 def test_a_track_below_zero_is_nobodys(tmp_path):
     boxes = [{"image_id": 11, "category_id": 1, "bbox": [x, 2, 30, 40], "track_id": -1} for x in (1, 50)]
-    assert read_pair(
-        "day", *coco(tmp_path, [result(11)], annotations=boxes), ReadOptions()
-    ).annotations.identity.tolist() == [
-        -1,
-        -1,
-    ]
+    labelled = read_pair("day", *coco(tmp_path, [result(11)], annotations=boxes), ReadOptions())
+    assert labelled.annotations.identity.tolist() == [-1, -1]
 
 
 def of_track(tmp_path, **keys):
@@ -142,17 +128,15 @@ def of_track(tmp_path, **keys):
     return read_truth(coco(tmp_path, [], annotations=[box])[0], ReadOptions())[0]
 
 
-@pytest.mark.parametrize("key", ["track_id", "instance_id"])
-def test_a_whole_number_is_a_track_however_it_is_written(tmp_path, key):
-    found = of_track(tmp_path, **{key: 4.0})
-    assert found.ids.identities == (4,) and found.annotations.identity.tolist() == [0]
-
-
-def test_a_track_with_an_exponent_has_lost_digits(tmp_path):
-    for right in (219012340.0, 219000000, 40000.0):
-        assert of_track(tmp_path, track_id=right).ids.identities == (int(right),)
+def test_a_whole_number_is_a_track_however_it_is_written_and_other_numbers_are_none(tmp_path):
+    for key, value in (("track_id", 4.0), ("instance_id", 4.0), *(("track_id", v) for v in (219012340.0, 219000000))):
+        found = of_track(tmp_path, **{key: value})
+        assert found.ids.identities == (int(value),) and found.annotations.identity.tolist() == [0]
     with pytest.raises(InputError, match=r"track_id is a number in scientific notation.*\(got 2.19e\+08\)"):
         of_track(tmp_path, track_id=2.19e8)
+    for track in (1.5, True, [4]):
+        with pytest.raises(InputError, match=r"annotations\[0\]: track_id must be a whole number or a text \(got"):
+            of_track(tmp_path, track_id=track)
 
 
 def test_tracks_that_single_precision_holds_by_chance_are_read():
@@ -160,12 +144,6 @@ def test_tracks_that_single_precision_holds_by_chance_are_read():
     assert are_rounded(mmsi) and not are_rounded([*mmsi, 219_012_345]) and not are_rounded(mmsi[:3])
     assert not are_rounded([219_000_000 + 2000 * k for k in range(9)])  # as many ships really have
     assert not are_rounded([*range(100), *map(str, mmsi), 10**400])
-
-
-@pytest.mark.parametrize("track", [1.5, True, [4]])
-def test_a_track_that_is_neither_a_number_nor_a_text_is_refused(tmp_path, track):
-    with pytest.raises(InputError, match=r"annotations\[0\]: track_id must be a whole number or a text \(got"):
-        of_track(tmp_path, track_id=track)
 
 
 def test_mot_frames_have_times_where_the_rate_is_known(tmp_path):

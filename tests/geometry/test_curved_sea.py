@@ -8,20 +8,12 @@ import pytest
 
 from modsim3d.cli import main
 from modsim3d.geometry.curved_sea import RADIUS_M, drop_m, lowered, shift_px
-from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.sources.compare import compare_sources
-from tests.scenes import write_scene
+from tests.scenes import camera_keys, write_scene
 
-LONG_LENS = {
-    "focal_length_m": 0.05,
-    "pixel_size_m": [1e-5, 1e-5],
-    "principal_point_px": [900, 600],
-    "image_size_px": [1800, 1200],
-    "pose": {"position_m": [0, 0, 20]},
-}
+LONG_LENS = camera_keys(1800, 1200, focal_length_m=0.05, pose={"position_m": [0, 0, 20]})
 SHIPS = {
     "near": ([40, 10, 12], [[0, 2000, 50], [10, 2000, 60]]),
     "far": ([40, 10, 12], [[0, 5000, -100], [10, 5000, -90]]),
@@ -132,13 +124,3 @@ def test_run_warns_once_with_how_many_and_how_far(tmp_path, monkeypatch, capsys)
     out, counts = said("curved")
     assert "sea" not in out
     assert (counts["off_by_curvature"], counts["largest_curvature_px"]) == (0, 0)
-
-
-@pytest.mark.parametrize("sea", ["flat", "curved"])
-def test_blocks_of_one_step_give_the_same_bytes(tmp_path, monkeypatch, sea):
-    scene = load_scene(far_scene(tmp_path, steps=5, sea=sea))
-    run_scene(scene, tmp_path / "whole")
-    monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 1)
-    run_scene(scene, tmp_path / "single")
-    for name in ("run.json", "truth.parquet", "detections.parquet"):
-        assert (tmp_path / "single" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

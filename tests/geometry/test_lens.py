@@ -18,7 +18,16 @@ from modsim3d.truth.buffer_drawing import subdivided
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.silhouettes import silhouette_polygons
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
-from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, pixel_masks, random_scene, vessel, write_scene
+from tests.scenes import (
+    CAMERA_HEIGHT_M,
+    INTRINSICS,
+    camera_keys,
+    outlines_of,
+    pixel_masks,
+    random_scene,
+    vessel,
+    write_scene,
+)
 
 BARREL = Distortion(k1=-0.21, k2=0.07, p1=0.0013, p2=-0.0021, k3=-0.011)
 PINCUSHION = Distortion(k1=0.15, k2=0.03, p1=-0.001, p2=0.002)
@@ -254,14 +263,8 @@ def test_subdivision_keeps_the_area_and_makes_edges_short():
 
 def lens_scene(folder, **distortion):
     boats = {"a": ([10, 4, 3], [[0, 100, -20], [10, 100, 20]]), "b": ([10, 4, 6], [[0, 150, 30], [10, 150, -20]])}
-    camera = {
-        "focal_length_m": 0.01,
-        "pixel_size_m": [1e-5, 1e-5],
-        "principal_point_px": [400, 300],
-        "image_size_px": [800, 600],
-        "pose": {"position_m": [0, 0, CAMERA_HEIGHT_M]},
-    }
-    return write_scene(folder, boats, 5, cameras={"C0": {**camera, "distortion": distortion}})
+    camera = camera_keys(pose={"position_m": [0, 0, CAMERA_HEIGHT_M]}, distortion=distortion)
+    return write_scene(folder, boats, 5, cameras={"C0": camera})
 
 
 def test_coefficients_of_zero_are_a_pinhole(tmp_path):

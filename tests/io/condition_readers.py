@@ -17,6 +17,7 @@ from pyarrow import csv as pa_csv
 import modsim3d
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair, read_truth
+from modsim3d.io.ros_bag import ODOMETRY
 from modsim3d.learn.voyage.attitude import read_attitude
 from modsim3d.learn.voyage.labelled_voyage import VoyageOptions, labelled_voyage
 from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, on_scene
@@ -28,7 +29,7 @@ from modsim3d.scene.ais.options import Options
 from modsim3d.scene.ais.scene_folder import warning
 from modsim3d.scene.ais.traffic import read_traffic
 from modsim3d.tracks.reading import read_tracks
-from modsim3d.tracks.world_reading import ODOMETRY, read_world_tracks
+from modsim3d.tracks.world_reading import read_world_tracks
 from tests.formats.labelled_files import CHANGES, HEIGHT, WIDTH, Video, coco, mot, yolo
 from tests.learn.voyage.test_logs_as_written import bag
 from tests.scene.ais.ais_builders import OLD_HEADER

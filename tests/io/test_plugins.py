@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,8 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.second_order_waves import LEVELS, Axis, find_level, level_axes
 from modsim3d.world.vessels import find_shape, shape_problem, shoebox, signed_volume
+from tests.plugin_site import site
+from tests.run_folders import interrupt, run_files
 from tests.scenes import crossing, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,46 +29,11 @@ DOCUMENT = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8").split("\n#
 """The sections before that of trackers, whose package tests/tracking/test_plugged_in.py tests."""
 
 
+__all__ = ["site"]  # a fixture
+
+
 def blocks(language):
     return re.findall(rf"```{language}\n(.*?)```", DOCUMENT, flags=re.DOTALL)
-
-
-class Site:
-    """A folder on the path, into which packages are put as an installer would."""
-
-    def __init__(self, folder, monkeypatch):
-        self.folder = folder
-        self.monkeypatch = monkeypatch
-        monkeypatch.syspath_prepend(str(folder))
-
-    def add(self, package, version, module, source, points):
-        """points: group → {name: object reference}."""
-        (self.folder / f"{module}.py").write_text(source, encoding="utf-8")
-        info = self.folder / f"{package.replace('-', '_')}-{version}.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n")
-        (info / "entry_points.txt").write_text(
-            "".join(f"[{group}]\n" + "".join(f"{n} = {o}\n" for n, o in each.items()) for group, each in points.items())
-        )
-        self.monkeypatch.delitem(sys.modules, module, raising=False)
-
-    def add_example(self):
-        project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
-        source = (EXAMPLE / "modsim3d_drift.py").read_text()
-        self.add(project["name"], project["version"], "modsim3d_drift", source, project["entry-points"])
-
-
-@pytest.fixture
-def site(tmp_path, monkeypatch):
-    folder = tmp_path / "site"
-    folder.mkdir()
-    yield Site(folder, monkeypatch)
-    for name in [name for name, module in sys.modules.items() if _inside(folder, module)]:
-        del sys.modules[name]
-
-
-def _inside(folder, module):
-    return str(getattr(module, "__file__", None) or "").startswith(str(folder))
 
 
 def scene_with(folder, poses=None, waves=None, steps=5):
@@ -99,7 +65,7 @@ def test_each_part_of_the_example_is_ten_lines_or_fewer():
 
 
 def test_poses_of_a_plugged_in_source_are_what_it_says(site, tmp_path):
-    site.add_example()
+    site.add_project(EXAMPLE)
     scene = load_scene(scene_with(tmp_path, DRIFT))
     poses = scene.poses.poses(0, 5)
     assert poses.present.all()
@@ -109,53 +75,36 @@ def test_poses_of_a_plugged_in_source_are_what_it_says(site, tmp_path):
 
 
 def test_a_real_process_runs_it_with_workers_and_records_its_version(site, tmp_path):
-    site.add_example()
+    site.add_project(EXAMPLE)
     path = scene_with(tmp_path, DRIFT, steps=600)
-    runs = []
-    for workers in ("1", "2"):
-        out = tmp_path / f"out{workers}"
-        command = ["-m", "modsim3d.cli.main", "run", str(path), "--out", str(out), "--no-sheet", "--workers", workers]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site.folder), str(ROOT)])}
-        done = subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, done.stderr
-        files = [file for file in out.rglob("*") if file.is_file() and file.name != "run.log"]
-        runs.append({file.name: file.read_bytes() for file in files})
-    assert runs[0] == runs[1]
-    assert json.loads(runs[0]["run.json"])["plugins"] == {"modsim3d.pose_sources:drift": "modsim3d-drift 1.0"}
+    run_scene(load_scene(path), tmp_path / "here")
+    command = ["-m", "modsim3d.cli.main", "run", str(path), "--out", str(tmp_path / "two"), "--no-sheet"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site.folder), str(ROOT)])}
+    line = [sys.executable, *command, "--workers", "2"]
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    files = run_files(tmp_path / "two")
+    assert files == run_files(tmp_path / "here")
+    assert json.loads(files["run.json"])["plugins"] == {"modsim3d.pose_sources:drift": "modsim3d-drift 1.0"}
 
 
-def test_another_version_does_not_continue_a_run(site, tmp_path):
-    site.add_example()
-    path = scene_with(tmp_path, DRIFT)
-
-    def stop(steps):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(load_scene(path), tmp_path / "out", progress=stop)
-    metadata = next(site.folder.glob("*.dist-info")) / "METADATA"
-    metadata.write_text(metadata.read_text().replace("1.0", "1.1"))
+def test_another_version_or_another_file_of_the_same_version_does_not_continue_a_run(site, tmp_path):
+    site.add_project(EXAMPLE)
+    path, out = scene_with(tmp_path, DRIFT), tmp_path / "out"
+    interrupt(load_scene(path), out)
+    metadata, module = next(site.folder.glob("*.dist-info")) / "METADATA", site.folder / "modsim3d_drift.py"
+    released = metadata.read_text()
+    metadata.write_text(released.replace("1.0", "1.1"))
     with pytest.raises(ModsimError, match="another scene, seed, settings or version"):
-        run_scene(load_scene(path), tmp_path / "out", resume=True)
-
-
-def test_another_file_of_the_same_version_does_not_continue_a_run(site, tmp_path):
-    site.add_example()
-    path = scene_with(tmp_path, DRIFT)
-
-    def stop(steps):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(load_scene(path), tmp_path / "out", progress=stop)
-    module = site.folder / "modsim3d_drift.py"
+        run_scene(load_scene(path), out, resume=True)
+    metadata.write_text(released)
     module.write_text(module.read_text() + "# edited\n")
     del sys.modules["modsim3d_drift"]  # as in a new process
     with pytest.raises(ModsimError, match="another scene, seed, settings or version"):
-        run_scene(load_scene(path), tmp_path / "out", resume=True)
+        run_scene(load_scene(path), out, resume=True)
     scene = load_scene(path)
-    run_scene(scene, tmp_path / "out", overwrite=True)
-    (digest,) = json.loads((tmp_path / "out" / "run.json").read_text())["plugins_sha256"].values()
+    run_scene(scene, out, overwrite=True)
+    (digest,) = json.loads((out / "run.json").read_text())["plugins_sha256"].values()
     assert digest == scene.plugins[0].sha256
 
 
@@ -166,14 +115,14 @@ def problems_of(path):
 
 
 def test_wrong_keys_of_a_plugin_are_told_with_their_path(site, tmp_path):
-    site.add_example()
+    site.add_project(EXAMPLE)
     (first, second) = problems_of(scene_with(tmp_path, {"drift": {"gap": 3}}))
     assert first == "poses.drift.current_m_s: missing"
     assert second == "poses.drift.gap: unknown key (did you mean 'gap_m'?)"
 
 
 def test_unknown_name_lists_what_there_is(site, tmp_path):
-    site.add_example()
+    site.add_project(EXAMPLE)
     assert plugin_names(POSE_SOURCES) == ("drift",)
     (problem,) = problems_of(scene_with(tmp_path, {"drft": {}}))
     assert problem.startswith("poses.drft: nothing is called 'drft' here") and "did you mean 'drift'?" in problem
@@ -184,13 +133,25 @@ def test_unknown_name_lists_what_there_is(site, tmp_path):
 
 
 def test_two_packages_with_one_name_are_an_error_that_names_both(site, tmp_path):
-    site.add_example()
+    site.add_project(EXAMPLE)
     site.add("other", "2.0", "other", "class Drift: ...", {POSE_SOURCES: {"drift": "other:Drift"}})
     (problem,) = problems_of(scene_with(tmp_path, DRIFT))
     assert problem.startswith("poses.drift: modsim3d-drift 1.0 and other 2.0 both bring a plug-in 'drift'")
 
 
-HEAD = "from modsim3d.plugins import PosesByTime, SourceKeys\nfrom modsim3d.plugins import Strict\n"
+HEAD = "from modsim3d.plugins import Poses, PosesByTime, SourceKeys, Strict\nimport numpy as np\n"
+AT = HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return "
+BUILD = "class Drift(SourceKeys, Strict):\n  def build(self, request): return "
+TIMES = HEAD + "class P:\n  timestamps = {}\n  def poses(self, f, s): ...\n" + BUILD + "P()"
+WRONG_SHAPE = (
+    HEAD + "class P:\n  timestamps = ['0', '1', '2', '3', '4']\n"
+    "  def poses(self, f, s): return Poses(np.ones((s - f, 1), bool), np.zeros((s - f, 1, 3)), np.zeros((s - f, 1)))\n"
+    + BUILD + "P()"
+)  # fmt: skip
+BAD_VALIDATOR = (
+    HEAD + "from pydantic import model_validator\nclass Drift(PosesByTime):\n  @model_validator(mode='after')\n"
+    "  def look(self): return self.nothing"
+)
 BROKEN = {
     "missing_import": ("import no_such_module_here", "ModuleNotFoundError: No module named 'no_such_module_here'"),
     "syntax": ("class Drift(:\n", "SyntaxError"),
@@ -200,50 +161,16 @@ BROKEN = {
     "another_class": ("class Drift: ...", "must be a class made from modsim3d.plugins.PosesByTime"),
     "a_model": ("from pydantic import BaseModel\nclass Drift(BaseModel): ...", "must be a class made from"),
     "no_build": (HEAD + "class Drift(SourceKeys, Strict): ...", "failed: NotImplementedError"),
-    "bad_validator": (
-        HEAD + "from pydantic import model_validator\nclass Drift(PosesByTime):\n  @model_validator(mode='after')\n"
-        "  def look(self): return self.nothing",
-        "'drift' of drift 0.1 failed: AttributeError",
-    ),
-    "builds_nothing": (
-        HEAD + "class Drift(SourceKeys, Strict):\n  def build(self, request): pass",
-        "must return a pose",
-    ),
-    "raises": (HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return 1 / 0", "ZeroDivisionError: division"),
-    "not_a_mapping": (
-        HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return 5",
-        "'drift' of drift 0.1 failed",
-    ),
-    "unknown_vessel": (
-        HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return {'zebra': ([0, 0, 0], 0)}",
-        "at time 0.0 s: no vessel 'zebra'",
-    ),
-    "two_coordinates": (
-        HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return {'a': ([0, 0], 0)}",
-        "ValueError: could not broadcast",
-    ),
-    "nan": (
-        HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return {'a': ([9, 0, float('nan')], 0)}",
-        "positions_m must be finite",
-    ),
-    "wrong_shape": (
-        HEAD + "import numpy as np\nfrom modsim3d.plugins import Poses\n"
-        "class P:\n  timestamps = ['0', '1', '2', '3', '4']\n"
-        "  def poses(self, f, s):\n    n = s - f\n"
-        "    return Poses(np.ones((n, 1), bool), np.zeros((n, 1, 3)), np.zeros((n, 1)))\n"
-        "class Drift(SourceKeys, Strict):\n  def build(self, request): return P()",
-        "present must be an array of bool (5, 2), not bool (5, 1)",
-    ),
-    "times": (
-        HEAD + "class P:\n  timestamps = ['0', '0.0']\n  def poses(self, f, s): ...\n"
-        "class Drift(SourceKeys, Strict):\n  def build(self, request): return P()",
-        "timestamps must increase",
-    ),
-    "few_times": (
-        HEAD + "class P:\n  timestamps = ['0', '1']\n  def poses(self, f, s): ...\n"
-        "class Drift(SourceKeys, Strict):\n  def build(self, request): return P()",
-        "steps: 5 asked for, but poses.drift has 2",
-    ),
+    "bad_validator": (BAD_VALIDATOR, "'drift' of drift 0.1 failed: AttributeError"),
+    "builds_nothing": (HEAD + BUILD + "None", "must return a pose"),
+    "raises": (AT + "1 / 0", "ZeroDivisionError: division"),
+    "not_a_mapping": (AT + "5", "'drift' of drift 0.1 failed"),
+    "unknown_vessel": (AT + "{'zebra': ([0, 0, 0], 0)}", "at time 0.0 s: no vessel 'zebra'"),
+    "two_coordinates": (AT + "{'a': ([0, 0], 0)}", "ValueError: could not broadcast"),
+    "nan": (AT + "{'a': ([9, 0, float('nan')], 0)}", "positions_m must be finite"),
+    "wrong_shape": (WRONG_SHAPE, "present must be an array of bool (5, 2), not bool (5, 1)"),
+    "times": (TIMES.format("['0', '0.0']"), "timestamps must increase"),
+    "few_times": (TIMES.format("['0', '1']"), "steps: 5 asked for, but poses.drift has 2"),
 }
 
 
@@ -344,7 +271,7 @@ def test_what_is_no_shape_of_a_vessel_is_told(change, part):
 
 
 def test_entry_points_of_the_example_can_be_loaded_by_group_and_name(site):
-    site.add_example()
+    site.add_project(EXAMPLE)
     found, plugin = load_plugin(POSE_SOURCES, "drift", "poses.drift")
     assert found.__name__ == "Drift"
     assert str(plugin) == "the plug-in 'drift' of modsim3d-drift 1.0"

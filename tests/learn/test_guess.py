@@ -20,9 +20,7 @@ from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import conditions_in
 from modsim3d.learn.guess import ConditionChange, guessed
 from tests.cli.bad_input.builders import Call
-from tests.cli.bad_input.conftest import call
 
-__all__ = ["call"]  # a fixture
 CONDITIONS = {name: (name, load_detector(file)) for name, file in conditions_in().items()}
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "conditions.md"
 RICH = data_folder("scenes") / "detectors" / "rich.yaml"

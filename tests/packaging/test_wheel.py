@@ -68,36 +68,16 @@ def files_in(folder: str) -> set[str]:
     return {path.relative_to(REPOSITORY).as_posix() for path in files if "__pycache__" not in path.parts}
 
 
-def files_of(wheel: Path) -> set[str]:
+def test_wheel_carries_every_file_of_the_package_and_its_data_and_no_other(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
-        return set(archive.namelist())
-
-
-@pytest.mark.parametrize("kind", ["scenes", "meshes"])
-def test_wheel_carries_every_file_of(wheel: Path, kind: str) -> None:
-    shipped = files_in(kind)
-    assert shipped
-    assert {f"modsim3d/_data/{name}" for name in shipped} <= files_of(wheel)
-
-
-def test_wheel_carries_every_part_of_the_page_of_a_run(wheel: Path) -> None:
-    parts = files_in("modsim3d/view/report")
-    assert {Path(path).suffix for path in parts} == {".py", ".html", ".css", ".js"}
-    assert parts <= files_of(wheel)
-
-
-def test_wheel_says_that_it_is_typed(wheel: Path) -> None:
-    assert "modsim3d/py.typed" in files_of(wheel)
-
-
-def test_wheel_carries_the_table_of_ship_types(wheel: Path) -> None:
-    assert {"modsim3d/scene/ais/ship_types.yaml", "modsim3d/scene/ais/layouts.yaml"} <= set(files_of(wheel))
-
-
-def test_wheel_carries_no_tests_and_no_build_leftovers(wheel: Path) -> None:
-    top_level = {Path(name).parts[0] for name in files_of(wheel)}
+        carried = set(archive.namelist())
+    data = files_in("scenes") | files_in("meshes")
+    assert {f"modsim3d/_data/{name}" for name in data} | files_in("modsim3d") <= carried
+    suffixes = {Path(path).suffix for path in files_in("modsim3d")}
+    assert suffixes >= {".py", ".html", ".css", ".js", ".yaml"} and "modsim3d/py.typed" in carried
+    top_level = {Path(name).parts[0] for name in carried}
     assert {name for name in top_level if not name.endswith(".dist-info")} == {"modsim3d"}
-    assert not [name for name in files_of(wheel) if name.endswith(".pyc")]
+    assert not [name for name in carried if name.endswith(".pyc")]
 
 
 def test_installed_wheel_is_what_python_imports(installed: Path, tmp_path: Path) -> None:

@@ -1,33 +1,23 @@
 """The detector alone over a finished run's truth gives the bytes of a whole run with that detector and seed."""
 
 import shutil
-import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from modsim3d.cli import main
 from modsim3d.core.errors import InputError, RunDirectoryError
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs import run as detecting
 from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from tests.run_folders import interrupt, run_files
 
 DETECTORS = data_folder("scenes") / "detectors"
 ORIGINAL, EXPERIMENT = DETECTORS / "thesis_original.yaml", DETECTORS / "experiment_1.yaml"
 STEPS = 260
-
-
-def files_of(folder: Path) -> dict[str, bytes]:
-    """Everything in a run directory but its log."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != "run.log"
-    }
 
 
 def harbour(folder: Path, labels: tuple[str, ...] = ("Vessel",)) -> Path:
@@ -50,14 +40,15 @@ def first(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_bytes_are_those_of_a_whole_run_where_the_truth_has_no_seed(tmp_path, workers):
+def test_bytes_are_those_of_a_whole_run_where_the_truth_has_no_seed(tmp_path):
     scene = harbour(tmp_path)
-    run_scene(load_scene(scene, mode=2, steps=60, source="analytic"), tmp_path / "first")
-    detect_run(open_run(tmp_path / "first"), tmp_path / "new", detector=EXPERIMENT, seed=7, workers=workers)
-    whole = load_scene(scene, mode=2, steps=60, source="analytic", seed=7, detector=EXPERIMENT)
+    run_scene(load_scene(scene, mode=2, steps=20, source="analytic"), tmp_path / "first")
+    whole = load_scene(scene, mode=2, steps=20, source="analytic", seed=7, detector=EXPERIMENT)
     run_scene(whole, tmp_path / "whole")
-    assert files_of(tmp_path / "new") == files_of(tmp_path / "whole")
+    for workers in (1, 2):
+        out = tmp_path / f"new{workers}"
+        detect_run(open_run(tmp_path / "first"), out, detector=EXPERIMENT, seed=7, workers=workers)
+        assert run_files(out) == run_files(tmp_path / "whole")
 
 
 def test_short_blocks_give_the_same_bytes_and_read_the_truth_once(first, tmp_path, monkeypatch):
@@ -69,15 +60,15 @@ def test_short_blocks_give_the_same_bytes_and_read_the_truth_once(first, tmp_pat
     monkeypatch.setattr(detecting, "BLOCK_VESSELS", 250)
     detect_run(first, tmp_path / "in blocks", seed=7)
     assert names.count((range(1),)) == 2
-    assert files_of(tmp_path / "in blocks") == files_of(tmp_path / "whole")
+    assert run_files(tmp_path / "in blocks") == run_files(tmp_path / "whole")
 
 
 def test_bytes_are_those_of_a_whole_run_with_the_labels_of_a_confusion_matrix(tmp_path):
     scene = harbour(tmp_path, ("sailboat", "motorboat", "ferry"))
-    run_scene(load_scene(scene, steps=40, seed=3, mode=1), tmp_path / "first")
+    run_scene(load_scene(scene, steps=20, seed=3, mode=1), tmp_path / "first")
     detect_run(open_run(tmp_path / "first"), tmp_path / "new", seed=11)
-    run_scene(load_scene(scene, steps=40, seed=11, mode=1), tmp_path / "whole")
-    assert files_of(tmp_path / "new") == files_of(tmp_path / "whole")
+    run_scene(load_scene(scene, steps=20, seed=11, mode=1), tmp_path / "whole")
+    assert run_files(tmp_path / "new") == run_files(tmp_path / "whole")
 
 
 def test_with_drawn_poses_the_truth_stays_and_the_detector_has_a_seed_of_its_own(tmp_path):
@@ -85,21 +76,21 @@ def test_with_drawn_poses_the_truth_stays_and_the_detector_has_a_seed_of_its_own
     detect_run(open_run(tmp_path / "first"), tmp_path / "new", detector=ORIGINAL, seed=9)
     whole = load_scene("simulation_1", mode=2, seed=2, steps=STEPS, detector=ORIGINAL, detector_seed=9)
     run_scene(whole, tmp_path / "whole")
-    new = files_of(tmp_path / "new")
-    assert new == files_of(tmp_path / "whole")
-    assert new["annotations_C0.json"] == files_of(tmp_path / "first")["annotations_C0.json"]
-    assert new["detections.parquet"] != files_of(tmp_path / "first")["detections.parquet"]
+    new = run_files(tmp_path / "new")
+    assert new == run_files(tmp_path / "whole")
+    assert new["annotations_C0.json"] == run_files(tmp_path / "first")["annotations_C0.json"]
+    assert new["detections.parquet"] != run_files(tmp_path / "first")["detections.parquet"]
 
 
 def test_with_waves_and_two_cameras_the_bytes_are_those_of_a_whole_run(first, tmp_path):
     detect_run(open_run(first), tmp_path / "new", seed=9, workers=2)
     run_scene(load_scene("simulation_3", steps=STEPS, seed=5, source="analytic", detector_seed=9), tmp_path / "whole")
-    assert files_of(tmp_path / "new") == files_of(tmp_path / "whole")
+    assert run_files(tmp_path / "new") == run_files(tmp_path / "whole")
 
 
 def test_without_detector_and_seed_it_is_the_run_again(first, tmp_path):
     detect_run(open_run(first), tmp_path / "again")
-    assert files_of(tmp_path / "again") == files_of(first)
+    assert run_files(tmp_path / "again") == run_files(first)
 
 
 def test_a_scene_and_its_copy_have_one_hash(first):
@@ -129,29 +120,15 @@ def test_truth_that_other_versions_made_is_named(first, tmp_path):
     assert open_run(tmp_path / "new").settings["truth_versions"]["numpy"] == "1.0"
 
 
-def test_an_interrupted_run_is_refused(tmp_path, monkeypatch, capsys):
-    class Stop(Exception):
-        pass
-
-    def stop(steps: int) -> None:
-        raise Stop
-
-    with pytest.raises(Stop):
-        run_scene(load_scene("simulation_1", steps=STEPS, source="analytic"), tmp_path / "cut", progress=stop)
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "detect", str(tmp_path / "cut"), "--out", str(tmp_path / "new")])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    assert stopped.value.code == 2
-    assert "interrupted run" in capsys.readouterr().err
+def test_an_interrupted_run_is_refused(call, tmp_path):
+    interrupt(load_scene("simulation_1", steps=STEPS, source="analytic"), tmp_path / "cut")
+    status, said = call("detect", tmp_path / "cut", "--out", tmp_path / "new")
+    assert status == 2 and "interrupted run" in said
 
 
-def test_the_command_writes_a_run_and_says_what_is_in_it(first, tmp_path, monkeypatch, capsys):
+def test_the_command_writes_a_run_and_says_what_is_in_it(call, first, tmp_path):
     detector = tmp_path / "mine.yml"
     shutil.copy(ORIGINAL, detector)
-    arguments = ["detect", first, "--detector", detector, "--seed", 3, "--out", tmp_path / "new"]
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    assert stopped.value.code == 0
-    assert "detections" in capsys.readouterr().out
+    status, said = call("detect", first, "--detector", detector, "--seed", 3, "--out", tmp_path / "new")
+    assert status == 0 and "detections" in said
     assert (tmp_path / "new" / "scene" / "detector.yml").read_bytes() == detector.read_bytes()

@@ -1,6 +1,6 @@
-"""A sample of the faults of `script/campaign faults`: calls that fail, files that cannot grow, power cuts.
+"""A sample of the faults of `script/campaign faults`: calls that fail, full disks, power cuts, damaged blocks.
 
-Damaged blocks, two writers and kills are tried in test_damaged_blocks.py, test_one_writer.py and test_overwriting.py.
+Two writers and kills are tried in test_one_writer.py and test_overwriting.py.
 """
 
 from __future__ import annotations
@@ -21,13 +21,16 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from modsim3d.cli.run_summary import print_summary
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.atomic_write import write_files
 from modsim3d.runs import pipeline
-from modsim3d.runs.files.run_directory import RunDirectory
+from modsim3d.runs.files.block_files import finished_truth
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter
 from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from tests.run_folders import interrupt, run_files
 
 BLOCK, STEPS = 75, 150  # two blocks
 
@@ -48,12 +51,7 @@ def scene():
 def whole(scene, tmp_path_factory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("whole") / "run"
     run_scene(scene, folder)
-    return content(folder)
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "run.log")
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+    return run_files(folder)
 
 
 class Counted:
@@ -70,23 +68,27 @@ class Counted:
         return self._function(*arguments, **named)
 
 
+@pytest.fixture(scope="module")
+def calls(scene, tmp_path_factory) -> dict[str, int]:
+    """How often an undisturbed run calls each function."""
+    with pytest.MonkeyPatch.context() as watched:
+        counted = {name: Counted(watched, name, lambda call, _: None) for name in ("fsync", "replace")}
+        run_scene(scene, tmp_path_factory.mktemp("counted") / "run")
+    return {name: each.calls for name, each in counted.items()}
+
+
 @pytest.mark.parametrize("name", ["fsync", "replace"])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.95])
-def test_a_run_goes_on_after_a_call_that_failed(name, share, scene, whole, tmp_path, monkeypatch):
-    with monkeypatch.context() as counting:
-        counted = Counted(counting, name, lambda call, _: None)
-        run_scene(scene, tmp_path / "counted")
-    failing = 1 + int(share * counted.calls)
-
+def test_a_run_goes_on_after_a_call_that_failed(name, share, calls, scene, whole, tmp_path, monkeypatch):
     def fail(call: int, _: object) -> None:
-        if call == failing:
+        if call == 1 + int(share * calls[name]):
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     with monkeypatch.context() as broken, pytest.raises(ModsimError, match="Input/output error"):
         Counted(broken, name, fail)
         run_scene(scene, tmp_path / "run")
     run_scene(scene, tmp_path / "run", resume=True)
-    assert content(tmp_path / "run") == whole
+    assert run_files(tmp_path / "run") == whole
 
 
 @contextmanager
@@ -115,7 +117,7 @@ def test_a_run_goes_on_after_files_could_not_grow(size, scene, whole, tmp_path):
     with pytest.raises(ModsimError, match="File too large"), no_file_above(size):
         run_scene(scene, tmp_path / "run")
     run_scene(scene, tmp_path / "run", resume=True)
-    assert content(tmp_path / "run") == whole
+    assert run_files(tmp_path / "run") == whole
 
 
 def test_files_that_could_not_grow_are_all_closed_without_another_error(scene, tmp_path, monkeypatch):
@@ -134,7 +136,7 @@ class PowerCutError(Exception):
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.8, 0.9, 0.99])
 def test_a_run_goes_on_after_a_power_cut_that_emptied_what_was_not_on_the_disk(
-    share, scene, whole, tmp_path, monkeypatch
+    share, calls, scene, whole, tmp_path, monkeypatch
 ):
     """The worst that a file system may do: every rename has reached the disk, but of files only what was fsynced."""
     on_disk: dict[int, bytes] = {}  # by inode
@@ -148,51 +150,80 @@ def test_a_run_goes_on_after_a_power_cut_that_emptied_what_was_not_on_the_disk(
 
     def cut(call: int, _: object) -> None:
         seen.append(call)
-        if len(seen) == stop:
+        if len(seen) == int(share * sum(calls.values())):
             raise PowerCutError
 
-    stop = 0
-    with monkeypatch.context() as watched:
+    with monkeypatch.context() as watched, pytest.raises(PowerCutError):
         for name, before in (("fsync", keep), ("replace", cut)):
             Counted(watched, name, before)
-        run_scene(scene, tmp_path / "counted")
-        stop, seen = int(share * len(seen)), []
-        with pytest.raises(PowerCutError):
-            run_scene(scene, tmp_path / "run")
+        run_scene(scene, tmp_path / "run")
     for path in [path for path in (tmp_path / "run").rglob("*") if path.is_file()]:
         path.write_bytes(on_disk.get(path.stat().st_ino, b""))
     if (tmp_path / "run" / "run.json").exists():
         shutil.rmtree(tmp_path / "run" / "unfinished", ignore_errors=True)
     else:
         run_scene(scene, tmp_path / "run", resume=True)
-    assert content(tmp_path / "run") == whole
+    assert run_files(tmp_path / "run") == whole
 
 
 def interrupted(scene, folder: Path) -> list[Path]:
     """The blocks that a run keeps which is interrupted after its last."""
-    with pytest.raises(PowerCutError), pytest.MonkeyPatch.context() as broken:
-        broken.setattr(RunDirectory, "finish", lambda *_: raise_power_cut())
-        run_scene(scene, folder)
-    return sorted((folder / "unfinished").glob("truth_*.npz"))
+    return sorted((interrupt(scene, folder, blocks=2) / "unfinished").glob("truth_*.npz"))
 
 
-def raise_power_cut() -> None:
-    raise PowerCutError
+def flipped(data: bytes) -> bytes:
+    middle = len(data) // 2
+    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
 
 
-def test_a_kept_block_of_another_run_is_made_anew(scene, whole, tmp_path):
+DAMAGES = {
+    "empty": lambda data: b"",
+    "cut": lambda data: data[:5000],
+    "without its last byte": lambda data: data[:-1],
+    "one bit": flipped,
+    "zeros": lambda data: bytes(len(data)),
+    "another file": lambda data: b"PK\x03\x04" + data[:-4],
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_block_is_made_anew_and_told(scene, whole, tmp_path, capsys, damage):
+    block, _ = interrupted(scene, tmp_path / "run")
+    block.write_bytes(damage(block.read_bytes()))
+    result = run_scene(scene, tmp_path / "run", resume=True)
+    assert (result.damaged_blocks, result.resumed_steps) == (1, BLOCK)
+    assert run_files(tmp_path / "run") == whole
+    assert "1 damaged blocks of it made anew" in (tmp_path / "run" / "run.log").read_text()
+    print_summary(scene, result, sheet=False)
+    assert "blocks of the interrupted run, made anew" in capsys.readouterr().out
+
+
+def test_blocks_that_are_whole_are_taken_and_nothing_is_told(scene, whole, tmp_path):
+    interrupted(scene, tmp_path / "run")
+    result = run_scene(scene, tmp_path / "run", resume=True)
+    assert (result.damaged_blocks, result.resumed_steps) == (0, 2 * BLOCK)
+    assert run_files(tmp_path / "run") == whole
+    assert "damaged" not in (tmp_path / "run" / "run.log").read_text()
+
+
+def test_an_interrupted_run_shows_the_steps_before_a_damaged_block(scene, tmp_path):
+    _, second = interrupted(scene, tmp_path / "run")
+    second.write_bytes(flipped(second.read_bytes()))
+    run = open_run(tmp_path / "run")
+    assert finished_truth(tmp_path / "run" / "unfinished", run.scene, BLOCK, 2 * BLOCK) is None
+    assert run.steps == BLOCK
+    assert len(list(run.frames())) == BLOCK
+
+
+def test_a_kept_block_of_another_run_or_of_other_steps_is_made_anew(scene, whole, tmp_path):
     mine = interrupted(scene, tmp_path / "run")
     for block, other in zip(mine, interrupted(replace(scene, seed=1), tmp_path / "other"), strict=True):
         shutil.copy(other, block)
-    assert run_scene(scene, tmp_path / "run", resume=True).damaged_blocks == len(mine)
-    assert content(tmp_path / "run") == whole
-
-
-def test_a_kept_block_of_other_steps_is_made_anew(scene, whole, tmp_path):
-    first, second = interrupted(scene, tmp_path / "run")
+    assert run_scene(scene, tmp_path / "run", resume=True).damaged_blocks == len(mine) == 2
+    first, second = interrupted(scene, tmp_path / "steps")
     shutil.copy(first, second)
-    assert run_scene(scene, tmp_path / "run", resume=True).damaged_blocks == 1
-    assert content(tmp_path / "run") == whole
+    assert run_scene(scene, tmp_path / "steps", resume=True).damaged_blocks == 1
+    assert run_files(tmp_path / "run") == run_files(tmp_path / "steps") == whole
 
 
 def test_the_names_of_folders_that_are_made_are_on_the_disk_too(scene, tmp_path, monkeypatch):

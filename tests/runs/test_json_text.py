@@ -31,9 +31,9 @@ def made(request: pytest.FixtureRequest) -> Made:
     keys = {"duplicates": 0.5, "splits": 0.2, "split_aspect": 2, "merges": 0.5}
     settings = {f"detector.false_positives.{key}": value for key, value in keys.items()}
     settings = settings if request.param == "strait" else {}
-    scene = load_scene(request.param, steps=60, source="analytic", settings=settings)
-    truth = truth_block(scene, 0, 60, None)
-    return scene, Simulation(scene, scene_census(scene, [(truth, 0, 60)])).detect(truth, 0, 60)
+    scene = load_scene(request.param, steps=24, source="analytic", settings=settings)
+    truth = truth_block(scene, 0, 24, None)
+    return scene, Simulation(scene, scene_census(scene, [(truth, 0, 24)])).detect(truth, 0, 24)
 
 
 def plain_annotations(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:

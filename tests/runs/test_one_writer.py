@@ -14,6 +14,7 @@ from modsim3d.io.overwrite_guard import LOCK_FILE, locked_file, locked_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from tests.run_folders import run_files
 
 RUN = ("run", "harbour", "--source", "rectangles", "--steps", "800", "--no-sheet")  # several blocks
 LONG_S = 120
@@ -39,17 +40,12 @@ def stopped_after_a_block(out: Path, *options: object, by: signal.Signals = sign
     return running
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name not in ("run.log", LOCK_FILE))
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """What an undisturbed run writes."""
     folder = tmp_path_factory.mktemp("whole") / "run"
     run_scene(load_scene("harbour", source="rectangles", steps=800), folder)
-    return contents(folder)
+    return run_files(folder, LOCK_FILE)
 
 
 @pytest.mark.parametrize("option", ["--resume", "--overwrite"])
@@ -63,7 +59,7 @@ def test_a_second_process_is_refused_by_name_and_the_first_run_is_whole(prepared
     assert f"is being written by modsim3d run, process {first.pid} on {os.uname().nodename}" in second.stderr
     assert "Traceback" not in second.stderr
     assert first.wait(LONG_S) == 0
-    assert contents(tmp_path / "run") == whole
+    assert run_files(tmp_path / "run", LOCK_FILE) == whole
 
 
 def test_a_folder_is_free_at_once_when_its_writer_and_workers_were_killed(prepared, tmp_path, whole):
@@ -71,7 +67,7 @@ def test_a_folder_is_free_at_once_when_its_writer_and_workers_were_killed(prepar
     first.wait(LONG_S)
     second = done(prepared, *RUN, "--out", tmp_path / "run", "--resume", "--workers", 2)
     assert second.returncode == 0, second.stderr
-    assert contents(tmp_path / "run") == whole
+    assert run_files(tmp_path / "run", LOCK_FILE) == whole
     assert not (tmp_path / "run" / LOCK_FILE).exists()
 
 

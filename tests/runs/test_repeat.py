@@ -13,17 +13,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from modsim3d.io.input_files import data_folder
 from modsim3d.runs.repeat_run import difference, repeat_run
 from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run, read_finished
 from modsim3d.scene.reading import load_scene
 from tests.cli.bad_input.builders import Call
-from tests.cli.bad_input.conftest import call
 from tests.runs.test_stream import lines, live_scene
-
-__all__ = ["call"]  # a fixture
-RICH = data_folder("scenes") / "detectors" / "rich.yaml"
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,12 @@ from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs import pipeline
-from modsim3d.runs.pipeline import Simulation, block_ranges, simulate_frames, truth_block
+from modsim3d.runs.pipeline import Simulation, simulate_frames, truth_block
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
+from tests.run_folders import interrupt, run_files
 
-STEPS = 600
+STEPS = 300
 FILES = {
     "run.json",
     "run.log",
@@ -45,10 +46,6 @@ def finished(scene, tmp_path_factory) -> Path:
     return folder
 
 
-def content(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file() and path.name != "run.log"}
-
-
 def test_run_directory_holds_what_is_promised_and_nothing_else(finished):
     assert {path.name for path in finished.iterdir()} == FILES
 
@@ -58,7 +55,7 @@ THESIS_JSON = {"annotations_C0.json", "detections_C0.json"}
 
 def test_without_the_thesis_json_all_other_files_are_the_same_bytes(scene, finished, tmp_path):
     run_scene(scene, tmp_path / "run", thesis_json=False)
-    with_json, without = content(finished), content(tmp_path / "run")
+    with_json, without = run_files(finished), run_files(tmp_path / "run")
     assert with_json.keys() - without.keys() == THESIS_JSON
     run, expected = json.loads(without.pop("run.json")), json.loads(with_json["run.json"])
     assert run == {**expected, "files": {key: expected["files"][key] for key in expected["files"].keys() - THESIS_JSON}}
@@ -67,14 +64,8 @@ def test_without_the_thesis_json_all_other_files_are_the_same_bytes(scene, finis
 
 def test_an_interrupted_run_goes_on_with_and_without_the_thesis_json(tmp_path):
     scene = load_scene("simulation_1", mode=2, steps=300, source="analytic")
-
-    def stop(_: int) -> None:
-        raise KeyboardInterrupt
-
     for first, then in ((True, False), (False, True)):
-        folder = tmp_path / f"{first}"
-        with pytest.raises(KeyboardInterrupt):
-            run_scene(scene, folder, thesis_json=first, progress=stop)
+        folder = interrupt(scene, tmp_path / f"{first}", thesis_json=first)
         assert run_scene(scene, folder, resume=True, thesis_json=then).resumed_steps
         assert {name.name for name in folder.glob("*.json*")} - {"run.json", "tracker_input_C0.jsonl"} == (
             THESIS_JSON if then else set()
@@ -90,10 +81,10 @@ def test_replacing_a_run_leaves_no_thesis_json_of_the_old_one(tmp_path):
 
 def test_same_seed_gives_the_same_bytes_and_another_seed_others(scene, finished, tmp_path):
     run_scene(scene, tmp_path / "again")
-    assert content(tmp_path / "again") == content(finished)
+    assert run_files(tmp_path / "again") == run_files(finished)
     run_scene(load_scene("simulation_1", mode=2, steps=STEPS, seed=1), tmp_path / "other")
-    other = content(tmp_path / "other")
-    assert all(other[name] != data for name, data in content(finished).items())
+    other = run_files(tmp_path / "other")
+    assert all(other[name] != data for name, data in run_files(finished).items() if name != "scene/detector.yaml")
 
 
 def test_run_json_holds_no_time_and_no_host(finished):
@@ -198,54 +189,20 @@ def test_modes_annotate_what_they_say(mode, renderer):
     assert (boxes[partly] != truth.full_boxes_px[partly]).any() == (mode == 2)
 
 
-def test_blocks_of_any_size_give_the_same_frames(renderer):
-    scene = load_scene("simulation_1", mode=2, steps=130)
-
-    def boxes(block_steps):
-        simulation = Simulation(scene, TargetStatistics())
-        parts = []
-        for first, stop in block_ranges(scene.steps, block_steps):
-            block = simulation.detect(truth_block(scene, first, stop, renderer), first, stop)
-            parts.append(block.cameras[0].detections.boxes_px)
-        return np.concatenate(parts)
-
-    np.testing.assert_array_equal(boxes(1), boxes(64))
-    np.testing.assert_array_equal(boxes(130), boxes(64))
-
-
-def test_interrupted_run_goes_on_to_the_same_bytes(scene, finished, tmp_path, monkeypatch):
-    monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 250)
-    folder = tmp_path / "killed"
-    done = []
-
-    def stop_after_two_blocks(steps):
-        done.append(steps)
-        if len(done) == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(scene, folder, progress=stop_after_two_blocks)
+def test_interrupted_run_goes_on_to_the_same_bytes_with_the_same_settings_only(scene, finished, tmp_path, monkeypatch):
+    monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 120)
+    folder = interrupt(scene, tmp_path / "killed", blocks=2)
     assert not (folder / "run.json").exists()
     lines = (folder / "unfinished" / "detections_C0.jsonl").read_text().splitlines()
-    assert len(lines) == 500
+    assert len(lines) == 240
     assert all(json.loads(line) for line in lines)
     with pytest.raises(RunDirectoryError, match="--resume or --overwrite"):
         run_scene(scene, folder)
-    result = run_scene(scene, folder, resume=True)
-    assert result.resumed_steps == 500
-    assert content(folder) == content(finished)
-
-
-def test_interrupted_run_is_not_continued_with_other_settings(scene, tmp_path):
-    folder = tmp_path / "killed"
-
-    def stop(steps):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(scene, folder, progress=stop)
     with pytest.raises(RunDirectoryError, match="another scene, seed, settings or version"):
         run_scene(load_scene("simulation_1", mode=2, steps=STEPS, seed=5), folder, resume=True)
+    result = run_scene(scene, folder, resume=True)
+    assert result.resumed_steps == 240
+    assert run_files(folder) == run_files(finished)
 
 
 def test_python_way_gives_the_same_as_the_files(scene, finished):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +11,12 @@ import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
-from modsim3d.cli import main
 from modsim3d.detector.records import KINDS
 from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.scene import Scene
+from tests.cli.bad_input.builders import Call
+from tests.run_folders import interrupt, run_files
 
 DETECTORS = Path(__file__).resolve().parents[2] / "scenes" / "detectors"
 SCENE = """
@@ -64,50 +63,34 @@ def run(folder: Path, scene: Scene) -> Path:
     return folder / "run"
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != "run.log"}
-
-
 def test_every_kind_of_detection_is_labelled(run: Path) -> None:
     table = pq.read_table(run / "detections.parquet")
     assert set(table["kind"].to_pylist()) == set(KINDS)
 
 
-def test_blocks_of_another_length_change_no_byte(
-    folder: Path, run: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
+def test_two_workers_write_the_bytes_of_one(call: Call, folder: Path, run: Path) -> None:
+    status, said = call("run", folder / "scene.yaml", "--no-sheet", "--workers", 2, "--out", folder / "two")
+    assert status == 0, said
+    assert run_files(folder / "two") == run_files(run)
+    assert "gated" in said
+    assert "resumed" not in said
+
+
+def test_an_interrupted_run_has_a_page_and_goes_on_to_the_same_bytes(
+    call: Call, folder: Path, run: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 37)
-    modsim3d.run_scene(scene, folder / "short_blocks")
-    assert contents(folder / "short_blocks") == contents(run)
-
-
-def test_two_workers_write_the_bytes_of_one(prepared: Path, folder: Path, run: Path) -> None:
-    command = [prepared, "run", str(folder / "scene.yaml"), "--no-sheet"]
-    done = subprocess.run(
-        [*command, "--workers", "2", "--out", str(folder / "two")],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert contents(folder / "two") == contents(run)
-    assert "gated" in done.stdout
-    assert "resumed" not in done.stdout
-
-
-def test_an_interrupted_run_goes_on_to_the_same_bytes(
-    folder: Path, run: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def stop(steps: int) -> None:
-        raise KeyboardInterrupt
-
     monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 250)
-    with pytest.raises(KeyboardInterrupt):
-        modsim3d.run_scene(scene, folder / "resumed", progress=stop)
-    result = modsim3d.run_scene(scene, folder / "resumed", resume=True)
+    interrupt(scene, folder / "cut")
+    assert call("report", folder / "cut")[0] == 0
+    assert (folder / "cut" / "report.html").is_file()
+    cut = open_run(folder / "cut")
+    assert 0 < cut.steps < scene.steps
+    confidence = np.concatenate([frame.detections.confidence for frame in cut.frames()])
+    assert np.array_equal(confidence, cut.tables()["detections"]["confidence"].to_numpy())
+    (folder / "cut" / "report.html").unlink()
+    result = modsim3d.run_scene(scene, folder / "cut", resume=True)
     assert result.resumed_steps == 250
-    assert contents(folder / "resumed") == contents(run)
+    assert run_files(folder / "cut") == run_files(run)
 
 
 def test_frames_in_memory_are_those_of_the_run(run: Path, scene: Scene) -> None:
@@ -153,40 +136,9 @@ def test_the_bias_of_truncation_is_in_the_run_file(tmp_path: Path) -> None:
     assert excellent["detections"] == len(errors)
 
 
-def test_a_contact_sheet_shows_the_detections_of_the_run(prepared: Path, folder: Path) -> None:
-    command = [prepared, "run", str(folder / "scene.yaml"), "--steps", "100"]
-    done = subprocess.run(
-        [*command, "--out", str(folder / "drawn")], capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert (folder / "drawn" / "contact_sheet.png").stat().st_size > 10_000
-
-
-def command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main.main()
-    assert isinstance(ended.value.code, int)
-    return ended.value.code
-
-
-def test_the_contact_sheet_of_a_finished_run_can_be_drawn_again(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert command(monkeypatch, "view", str(run), "--sheet") == 0
+def test_a_contact_sheet_is_drawn_with_the_run_and_of_a_finished_one(call: Call, folder: Path, run: Path) -> None:
+    assert call("run", folder / "scene.yaml", "--steps", 100, "--out", folder / "drawn")[0] == 0
+    assert call("view", run, "--sheet")[0] == 0
+    for sheet in (folder / "drawn" / "contact_sheet.png", run / "contact_sheet.png"):
+        assert sheet.stat().st_size > 10_000
     (run / "contact_sheet.png").unlink()
-
-
-def test_an_interrupted_run_has_a_page_whose_tables_are_those_of_its_frames(
-    folder: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def stop_at_once(steps: int) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 250)
-    with pytest.raises(KeyboardInterrupt):
-        modsim3d.run_scene(scene, folder / "cut", progress=stop_at_once)
-    assert command(monkeypatch, "report", str(folder / "cut")) == 0
-    assert (folder / "cut" / "report.html").is_file()
-    cut = open_run(folder / "cut")
-    assert 0 < cut.steps < scene.steps
-    confidence = np.concatenate([frame.detections.confidence for frame in cut.frames()])
-    assert np.array_equal(confidence, cut.tables()["detections"]["confidence"].to_numpy())

@@ -19,6 +19,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.record import COLUMNS
+from tests.run_folders import interrupt
 from tests.scenes import write_scene
 
 BLOCK, STEPS = 100, 120  # two blocks
@@ -127,15 +128,7 @@ def test_a_run_repeated_from_its_own_copy_gives_the_same_bytes(finished, tmp_pat
 
 
 def test_an_interrupted_run_gives_the_steps_that_it_has_kept(scene, finished, tmp_path):
-    class Stop(Exception):
-        pass
-
-    def stop_at_once(steps: int) -> None:
-        raise Stop
-
-    with pytest.raises(Stop):
-        run_scene(scene, tmp_path / "cut", progress=stop_at_once)
-    run = open_run(tmp_path / "cut")
+    run = open_run(interrupt(scene, tmp_path / "cut"))
     assert not run.finished
     assert 0 < run.steps < STEPS
     assert_same_frames(run.frames(), [f for f in open_run(finished).frames() if f.step < run.steps])

@@ -14,18 +14,15 @@ import pytest
 from modsim3d.core.boxes import centre_form, corner_form
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, COLUMNS, TableColumn, schema_of
-from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
-from modsim3d.scene.reading import load_scene
 
 PAGE = Path(__file__).parents[2] / "docs" / "tables.md"
 UNITS = {"_px": "px", "_m": "m", "_rad": "rad", "_rad_s": "rad/s", "_m_s2": "m/s²", "_s": "s"}
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    scene = load_scene("strait", steps=40, source="analytic")
-    return open_run(run_scene(scene, tmp_path_factory.mktemp("runs") / "run").folder)
+def run(strait_run: StoredRun) -> StoredRun:
+    return strait_run
 
 
 def rows_of_the_page(table: str) -> list[str]:

@@ -17,22 +17,15 @@ from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
 from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.runs.stored_run import StoredRun
 from modsim3d.runs.tracker_view import tracker_lines
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 
-STEPS = 60
-
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return load_scene("strait", steps=STEPS, source="analytic")
-
-
-@pytest.fixture(scope="module")
-def run(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    return open_run(run_scene(scene, tmp_path_factory.mktemp("runs") / "run").folder)
+def run(strait_run: StoredRun) -> StoredRun:
+    return strait_run
 
 
 class Tracker:
@@ -89,11 +82,7 @@ def test_nothing_in_it_is_of_the_truth(run: StoredRun, camera: str) -> None:
         assert all(list(entry) == ["box_px", "label", "confidence"] for entry in entries)
         keys = [(-entry["confidence"], entry["box_px"], entry["label"]) for entry in entries]
         assert keys == sorted(keys)
-
-
-def block_of(scene: Scene) -> Block:
-    truth = truth_block(scene, 0, STEPS, None)
-    return Simulation(scene, scene_census(scene, [(truth, 0, STEPS)])).detect(truth, 0, STEPS)
+        assert all(edge == round(edge, 3) for entry in entries for edge in entry["box_px"])  # no last bits
 
 
 def lines_with(scene: Scene, block: Block, part: CameraBlock, detections: Detections) -> list[bytes]:
@@ -105,8 +94,10 @@ def permuted(detections: Detections, order: Indices) -> Detections:
     return replace(detections, **{name: getattr(detections, name)[order] for name in columns})
 
 
-def test_the_lines_do_not_depend_on_where_detections_came_from_or_in_which_order(scene: Scene) -> None:
-    block = block_of(scene)
+def test_the_lines_do_not_depend_on_where_detections_came_from_or_in_which_order(run: StoredRun) -> None:
+    scene, steps = run.scene, run.steps
+    truth = truth_block(scene, 0, steps, None)
+    block = Simulation(scene, scene_census(scene, [(truth, 0, steps)])).detect(truth, 0, steps)
     for part in block.cameras:
         found = part.detections
         lines = partial(lines_with, scene, block, part)
@@ -115,10 +106,3 @@ def test_the_lines_do_not_depend_on_where_detections_came_from_or_in_which_order
         nobody = np.full(len(found), -1)
         unknown = replace(found, target=nobody, partner=nobody, kind=np.ones_like(found.kind))
         assert lines(found) == lines(by_origin) == lines(by_size) == lines(unknown)
-
-
-def test_the_last_bits_of_a_box_tell_nothing(run: StoredRun) -> None:
-    boxes = [
-        entry["box_px"] for entries in fed(run.folder / "tracker_input_bow.jsonl").seen.values() for entry in entries
-    ]
-    assert all(edge == round(edge, 3) for box in boxes for edge in box)

@@ -38,6 +38,7 @@ from modsim3d.truth.crosscheck import comparison
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.silhouettes import Spans
+from tests.run_folders import interrupt
 from tests.scenes import write_scene
 
 BOATS = {
@@ -134,29 +135,18 @@ def span_off_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     patched(monkeypatch, rendered, "scan_convert", longer)
 
 
-def occluder_misnamed(monkeypatch: pytest.MonkeyPatch) -> None:
-    original = Occlusion.truth
-
-    def misnamed(self: Occlusion, *args: Any) -> Any:
-        truth = original(self, *args)
-        return replace(truth, occluder=np.where(truth.occluder == 1, 3, truth.occluder))
-
-    monkeypatch.setattr(Occlusion, "truth", misnamed)
-
-
-def box_one_pixel_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    original = Occlusion.truth
-
-    def wide(self: Occlusion, *args: Any) -> Any:
-        truth = original(self, *args)
-        return replace(truth, full_boxes_px=truth.full_boxes_px + np.array([0.0, 0.0, 1.0, 0.0]))
-
-    monkeypatch.setattr(Occlusion, "truth", wide)
-
-
 def change_record(monkeypatch: pytest.MonkeyPatch, change: Callable[[Any], Any]) -> None:
     original = Occlusion.truth
     monkeypatch.setattr(Occlusion, "truth", lambda self, *args: change(original(self, *args)))
+
+
+def box_one_pixel_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    wide = np.array([0.0, 0.0, 1.0, 0.0])
+    change_record(monkeypatch, lambda truth: replace(truth, full_boxes_px=truth.full_boxes_px + wide))
+
+
+def occluder_misnamed(monkeypatch: pytest.MonkeyPatch) -> None:
+    change_record(monkeypatch, lambda truth: replace(truth, occluder=np.where(truth.occluder == 1, 3, truth.occluder)))
 
 
 def rows_lost(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -349,12 +339,7 @@ def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path:
     assert run_scene(scene, tmp_path / "blocks").checked == plain.checked
     assert run_scene(scene, tmp_path / "workers", workers=2).checked == plain.checked
 
-    def stop(_: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(scene, tmp_path / "resumed", progress=stop)
-    resumed = run_scene(scene, tmp_path / "resumed", resume=True)
+    resumed = run_scene(scene, interrupt(scene, tmp_path / "resumed"), resume=True)
     assert resumed.resumed_steps
     assert resumed.checked == plain.checked
 

@@ -7,25 +7,19 @@ import sys
 import time
 from pathlib import Path
 
-import pytest
-
 from modsim3d.runs import pipeline
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
+from tests.run_folders import run_files
 
 COMMAND = ["run", "harbour", "--no-sheet"]
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != "run.log"}
-
-
-def test_two_workers_write_the_bytes_of_one(prepared, tmp_path):
-    for workers in ("1", "2"):
-        out = ["--steps", "330", "--workers", workers, "--out", str(tmp_path / workers)]
-        done = subprocess.run([prepared, *COMMAND, *out], capture_output=True, text=True, timeout=120, check=False)
-        assert done.returncode == 0, done.stderr
-    assert contents(tmp_path / "1") == contents(tmp_path / "2")
+def test_two_workers_write_the_bytes_of_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", BLOCK_STEPS)
+    for workers in (1, 2):
+        run_scene(load_scene("harbour", steps=55), tmp_path / str(workers), workers=workers)
+    assert run_files(tmp_path / "1") == run_files(tmp_path / "2")
 
 
 def children(pid: int) -> list[int]:
@@ -73,7 +67,7 @@ def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_blo
     ranges = [name.removesuffix(".npz").split("_")[1:] for name in kept]
     assert resumed.resumed_steps == sum(int(stop) - int(first) for first, stop in ranges)
     run_scene(scene, tmp_path / "whole")
-    assert contents(tmp_path / "run") == contents(tmp_path / "whole")
+    assert run_files(tmp_path / "run") == run_files(tmp_path / "whole")
 
 
 def wait_for(state, running):
@@ -134,9 +128,3 @@ def test_script_without_a_main_guard_runs_once(tmp_path):
     )
     assert (done.returncode, done.stdout) == (0, "begins\n"), done.stderr
     assert (tmp_path / "run" / "run.json").exists()
-
-
-@pytest.mark.parametrize("workers", ["0", "-1", "two"])
-def test_number_of_workers_must_be_positive(prepared, workers, tmp_path):
-    out = ["--workers", workers, "--out", str(tmp_path / "run")]
-    assert subprocess.run([prepared, *COMMAND, *out], capture_output=True, check=False, timeout=60).returncode == 2

@@ -25,17 +25,11 @@ from modsim3d.view.films.plan import FilmPlan
 from modsim3d.view.films.renderer import FilmRenderer
 from modsim3d.view.pictures.plain import open_id_renderer
 from modsim3d.view.report.report import write_report
-from tests.scenes import CAMERA_HEIGHT_M, write_scene
+from tests.scenes import CAMERA_HEIGHT_M, camera_keys, write_scene
 from tests.view.report.unpacking import read
 
 STEP_S, STEPS = 0.1, 60
-LENS = {
-    "focal_length_m": 0.01,
-    "pixel_size_m": [1e-5, 1e-5],
-    "principal_point_px": [400, 300],
-    "image_size_px": [800, 600],
-    "pose": {"position_m": [0, 0, CAMERA_HEIGHT_M]},
-}
+LENS = camera_keys(pose={"position_m": [0, 0, CAMERA_HEIGHT_M]})
 BOATS = {
     "boat": ([10, 4, 3], [[0, 150, 10], [400, 150, 12]]),
     "sail": ([12, 4, 16], [[0, 120, -10], [400, 122, -10]]),

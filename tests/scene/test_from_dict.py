@@ -20,21 +20,15 @@ from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run import settings_of
 from modsim3d.runs.stored_run import open_run
 from tests.cli.bad_input.builders import ASHORE, GOOD, lens
+from tests.run_folders import interrupt, run_files
 
 SCENES = data_folder("scenes")
 THESIS = SCENES / "detectors" / "thesis.yaml"
 
 
-def content(folder: Path) -> dict[str, bytes]:
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "run.log")
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
-
-
 def results(folder: Path) -> dict[str, bytes]:
     """The files of a run but for the copy of its scene and the checksum of that."""
-    found = content(folder)
-    del found["run.json"]
-    return {name: data for name, data in found.items() if not name.startswith("scene/")}
+    return {name: data for name, data in run_files(folder, "run.json").items() if not name.startswith("scene/")}
 
 
 def good(steps: int = 6) -> dict:
@@ -95,28 +89,24 @@ def test_its_run_is_a_run_like_any_other(detector, tmp_path, monkeypatch):
         data["detector"] = Path("mine.yaml") if detector == "file" else load_detector("mine.yaml")
     scene = Scene.from_dict(data, name="mine")
     run_scene(scene, Path("run"))
-    assert {"scene/mine.json", "scene/poses.json", "scene/detector.yaml"} <= content(Path("run")).keys()
+    assert {"scene/mine.json", "scene/poses.json", "scene/detector.yaml"} <= run_files(Path("run")).keys()
     Path("mine.yaml").unlink(missing_ok=True)
     said = CliRunner().invoke(app, ["repeat", "run"], catch_exceptions=False)
     assert said.exit_code == 0, said.output
     again = CliRunner().invoke(app, ["run", "run/scene/mine.json", "--out", "again", "--no-sheet"])
     assert again.exit_code == 0
-    assert content(Path("again")) == content(Path("run"))
+    assert run_files(Path("again")) == run_files(Path("run"))
     assert open_run(Path("run")).scene.sha256 == scene.sha256
     if detector != "file":
         run_scene(scene, Path("workers"), workers=2)
-        assert content(Path("workers")) == content(Path("run"))
+        assert run_files(Path("workers")) == run_files(Path("run"))
 
 
 def test_an_interrupted_run_of_it_goes_on(tmp_path):
-    def stop(_: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(Scene.from_dict(good()), tmp_path / "run", progress=stop)
+    interrupt(Scene.from_dict(good()), tmp_path / "run")
     assert run_scene(Scene.from_dict(good()), tmp_path / "run", resume=True).resumed_steps
     run_scene(Scene.from_dict(good()), tmp_path / "whole")
-    assert content(tmp_path / "run") == content(tmp_path / "whole")
+    assert run_files(tmp_path / "run") == run_files(tmp_path / "whole")
 
 
 def test_it_keeps_nothing_of_the_callers(tmp_path):
@@ -129,7 +119,7 @@ def test_it_keeps_nothing_of_the_callers(tmp_path):
     data["detector"]["states"]["clear"]["confusion"][0][0] = 0.0
     data["cameras"]["bow"]["mount"]["position_m"][:] = 0.0
     run_scene(scene, tmp_path / "after")
-    assert content(tmp_path / "after") == content(tmp_path / "before")
+    assert run_files(tmp_path / "after") == run_files(tmp_path / "before")
     with pytest.raises(ValueError, match="read-only"):
         scene.poses.poses(0, 1).positions_m[:] = 0.0
 
@@ -145,7 +135,7 @@ def test_columns_may_be_named_in_any_order_and_places_may_have_a_height(tmp_path
         "positions_m": deep.tolist(), "headings_rad": headings, "times_s": times, "names": ["vehicle2", "vehicle1"],
     }  # fmt: skip
     run_scene(Scene.from_dict(data), tmp_path / "named")
-    assert content(tmp_path / "named") == content(tmp_path / "plain")
+    assert run_files(tmp_path / "named") == run_files(tmp_path / "plain")
     data = good()
     one = {key: data["poses"][key][:, :1] for key in ("positions_m", "headings_rad")}
     data["poses"] = {**one, "time_step_s": np.float32(0.5), "names": np.array(["vehicle1"])}
@@ -233,96 +223,64 @@ def spoiled(key: str, place: tuple[int, ...], value: float) -> dict:
     return data
 
 
-@pytest.mark.parametrize(
-    ("data", "problem"),
-    [
-        (changed(positions_m=None), "poses.positions_m: missing; an array of shape (T, N, 2) or (T, N, 3) is needed"),
-        (changed(headings_rad=None), "poses.headings_rad: missing; an array of shape (T, N) is needed"),
-        (
-            changed(positions_m=np.zeros((6, 3, 2))),
-            "poses.positions_m: shape (T, 2, 2) or (T, 2, 3) is needed, a column "
-            "for each of the 2 vessels named (got (6, 3, 2))",
-        ),
-        (
-            changed(positions_m=np.zeros((6, 2, 4))),
-            "poses.positions_m: shape (T, 2, 2) or (T, 2, 3) is needed, a column "
-            "for each of the 2 vessels named (got (6, 2, 4))",
-        ),
-        (
-            changed(headings_rad=np.zeros((6, 3))),
-            "poses.headings_rad: shape (6, 2) is needed, that of positions_m (got (6, 3))",
-        ),
-        (
-            changed(positions_m=np.zeros((0, 2, 2)), headings_rad=np.zeros((0, 2))),
-            "poses.positions_m: at least one step is needed (got none)",
-        ),
-        (changed(positions_m=np.full((6, 2, 2), "1")), "poses.positions_m: numbers are needed (got an array of <U1)"),
-        (
-            changed(headings_rad=np.zeros((6, 2), dtype=bool)),
-            "poses.headings_rad: numbers are needed (got an array of bool)",
-        ),
-        (
-            changed(positions_m=[[[0, 0], [1]]]),
-            "poses.positions_m: an array of shape (T, N, 2) or (T, N, 3) is needed, and its rows differ in length",
-        ),
-        (
-            spoiled("positions_m", (3, 1), np.nan),
-            "poses.positions_m[3]: 'vehicle2' is NaN, but its heading is not; both "
-            "are finite, or both NaN where a vessel is absent",
-        ),
-        (
-            spoiled("positions_m", (3, 1, 0), np.nan),
-            "poses.positions_m[3]: 'vehicle2' is a place of which only a part is "
-            "NaN; both are finite, or both NaN where a vessel is absent",
-        ),
-        (
-            spoiled("headings_rad", (4, 0), np.nan),
-            "poses.headings_rad[4]: 'vehicle1' is NaN, but its position is not; "
-            "both are finite, or both NaN where a vessel is absent",
-        ),
-        (
-            spoiled("headings_rad", (4, 0), np.inf),
-            "poses.headings_rad[4]: 'vehicle1' is infinite; both are finite, or both NaN where a vessel is absent",
-        ),
-        (
-            spoiled("positions_m", (slice(2, 5), 1, 1), -np.inf),
-            "poses.positions_m[2]: 'vehicle2' is more than 1e+09 m "
-            "away, and so in 2 more places; both are finite, or both NaN where a vessel is absent",
-        ),
-        (changed(time_step_s=None), "poses: give exactly one of time_step_s and times_s"),
-        (changed(times_s=np.arange(6)), "poses: give exactly one of time_step_s and times_s"),
-        (changed(time_step_s=0), "poses.time_step_s: a number of seconds from 1e-09 to 1e+09 is needed (got 0)"),
-        (
-            changed(time_step_s="0.1"),
-            "poses.time_step_s: a number of seconds from 1e-09 to 1e+09 is needed (got '0.1')",
-        ),
-        (
-            changed(time_step_s=None, times_s=[0, 1, 2, 2, 3, 4]),
-            "poses.times_s[3]: times must increase, but 2 s comes after 2 s",
-        ),
-        (
-            changed(time_step_s=None, times_s=[0, 1]),
-            "poses.times_s: shape (6,) is needed, a time for each step (got (2,))",
-        ),
-        (
-            changed(time_step_s=None, times_s=[0, 1, 2, np.nan, 3, 4]),
-            "poses.times_s: finite numbers of seconds are needed (got NaN or infinity)",
-        ),
-        (changed(names=["vehicle1", "vehicle3"]), "poses.names: no vessel 'vehicle3' (did you mean 'vehicle2'?)"),
-        (changed(names=["vehicle1", "vehicle1"]), "poses.names: 'vehicle1' appears twice"),
-        (changed(names=[1, 2]), "poses.names: a list of vessel IDs is needed (got [1, 2])"),
-        (changed(position_m=1), "poses.position_m: unknown key (did you mean 'positions_m'?)"),
-        (good() | {"steps": 7}, "steps: 7 asked for, but the pose file has 6"),
-        (good() | {"colour": 1}, "colour: unknown key (known: "),
-    ],
-)
+def scene_with(**keys: object) -> dict:
+    return {key: value for key, value in (good() | keys).items() if value is not None}
+
+
+NONE = changed(positions_m=np.zeros((0, 2, 2)), headings_rad=np.zeros((0, 2)))
+WRONG = [
+    (changed(positions_m=None), "poses.positions_m: missing; an array of shape (T, N, 2) or (T, N, 3) is needed"),
+    (changed(headings_rad=None), "poses.headings_rad: missing; an array of shape (T, N) is needed"),
+    (changed(positions_m=np.zeros((6, 3, 2))), "poses.positions_m: shape (T, 2, 2) or (T, 2, 3) is needed, a column "
+     "for each of the 2 vessels named (got (6, 3, 2))"),
+    (changed(positions_m=np.zeros((6, 2, 4))), "poses.positions_m: shape (T, 2, 2) or (T, 2, 3) is needed"),
+    (changed(headings_rad=np.zeros((6, 3))), "poses.headings_rad: shape (6, 2) is needed, that of positions_m (got "),
+    (NONE, "poses.positions_m: at least one step is needed (got none)"),
+    (changed(positions_m=np.full((6, 2, 2), "1")), "poses.positions_m: numbers are needed (got an array of <U1)"),
+    (changed(headings_rad=np.zeros((6, 2), dtype=bool)), "poses.headings_rad: numbers are needed (got an array of "),
+    (changed(positions_m=[[[0, 0], [1]]]), "poses.positions_m: an array of shape (T, N, 2) or (T, N, 3) is needed, and "
+     "its rows differ in length"),
+    (spoiled("positions_m", (3, 1), np.nan), "poses.positions_m[3]: 'vehicle2' is NaN, but its heading is not; both "
+     "are finite, or both NaN where a vessel is absent"),
+    (spoiled("positions_m", (3, 1, 0), np.nan), "poses.positions_m[3]: 'vehicle2' is a place of which only a part is"),
+    (spoiled("headings_rad", (4, 0), np.nan), "poses.headings_rad[4]: 'vehicle1' is NaN, but its position is not; "),
+    (spoiled("headings_rad", (4, 0), np.inf), "poses.headings_rad[4]: 'vehicle1' is infinite; both are finite, or"),
+    (spoiled("positions_m", (slice(2, 5), 1, 1), -np.inf), "poses.positions_m[2]: 'vehicle2' is more than 1e+09 m "
+     "away, and so in 2 more places; both are finite, or both NaN where a vessel is absent"),
+    (changed(time_step_s=None), "poses: give exactly one of time_step_s and times_s"),
+    (changed(times_s=np.arange(6)), "poses: give exactly one of time_step_s and times_s"),
+    (changed(time_step_s=0), "poses.time_step_s: a number of seconds from 1e-09 to 1e+09 is needed (got 0)"),
+    (changed(time_step_s="0.1"), "poses.time_step_s: a number of seconds from 1e-09 to 1e+09 is needed (got '0.1')"),
+    (changed(time_step_s=None, times_s=[0, 1, 2, 2, 3, 4]), "poses.times_s[3]: times must increase, but 2 s comes"),
+    (changed(time_step_s=None, times_s=[0, 1]), "poses.times_s: shape (6,) is needed, a time for each step (got "),
+    (changed(time_step_s=None, times_s=[0, 1, 2, np.nan, 3, 4]), "poses.times_s: finite numbers of seconds are"),
+    (changed(names=["vehicle1", "vehicle3"]), "poses.names: no vessel 'vehicle3' (did you mean 'vehicle2'?)"),
+    (changed(names=["vehicle1", "vehicle1"]), "poses.names: 'vehicle1' appears twice"),
+    (changed(names=[1, 2]), "poses.names: a list of vessel IDs is needed (got [1, 2])"),
+    (changed(position_m=1), "poses.position_m: unknown key (did you mean 'positions_m'?)"),
+    (scene_with(steps=7), "steps: 7 asked for, but the pose file has 6"),
+    (scene_with(colour=1), "colour: unknown key (known: "),
+    (scene_with(detector=None), "detector: missing"),
+    (scene_with(poses=None), "poses: missing"),
+    (scene_with(vessels=None), "vessels: missing"),
+    (scene_with(detector=7), "detector: must be a mapping with the keys labels"),
+    (scene_with(poses=np.zeros((6, 2, 2))), "poses: a mapping of keys is needed"),
+    (scene_with(vessels={1: {}}), "vessels: a vessel's ID must be text"),
+    (scene_with(cameras={"bow": object()}), "cameras.bow: a mapping of keys is needed (got <object"),
+    (scene_with(seed=1.5), "seed: "),
+    (scene_with(seed={1, 2}), "seed: "),
+]  # fmt: skip
+
+CAUSES_OF_OTHERS = ("vessels: missing", "vessels: a vessel's ID must be text")
+
+
+@pytest.mark.parametrize(("data", "problem"), WRONG)
 def test_what_is_wrong_is_said_in_a_line(data, problem):
     with pytest.raises(InputError) as error:
         Scene.from_dict(data)
     assert error.value.source == "scene"
-    (found,) = error.value.problems
-    assert found.startswith(problem)
-    assert problem.endswith("(known: ") or found == problem
+    assert [found for found in error.value.problems if found.startswith(problem)]
+    assert len(error.value.problems) == 1 or problem in CAUSES_OF_OTHERS, error.value.problems
 
 
 def test_every_problem_is_said_at_once_with_its_path():
@@ -344,49 +302,20 @@ def test_every_problem_is_said_at_once_with_its_path():
     assert "scene scene" not in said and str(error.value).startswith("scene:\n")
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "problem"),
-    [
-        ("detector", None, "detector: missing"),
-        ("poses", None, "poses: missing"),
-        ("vessels", None, "vessels: missing"),
-        ("detector", 7, "detector: must be a mapping with the keys labels"),
-        ("poses", np.zeros((6, 2, 2)), "poses: a mapping of keys is needed"),
-        ("vessels", {1: {}}, "vessels: a vessel's ID must be text"),
-        ("cameras", {"bow": object()}, "cameras.bow: a mapping of keys is needed (got <object"),
-        ("seed", 1.5, "seed: "),
-        ("seed", {1, 2}, "seed: "),
-    ],
-)
-def test_what_is_missing_or_of_another_kind_is_said(key, value, problem):
-    data = good()
-    data[key] = value
-    if value is None:
-        del data[key]
-    with pytest.raises(InputError) as error:
-        Scene.from_dict(data)
-    assert any(found.startswith(problem) for found in error.value.problems), error.value.problems
-
-
-def test_a_detector_that_was_changed_is_refused_because_no_file_would_give_it(tmp_path):
+def test_what_no_file_could_give_is_refused():
+    nested = good()
+    nested["waves"] = nested
     detector = replace(load_detector(THESIS), confidence_threshold=0.5)
-    with pytest.raises(InputError, match="detector: was changed, or was not made by load_detector"):
-        Scene.from_dict({**good(), "detector": detector})
-
-
-@pytest.mark.parametrize("name", ["", "a/b", "a.b", "../a", 7, "a" * 101])
-def test_a_name_must_fit_a_file(name):
-    with pytest.raises(InputError, match="name: it goes into file names"):
-        Scene.from_dict(good(), name=name)
-
-
-def test_what_is_no_mapping_or_holds_itself_is_refused():
-    with pytest.raises(InputError, match="a mapping of keys is needed"):
-        Scene.from_dict([1])
-    data = good()
-    data["waves"] = data
-    with pytest.raises(InputError, match="nested too deeply"):
-        Scene.from_dict(data)
+    for data, said in (
+        ([1], "a mapping of keys is needed"),
+        (nested, "nested too deeply"),
+        (good() | {"detector": detector}, "detector: was changed, or was not made by load_detector"),
+    ):
+        with pytest.raises(InputError, match=said):
+            Scene.from_dict(data)
+    for name in ("", "a/b", "a.b", "../a", 7, "a" * 101):
+        with pytest.raises(InputError, match="name: it goes into file names"):
+            Scene.from_dict(good(), name=name)
 
 
 def test_errors_of_the_run_name_the_scene(tmp_path):

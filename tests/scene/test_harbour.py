@@ -10,10 +10,10 @@ import pytest
 import shapely
 import yaml
 
-from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import load_scene
+from tests.scenes import footprints
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -39,17 +39,12 @@ def test_thirty_vessels_from_kayak_to_large_ship_are_there_throughout(scene):
 
 
 def test_no_two_vessels_ever_touch(scene):
-    steps = np.arange(0, scene.steps, 5)
-    poses = scene.poses.poses(0, scene.steps)
-    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
-    extents = np.array([vessel.extents_m[:2] for vessel in scene.vessels])
-    turns = world_R_vehicle(poses.headings_rad[steps])[..., :2, :2]
-    places = poses.positions_m[steps][..., None, :2]
-    footprints = shapely.polygons((corners * extents[:, None]) @ np.swapaxes(turns, -1, -2) + places)
-    assert footprints.shape == (80, 30)
-    np.testing.assert_allclose(shapely.area(footprints), np.tile(extents.prod(axis=1), (80, 1)))
+    hulls = footprints(scene, np.arange(0, scene.steps, 5))
+    assert hulls.shape == (80, 30)
+    areas_m2 = [vessel.length_m * vessel.beam_m for vessel in scene.vessels]
+    np.testing.assert_allclose(shapely.area(hulls), np.tile(areas_m2, (80, 1)))
     first, second = np.array(list(combinations(range(30), 2))).T
-    apart = shapely.distance(footprints[:, first], footprints[:, second])
+    apart = shapely.distance(hulls[:, first], hulls[:, second])
     assert apart.min() > 1.0
 
 

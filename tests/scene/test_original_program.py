@@ -13,6 +13,7 @@ import pytest
 
 from modsim3d import Scene, camera_placement
 from modsim3d.runs.pipeline import open_renderer, truth_block
+from tests.scenes import camera_keys
 
 FITTED = {"position_m": [2472.2256, 1000, 20], "pitch_rad": 0.00809004, "yaw_rad": np.pi}
 FILE = Path(__file__).parents[1] / "data" / "modsim" / "simulation_1.csv"
@@ -25,13 +26,7 @@ PUBLISHED_PX = np.concatenate([CENTRES - SIZES / 2, CENTRES + SIZES / 2], axis=-
 
 def annotated(source):
     """Corners of the annotated boxes of both steps in mode 0, shape (2, 5, 4)."""
-    camera = {
-        "focal_length_m": 0.05,
-        "pixel_size_m": [1e-5, 1e-5],
-        "principal_point_px": [1800, 1200],
-        "image_size_px": [3600, 2400],
-        "pose": FITTED,
-    }
+    camera = camera_keys(3600, 2400, focal_length_m=0.05, pose=FITTED)
     sizes = ("length_m", "beam_m", "air_draft_m")
     vessels = {str(row["vessel"]): {"label": "Vessel", **{size: float(row[size]) for size in sizes}} for row in ROWS[0]}
     positions = np.stack([ROWS["w1_m"], ROWS["w2_m"]], axis=-1)

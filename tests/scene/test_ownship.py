@@ -232,7 +232,7 @@ def test_a_table_from_before_attitudes_were_measured_is_read_as_that_of_a_perfec
         assert again[name].equals(table[name]), name
 
 
-def test_run_writes_a_row_for_each_step_and_own_ship(tmp_path, scene):
+def test_run_writes_a_row_for_each_step_and_own_ship_and_no_file_without_one(tmp_path, scene):
     imu = Imu(rate_noise_rad_s=0.01)
     rough = replace(scene, waves=Waves(Swinging(0.2, 0.3)), imu=imu)
     run_scene(rough, tmp_path / "run")
@@ -245,23 +245,19 @@ def test_run_writes_a_row_for_each_step_and_own_ship(tmp_path, scene):
     np.testing.assert_array_equal(table["roll_rad"], own.angles_rad[:, 0, 0])
     np.testing.assert_array_equal(table["measured_p_rad_s"], own.measured_rates_rad_s[:, 0, 0])
     np.testing.assert_array_equal(table["f3_m_s2"], own.forces_m_s2[:, 0, 2])
+    run_scene(replace(scene, cameras=scene.cameras[:1]), tmp_path / "ashore")
+    assert not (tmp_path / "ashore" / "ownship.parquet").exists()
 
 
 def test_table_is_the_same_bytes_however_the_run_is_split(tmp_path, scene, monkeypatch):
-    rough = replace(scene, waves=Waves(Swinging(0.2, 0.3)), imu=Imu(rate_noise_rad_s=0.01, rate_bias_rad_s=0.1))
+    short = load_scene(tmp_path / "scene.yaml", steps=30)
+    rough = replace(short, waves=Waves(Swinging(0.2, 0.3)), imu=Imu(rate_noise_rad_s=0.01, rate_bias_rad_s=0.1))
     written = []
-    for steps in (1, 7, STEPS):
+    for steps in (1, 7, 30):
         monkeypatch.setattr("modsim3d.runs.pipeline.block_steps", lambda scene, steps=steps: steps)
         run_scene(rough, tmp_path / str(steps))
         written.append((tmp_path / str(steps) / "ownship.parquet").read_bytes())
     assert written[0] == written[1] == written[2]
-
-
-def test_run_without_an_own_ship_has_no_such_file(tmp_path, scene):
-    ashore = replace(scene, cameras=scene.cameras[:1])
-    run_scene(ashore, tmp_path / "run")
-    assert not (tmp_path / "run" / "ownship.parquet").exists()
-    assert (tmp_path / "run" / "truth.parquet").exists()
 
 
 def test_two_own_ships_take_turns_in_the_table(tmp_path, scene):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -175,8 +173,3 @@ def test_an_absent_vessel_is_left_out(tmp_path):
 def test_a_step_that_the_scene_does_not_have_is_refused(scene, step):
     with pytest.raises(ModsimError, match=f"there is no step {step}; the scene has steps 0 to 299"):
         scene.at(step)
-
-
-def test_trimesh_is_loaded_only_when_it_is_needed():
-    code = "import sys, modsim3d; modsim3d.load_scene('simulation_1').at(0); sys.exit('trimesh' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -7,11 +7,11 @@ import pytest
 import shapely
 import yaml
 
-from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.sources.compare import compare_sources
+from tests.scenes import footprints
 
 
 @pytest.fixture(scope="module")
@@ -20,32 +20,26 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def footprints(scene):
-    """Of all vessels at every fifth step, shape (S, V)."""
-    steps = np.arange(0, scene.steps, 5)
-    poses = scene.poses.poses(0, scene.steps)
-    assert poses.present.all()
-    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
-    extents = np.array([vessel.extents_m[:2] for vessel in scene.vessels])
-    turns = world_R_vehicle(poses.headings_rad[steps])[..., :2, :2]
-    places = poses.positions_m[steps][..., None, :2]
-    return shapely.polygons((corners * extents[:, None]) @ np.swapaxes(turns, -1, -2) + places)
+def hulls(scene):
+    """Rectangles of all vessels at every fifth step, shape (S, V)."""
+    assert scene.poses.poses(0, scene.steps).present.all()
+    return footprints(scene, np.arange(0, scene.steps, 5))
 
 
-def test_no_two_vessels_ever_touch(footprints):
-    first, second = np.array(list(combinations(range(footprints.shape[1]), 2))).T
-    assert shapely.distance(footprints[:, first], footprints[:, second]).min() > 5
+def test_no_two_vessels_ever_touch(hulls):
+    first, second = np.array(list(combinations(range(hulls.shape[1]), 2))).T
+    assert shapely.distance(hulls[:, first], hulls[:, second]).min() > 5
 
 
-def test_no_vessel_touches_land_or_the_bridge(scene, footprints):
+def test_no_vessel_touches_land_or_the_bridge(scene, hulls):
     keys = yaml.safe_load((data_folder("scenes") / "strait.yaml").read_text(encoding="utf-8"))["obstacles"]
     highest = max(vessel.air_draft_m for vessel in scene.vessels)
     for name, obstacle in keys.items():
         if obstacle.get("base_m", 0) > highest + 3:
             assert name == "bridge_deck"
-            assert shapely.intersects(footprints, shapely.Polygon(obstacle["polygon_m"])).any()  # they pass below it
+            assert shapely.intersects(hulls, shapely.Polygon(obstacle["polygon_m"])).any()  # they pass below it
             continue
-        assert shapely.distance(footprints, shapely.Polygon(obstacle["polygon_m"])).min() > 5, name
+        assert shapely.distance(hulls, shapely.Polygon(obstacle["polygon_m"])).min() > 5, name
 
 
 def test_every_shipped_mesh_is_there_and_obstacles_and_own_hull_hide(scene, renderer):

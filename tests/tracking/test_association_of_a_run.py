@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modsim3d.core.arrays import NOBODY
 from modsim3d.formats.writing import mot
 from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.scores.association import clear, hota, identity

@@ -7,9 +7,10 @@ import re
 import numpy as np
 import pytest
 
-from modsim3d.tracking.score_page import _bin_table
+from modsim3d.tracking.score_page import _cells
 from modsim3d.tracking.scores.breakdown import Bin, association_of_pairs, breakdown
 from modsim3d.tracking.scores.scored import Scored
+from modsim3d.view.pages.tables import table
 from tests.tracking.hand_made import LABELS, Seen, box, hand_made
 
 VISIBLE = (1, 0.8, 0.6, 0.3, 0.1, 0, 1, 1)
@@ -133,9 +134,7 @@ def test_a_run_without_vessels_has_no_bins() -> None:
 
 def test_bars_of_the_page_have_one_width_for_a_share_in_all_columns() -> None:
     """Whatever the columns are as wide as: 0.91 under a narrow heading is longer than 0.65 under a wide one."""
-    bins = {
-        "sort": {"near": Bin("near", 9, 0.91, 0.65)},
-        "a tracker with a long name": {"near": Bin("near", 9, 1.0, None)},
-    }
-    widths = re.findall(r"transparent ([0-9.]+)rem\)", _bin_table(bins, of_occlusions=False))
+    bins = (Bin("near", 9, 0.91, 0.65), Bin("near", 9, 1.0, None))
+    html = table([_cells(bins, "recall", "association")])
+    widths = re.findall(r"transparent ([0-9.]+)rem\)", html)
     assert [float(width) for width in widths] == pytest.approx([3.5 * share for share in (0.91, 0.65, 1, 0)], abs=0.01)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from modsim3d.core.text import number
 from modsim3d.tracking.detector_seeds import Spread
-from modsim3d.tracking.score_text import number
 
 
 def test_half_an_interval_is_the_quantile_of_students_t_times_the_standard_error() -> None:

@@ -88,19 +88,13 @@ def test_without_noise_and_misses_the_true_boxes_come_back(perfect):
     np.testing.assert_array_equal(raw.boxes_px, np.round(truth.boxes_px[truth_at(truth, raw)], 3))
 
 
-def test_without_noise_the_smoother_changes_no_detected_box(perfect):
+def test_without_noise_the_smoother_changes_no_detected_box_and_bridges_a_hidden_vessel(perfect):
     truth = TrueTracks.of(perfect)
     raw = oracle_tracks(perfect, truth, smoothed=False)
     smoothed = oracle_tracks(perfect, truth, smoothed=True, noise=EXACT)
     seen = np.isfinite(smoothed.confidence)
     assert (smoothed.frame[seen].tolist(), smoothed.track[seen].tolist()) == (raw.frame.tolist(), raw.track.tolist())
     np.testing.assert_allclose(smoothed.boxes_px[seen], raw.boxes_px, rtol=0, atol=1e-6)
-
-
-def test_a_vessel_that_is_hidden_is_bridged(perfect):
-    truth = TrueTracks.of(perfect)
-    raw = oracle_tracks(perfect, truth, smoothed=False)
-    smoothed = oracle_tracks(perfect, truth, smoothed=True, noise=EXACT)
     assert len(smoothed) > len(raw)
     hidden = truth.take(truth.hidden)
     keys = set(zip(smoothed.frame.tolist(), smoothed.track.tolist(), strict=True))

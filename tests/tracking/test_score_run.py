@@ -146,17 +146,14 @@ def test_tracks_in_the_world_have_a_table_of_their_own(run: StoredRun, tmp_path:
     assert score_data(scores)["world"][0]["rmse_m"] is None
 
 
-def test_tracks_in_the_world_of_one_name_are_told_apart(run: StoredRun, tmp_path: Path) -> None:
+def test_tracks_of_one_name_are_told_apart(run: StoredRun, tracks: Path, perfect: TrackSet, tmp_path: Path) -> None:
+    names = [each.name for each in score_run(run, [perfect, replace(perfect), tracks]).trackers]
+    assert names == ["perfect 1", "perfect 2", "reference"]
     paths = [tmp_path / name / "fused.csv" for name in ("a", "b")]
     for path in paths:
         path.parent.mkdir()
         path.write_text("time_s,track,w1_m,w2_m\n0,1,5000,5000\n")
     assert [each.name for each in score_run(run, paths).world] == [str(path) for path in paths]
-
-
-def test_track_sets_of_one_name_are_told_apart(run: StoredRun, tracks: Path, perfect: TrackSet) -> None:
-    names = [each.name for each in score_run(run, [perfect, replace(perfect), tracks]).trackers]
-    assert names == ["perfect 1", "perfect 2", "reference"]
 
 
 def test_what_cannot_be_scored_is_refused(run: StoredRun, tracks: Path, perfect: TrackSet, tmp_path: Path) -> None:

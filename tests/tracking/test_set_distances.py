@@ -23,11 +23,8 @@ def four_frames() -> Scored:
     return hand_made(truth, tracks, 4, rules=RULES)
 
 
-def test_gospa_is_the_mean_of_an_error_a_miss_a_false_track_and_an_empty_frame(four_frames: Scored) -> None:
+def test_distances_are_means_of_an_error_a_miss_a_false_track_and_an_empty_frame(four_frames: Scored) -> None:
     assert gospa(four_frames) == Gospa(15 / 4, 5 / 4, 5 / 4, 5 / 4)  # 5, 10 / 2, 10 / 2 and 0
-
-
-def test_ospa_is_the_mean_of_an_error_a_miss_a_false_track_and_an_empty_frame(four_frames: Scored) -> None:
     assert ospa(four_frames) == Ospa(25 / 4)  # 5, 10, 10 and 0
 
 
@@ -65,16 +62,13 @@ def test_without_frames_there_is_no_distance(four_frames: Scored) -> None:
     assert ospa(nothing) == Ospa(None)
 
 
-@pytest.mark.parametrize("cutoff", [0, -1, 1e200, np.inf, np.nan])
-def test_a_cutoff_out_of_range_is_refused(cutoff: float) -> None:
-    with pytest.raises(ModsimError, match="--gospa-c must be above 0 and at most 1,000,000"):
-        SetDistance(cutoff=cutoff, power=10)
-
-
-@pytest.mark.parametrize("power", [0.9, 11, np.nan])
-def test_a_power_out_of_range_is_refused(power: float) -> None:
-    with pytest.raises(ModsimError, match="--gospa-p must be from 1 to 10"):
-        SetDistance(power=power)
+def test_a_cutoff_or_a_power_out_of_range_is_refused() -> None:
+    for cutoff in (0, -1, 1e200, np.inf, np.nan):
+        with pytest.raises(ModsimError, match="--gospa-c must be above 0 and at most 1,000,000"):
+            SetDistance(cutoff=cutoff, power=10)
+    for power in (0.9, 11, np.nan):
+        with pytest.raises(ModsimError, match="--gospa-p must be from 1 to 10"):
+            SetDistance(power=power)
 
 
 def test_the_largest_cutoff_and_power_have_a_distance() -> None:

@@ -19,6 +19,7 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.trackers import registry
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
 from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn
+from tests.run_folders import interrupt
 from tests.scenes import crossing
 
 STEPS = 40
@@ -174,11 +175,7 @@ def test_a_tracker_that_fails_leaves_nothing(run: StoredRun, tmp_path: Path, mon
 
 
 def test_an_interrupted_run_is_refused_with_how_to_finish_it(tmp_path: Path) -> None:
-    def stop(steps: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(load_scene(crossing(tmp_path, 5), source="analytic"), tmp_path / "run", progress=stop)
+    interrupt(load_scene(crossing(tmp_path, 5), source="analytic"), tmp_path / "run")
     with pytest.raises(RunDirectoryError, match="interrupted run: finish it with `modsim3d run SCENE --resume` first"):
         modsim3d.track_run(tmp_path / "run", tmp_path / "tracks", tracker="sort")
 

@@ -21,6 +21,7 @@ from modsim3d.tracking.scores.scored import SetDistance
 from modsim3d.tracking.world.following import TrackEstimates, WorldTruth
 from modsim3d.tracking.world.scoring import OverVessels, Quartiles, WorldScores, quartiles, score_world
 from modsim3d.tracks.tracks import WorldTracks
+from tests.scenes import camera_keys
 from tests.tracks.sea_runs import (
     ANCHORED,
     ASTERN,
@@ -34,8 +35,6 @@ from tests.tracks.sea_runs import (
     VELOCITIES_M_S,
     sea_run,
 )
-
-EVERY = np.arange(STEPS)
 
 
 @pytest.fixture(scope="module")
@@ -104,23 +103,18 @@ def test_tracks_shifted_by_3_and_4_metres_have_errors_of_5(rows: RunRows, scored
     assert values(scores, "rmse_m_s", "gospa_missed_m", "gospa_false_m", "nees") == [0, 0, 0, None]
 
 
-def test_nees_of_a_shift_is_its_mahalanobis_distance(rows: RunRows, scored: Any) -> None:
-    whole = np.broadcast_to(np.diag([9.0, 4.0, 1.0, 1.0]), (int(scored.sum()), 4, 4))
+def test_nees_of_a_shift_is_its_mahalanobis_distance_and_infinite_where_a_covariance_is_singular(
+    rows: RunRows, scored: Any
+) -> None:
+    whole = np.broadcast_to(np.diag([9.0, 4.0, 1.0, 1.0]), (int(scored.sum()), 4, 4)).copy()
     scores = score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole))
     assert values(scores, "nees", "anees", "nees_velocity", "nees_state", "anees_state") == [5, 2.5, 0, 5, 1.25]
-
-
-def test_a_singular_covariance_makes_nees_infinite(rows: RunRows, scored: Any) -> None:
-    whole = np.broadcast_to(np.diag([9.0, 4.0, 1.0, 1.0]), (int(scored.sum()), 4, 4)).copy()
     whole[3, 0, 0] = 0
-    found = score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole))
-    assert values(found, "nees", "anees", "nees_low", "nees_velocity", "nees_state") == [
-        np.inf,
-        np.inf,
-        None,
-        0,
-        np.inf,
-    ]
+    found = values(
+        score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole)),
+        *("nees", "anees", "nees_low", "nees_velocity", "nees_state"),
+    )
+    assert found == [np.inf, np.inf, None, 0, np.inf]
 
 
 def test_nees_of_errors_of_their_covariance_is_their_dimension() -> None:
@@ -216,9 +210,8 @@ def test_a_track_that_lost_its_vessel_for_a_step_is_not_preferred(rows: RunRows)
 
 def test_vessels_that_carry_cameras_are_not_to_be_tracked(rows: RunRows, scored: Any, tmp_path: Path) -> None:
     bow = rows.scene.cameras[0]
-    lens = {"focal_length_m": 0.008, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [640, 360]}
     cameras = {
-        vessel: {**lens, "image_size_px": [1280, 720], "mount": {"vessel": vessel, "position_m": [5, 0, 6]}}
+        vessel: camera_keys(1280, 720, focal_length_m=0.008, mount={"vessel": vessel, "position_m": [5, 0, 6]})
         for vessel in ("own", "crosser")
     }
     both = WorldTruth.of(RunRows.of(sea_run(tmp_path / "run", cameras=cameras, steps=4)))

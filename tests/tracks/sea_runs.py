@@ -16,6 +16,7 @@ import numpy as np
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.scene import Scene
+from tests.scenes import camera_keys
 
 STEPS, STEP_S = 60, 0.5
 TIMES_S = np.arange(STEPS) * STEP_S
@@ -40,13 +41,9 @@ def sea_scene(**keys: Any) -> Scene:
             "time_step_s": STEP_S,
         },
         "cameras": {
-            "bow": {
-                "focal_length_m": 0.008,
-                "pixel_size_m": [1e-5, 1e-5],
-                "principal_point_px": [640, 360],
-                "image_size_px": [1280, 720],
-                "mount": {"vessel": "own", "position_m": [5, 0, 6], "pitch_rad": 0.02},
-            }
+            "bow": camera_keys(
+                1280, 720, focal_length_m=0.008, mount={"vessel": "own", "position_m": [5, 0, 6], "pitch_rad": 0.02}
+            )
         },
         "annotation": {"mode": 0, "source": "analytic"},
         "detector": "coastal",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from dataclasses import replace
 
@@ -61,11 +62,8 @@ def test_boxes_by_corners_and_by_centres_are_the_same_tracks(read, small_rows, s
     assert_close(read(csv_text(small_rows, small_tracks, centred(small_tracks.boxes_px), CENTRES)).tracks, small_tracks)
 
 
-def test_a_frame_is_named_by_its_step_or_by_its_time(read, small_rows, small_tracks):
+def test_a_frame_is_named_by_its_step_or_by_its_time_and_lines_stand_in_any_order(read, small_rows, small_tracks):
     assert_close(read(csv_text(small_rows, small_tracks, when="time_s")).tracks, small_tracks)
-
-
-def test_the_order_of_the_lines_means_nothing(read, small_rows, small_tracks):
     head, *lines = csv_text(small_rows, small_tracks).splitlines()
     assert_close(read("\n".join([head, *reversed(lines), "", ""])).tracks, small_tracks)
 
@@ -86,9 +84,10 @@ def test_optional_columns_may_be_empty(read, small_rows):
     np.testing.assert_array_equal(found.covariance_px2, [[[4, 1], [1, 9]], np.full((2, 2), np.nan)])
 
 
-@pytest.mark.parametrize("text", [f"{HEADER}\n", HEADER, f"{HEADER}\n\n"])
-def test_a_tracker_may_have_found_nothing(read, text):
-    assert len(read(text).tracks) == 0
+def test_a_tracker_may_have_found_nothing(read, read_mot):
+    for text in (f"{HEADER}\n", HEADER, f"{HEADER}\n\n"):
+        assert len(read(text).tracks) == 0
+    assert len(read_mot({"bow.txt": "", "quay.txt": "\n"}).tracks) == 0
 
 
 def test_a_mot_folder_has_a_file_for_each_camera(read_mot, small_rows, small_tracks):
@@ -121,10 +120,6 @@ def test_the_only_camera_needs_no_name(one_camera_run, tmp_path):
 def test_a_confidence_of_minus_one_is_none(read_mot):
     found = read_mot({"bow.txt": "1,7,10,20,30,40,-1\n1,8,10,20,30,40,0.25\n", "quay.txt": ""}).tracks
     np.testing.assert_array_equal(found.confidence, [np.nan, 0.25])
-
-
-def test_empty_mot_files_are_a_tracker_that_found_nothing(read_mot):
-    assert len(read_mot({"bow.txt": "", "quay.txt": "\n"}).tracks) == 0
 
 
 def test_sequences_have_the_names_of_the_export(small_run):
@@ -163,21 +158,17 @@ def test_a_wrong_line_is_named(read, line, what):
     assert what in message
 
 
-@pytest.mark.parametrize(
-    ("cells", "what"),
-    [
+def test_a_wrong_attribute_is_named(read):
+    header = f"{HEADER},label,confidence,var_x_px2,cov_xy_px2,var_y_px2"
+    for cells, what in (
         ("submarine,0.5,4,1,9", "there is no label 'submarine'"),
         (",1.5,4,1,9", "confidence must be from 0 to 1 (got 1.5)"),
         (",,4,,9", "the covariance needs all three numbers, or none"),
         (",,4,6,9", "are no covariance"),
         (",,-4,1,-9", "are no covariance"),
-    ],
-)
-def test_a_wrong_attribute_is_named(read, cells, what):
-    header = f"{HEADER},label,confidence,var_x_px2,cov_xy_px2,var_y_px2"
-    message = said(read, f"{header}\nbow,0,1,10,20,30,40,{cells}\n")
-    assert "line 2: " in message
-    assert what in message
+    ):
+        message = said(read, f"{header}\nbow,0,1,10,20,30,40,{cells}\n")
+        assert "line 2: " in message and what in message, cells
 
 
 def test_a_track_has_one_box_in_a_frame(read):
@@ -377,27 +368,6 @@ def test_one_file_of_several_may_be_wrong(small_run, small_rows, small_tracks, t
     assert "quay.txt" in message.splitlines()[0] and "x and y of the boxes are exchanged" in message
 
 
-def test_frames_that_count_from_zero_are_recognised(one_camera_run, tmp_path):
-    """Also where no line has frame 0, as with trackers that report a track from its second detection on."""
-    rows = RunRows.of(one_camera_run)
-    tracks = detected_tracks(rows)
-    late = tracks.take(tracks.step > 0)
-    (text,) = mot_texts(rows, late, first_frame=0).values()
-    (tmp_path / "any.txt").write_text(text)
-    message = said(read_tracks, tmp_path / "any.txt", one_camera_run, rows)
-    assert "frames count from 0, must count from 1" in message
-
-
-def test_frames_and_pixels_that_both_count_from_zero_are_recognised_together(one_camera_run, tmp_path):
-    rows = RunRows.of(one_camera_run)
-    tracks = detected_tracks(rows)
-    late = tracks.take(tracks.step > 0)
-    (text,) = mot_texts(rows, late, top_left(late.boxes_px), first_frame=0).values()
-    (tmp_path / "any.txt").write_text(text)
-    message = said(read_tracks, tmp_path / "any.txt", one_camera_run, rows)
-    assert "frames count from 0, must count from 1, and pixels are counted from 0, must be counted from 1" in message
-
-
 def one_off(rows, steps):
     """Detections in the frame that many steps later."""
     tracks = detected_tracks(rows)
@@ -405,18 +375,23 @@ def one_off(rows, steps):
     return replace(there, frame=there.frame + steps)
 
 
-def test_steps_that_are_one_too_low_are_recognised(one_camera_run, tmp_path):
+def test_frames_that_count_from_elsewhere_are_recognised(one_camera_run, tmp_path):
+    """Also where no line has frame 0, as with trackers that report a track from its second detection on."""
     rows = RunRows.of(one_camera_run)
-    (tmp_path / "any.csv").write_text(csv_text(rows, one_off(rows, -1)))
-    assert "frames are one too low" in said(read_tracks, tmp_path / "any.csv", one_camera_run, rows)
-
-
-def test_a_tracker_with_a_latency_of_one_frame_is_read(one_camera_run, tmp_path):
-    """Its file is that of frames which are one too high, so these cannot be refused."""
-    rows = RunRows.of(one_camera_run)
-    late = one_off(rows, 1)
-    (tmp_path / "any.csv").write_text(csv_text(rows, late))
-    assert len(read_tracks(tmp_path / "any.csv", one_camera_run, rows).tracks) == len(late)
+    tracks = detected_tracks(rows)
+    late = tracks.take(tracks.step > 0)
+    (frames,) = mot_texts(rows, late, first_frame=0).values()
+    (frames_and_pixels,) = mot_texts(rows, late, top_left(late.boxes_px), first_frame=0).values()
+    from_zero = "frames count from 0, must count from 1"
+    for name, text, what in (
+        ("frames.txt", frames, from_zero),
+        ("both.txt", frames_and_pixels, f"{from_zero}, and pixels are counted from 0, must be counted from 1"),
+        ("steps.csv", csv_text(rows, one_off(rows, -1)), "frames are one too low"),
+    ):
+        (tmp_path / name).write_text(text)
+        assert what in said(read_tracks, tmp_path / name, one_camera_run, rows)
+    # The file of a tracker with a latency of one frame is that of frames which are one too high: it is not refused.
+    assert_read(one_camera_run, rows, one_off(rows, 1), tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -438,16 +413,12 @@ def assert_read(run, rows, tracks, folder):
     assert len(read_tracks(folder / "any.csv", run, rows).tracks) == len(tracks)
 
 
-def test_exact_truth_behind_a_biased_detector_is_read(biased_run, tmp_path):
+def test_exact_truth_and_a_tracker_that_corrects_the_bias_of_its_detector_are_read(biased_run, tmp_path):
     rows = RunRows.of(biased_run)
     true = TrueTracks.of(rows)
     true = true.take(true.scored)
     assert len(true) > 60
     assert_read(biased_run, rows, Tracks.of(2, true.frame, true.vessel, true.boxes_px), tmp_path)
-
-
-def test_a_tracker_that_corrects_its_detector_s_bias_is_read(biased_run, tmp_path):
-    rows = RunRows.of(biased_run)
     tracks = detected_tracks(rows)
     assert_read(biased_run, rows, replace(tracks, boxes_px=tracks.boxes_px + 1), tmp_path)
 
@@ -460,14 +431,28 @@ def test_one_camera_of_a_csv_file_may_be_wrong(read, small_rows, small_tracks):
     assert "camera 'quay': x and y of the boxes are exchanged" in message
 
 
+@pytest.fixture(scope="module")
+def long_run(tmp_path_factory):
+    """Runs of 60 steps of the shipped scenes, and their tracks of the reference tracker; each is made once."""
+    folder = tmp_path_factory.mktemp("long")
+
+    @functools.cache
+    def made(scene):
+        modsim3d.run_scene(modsim3d.load_scene(scene, steps=60, source="analytic", seed=3), folder / scene)
+        run = modsim3d.open_run(folder / scene)
+        return run, RunRows.of(run), modsim3d.track_run(run, folder / f"{scene} tracks").tracks
+
+    return made
+
+
 @pytest.mark.parametrize("scene", ["strait", "fairway", "simulation_1"])
-def test_no_tracker_s_own_tracks_are_taken_for_a_misreading(scene, tmp_path):
+def test_no_tracker_s_own_tracks_are_taken_for_a_misreading(scene, long_run, tmp_path):
     """As corners and as MOT, with all digits and in whole pixels, as many trackers round."""
-    modsim3d.run_scene(modsim3d.load_scene(scene, steps=60, source="analytic", seed=3), tmp_path / "run")
-    run = modsim3d.open_run(tmp_path / "run")
-    rows = RunRows.of(run)
+    run, rows, reference = long_run(scene)
     for tracker in ("reference", "sort", "bytetrack", "ocsort"):
-        tracks = modsim3d.track_run(run, tmp_path / tracker, tracker=tracker).tracks
+        tracks = reference
+        if tracker != "reference":
+            tracks = modsim3d.track_run(run, tmp_path / tracker, tracker=tracker).tracks
         whole = replace(tracks, boxes_px=np.round(tracks.boxes_px))
         whole = whole.take((whole.boxes_px[:, 2:] > whole.boxes_px[:, :2]).all(axis=1))
         assert len(whole) > 100
@@ -478,21 +463,16 @@ def test_no_tracker_s_own_tracks_are_taken_for_a_misreading(scene, tmp_path):
             assert len(read_tracks(folder, run, rows).tracks) == len(each)
 
 
-def test_a_smoothing_tracker_s_pixels_from_zero_are_recognised(tmp_path):
+def test_a_smoothing_tracker_s_pixels_from_zero_are_recognised(long_run, tmp_path):
     """Its boxes are no detections, but four of five would lie nearer one pixel further."""
-    modsim3d.run_scene(modsim3d.load_scene("fairway", steps=60, source="analytic", seed=3), tmp_path / "run")
-    run = modsim3d.open_run(tmp_path / "run")
-    rows = RunRows.of(run)
-    tracks = modsim3d.track_run(run, tmp_path / "reference").tracks
+    run, rows, tracks = long_run("fairway")
     folder = write_mot(tmp_path / "mot", mot_texts(rows, tracks, top_left(tracks.boxes_px)))
     assert "pixels are counted from 0" in said(read_tracks, folder, run, rows)
 
 
-def test_pixels_from_one_are_recognised_where_the_truth_is_clear(tmp_path):
+def test_pixels_from_one_are_recognised_where_the_truth_is_clear(long_run, tmp_path):
     """Among 54 boxes whose errors are as large as a pixel it is not."""
-    modsim3d.run_scene(modsim3d.load_scene("strait", steps=60, source="analytic", seed=3), tmp_path / "run")
-    run = modsim3d.open_run(tmp_path / "run")
-    rows = RunRows.of(run)
+    run, rows, _ = long_run("strait")
     tracks = detected_tracks(rows)
     (tmp_path / "any.csv").write_text(csv_text(rows, tracks, tracks.boxes_px + 1))
     what = "pixels are counted from 1, must be counted from 0 (then half of"

@@ -12,17 +12,12 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.scene import Scene
 from modsim3d.tracks.true_tracks import TrueTracks
+from tests.scenes import camera_keys
 from tests.tracking.hand_made import box
 from tests.tracking.hand_made import rows_of as rows_by_hand
 
 BOAT = {"length_m": 10, "beam_m": 4, "air_draft_m": 5, "label": "Vessel"}
-CAMERA = {
-    "focal_length_m": 0.01,
-    "pixel_size_m": [1.0e-5, 1.0e-5],
-    "principal_point_px": [200, 100],
-    "image_size_px": [400, 200],
-    "pose": {"position_m": [0, 0, 3], "roll_rad": 0, "pitch_rad": 0, "yaw_rad": 0},
-}
+CAMERA = camera_keys(400, 200, pose={"position_m": [0, 0, 3]})
 """Looks along w1: at 100 m the image ends 20 m to either side."""
 FRONT, BEHIND, ASIDE, AWAY = (100.0, 0.0), (200.0, 0.0), (100.0, 10.0), None
 Place = tuple[float, float] | None

@@ -12,10 +12,11 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.io.ros_bag import DETECTIONS_3D, ODOMETRY, VISION_MSGS
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.messages import places
 from modsim3d.tracks.tracks import WorldTracks
-from modsim3d.tracks.world_reading import _VISION_MSGS, ARRAYS, ODOMETRY, is_world, read_world_tracks
+from modsim3d.tracks.world_reading import is_world, read_world_tracks
 from tests.tracks.sea_runs import CROSSER, ORIGIN, PLACES_M, TIMES_S, VELOCITIES_M_S, sea_run, write_csv
 
 TWO = [CROSSER, 3]
@@ -140,26 +141,26 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "two places": (changed(latitude_deg=63.4, longitude_deg=10.4), r"one position.*\(got more than one\)"),
     "half a covariance": (changed(w1_variance_m2=1.0), "w1_w2_covariance_m2, w2_variance_m2 is missing"),
     "a slip": (changed("v2", v2_ms=1.0), "unknown column 'v2_ms': did you mean v2_m_s"),
-    "text": (changed(w1_m="east"), "cannot be read as CSV: .*'east'"),
-    "a gap": (changed(w1_m=np.append(np.zeros(119), np.nan)), "row 121: has no position"),
-    "a track without a name": (changed(track=["a", ""] * 60), "row 3: track is empty"),
-    "too late": (changed(time_s=np.repeat(TIMES_S, 2) + 1), "row 118: time 30 s is outside .* 0 to 29.5 s"),
-    "a step too far": (changed("time_s", step=60), r"row 2: step must be .* 0 to 59, the run's last \(got 60\)"),
-    "half a step": (changed("time_s", step=0.5), r"row 2: step must be a whole number .* \(got 0.5\)"),
-    "twice": (changed(track="a"), "row 3: a track may be there once at a time .*'a' again"),
+    "text": (changed(w1_m="east"), r"line 2: w1_m must be a number \(got 'east'\)"),
+    "a gap": (changed(w1_m=np.append(np.zeros(119), np.nan)), "line 121: has no position"),
+    "a track without a name": (changed(track=["a", ""] * 60), "line 3: track is empty"),
+    "too late": (changed(time_s=np.repeat(TIMES_S, 2) + 1), "line 118: time 30 s is outside .* 0 to 29.5 s"),
+    "a step too far": (changed("time_s", step=60), r"line 2: step must be .* 0 to 59, the run's last \(got 60\)"),
+    "half a step": (changed("time_s", step=0.5), r"line 2: step must be a whole number .* \(got 0.5\)"),
+    "twice": (changed(track="a"), "line 3: a track may be there once at a time .*'a' again"),
     "step and time": (
         changed(step=np.repeat(np.roll(np.arange(len(TIMES_S)), 1), 2)),
-        r"row 2: time_s 0 is that of step 0, but step is \d+: leave out the column that is wrong",
+        r"line 2: time_s 0 is that of step 0, but step is \d+: leave out the column that is wrong",
     ),
     "step from 1": (
         changed(step=np.repeat(np.arange(len(TIMES_S)) + 1, 2)),
-        "row 2: time_s 0 is that of step 0, but step is 1",
+        "line 2: time_s 0 is that of step 0, but step is 1",
     ),
     "no covariance": (
         changed(w1_variance_m2=1.0, w1_w2_covariance_m2=2.0, w2_variance_m2=1.0),
-        "row 2: the covariance of the position is not positive definite",
+        "line 2: the covariance of the position is not positive definite",
     ),
-    "infinite": (changed(v1_m_s=np.inf), "row 2: the velocity is not finite"),
+    "infinite": (changed(v1_m_s=np.inf), r"line 2: v1_m_s must be a number \(got 'inf'\)"),
     "millimetres": (changed(w1_m=2e5, w2_m=0.0), "more than 100 km .* millimetres, must be metres"),
     "elsewhere": (changed(w1_m=3e12, w2_m=0.0), "more than 100 km .* metres along w1 and w2"),
     "swapped": (
@@ -168,7 +169,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "swapped by far": (
         changed("w1 w2", latitude_deg=120.0, longitude_deg=30.0),
-        r"row 2: is no latitude .* \(got 120 and 30\): are latitude and longitude swapped",
+        r"line 2: is no latitude .* \(got 120 and 30\): are latitude and longitude swapped",
     ),
     "radians": (
         changed("w1 w2", latitude_deg=np.deg2rad(63.4), longitude_deg=np.deg2rad(10.4)),
@@ -275,7 +276,7 @@ def test_marks_and_line_ends_change_nothing(mark: bytes, end: bytes, run: Stored
 
 
 def test_a_track_in_scientific_notation_is_refused(run: StoredRun, tmp_path: Path) -> None:
-    says = r"row 2: track is a number in scientific notation that has lost digits.*\(got '2.19E\+08'\)"
+    says = r"line 2: track is a number in scientific notation that has lost digits.*\(got '2.19E\+08'\)"
     with pytest.raises(InputError, match=says):
         read_world_tracks(write_csv(tmp_path / "t.csv", changed(track=["2.19E+08", "2.20E+08"] * 60)), run)
     for names in (["1e10", "12345e06"], ["0e02", "1e03"]):
@@ -305,7 +306,7 @@ def test_latitude_and_longitude_need_an_origin(tmp_path: Path) -> None:
 
 def store() -> Any:
     types = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in _VISION_MSGS.items():
+    for name, text in VISION_MSGS.items():
         types.register(get_types_from_msg(text, name))
     return types
 
@@ -390,13 +391,15 @@ def test_a_bag_of_arrays_equals_csv_without_velocity(storage: str, run: StoredRu
         for step, time_s in enumerate(TIMES_S.tolist())
     ]
     columns = {name: values for name, values in with_covariances(2).items() if name[:2] not in ("v1", "v2")}
-    bag = write_bag(tmp_path / "bag", {"/tracks": (ARRAYS, messages), "/odom": (ODOMETRY, odometries()[:2])}, storage)
+    bag = write_bag(
+        tmp_path / "bag", {"/tracks": (DETECTIONS_3D, messages), "/odom": (ODOMETRY, odometries()[:2])}, storage
+    )
     equal(read_world_tracks(bag, run), read_world_tracks(write_csv(tmp_path / "t.csv", columns), run))
 
 
 def test_a_bag_of_old_vision_msgs_is_read(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of Foxy, whose detections have tracking_id and whose results have id and score themselves."""
-    old = {name: text for name, text in _VISION_MSGS.items() if not name.endswith("ObjectHypothesis")}
+    old = {name: text for name, text in VISION_MSGS.items() if not name.endswith("ObjectHypothesis")}
     result, detection = "vision_msgs/msg/ObjectHypothesisWithPose", "vision_msgs/msg/Detection3D"
     old[result] = "string id\nfloat64 score\ngeometry_msgs/PoseWithCovariance pose\n"
     old[detection] = old[detection].replace("string id", "bool is_tracking\nstring tracking_id")
@@ -414,7 +417,7 @@ def test_a_bag_of_old_vision_msgs_is_read(run: StoredRun, tmp_path: Path, monkey
             found.append(make("vision_msgs/Detection3D", header(time_s), results, box, True, name))
         messages.append(make("vision_msgs/Detection3DArray", header(time_s), found))
     columns = {name: values for name, values in with_covariances(2).items() if name[:2] not in ("v1", "v2")}
-    bag = write_bag(tmp_path / "bag", {"/tracks": (ARRAYS, messages)})
+    bag = write_bag(tmp_path / "bag", {"/tracks": (DETECTIONS_3D, messages)})
     equal(read_world_tracks(bag, run), read_world_tracks(write_csv(tmp_path / "t.csv", columns), run))
 
 
@@ -447,9 +450,9 @@ def test_what_is_wrong_with_a_bag_is_said(run: StoredRun, tmp_path: Path) -> Non
     damaged.write_bytes(content[:third] + b"\xff" * 400 + content[third + 400 :])
     with pytest.raises(InputError, match="cannot be read as a ROS 2 bag"):
         read_world_tracks(damaged.parent, run)
-    (tmp_path / "alone.mcap").write_bytes(b"")
+    (tmp_path / "alone.db3").write_bytes(b"")
     with pytest.raises(InputError, match=r"metadata\.yaml is missing beside it: give the whole folder"):
-        read_world_tracks(tmp_path / "alone.mcap", run)
+        read_world_tracks(tmp_path / "alone.db3", run)
 
 
 def test_a_bag_without_rosbags_names_the_extra(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

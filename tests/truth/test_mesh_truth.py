@@ -25,7 +25,7 @@ from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.silhouettes import silhouette_polygons
 from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
 from modsim3d.world.vessels import shoebox
-from tests.scenes import INTRINSICS, outlines_of, random_scene, vessel, write_scene
+from tests.scenes import INTRINSICS, camera_keys, outlines_of, random_scene, vessel, write_scene
 
 
 @cache
@@ -122,13 +122,7 @@ def test_mesh_cut_by_the_image_edge_has_the_fraction_of_its_area_that_is_inside(
     np.testing.assert_allclose(outlines.boxes_px[0], inside.bounds)
 
 
-OWN_CAMERA = {
-    "focal_length_m": 0.01,
-    "pixel_size_m": [1e-5, 1e-5],
-    "principal_point_px": [400, 300],
-    "image_size_px": [800, 600],
-    "mount": {"vessel": "own", "position_m": [-6, 0, 6], "pitch_rad": 0.15},
-}
+OWN_CAMERA = camera_keys(mount={"vessel": "own", "position_m": [-6, 0, 6], "pitch_rad": 0.15})
 """At the stern, above deck, looking over the whole boat."""
 
 

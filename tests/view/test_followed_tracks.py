@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modsim3d.runs.files.tables import NOBODY
+from modsim3d.core.arrays import NOBODY
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
@@ -25,15 +25,21 @@ def rows(tmp_path_factory) -> RunRows:
     return RunRows.of(open_run(folder / "run"))
 
 
+def followed(rows: RunRows, tracks: Tracks, *similarity) -> FollowedTracks:
+    return FollowedTracks.of(as_set(tracks), rows, Similarity(*similarity))
+
+
 def test_tracks_with_the_boxes_of_the_truth_follow_their_vessels_without_a_switch(rows):
-    shown = FollowedTracks.of(as_set(perfect(rows)), rows, Similarity())
+    shown = followed(rows, perfect(rows))
     np.testing.assert_array_equal(shown.vessel, shown.tracks.track)
     assert not (shown.switched | shown.moved | shown.unscored | shown.false).any()
     assert shown.sentence() == "Tracks of made: 3 tracks on 3 vessels, 0 identity switches, 0 false tracks."
+    none = followed(rows, perfect(rows).take(np.zeros(0, dtype=np.int64)))
+    assert none.sentence() == "Tracks of made: 0 tracks on 0 vessels, 0 identity switches, 0 false tracks."
 
 
 def test_two_tracks_that_swap_switch_both_and_move_both(rows):
-    shown = FollowedTracks.of(as_set(swapped(perfect(rows), BOAT, SAIL, 6)), rows, Similarity())
+    shown = followed(rows, swapped(perfect(rows), BOAT, SAIL, 6))
     for marked in (shown.switched, shown.moved):
         first = [shown.tracks.step[(shown.tracks.step >= 6) & (shown.vessel == vessel)].min() for vessel in (0, 1)]
         assert sorted(zip(shown.vessel[marked].tolist(), shown.tracks.step[marked].tolist(), strict=True)) == [
@@ -46,7 +52,7 @@ def test_two_tracks_that_swap_switch_both_and_move_both(rows):
 def test_a_new_number_on_the_same_vessel_is_one_switch_and_no_move(rows):
     tracks = perfect(rows)
     number = np.where((tracks.track == SAIL) & (tracks.step >= 5), 7, tracks.track)
-    shown = FollowedTracks.of(as_set(Tracks.of(1, tracks.frame, number, tracks.boxes_px)), rows, Similarity())
+    shown = followed(rows, Tracks.of(1, tracks.frame, number, tracks.boxes_px))
     assert shown.tracks.track[shown.switched].tolist() == [7]
     assert not shown.moved.any()
     assert "4 tracks on 3 vessels, 1 identity switch, 0" in shown.sentence()
@@ -54,17 +60,14 @@ def test_a_new_number_on_the_same_vessel_is_one_switch_and_no_move(rows):
 
 def test_a_track_that_goes_to_a_vessel_that_none_followed_moves_without_a_switch(rows):
     tracks = perfect(rows)
-    kept = ((tracks.track == SAIL) & (tracks.step < 2)) | ((tracks.track == 2) & (tracks.step >= 4))
-    some = tracks.take(kept)
-    shown = FollowedTracks.of(
-        as_set(Tracks.of(1, some.frame, np.full(len(some), 5), some.boxes_px)), rows, Similarity()
-    )
+    some = tracks.take(((tracks.track == SAIL) & (tracks.step < 2)) | ((tracks.track == 2) & (tracks.step >= 4)))
+    shown = followed(rows, Tracks.of(1, some.frame, np.full(len(some), 5), some.boxes_px))
     assert shown.moved.sum() == 1
     assert not shown.switched.any()
 
 
 def test_a_track_where_no_vessel_is_follows_nothing_and_is_false(rows):
-    shown = FollowedTracks.of(as_set(with_false(perfect(rows), range(3, 6))), rows, Similarity())
+    shown = followed(rows, with_false(perfect(rows), range(3, 6)))
     np.testing.assert_array_equal(shown.false, shown.tracks.track == FALSE_TRACK)
     assert shown.vessel[shown.false].tolist() == [NOBODY] * 3
     assert shown.sentence().endswith("4 tracks on 3 vessels, 0 identity switches, 1 false track.")
@@ -74,7 +77,7 @@ def test_a_track_that_stays_on_a_hidden_vessel_is_on_it_and_unscored(rows):
     hidden = (rows.numbers("visible_px") == 0) & (rows.numbers("silhouette_px") > 0)
     assert hidden.any()
     every = Tracks.of(1, rows.truth_frame, rows.truth_vessel, rows.boxes_px("full"))
-    shown = FollowedTracks.of(as_set(every), rows, Similarity())
+    shown = followed(rows, every)
     on = set(zip(rows.truth_frame[hidden].tolist(), rows.truth_vessel[hidden].tolist(), strict=True))
     kept = shown.tracks.take(shown.unscored)
     assert set(zip(kept.frame.tolist(), kept.track.tolist(), strict=True)) == on
@@ -82,7 +85,7 @@ def test_a_track_that_stays_on_a_hidden_vessel_is_on_it_and_unscored(rows):
 
 
 def test_a_trail_holds_the_centres_of_the_last_two_seconds_of_its_track(rows):
-    shown = FollowedTracks.of(as_set(perfect(rows)), rows, Similarity())
+    shown = followed(rows, perfect(rows))
     row = int(np.flatnonzero((shown.tracks.track == SAIL) & (shown.tracks.step == 2))[0])
     mine = shown.tracks.take((shown.tracks.track == SAIL) & (shown.tracks.step <= 2))  # a step a second
     np.testing.assert_allclose(
@@ -94,11 +97,6 @@ def test_a_box_beside_its_vessel_follows_it_by_distance_and_not_by_overlap(rows)
     tracks = perfect(rows)
     tracks = tracks.take(tracks.track == 2)
     beside = tracks.boxes_px + np.tile((tracks.boxes_px[:, 2] - tracks.boxes_px[:, 0])[:, None], 4) * (1, 0, 1, 0)
-    moved = as_set(Tracks.of(1, tracks.frame, tracks.track, beside))
-    assert FollowedTracks.of(moved, rows, Similarity()).false.all()
-    assert not FollowedTracks.of(moved, rows, Similarity("centre", 2000.0, 0.1)).false.any()
-
-
-def test_no_tracks_are_told_as_such(rows):
-    shown = FollowedTracks.of(as_set(perfect(rows).take(np.zeros(0, dtype=np.int64))), rows, Similarity())
-    assert shown.sentence() == "Tracks of made: 0 tracks on 0 vessels, 0 identity switches, 0 false tracks."
+    moved = Tracks.of(1, tracks.frame, tracks.track, beside)
+    assert followed(rows, moved).false.all()
+    assert not followed(rows, moved, "centre", 2000.0, 0.1).false.any()

@@ -90,70 +90,52 @@ def test_lines_and_text_grow_with_the_picture(hiding):
     assert shares[0] > shares[1]  # on a thumbnail they stop growing smaller
 
 
+def shown_by(layer: str, view: CameraView) -> CameraView:
+    """The view with something that a layer draws, where the scene does not have it."""
+    truth, found = view.frame.truth, view.frame.detections
+    boxes, none = truth.full_boxes_px, np.zeros(len(truth), dtype=bool)
+    whole_boxes = replace(truth, boxes_px=boxes)
+    changes = {
+        "visible": {"truth": whole_boxes},
+        "missed": {"truth": replace(whole_boxes, detected=none)},
+        "mistakes": {"detections": replace(found, labels=("Buoy",) * len(found))},
+        "false_positives": {"detections": replace(found, vessels=(None,) * len(found))},
+    }
+    if layer == "tracks":
+        tracks = FrameTracks(np.arange(len(boxes)), boxes, none, none, (np.empty((0, 2)),) * len(boxes))
+        return replace(view, tracks=tracks)
+    return replace(view, frame=replace(view.frame, **changes.get(layer, {})))
+
+
 @pytest.mark.parametrize("name", [field.name for field in fields(Layers)])
 def test_each_layer_draws_something_and_only_when_it_is_on(camera_views, name):
     """Fractions and labels are drawn next to the boxes of others."""
     companions = {"labels": {"detections": True, "missed": True}, "mistakes": {"detections": True}}.get(name, {})
     without, with_it = Layers(**companions), replace(Layers(**companions), **{name: True})
     changed = 0
-    for camera_view in camera_views:
-        mode_0 = replace(camera_view.frame.truth, boxes_px=camera_view.frame.truth.full_boxes_px)
-        if name == "visible":
-            camera_view = replace(camera_view, frame=replace(camera_view.frame, truth=mode_0))
-        elif name == "missed":
-            truth = replace(mode_0, detected=np.zeros(len(mode_0), dtype=bool))
-            camera_view = replace(camera_view, frame=replace(camera_view.frame, truth=truth))
-        elif name == "mistakes":
-            others = replace(camera_view.frame.detections, labels=("Buoy",) * len(camera_view.frame.detections))
-            camera_view = replace(camera_view, frame=replace(camera_view.frame, detections=others))
-        elif name == "tracks":
-            boxes = camera_view.frame.truth.full_boxes_px
-            none = np.zeros(len(boxes), dtype=bool)
-            tracks = FrameTracks(np.arange(len(boxes)), boxes, none, none, (np.empty((0, 2)),) * len(boxes))
-            camera_view = replace(camera_view, tracks=tracks)
-        elif name == "false_positives":
-            nobody = replace(camera_view.frame.detections, vessels=(None,) * len(camera_view.frame.detections))
-            camera_view = replace(camera_view, frame=replace(camera_view.frame, detections=nobody))
+    for camera_view in (shown_by(name, each) for each in camera_views):
         window = whole(camera_view, 640)
         a, b = (np.asarray(frame_picture(camera_view, window, layers, PlainIds())) for layers in (without, with_it))
         changed += int((a != b).any(axis=-1).sum())
     assert changed > 0
 
 
-def test_a_detection_without_a_vessel_is_a_false_one_whatever_its_kind(hiding):
-    detections = replace(
-        hiding.frame.detections,
-        vessels=(None,) * len(hiding.frame.detections),
-        kinds=("persistent_false_positive",) * len(hiding.frame.detections),
-    )
-    camera_view = replace(hiding, frame=replace(hiding.frame, detections=detections))
-    picture = frame_picture(
-        camera_view, whole(camera_view, 1280), Layers.of(["detections", "false_positives"]), PlainIds()
-    )
-    assert count(picture, palette.ALARM) > 100
-    assert all(count(picture, colour) == 0 for colour in palette.VESSELS)
-
-
-@pytest.mark.parametrize("kind", ["true", "merged", "split"])
-def test_the_one_detection_of_a_vessel_has_its_colour_whatever_its_kind(hiding, kind):
-    detections = replace(hiding.frame.detections, kinds=(kind,) * len(hiding.frame.detections))
-    camera_view = replace(hiding, frame=replace(hiding.frame, detections=detections))
-    picture = frame_picture(
-        camera_view, whole(camera_view, 1280), Layers.of(["detections", "false_positives"]), PlainIds()
-    )
-    for vessel in filter(None, detections.vessels):
-        assert count(picture, camera_view.colour(vessel)) > 100
-
-
-@pytest.mark.parametrize("kind", ["duplicate", "fragment"])
-def test_a_second_box_of_a_vessel_is_drawn_as_a_false_positive(hiding, kind):
-    detections = replace(hiding.frame.detections, kinds=(kind,) * len(hiding.frame.detections))
-    assert any(detections.vessels)
+@pytest.mark.parametrize("of_vessels", [True, False])
+@pytest.mark.parametrize("kind", ["true", "merged", "split", "persistent_false_positive", "duplicate", "fragment"])
+def test_the_one_detection_of_a_vessel_has_its_colour_and_others_are_drawn_as_false_ones(hiding, kind, of_vessels):
+    found = hiding.frame.detections
+    vessels = found.vessels if of_vessels else (None,) * len(found)
+    detections = replace(found, vessels=vessels, kinds=(kind,) * len(found))
     camera_view = replace(hiding, frame=replace(hiding.frame, detections=detections))
     window = whole(camera_view, 1280)
     picture = frame_picture(camera_view, window, Layers.of(["detections", "false_positives"]), PlainIds())
-    assert count(picture, palette.ALARM) > 100
-    assert all(count(picture, colour) == 0 for colour in palette.VESSELS)
+    own = {camera_view.colour(vessel) for vessel in filter(None, found.vessels)}
+    assert own
+    if of_vessels and kind in ("true", "merged", "split"):
+        assert all(count(picture, colour) > 100 for colour in own)
+    else:
+        assert count(picture, palette.ALARM) > 100
+        assert all(count(picture, colour) == 0 for colour in palette.VESSELS)
 
 
 def test_wires_go_through_the_corner_points(hiding):
@@ -172,6 +154,10 @@ def test_wires_go_through_the_corner_points(hiding):
 def test_an_unknown_layer_is_refused_with_those_there_are():
     with pytest.raises(ModsimError, match=r"'ghosts'.*silhouettes, hatching"):
         Layers.of(["truth", "ghosts"])
+
+
+def test_obstacles_have_letters_however_many_there_are():
+    assert [letters(i) for i in (0, 25, 26, 51, 52, 701, 702)] == ["a", "z", "aa", "az", "ba", "zz", "aaa"]
 
 
 def test_ids_drawn_small_are_those_of_the_pixel_centres(hiding, renderer):
@@ -248,10 +234,6 @@ def test_a_crowded_legend_is_set_smaller_and_counts_those_without_room(monkeypat
         left_out = count - sum(": vessel" in text for text in texts)
         assert (f"and {left_out} more" in texts) == (count == 300) == (left_out > 0)
     assert legend([], 1280, 15, 100).height == 0
-
-
-def test_obstacles_have_letters_however_many_there_are():
-    assert [letters(i) for i in (0, 25, 26, 51, 52, 701, 702)] == ["a", "z", "aa", "az", "ba", "zz", "aaa"]
 
 
 def test_what_is_hidden_is_hatched_in_the_hidden_ones_colour(hiding):

@@ -10,12 +10,12 @@ from modsim3d.core.boxes import intersections
 from modsim3d.view.pictures.canvas import Canvas, Label, draw_labels
 
 
-def drawn_plates(boxes, width, height, monkeypatch_plates):
+def drawn_plates(boxes, width, height, plates):
+    """The number of labels that are drawn; the plates of these are appended."""
     canvas = Canvas(Image.new("RGB", (width, height)))
     size = canvas.plate_size
-    canvas.plate = lambda x, y, text, colour: monkeypatch_plates.append((x, y, *np.add((x, y), size(text))))
-    count = draw_labels(canvas, [Label(tuple(box), "Vessel 0.67", (200, 100, 0)) for box in boxes], boxes)
-    return count
+    canvas.plate = lambda x, y, text, colour: plates.append((x, y, *np.add((x, y), size(text))))
+    return draw_labels(canvas, [Label(tuple(box), "Vessel 0.67", (200, 100, 0)) for box in boxes], boxes)
 
 
 @settings(max_examples=50, deadline=None)
@@ -27,28 +27,17 @@ def test_plates_are_in_the_picture_and_share_no_pixel(seed, size, count):
     plates = []
     assert drawn_plates(boxes, *size, plates) == len(plates) <= count
     for i, (x0, y0, x1, y1) in enumerate(plates):
-        assert x0 >= 0
-        assert y0 >= 0
-        assert x1 <= size[0]
-        assert y1 <= size[1]
+        assert x0 >= 0 and y0 >= 0 and x1 <= size[0] and y1 <= size[1]
         for a0, b0, a1, b1 in plates[:i]:
             assert min(x1, a1) <= max(x0, a0) or min(y1, b1) <= max(y0, b0)
 
 
-def test_a_label_alone_stands_on_its_box():
+def test_a_label_alone_stands_on_its_box_and_one_of_a_box_outside_the_picture_is_left_out():
     plates = []
     drawn_plates([[300.0, 200.0, 400.0, 260.0]], 1280, 853, plates)
     ((x0, _, _, y1),) = plates
-    assert x0 == 300
-    assert y1 == 200 - 2
-
-
-def test_labels_of_one_place_are_all_drawn_where_there_is_room():
-    plates = []
-    assert drawn_plates([[600.0, 400.0, 630.0, 420.0]] * 8, 1280, 853, plates) == 8
-
-
-def test_a_label_of_a_box_outside_the_picture_is_left_out():
+    assert (x0, y1) == (300, 200 - 2)
+    assert drawn_plates([[600.0, 400.0, 630.0, 420.0]] * 8, 1280, 853, []) == 8  # there is room for all
     assert drawn_plates([[-90.0, 0.0, -10.0, 50.0], [0.0, 900.0, 50.0, 950.0]], 1280, 853, []) == 0
 
 
@@ -82,16 +71,12 @@ def test_a_text_is_shortened_only_where_it_would_cover_a_boat():
     assert texts_drawn([Label(box, "Vessel 0.67", (200, 100, 0))], (100, 40), beside) == ["Vessel 0.67"]
 
 
-def test_an_optional_label_takes_no_room_that_another_needs():
+def test_an_optional_label_takes_no_room_that_another_needs_and_covers_no_boat():
     box = (0.0, 0.0, 30.0, 10.0)
     hidden, seen = Label(box, "hidden", (200, 100, 0), optional=True), Label(box, "seen", (200, 100, 0))
     assert texts_drawn([hidden, seen], (60, 24), []) == ["seen"]
-
-
-def test_an_optional_label_is_left_out_where_it_would_cover_a_boat():
-    label = Label((0.0, 0.0, 30.0, 10.0), "hidden", (200, 100, 0), optional=True)
-    assert texts_drawn([label], (60, 40), []) == ["hidden"]
-    assert texts_drawn([label], (60, 40), [(0.0, 0.0, 60.0, 40.0)]) == []
+    assert texts_drawn([hidden], (60, 40), []) == ["hidden"]
+    assert texts_drawn([hidden], (60, 40), [(0.0, 0.0, 60.0, 40.0)]) == []
 
 
 @pytest.mark.parametrize("width", [640, 960, 1280])

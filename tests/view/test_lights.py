@@ -78,14 +78,13 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_lights_by_bearing(case):
-    one, knots, wanted = CASES[case]
-    carried = lanterns(one, speed(knots))
-    for bearing, colours in zip(BEARINGS, wanted, strict=True):
-        seen = [light for light in carried if light.sector.holds(bearing)]
-        found = [light.colour.name.lower() for light in sorted(seen, key=lambda light: -light.place[2])]
-        assert found == colours, bearing
+def test_lights_by_bearing():
+    for case, (one, knots, wanted) in CASES.items():
+        carried = lanterns(one, speed(knots))
+        for bearing, colours in zip(BEARINGS, wanted, strict=True):
+            seen = [light for light in carried if light.sector.holds(bearing)]
+            found = [light.colour.name.lower() for light in sorted(seen, key=lambda light: -light.place[2])]
+            assert found == colours, (case, bearing)
 
 
 @pytest.mark.parametrize(
@@ -110,16 +109,10 @@ def test_kind_of_a_vessel(shape, label, name, kind):
     assert kind_of(vessel(10, shape=shape, label=label, name=name)) is kind
 
 
-@pytest.mark.parametrize(
-    ("entry", "name"),
-    [
-        ("sailboat", "sailboat"),
-        ("meshes/sailboat.glb", "sailboat"),  # as the copy of a scene in a run has it
-        ({"file": "hulls/my_sloop.stl", "forward": "+x"}, "my_sloop"),
-    ],
-)
-def test_a_mesh_has_the_same_name_in_a_scene_and_in_its_copy(entry, name):
-    assert mesh_name(entry) == name
+def test_a_mesh_has_the_same_name_in_a_scene_and_in_its_copy():
+    in_copy = mesh_name("meshes/sailboat.glb")
+    assert mesh_name("sailboat") == in_copy == "sailboat"
+    assert mesh_name({"file": "hulls/my_sloop.stl", "forward": "+x"}) == "my_sloop"
 
 
 @pytest.mark.parametrize(("miles", "candela"), [(1, 0.9), (2, 4.3), (3, 12), (4, 27), (5, 52), (6, 94)])
@@ -130,13 +123,11 @@ def test_intensity_is_that_of_the_rules(miles, candela):
     assert light.illuminance_lux(miles * NAUTICAL_MILE_M) == pytest.approx(THRESHOLD_LUX)
 
 
-@pytest.mark.parametrize(
-    ("length_m", "masthead", "side", "stern"), [(50, 6, 3, 3), (49, 5, 2, 2), (20, 5, 2, 2), (19, 3, 2, 2)]
-)
-def test_ranges_by_length(length_m, masthead, side, stern):
+def test_ranges_by_length():
     """Rule 22."""
-    ranges = {light.name: light.range_nm for light in lanterns(vessel(length_m), speed(8))}
-    assert (ranges["masthead"], ranges["port side"], ranges["stern"]) == (masthead, side, stern)
+    for length_m, expected in ((50, (6, 3, 3)), (49, (5, 2, 2)), (20, (5, 2, 2)), (19, (3, 2, 2))):
+        ranges = {light.name: light.range_nm for light in lanterns(vessel(length_m), speed(8))}
+        assert (ranges["masthead"], ranges["port side"], ranges["stern"]) == expected, length_m
     small = {light.name: light.range_nm for light in lanterns(vessel(11), speed(8))}
     assert small == {"all-round": 2, "port side": 1, "starboard side": 1}
 
@@ -180,23 +171,18 @@ def test_lights_of_a_trawler_stand_apart(length_m):
     assert lower[2] - side[2] >= 4 - 1e-9
 
 
-@pytest.mark.parametrize("one", [entry[0] for entry in CASES.values()], ids=list(CASES))
-@pytest.mark.parametrize("knots", [0.1, 8])
-def test_no_light_is_outside_the_vessel(one, knots):
-    for light in lanterns(one, speed(knots)):
-        assert (np.abs(light.place[:2]) <= 0.5).all()
-        assert 0 < light.place[2] <= 1
+def test_no_light_is_outside_the_vessel():
+    for name, (one, _, _) in CASES.items():
+        for light in (light for knots in (0.1, 8) for light in lanterns(one, speed(knots))):
+            assert (np.abs(light.place[:2]) <= 0.5).all(), name
+            assert 0 < light.place[2] <= 1, name
 
 
-def test_the_only_masthead_light_is_before_midships_from_20_m_on(strait):
-    (own,) = (one for one in strait.vessels if one.name == "trawler")
-    for one in (own, vessel(20), vessel(49)):
+def test_the_only_masthead_light_is_before_midships_from_20_m_on_and_a_sail_has_all_three_at_the_top(strait):
+    shipped = {one.name: one for one in strait.vessels}
+    for one in (shipped["trawler"], vessel(20), vessel(49)):
         assert placed(one)["masthead"][0][0] > 0
-
-
-def test_the_three_lights_of_a_small_sailing_boat_are_at_the_top_of_its_mast(strait):
-    (one,) = (one for one in strait.vessels if one.name == "sailboat")
-    places = np.array([light.place for light in lanterns(one, speed(4))])
+    places = np.array([light.place for light in lanterns(shipped["sailboat"], speed(4))])
     assert np.ptp(places, axis=0).max() == 0
     assert places[0, 2] == pytest.approx(1)
     assert places[0, 0] == pytest.approx(0.7 / 11, abs=0.01)  # where script/make_meshes puts the mast
@@ -220,37 +206,24 @@ def test_strait_by_night(strait):
     }
 
 
-@pytest.mark.parametrize(
-    ("aside_m", "shown"),
-    [
-        (0, {"masthead", "port side", "starboard side"}),  # right ahead, at half the beam from either sidelight
-        (40, {"masthead", "port side"}),
-        (-40, {"masthead", "starboard side"}),
-    ],
-)
-def test_a_broad_ship_shows_both_sidelights_to_what_is_right_ahead(tmp_path, aside_m, shown):
-    sight = ship_before_the_camera(tmp_path, 180.0, (250, aside_m))
-    assert {light.lantern.name for light in lights_towards(sight, np.array([5.0]))} == shown
+def ship_before_the_camera(folder, heading_deg, place_m):
+    """Lights that a ship of 200 m shows to the camera."""
+    ahead = 50 * np.array([math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))])
+    way = [[0, *place_m], [10, *(place_m + ahead).tolist()]]
+    scene = load_scene(write_scene(folder, {"ship": ([200, 30, 40], way)}, 12))
+    return [light.lantern for light in lights_towards(scene.sight(scene.cameras[0], np.array([0])), np.array([5.0]))]
+
+
+def test_a_broad_ship_shows_both_sidelights_to_what_is_right_ahead(tmp_path):
+    shown = [{each.name for each in ship_before_the_camera(tmp_path, 180.0, (250, aside))} for aside in (0, 40, -40)]
+    assert shown[0] == {"masthead", "port side", "starboard side"}  # at half the beam from either sidelight
+    assert shown[1:] == [{"masthead", "port side"}, {"masthead", "starboard side"}]
 
 
 def test_sectors_begin_at_the_lights(tmp_path):
     """Abeam of the middle of a long ship one is abaft the beam of her forward masthead light, which is far ahead."""
-    sight = ship_before_the_camera(tmp_path, 90.0, (60, 0))
-    lights = [light for light in lights_towards(sight, np.array([5.0])) if light.lantern.name == "masthead"]
-    (after,) = lights
-    assert after.lantern.place[0] < 0
-
-
-def ship_before_the_camera(folder, heading_deg, place_m):
-    """A ship of 200 m in sight of the camera."""
-    path = write_scene(folder, {"ship": ([200, 30, 40], track(place_m, heading_deg))}, 12)
-    scene = load_scene(path)
-    return scene.sight(scene.cameras[0], np.array([0]))
-
-
-def track(place_m, heading_deg):
-    ahead = 50 * np.array([math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))])
-    return [[0, *place_m], [10, *(place_m + ahead).tolist()]]
+    (after,) = [each for each in ship_before_the_camera(tmp_path, 90.0, (60, 0)) if each.name == "masthead"]
+    assert after.place[0] < 0
 
 
 WINDOW = Window.whole((800, 600), 800)

@@ -2,6 +2,8 @@
 
 import re
 
+import pytest
+
 from modsim3d.view.pages import page
 from modsim3d.view.pages.tables import aligned, table
 
@@ -12,26 +14,24 @@ def test_an_unknown_number_stands_where_the_numbers_of_its_column_do() -> None:
     assert "<th>word</th>" in table and '<td class="number">2</td><td>yes</td>' in table
 
 
-def test_points_and_signs_are_below_each_other() -> None:
-    cells = aligned(["-0.5", "12.25", "3", "–"])
-    assert cells == ["−0.5\u2007", "12.25", "3\u2008\u2007\u2007", "–"]
-    assert len({len(cell) - cell.index(".") for cell in cells[:2]}) == 1
-
-
-def test_both_ends_of_intervals_are_below_each_other() -> None:
-    cells = aligned(["0.5 [-1.0, 2.0]", "0.5 [1.0, 12.0]"])
-    assert cells == ["0.5 [−1.0, \u20072.0]", "0.5 \u2007[1.0, 12.0]"]
-
-
-def test_units_stay_with_their_numbers() -> None:
-    assert aligned(["0.5° to 1.25°", "2° to 3.5°"]) == ["0.5° to 1.25°", "2°\u2008\u2007 to 3.5°\u2007"]
-    assert aligned(["0.5 s", "2 s", "3 so"]) == ["0.5 s", "2 s\u2008\u2007", "3 so"]
+@pytest.mark.parametrize(
+    ("cells", "below_each_other"),
+    [
+        (["-0.5", "12.25", "3", "–"], ["−0.5\u2007", "12.25", "3\u2008\u2007\u2007", "–"]),
+        (["0.5 [-1.0, 2.0]", "0.5 [1.0, 12.0]"], ["0.5 [−1.0, \u20072.0]", "0.5 \u2007[1.0, 12.0]"]),
+        (["0.5° to 1.25°", "2° to 3.5°"], ["0.5° to 1.25°", "2°\u2008\u2007 to 3.5°\u2007"]),
+        (["0.5 s", "2 s", "3 so"], ["0.5 s", "2 s\u2008\u2007", "3 so"]),
+        (["2.4.6", "26.0"], ["2.4.6", "26.0"]),
+    ],
+    ids=["points and signs", "both ends of intervals", "units within", "units", "versions"],
+)
+def test_what_belongs_together_is_below_each_other(cells, below_each_other) -> None:
+    assert aligned(cells) == below_each_other
 
 
 def test_versions_dates_and_ordinals_are_no_numbers() -> None:
-    assert aligned(["2.4.6", "26.0"]) == ["2.4.6", "26.0"]
-    assert 'class="number"' not in page.table([("1. hota at least 0.5",), ("2. hota at least 0.6",)], ("requirement",))
-    assert 'class="number"' not in page.table([("0.1.0",), ("2.4.6",)], ("version",))
+    for cell in ("1. hota at least 0.5", "2. hota at least 0.6", "0.1.0", "2.4.6"):
+        assert 'class="number"' not in page.table([(cell,)], ("version",)), cell
 
 
 def test_numbers_are_the_same_without_their_spaces() -> None:

@@ -59,6 +59,12 @@ def scene(tmp_path_factory):
     return scene_with(tmp_path_factory.mktemp("shaded"))
 
 
+def painted(shaded, solids, width=640, style=DAYLIGHT, **options):
+    """A picture as whole numbers."""
+    painter, window = ShadedPictureRenderer(shaded, style), Window.whole((800, 600), width)
+    return np.asarray(painter.picture(solids, window, **options)).astype(int)
+
+
 @pytest.fixture(scope="module")
 def solids(scene):
     return Solids.at(scene, scene.cameras[0], 3)
@@ -121,23 +127,24 @@ def test_the_id_pass_goes_on_when_a_shaded_renderer_is_closed_or_forgotten(rende
         np.testing.assert_array_equal(solids.ids(window, renderer), before)
 
 
+MATRIX = np.array([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]])
+
+
 def test_depth_is_that_of_the_face(shaded):
     corners = np.array([[[-50.0, -50.0, 500.0], [50.0, -50.0, 500.0], [0.0, 50.0, 500.0]]])
     faces = LitFaces(corners, np.array([[0.0, 0.0, -1.0]]), np.ones((1, 3)))
-    matrix = np.array([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]])
-    lit = shaded.draw(faces, matrix, 0.1, (100, 100), [], (1, 1, 1))
+    lit = shaded.draw(faces, MATRIX, 0.1, (100, 100), [], (1, 1, 1))
     assert lit.depth_m[lit.drawn] == pytest.approx(500, rel=1e-4)
     assert lit.drawn[48, 50]
     assert not lit.drawn[10, 10]
 
 
 def test_a_face_is_lightest_turned_to_the_lamp(shaded):
-    corners = np.array([[[-5.0, -5.0, 5.0], [5.0, -5.0, 5.0], [0.0, 5.0, 5.0]]])
-    matrix, found = np.array([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]]), []
+    corners, found = np.array([[[-5.0, -5.0, 5.0], [5.0, -5.0, 5.0], [0.0, 5.0, 5.0]]]), []
     for normal in ((0, 0, -1), (0.6, 0, -0.8), (1, 0, 0)):
         faces = LitFaces(corners, np.array([normal], dtype=float), np.full((1, 3), 0.5))
         lamp = Lamp((0.0, 0.0, -1.0), (1, 1, 1), 2.0)
-        found.append(int(shaded.draw(faces, matrix, 0.1, (100, 100), [lamp], (0.1, 0.1, 0.1)).colour[50, 50, 0]))
+        found.append(int(shaded.draw(faces, MATRIX, 0.1, (100, 100), [lamp], (0.1, 0.1, 0.1)).colour[50, 50, 0]))
     assert found[0] > found[1] > found[2] > 0
 
 
@@ -151,9 +158,8 @@ def test_a_face_reflects_by_lamberts_law():
     np.testing.assert_allclose(light[2], 0.05)  # turned away: the light from everywhere is left
 
 
-def test_sky_is_above_the_horizon_and_sea_below(shaded, scene, solids):
-    window = Window.whole((800, 600), 640)
-    picture = np.asarray(ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window)).astype(int)
+def test_sky_is_above_the_horizon_and_sea_below(shaded, solids):
+    picture = painted(shaded, solids)
     assert picture.shape == (480, 640, 3)
     a, b, c = solids.sea_half_plane
     horizon = round(-(a * 400 + c) / b * 0.8)
@@ -179,12 +185,10 @@ def test_a_painter_used_before_draws_the_same_when_the_camera_has_moved(shaded, 
 
 def test_a_picture_after_many_is_the_first_one_of_its_step(shaded, scene):
     """Only the rows that were drawn on are restored."""
-    window = Window.whole((800, 600), 320)
-    used = ShadedPictureRenderer(shaded, DAYLIGHT)
+    used, window = ShadedPictureRenderer(shaded, DAYLIGHT), Window.whole((800, 600), 320)
     for step in (3, 5, 0, 3):
         solids = Solids.at(scene, scene.cameras[0], step)
-        fresh = ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window)
-        np.testing.assert_array_equal(used.picture(solids, window), fresh)
+        np.testing.assert_array_equal(used.picture(solids, window), painted(shaded, solids, 320))
 
 
 def test_sea_and_sky_are_drawn_once_for_a_camera_that_stays(shaded, monkeypatch):
@@ -220,9 +224,7 @@ def test_programs_are_compiled_for_the_first_picture_only(shaded, scene, monkeyp
 
 
 def test_vessels_keep_their_hue(renderer, shaded, solids):
-    window = Window.whole((800, 600), 800)
-    picture = np.asarray(ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window)).astype(float)
-    ids = solids.ids(window, renderer)
+    picture, ids = painted(shaded, solids, 800), solids.ids(Window.whole((800, 600), 800), renderer)
     colours = {value: palette.vessel_colour(value - 1) for value in (1, 2, 3) if (ids == value).sum() > 50}
     assert len(colours) >= 2
     for value, colour in colours.items():
@@ -253,14 +255,13 @@ def test_fog_leaves_two_percent_of_the_contrast_at_the_visibility():
 
 
 def test_fog_hides_what_is_far_and_night_darkens(renderer, shaded, scene, solids):
-    window = Window.whole((800, 600), 400)
+    foggy, dark = RenderStyle(shaded=True, visibility_m=100.0), RenderStyle(shaded=True, night=True)
+    speeds_m_s = np.ones(len(scene.vessels))
     clear, fog, night = (
-        np.asarray(ShadedPictureRenderer(shaded, style).picture(solids, window, np.ones(len(scene.vessels)))).astype(
-            float
-        )
-        for style in (DAYLIGHT, RenderStyle(shaded=True, visibility_m=100.0), RenderStyle(shaded=True, night=True))
+        painted(shaded, solids, 400, style, speeds_m_s=speeds_m_s) for style in (DAYLIGHT, foggy, dark)
     )
-    far = solids.ids(window, renderer) == len(scene.vessels) + 1  # the island, 300 m away
+    ids = solids.ids(Window.whole((800, 600), 400), renderer)
+    far = ids == len(scene.vessels) + 1  # the island, 300 m away
     assert far.sum() > 20
     assert np.ptp(fog[far].mean(axis=-1)) < 6
     assert clear[far].mean() < fog[far].mean() - 30
@@ -270,12 +271,9 @@ def test_fog_hides_what_is_far_and_night_darkens(renderer, shaded, scene, solids
 def test_weather_is_said_to_be_an_illustration(shaded, solids):
     assert RenderStyle(shaded=True).caption == ""
     assert "illustration: visibility 800 m, night" in RenderStyle(shaded=True, visibility_m=800.0, night=True).caption
-    window = Window.whole((800, 600), 640)
-    calm = np.asarray(ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window))
-    foggy = np.asarray(
-        ShadedPictureRenderer(shaded, RenderStyle(shaded=True, visibility_m=1e12)).picture(solids, window)
-    )  # fog that is nowhere
-    rows, columns = np.nonzero((np.abs(calm.astype(int) - foggy) > 8).any(axis=-1))
+    nowhere = RenderStyle(shaded=True, visibility_m=1e12)  # such fog changes no colour
+    off = np.abs(painted(shaded, solids) - painted(shaded, solids, style=nowhere))
+    rows, columns = np.nonzero((off > 8).any(axis=-1))
     assert rows.min() > 440
     assert columns.min() == 0
 
@@ -286,7 +284,6 @@ def test_a_visibility_is_a_positive_distance(value):
         RenderStyle(shaded=True, visibility_m=value)
 
 
-def test_an_empty_sea_is_drawn_too(shaded, scene, solids):
+def test_an_empty_sea_is_drawn_too(shaded, solids):
     nobody = replace(solids, outlines=solids.outlines.take(np.array([], dtype=np.int64)))
-    picture = ShadedPictureRenderer(shaded, DAYLIGHT).picture(nobody, Window.whole((800, 600), 320))
-    assert picture.size == (320, 240)
+    assert painted(shaded, nobody, 320).shape == (240, 320, 3)

@@ -14,6 +14,7 @@ from modsim3d.cli.run_summary import scene_warnings
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
 from modsim3d.world.vessels import misfit
+from tests.scenes import camera_keys
 from tests.world.test_meshes import NAMES
 
 SIZE_M = (90.0, 15.0, 22.0)
@@ -28,13 +29,9 @@ SCENE = {
     "vessels": {"own": {"length_m": 10, "beam_m": 4, "air_draft_m": 3, "label": "boat"}},
     "poses": {"tracks": {"own": [[0, 0, 0], [30, 30, 0]], "v": [[0, 250, 60], [30, 250, -60]]}},
     "cameras": {
-        "bow": {
-            "focal_length_m": 0.008,
-            "pixel_size_m": [5.0e-6, 5.0e-6],
-            "principal_point_px": [960, 540],
-            "image_size_px": [1920, 1080],
-            "mount": {"vessel": "own", "position_m": [3, 0, 2.2], "pitch_rad": 0.02},
-        }
+        "bow": camera_keys(
+            1920, 1080, focal_length_m=0.016, mount={"vessel": "own", "position_m": [3, 0, 2.2], "pitch_rad": 0.02}
+        )
     },
     "annotation": {"mode": 2, "source": "rendered"},
     "detector": "coastal",

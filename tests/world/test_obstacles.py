@@ -9,13 +9,12 @@ import shapely
 from modsim3d.core.errors import InputError
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
-from modsim3d.runs.pipeline import open_renderer, simulate_frames, truth_block
+from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.occlusion_order import order_of
 from modsim3d.truth.outlines import first_body_around, outline
-from modsim3d.truth.record import COLUMNS, concatenate
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from modsim3d.world.bodies import Obstacle, extruded, obstacle_bodies, vessel_bodies
@@ -212,14 +211,3 @@ def test_camera_in_a_shoebox_is_inside_and_one_beside_it_is_not(place):
     bodies = vessel_bodies([boat], np.ones((1, 1), bool), np.zeros((1, 1, 3)), world_R_vehicle(np.zeros((1, 1))))
     assert first_body_around(np.array([place]), bodies) == (0, 0)
     assert first_body_around(np.add([place], (0, 0, 2)), bodies) is None
-
-
-def test_blocks_of_any_length_give_the_same_truth_behind_obstacles(tmp_path):
-    wall = {"polygon_m": [[100, -50], [110, -50], [110, 5], [105, 0]], "height_m": 6}
-    scene = load_scene(scene_with(tmp_path, {"quay": wall}))
-    with open_renderer(scene) as renderer:
-        together = truth_block(scene, 0, 6, renderer)
-        single = concatenate([truth_block(scene, step, step + 1, renderer) for step in range(6)])
-    for name in COLUMNS:
-        np.testing.assert_array_equal(getattr(together, name), getattr(single, name), err_msg=name)
-    assert together.visible_fraction.min() < together.visible_fraction.max()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from modsim3d.core.errors import InputError
+from modsim3d.geometry.camera_poses import heading_of
 from modsim3d.scene.reading import load_scene
-from modsim3d.world.poses.base import waypoint_tracks
+from modsim3d.world.poses.base import WaypointTracks, waypoint_tracks
 from tests.scenes import write_scene
 
 CORNER = {"a": [(2.0, 0.0, 0.0), (6.0, 8.0, 0.0), (8.0, 8.0, -6.0)]}
@@ -106,3 +107,32 @@ def test_scene_of_tracks_loads_and_says_when_a_vessel_appears_and_leaves(tmp_pat
     scene = load_scene(path)
     poses = scene.poses.poses(0, scene.steps)
     assert poses.present.tolist() == [[False, False], [True, False], [True, False], [True, False], [False, False]]
+
+
+def along(track, times_s):
+    """Places and headings on one track, at times between its first and its last waypoint."""
+    leg = np.clip(np.searchsorted(track[:, 0], times_s, side="right") - 1, 0, len(track) - 2)
+    start, end = track[leg], track[leg + 1]
+    share = (times_s - start[:, 0]) / (end[:, 0] - start[:, 0])
+    return start[:, 1:] + share[:, None] * (end - start)[:, 1:], heading_of((end - start)[:, 1:])
+
+
+@pytest.mark.parametrize(("first", "stop"), [(0, 300), (41, 42), (120, 127), (7, 7)])
+def test_poses_of_all_vessels_at_once_are_those_of_each_track_bit_for_bit(first, stop):
+    rng, tracks = np.random.default_rng(0), []
+    for vessel in range(40):
+        times_s = np.sort(rng.choice(300, rng.integers(2, 6), replace=False)) * 0.1  # some are those of steps
+        track = np.column_stack([times_s, rng.normal(0, 500, (len(times_s), 2))])
+        tracks.append(None if vessel % 9 == 4 else track)
+    timestamps = [f"{step * 0.1:.3f}" for step in range(300)]
+    poses = WaypointTracks(timestamps, tuple(tracks)).poses(first, stop)
+    times_s = np.array([float(text) for text in timestamps[first:stop]])
+    for column, track in enumerate(tracks):
+        there = np.zeros(len(times_s), dtype=bool)
+        places_m, headings_rad = np.zeros((len(times_s), 3)), np.zeros(len(times_s))
+        if track is not None:
+            there = (times_s >= track[0, 0]) & (times_s <= track[-1, 0])
+            places_m[there, :2], headings_rad[there] = along(track, times_s[there])
+        np.testing.assert_array_equal(poses.present[:, column], there)
+        np.testing.assert_array_equal(poses.positions_m[:, column], places_m)
+        np.testing.assert_array_equal(poses.headings_rad[:, column], headings_rad)

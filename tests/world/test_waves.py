@@ -182,3 +182,15 @@ def test_vessel_that_carries_a_camera_rolls_in_everybody_s_pictures(tmp_path):
     up = scene.sight(ashore, steps).world_R_vessel[:, 0, :, 2]
     np.testing.assert_allclose(up[0], [-np.sin(0.3), 0, np.cos(0.3)], atol=1e-12)  # it drives along w2: port is −w1
     np.testing.assert_array_equal(scene.sight(bow, steps).world_R_vessel[:, 0, :, 2], up)
+
+
+def test_the_latest_poses_are_kept_and_are_those_of_the_steps_asked_for():
+    motion, other = (load_scene("simulation_2", steps=40).motion for _ in range(2))
+    steps, later = np.array([3, 5]), np.array([5, 7])
+    first = motion.at(steps)
+    assert motion.at(steps.copy()) is first
+    second = motion.at(later)
+    np.testing.assert_array_equal(second.world_R_vessel, other.at(later).world_R_vessel)
+    np.testing.assert_array_equal(second.poses.positions_m[0], first.poses.positions_m[1])
+    with pytest.raises(ValueError, match="read-only"):
+        second.poses.positions_m[0] = 0

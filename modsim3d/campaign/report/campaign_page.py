@@ -6,6 +6,7 @@ import html
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,7 @@ from modsim3d.campaign.verdicts.wording import levels_of
 from modsim3d.campaign.work.row import DONE
 from modsim3d.campaign.worst_film import moment_picture
 from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.document import Cell, Figure, Row
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted, listed
 from modsim3d.view.pages import page
@@ -155,7 +157,7 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
     for score in {each.score for each in found}:
         here = [each for each in found if each.score == score]
         span[score] = span_of([0.0, *(_or_nan(v) for each in here for v in (each.mean, each.low, each.high))])
-    rows = [
+    rows: list[Row] = [
         (
             Score(each.score).name,
             *condition_cells(plan, each.condition, keys),
@@ -178,13 +180,14 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
             f"nothing.{remark}",
             "soft",
         ),
-        page.table(rows, header, markup=(len(columns) + 3,)),
+        page.table(rows, header),
     ]
 
 
-def _difference(each: PairedDifference, span: tuple[float, float]) -> str:
+def _difference(each: PairedDifference, span: tuple[float, float]) -> Cell:
     found = ChartInterval(_or_nan(each.mean), _or_nan(each.low), _or_nan(each.high))
-    return strip(found, 0.0, None, span, f"{with_interval(found.mean, found.low, found.high)} against 0")
+    label = f"{with_interval(found.mean, found.low, found.high)} against 0"
+    return Cell("", draw=partial(strip, found, 0.0, None, span, label))
 
 
 def _or_nan(value: float | None) -> float:
@@ -253,7 +256,7 @@ def _picture(folder: CampaignFolder, each: WorstRun, moment_s: float) -> str:
     except ModsimError as error:
         return page.paragraph(f"There is no picture: {error}", "soft")
     caption = f"Run {each.number} at {moment_s:g} s: what is true, and the tracks of {each.tracker}."
-    return page.picture(image, caption, "jpeg", quality=QUALITY)
+    return page.html_of(Figure(lambda: page.image(image, caption, "jpeg", quality=QUALITY), caption))
 
 
 def _command(name: str, line: str) -> str:

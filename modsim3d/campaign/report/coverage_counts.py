@@ -13,7 +13,7 @@ from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.work.coverage import COVERED, MET
 from modsim3d.campaign.work.row import DONE
 from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.view.pages.tables import UNKNOWN
+from modsim3d.core.text import UNKNOWN
 
 _NEEDED = (COVERED, MET, "condition", "frames", "traffic_seed")
 """How the columns begin that are counted; those of scores are many, and left where they are."""

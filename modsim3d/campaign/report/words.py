@@ -6,6 +6,7 @@ import html
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.campaign.verdicts.wording import percent, requirement_text
 from modsim3d.campaign.work.row import SHARES
 from modsim3d.campaign.work.task import PLAN
-from modsim3d.core.text import counted
-from modsim3d.tracking.score_text import COLUMNS, UNKNOWN
+from modsim3d.core.document import Cell, Row
+from modsim3d.core.text import UNKNOWN, counted
+from modsim3d.tracking.score_text import COLUMNS
 from modsim3d.view.pages import page
 from modsim3d.view.pages.charts import ChartInterval, span_of, strip
 from modsim3d.view.pages.provenance import Input, Provenance, file_input, folder_input, versions_in_words
@@ -194,9 +196,7 @@ def with_interval(mean: float | None, low: float | None, high: float | None) -> 
 # ---- Tables of the page of a campaign without what says nothing ----
 
 
-def without_empty(
-    rows: Sequence[Sequence[str]], header: Sequence[str], empty: Sequence[str]
-) -> tuple[list[list[str]], list[str]]:
+def without_empty(rows: Sequence[Row], header: Sequence[str], empty: Sequence[str]) -> tuple[list[Row], list[str]]:
     """Rows and header without those of some columns in which no row says anything: all cells are empty or 0."""
     said = [name not in empty or any(row[place] not in ("", "0") for row in rows) for place, name in enumerate(header)]
     kept = [place for place, each in enumerate(said) if each]
@@ -285,7 +285,7 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
     bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
     notes = {place: _note(each, limit) for place, each in enumerate(shown)}
-    table = page.table(kept, names, markup=(len(columns) + 3,), bad=bad, notes=notes)
+    table = page.table(kept, names, bad=bad, notes=notes)
     if len(rows) > MAX_OPEN:
         first = sum(each.outcome != "met" for each in shown)
         opened = 0 < first <= MAX_OPEN
@@ -306,7 +306,7 @@ def _row(
     limit: float,
     least: bool,
     span: tuple[float, float],
-) -> tuple[str, ...]:
+) -> Row:
     values = (_or_nan(each.estimate), _or_nan(each.low), _or_nan(each.high))
     said = with_interval(each.estimate, *values[1:])
     return (
@@ -315,7 +315,7 @@ def _row(
         *(str(each.values[group]) for group in groups),
         SIGNS[each.outcome],
         said,
-        strip(ChartInterval(*values), limit, least, span, f"{said} against {number(limit)}"),
+        Cell("", draw=partial(strip, ChartInterval(*values), limit, least, span, f"{said} against {number(limit)}")),
         f"{each.crashed:,}",
         f"{each.nothing:,}",
         f"{each.undefined:,}",

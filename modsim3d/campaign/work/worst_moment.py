@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.runs.files.tables import NOBODY
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.tracking.scores.scored import Scored, frame_lengths_s
 
 WINDOW_S = 5.0

@@ -12,10 +12,10 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.boxes import from_top_left
 from modsim3d.core.errors import InputError
-from modsim3d.formats.labelled import NOBODY, UNKNOWN, Annotations, FileIds, Images, LabelledSet, Results
+from modsim3d.formats.labelled import UNKNOWN, Annotations, FileIds, Images, LabelledSet, Results
 from modsim3d.io.input_files import MAX_PROBLEMS
 from modsim3d.io.misreadings import ROUNDED, are_rounded
 from modsim3d.io.validation import shown

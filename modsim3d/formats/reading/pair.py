@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.formats.labelled import NOBODY, Images, LabelledSet, with_horizon
+from modsim3d.formats.labelled import Images, LabelledSet, with_horizon
 from modsim3d.formats.reading.builder import NO_OPTIONS, ReadOptions
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.reading.mot import read_mot

@@ -20,9 +20,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.formats.writing.mcap_messages import (
     CAMERA_INFO,
-    DETECTIONS,
     IMU,
-    ODOMETRY,
     TRANSFORMS,
     FrameBoxes,
     FramePlace,
@@ -30,7 +28,6 @@ from modsim3d.formats.writing.mcap_messages import (
     Messages,
     Variances,
     detected_boxes,
-    message_types,
     quaternions,
     stamps_ns,
     true_boxes,
@@ -39,6 +36,7 @@ from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.geometry.camera_poses import camera_R_parent, vehicle_R_nominal, world_R_vehicle
 from modsim3d.geometry.kinematics import first_derivative, slopes
 from modsim3d.io.atomic_write import make_folder, put_in_place
+from modsim3d.io.ros_bag import DETECTIONS_2D, ODOMETRY, message_types
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.scene.cameras import OwnShips, own_ships_at
 from modsim3d.scene.scene import Scene
@@ -308,8 +306,8 @@ class BagRecording:
         names, static = self._names, static_places(self._scene, self._names)
         for name in names.cameras.values():
             tracker.add_topic(f"/{name}/camera_info", CAMERA_INFO)
-            tracker.add_topic(f"/{name}/detections", DETECTIONS)
-            truth.add_topic(f"/truth/{name}/boxes", DETECTIONS)
+            tracker.add_topic(f"/{name}/detections", DETECTIONS_2D)
+            truth.add_topic(f"/truth/{name}/boxes", DETECTIONS_2D)
         for prefix in names.vessels.values():
             tracker.add_topic(f"/{prefix}odom", ODOMETRY)
             tracker.add_topic(f"/{prefix}imu", IMU)
@@ -401,7 +399,7 @@ def files(request: ExportRequest) -> tuple[str, ...]:
 
 def write(request: ExportRequest, folder: Path) -> None:
     """Write a run."""
-    run, store = request.run, message_types()
+    run, store = request.run, message_types("--format mcap")
     if run.stored is not None:
         run.stored.check_checksums()
     recording = _recording(request)
@@ -415,7 +413,7 @@ def write(request: ExportRequest, folder: Path) -> None:
 def _recording(request: ExportRequest) -> BagRecording:
     run = request.run
     run.check_has_steps()
-    messages, scene = Messages(message_types()), run.scene
+    messages, scene = Messages(message_types("--format mcap")), run.scene
     return BagRecording(scene, bag_names(request), stamps_ns(scene.timestamps(0, run.steps), scene.title), messages)
 
 

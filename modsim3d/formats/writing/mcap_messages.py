@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import centre_form
-from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.errors import InputError
 from modsim3d.geometry.camera import Distortion, Intrinsics
+from modsim3d.io.ros_bag import DETECTIONS_2D, NANO, ODOMETRY
 from modsim3d.runs.blocks import CameraBlock
 from modsim3d.runs.tracker_view import TrackerDetections
 from modsim3d.scene.scene import Scene
@@ -69,50 +70,12 @@ def _rows(starts: np.ndarray) -> Iterator[slice]:
 
 # ---- The ROS 2 messages of a bag ----
 
-DETECTIONS = "vision_msgs/msg/Detection2DArray"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-ODOMETRY = "nav_msgs/msg/Odometry"
 IMU = "sensor_msgs/msg/Imu"
-
-VISION_MSGS = {
-    "vision_msgs/msg/Point2D": "float64 x\nfloat64 y\n",
-    "vision_msgs/msg/Pose2D": "vision_msgs/Point2D position\nfloat64 theta\n",
-    "vision_msgs/msg/BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y\n",
-    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
-    "vision_msgs/msg/ObjectHypothesisWithPose": (
-        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
-    ),
-    "vision_msgs/msg/Detection2D": (
-        "std_msgs/Header header\n"
-        "vision_msgs/ObjectHypothesisWithPose[] results\n"
-        "vision_msgs/BoundingBox2D bbox\n"
-        "string id\n"
-    ),
-    DETECTIONS: "std_msgs/Header header\nvision_msgs/Detection2D[] detections\n",
-}
-"""Fields of vision_msgs 4, that of Humble and newer, as far as a `Detection2DArray` needs them."""
-
-
-def message_types() -> Typestore:
-    """The types of all messages of a bag.
-
-    Raises:
-        ModsimError: rosbags is not installed.
-    """
-    try:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError:
-        raise ModsimError('--format mcap needs rosbags: pip install "modsim3d[ros]"') from None
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in VISION_MSGS.items():
-        store.register(get_types_from_msg(text, name))
-    return store
-
 
 # ---- Times of steps in ROS's nanoseconds ----
 
-NANO = 1_000_000_000
 MAX_S = 2**31 - 1
 """ROS keeps seconds in 32 bits with a sign, and a bag holds no negative times."""
 _UNIT, _EXACT = Decimal("1e-9"), Context(prec=40)
@@ -210,7 +173,7 @@ class Messages:
         """A `Detection2DArray` of the boxes of a frame."""
         header = self._header(stamp_ns, frame)
         rows = zip(centre_form(boxes.boxes_px).tolist(), boxes.labels, boxes.scores, boxes.ids, strict=True)
-        return self._make(DETECTIONS, header, [self._detection(header, *row) for row in rows])
+        return self._make(DETECTIONS_2D, header, [self._detection(header, *row) for row in rows])
 
     def camera_info(self, stamp_ns: int, frame: str, intrinsics: Intrinsics) -> Any:
         """A `CameraInfo`; the image is not rectified, so R is the identity and P has K's numbers."""

@@ -12,9 +12,10 @@ from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.geometry.camera_poses import vehicle_R_nominal, world_R_vehicle
 from modsim3d.io.misreadings import other_unit
+from modsim3d.io.text_table import TextTable
 from modsim3d.io.validation import nearest
 from modsim3d.learn.voyage.clock import SceneClock, on_scene_clock
-from modsim3d.learn.voyage.logs.tables import read_table, times_of
+from modsim3d.learn.voyage.logs.tables import times_of
 from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.vessel_motion import PosesInWaves
@@ -94,7 +95,7 @@ def read_attitude(path: Path, scene: Scene) -> Attitude:
         raise InputError(source, [f"no camera of {scene.title} is on board a vessel"])
     if not path.exists():
         raise InputError(source, ["no such file"])
-    table = read_table(path, source)
+    table = TextTable.read(path, "attitude")
     if missing := [name for name in COLUMNS if not table.has(name)]:
         got = ", ".join(list(table.columns)[:8])
         raise InputError(source, [f"line 1: the columns {', '.join(missing)} are missing (got {got})"])

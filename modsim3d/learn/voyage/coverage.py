@@ -11,10 +11,10 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form
+from modsim3d.core.document import Table
 from modsim3d.core.text import counted
 from modsim3d.geometry.camera import Camera
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.report_page import Table
 from modsim3d.learn.voyage.clock import SceneClock
 from modsim3d.learn.voyage.labelled_voyage import LabelledVoyage
 from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections

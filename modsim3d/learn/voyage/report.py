@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
+from modsim3d.core.document import Block, Figure, Heading, Items, Table, Text
 from modsim3d.core.text import counted
 from modsim3d.geometry.camera import Camera
 from modsim3d.learn.bootstrap import Column
 from modsim3d.learn.report import LearnReport
-from modsim3d.learn.report_page import Table
 from modsim3d.learn.voyage import deconvolution as truth_noise
 from modsim3d.learn.voyage.coverage import (
     Coverage,
@@ -37,7 +37,6 @@ from modsim3d.learn.voyage.registration.identifiability import COMMON_DELAY, Con
 from modsim3d.learn.voyage.registration.parameters import SHARED
 from modsim3d.learn.voyage.registration.registering import BY_RULE, RegisteredValue, Registration
 from modsim3d.scene.scene import Scene
-from modsim3d.view.pages import charts, page
 
 # ---- A registration as a table and in sentences ----
 
@@ -173,24 +172,6 @@ class VoyageReport:
         """That of a report; the rates are resampled so many times."""
         return cls(voyage, judged, taken_off, judged.own_rates(replicates, seed), report.level)
 
-    @property
-    def registration(self) -> list[tuple[str, Table, tuple[str, ...]]]:
-        """Basis of each registration, its table, and the values that could not be told apart."""
-        return [
-            (registration_lead(each), registration_table(each, self.voyage.scene), (*exchanges(each.registration),))
-            for each in self.voyage.registered
-        ]
-
-    @property
-    def unseen(self) -> Table:
-        """The rates of false positives."""
-        return Table(unseen.TITLE, unseen.HEADER, tuple(unseen.rows_of(self.rates, self.level)))
-
-    @property
-    def truth_noise(self) -> Table:
-        """Box errors with and without errors of truth; without rows if none are assumed."""
-        return Table(truth_noise.TITLE, truth_noise.HEADER, tuple(self.taken_off.rows()))
-
     @cached_property
     def coverage(self) -> list[Coverage]:
         """Matches and misses of each camera."""
@@ -205,12 +186,6 @@ class VoyageReport:
     def unmatched(self) -> list[FrameStretch]:
         """Detections of nothing known."""
         return unmatched_stretches(self.voyage, self.judged)
-
-    @property
-    def tables(self) -> list[Table]:
-        """Tables besides those of registration."""
-        coverage = [range_table(each) for each in self.coverage]
-        return [self.unseen, self.truth_noise, *coverage, missed_table(self.missed), unmatched_table(self.unmatched)]
 
 
 # ---- What `modsim3d learn --json` says of a voyage ----
@@ -263,10 +238,7 @@ def _box_error(error: ComponentNoise) -> dict[str, Any]:
 
 def _rates(rates: StateRates, level: float) -> dict[str, Any]:
     def found(column: Column | None) -> dict[str, float] | None:
-        if column is None:
-            return None
-        low, high = column.interval(level, rates.units)
-        return {"value": float(column.estimate), "low": float(low), "high": float(high)}
+        return None if column is None else column.content(level, rates.units)
 
     return {
         "state": rates.state,
@@ -293,54 +265,47 @@ _KEY = (
 )
 
 
-def voyage_sections(told: VoyageReport) -> tuple[str, ...]:
-    """All sections, as HTML."""
-    return (*_registration_section(told), *_unseen(told), *_truth_noise(told), *_coverage(told), *_worst(told))
+def voyage_sections(told: VoyageReport) -> tuple[Block, ...]:
+    """All sections."""
+    return *_registration(told), *_reference(told), *_coverage(told), *_worst(told)
 
 
-def _registration_section(told: VoyageReport) -> Iterator[str]:
-    yield page.heading("Registration")
+def _registration(told: VoyageReport) -> Iterator[Block]:
+    yield Heading("Registration")
     if not told.voyage.registered:
-        yield page.paragraph(NOT_REGISTERED)
-    for lead, table, exchanges in told.registration:
-        yield page.paragraph(lead)
-        yield from _table(table)
-        yield page.paragraph("What these data cannot tell apart, so that a rule settles it:")
-        yield page.listed(f"{each[:1].upper()}{each[1:]}.".replace(" -", " −") for each in exchanges)
+        yield Text(NOT_REGISTERED)
+    for each in told.voyage.registered:
+        yield Text(registration_lead(each))
+        yield registration_table(each, told.voyage.scene)
+        yield Text("Cannot be told apart by these data, so that a rule settles it:")
+        yield Items([f"{text[:1].upper()}{text[1:]}.".replace(" -", " −") for text in exchanges(each.registration)])
 
 
-def _unseen(told: VoyageReport) -> Iterator[str]:
-    yield page.heading("What AIS does not see")
-    yield from _table(told.unseen)
+def _reference(told: VoyageReport) -> Iterator[Block]:
+    yield Heading("What AIS does not see")
+    yield Table(unseen.TITLE, unseen.HEADER, unseen.rows_of(told.rates, told.level))
+    if rows := told.taken_off.rows():
+        yield Heading("How well the truth is known")
+        yield Table(truth_noise.TITLE, truth_noise.HEADER, rows)
 
 
-def _truth_noise(told: VoyageReport) -> Iterator[str]:
-    table = told.truth_noise
-    if table.rows:
-        yield page.heading("How well the truth is known")
-        yield from _table(table)
-
-
-def _coverage(told: VoyageReport) -> Iterator[str]:
-    yield page.heading("Coverage of the sea")
+def _coverage(told: VoyageReport) -> Iterator[Block]:
+    yield Heading("Coverage of the sea")
     for coverage in told.coverage:
-        yield charts.figure([coverage_drawing(coverage)], _COVERAGE)
-        yield from _table(range_table(coverage))
+        yield Figure(partial(coverage_drawing, coverage), _COVERAGE)
+        yield range_table(coverage)
 
 
-def _worst(told: VoyageReport) -> Iterator[str]:
-    yield page.heading("The longest without a match")
+def _worst(told: VoyageReport) -> Iterator[Block]:
+    yield Heading("The longest without a match")
     for stretches, table in (
         (told.missed, missed_table(told.missed)),
         (told.unmatched, unmatched_table(told.unmatched)),
     ):
-        if not stretches:
-            continue
-        yield from _table(table)
-        yield charts.figure([frame_sketch(told.voyage, told.judged, each) for each in stretches[:_DRAWN]], _KEY)
+        yield table
+        if stretches:
+            yield Figure(partial(_sketches, told, stretches[:_DRAWN]), _KEY)
 
 
-def _table(table: Table) -> Iterator[str]:
-    if table.rows:
-        yield page.paragraph(table.title, "soft")
-        yield f'<div class="wide">{page.table(table.rows, table.header)}</div>'
+def _sketches(told: VoyageReport, stretches: list[FrameStretch]) -> str:
+    return "".join(frame_sketch(told.voyage, told.judged, each) for each in stretches)

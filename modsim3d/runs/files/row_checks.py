@@ -12,14 +12,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import centre_form
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, MERGED, PERSISTENT
 from modsim3d.io.validation import MAX_COORDINATE_M, shown
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS
 from modsim3d.runs.files.tables import (
-    NOBODY,
     Occluders,
     detection_boxes_px,
     flags,

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.core.arrays import Indices
+from modsim3d.core.arrays import NOBODY, Indices
 from modsim3d.core.boxes import corner_form
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.model import DetectorModel
@@ -30,7 +30,6 @@ from modsim3d.runs.files.table_columns import (
 )
 from modsim3d.runs.files.tables import (
     DETECTIONS,
-    NOBODY,
     Occluders,
     detection_boxes_px,
     flags,

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import centre_form
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, Detections
@@ -207,9 +207,6 @@ class TableWriter:
 
 
 # ---- Columns of a run's tables as NumPy arrays ----
-
-NOBODY = -1
-"""The index of a name that is null, or not among the names."""
 
 
 def number_column(table: pa.Table, name: str) -> Array:

@@ -13,9 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask, ranges
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, ranges
 from modsim3d.core.boxes import areas
-from modsim3d.runs.files.tables import NOBODY
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionSpans, Survival, within
 from modsim3d.tracking.scores.scored import Scored
 

@@ -8,9 +8,8 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
-from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, Following, TrueTracks, TruthName, follow

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.arrays import Indices
+from modsim3d.core.arrays import NOBODY, Indices
 from modsim3d.core.errors import ModsimError
-from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.scores.association import Clear, Hota, Identity, clear_of, hota_of, identity_of, sequence
 from modsim3d.tracking.scores.breakdown import Breakdown, breakdown

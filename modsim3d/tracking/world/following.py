@@ -10,9 +10,8 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.geometry.kinematics import HullTracks, velocities
-from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.scores.errors import distances
 from modsim3d.tracks.tracks import WorldTracks

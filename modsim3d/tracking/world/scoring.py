@@ -8,11 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.statistics import t_bounds
 from modsim3d.geometry.kinematics import closest_approach
-from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.detector_seeds import LEVEL

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import orjson
 from PIL import Image
 
+from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Table, Text, Tiles, Where
 from modsim3d.io.atomic_write import encoded, write_files
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import visible_regions
 from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison
-from modsim3d.verify.sources.figures import BoxFigures, ComparisonFigures, VesselDifference
-from modsim3d.view.pages import page
+from modsim3d.verify.sources.figures import BoxFigures, ComparisonFigures, RuleFigures, VesselDifference
+from modsim3d.view.pages.page import document_page, image
 from modsim3d.view.pages.provenance import Input, Provenance, sha256_of, shown_path
 from modsim3d.view.pictures.comparison_picture import RULE, Styles, boxes_that_differ, comparison_picture
 from modsim3d.view.pictures.plain import Solids
@@ -24,14 +26,51 @@ FILES = ("compare.json", "compare.html", "rectangle_rule.png")
 Rows = list[tuple[str, str]]
 
 
-def verdict_rows(figures: ComparisonFigures) -> list[tuple[str, str, str]]:
+def document(comparison: SourceComparison, scene: Scene, renderer: IdRenderer | None = None) -> Document:
+    """The comparison, to be read; its pictures need a renderer. A page has no times."""
+    figures, rule = comparison.figures, comparison.figures.rectangles_against_rendered
+    said = f"{figures.vessel_frames:,} vessel-frames compared: {figures.unexplained:,} unexplained differences"
+    agreed = ("Agreement", "Full box", "Visible part")
+    largest = "largest difference of a side"
+    times = [(source, f"{milliseconds:.2f} ms") for source, milliseconds in figures.ms_per_frame.items()]
+    return Document(
+        f"{scene.name}: sources of truth compared",
+        _introduction(figures),
+        [
+            Tiles(
+                [
+                    ("Unexplained", f"{figures.unexplained:,}", f"of {figures.vessel_frames:,} vessel-frames"),
+                    ("Full box", f"{figures.full_box.side_max_px:.2f} px", largest),
+                    ("Visible box", f"{figures.visible_box.side_max_px:.2f} px", largest),
+                    ("Rectangle rule wrong", f"{rule.wrong_share:.1%}", f"of {rule.occluded:,} occluded vessel-frames"),
+                ]
+            ),
+            Heading("Rendered against drawn and analytic"),
+            Fold(
+                said,
+                [Table("", (), _figure_rows(figures)), Table("", agreed, _verdict_rows(figures))],
+                opened=figures.unexplained > 0,
+            ),
+            Heading("The idealised rectangle rule against rendered"),
+            Table("", (), _rule_rows(rule)),
+            Heading("Time per frame"),
+            Table("", (), times, where=Where.TERMINAL),
+            Heading("No plane between the hulls"),
+            Table("", (), [(pair, f"{frames} frames") for pair, frames in figures.intersecting.items()]),
+            Heading("Shoebox against mesh"),
+            _shoeboxes(figures),
+            *(_pictures(comparison, scene, renderer) if renderer else ()),
+        ],
+    )
+
+
+def _verdict_rows(figures: ComparisonFigures) -> list[tuple[str, str, str]]:
     """How many full and visible boxes agree, or why they do not."""
-    full, visible = figures.full_box.verdicts, figures.visible_box.verdicts
-    whole = figures.vessel_frames
+    full, visible, whole = figures.full_box.verdicts, figures.visible_box.verdicts, figures.vessel_frames
     return [(name, _share(full[name], whole), _share(visible[name], whole)) for name in full]
 
 
-def figure_rows(figures: ComparisonFigures) -> Rows:
+def _figure_rows(figures: ComparisonFigures) -> Rows:
     """Figures in rows: what was drawn, whether the rendered truth is the same, and how the analytic truth differs."""
     fraction, drawn = figures.visible_fraction, figures.drawn
     return [
@@ -52,9 +91,7 @@ def figure_rows(figures: ComparisonFigures) -> Rows:
     ]
 
 
-def rule_rows(figures: ComparisonFigures) -> Rows:
-    """The rectangle rule against the rendered source."""
-    rule = figures.rectangles_against_rendered
+def _rule_rows(rule: RuleFigures) -> Rows:
     return [
         ("occluded vessel-frames", str(rule.occluded)),
         (f"a side off by more than {RULE_OFF_PX:g} px", _share(rule.box_off_by_more_than_2_px, rule.occluded)),
@@ -64,27 +101,35 @@ def rule_rows(figures: ComparisonFigures) -> Rows:
     ]
 
 
-def shoebox_rows(figures: ComparisonFigures) -> list[tuple[str, str, str]]:
+def _shoeboxes(figures: ComparisonFigures) -> Table:
     """How much looser the shoebox of each vessel with a mesh is."""
-    return [
+    header = ("vessel", "mean area over the mesh's", "at most", "farthest side, px", "frames within a pixel")
+    rows = [
         (
             vessel,
-            f"its box is {fit.mean_area_ratio:.2f} times as large on average, {fit.max_area_ratio:.2f} times at most",
-            f"sides are up to {fit.max_side_px:.1f} px farther out, and within a pixel in "
-            f"{_share(fit.within_a_pixel, fit.frames)} frames",
+            f"{fit.mean_area_ratio:.2f}",
+            f"{fit.max_area_ratio:.2f}",
+            f"{fit.max_side_px:.1f}",
+            _share(fit.within_a_pixel, fit.frames),
         )
         for vessel, fit in figures.shoebox_against_mesh.items()
     ]
+    return Table("", header, rows)
 
 
-def time_rows(figures: ComparisonFigures) -> Rows:
-    """Time per frame of each source."""
-    return [(source, f"{milliseconds:.2f} ms") for source, milliseconds in figures.ms_per_frame.items()]
+def _pictures(comparison: SourceComparison, scene: Scene, renderer: IdRenderer) -> Iterator[Block]:
+    findings = comparison.findings
+    yield Heading("The rectangle rule's worst mistake")
+    if findings.rule.worst:
+        yield _picture(scene, findings.rule.worst, renderer, RULE)
+    yield Heading("The largest differences between rendered and analytic")
+    for case in findings.worst:
+        yield _picture(scene, case, renderer, boxes_that_differ(case.boxes_px))
 
 
-def intersection_rows(figures: ComparisonFigures) -> Rows:
-    """Pairs of vessels or obstacles whose hulls intersect."""
-    return [(pair, f"{frames} frames") for pair, frames in figures.intersecting.items()]
+def _picture(scene: Scene, case: VesselDifference, renderer: IdRenderer, styles: Styles) -> Figure:
+    caption = describe_case(scene, case)
+    return Figure(lambda: image(draw_case(scene, case, renderer, styles), caption), caption)
 
 
 def _sides(box: BoxFigures) -> str:
@@ -119,7 +164,8 @@ def write_report(
     """
     contents: list[bytes | str] = [orjson.dumps(comparison.figures, option=orjson.OPT_INDENT_2) + b"\n"]
     made_by = command or f"modsim3d.verify.sources.report.write_report of {scene.name} from Python"
-    contents.append(_page(comparison, scene, renderer, _provenance(comparison, scene, renderer, made_by, given)))
+    rests_on = _provenance(comparison, scene, renderer, made_by, given)
+    contents.append(document_page(document(comparison, scene, renderer), rests_on))
     if worst := comparison.findings.rule.worst:
         contents.append(encoded(draw_case(scene, worst, renderer, RULE)))
     else:
@@ -159,57 +205,7 @@ def _scene_file(scene: Scene, file: Path) -> Input:
     return Input("file of the scene", shown.as_posix(), sha256_of(file))
 
 
-def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, rests_on: Provenance) -> str:
-    """The page. It has no times: those are on the terminal and in `compare.json`."""
-    figures, findings = comparison.figures, comparison.findings
-    rule = figures.rectangles_against_rendered
-    agreed = page.table(verdict_rows(figures), ("Agreement", "Full box", "Visible part"))
-    said = f"{figures.vessel_frames:,} vessel-frames compared: {figures.unexplained:,} unexplained differences"
-    body = [
-        *_introduction(figures),
-        page.tiles(
-            [
-                ("Unexplained", f"{figures.unexplained:,}", f"of {figures.vessel_frames:,} vessel-frames"),
-                ("Full box", f"{figures.full_box.side_max_px:.2f} px", "largest difference of a side"),
-                ("Visible box", f"{figures.visible_box.side_max_px:.2f} px", "largest difference of a side"),
-                ("Rectangle rule wrong", f"{rule.wrong_share:.1%}", f"of {rule.occluded:,} occluded vessel-frames"),
-            ]
-        ),
-        page.heading("Rendered against drawn and analytic"),
-        page.folded(said, page.table(figure_rows(figures)) + agreed, opened=figures.unexplained > 0),
-        page.heading("The idealised rectangle rule against rendered"),
-        page.table(rule_rows(figures)),
-    ]
-    if figures.intersecting:
-        body += [page.heading("No plane between the hulls"), page.table(intersection_rows(figures))]
-    if figures.shoebox_against_mesh:
-        body += [page.heading("Shoebox against mesh"), _shoebox_table(figures)]
-    if worst := findings.rule.worst:
-        body.append(page.heading("The rectangle rule's worst mistake"))
-        body.append(page.picture(draw_case(scene, worst, renderer, RULE), describe_case(scene, worst)))
-    body.append(page.heading("The largest differences between rendered and analytic"))
-    for case in findings.worst:
-        styles = boxes_that_differ(case.boxes_px)
-        body.append(page.picture(draw_case(scene, case, renderer, styles), describe_case(scene, case)))
-    return page.page(f"{scene.name}: sources of truth compared", body, rests_on)
-
-
-def _shoebox_table(figures: ComparisonFigures) -> str:
-    rows = [
-        (
-            vessel,
-            f"{fit.mean_area_ratio:.2f}",
-            f"{fit.max_area_ratio:.2f}",
-            f"{fit.max_side_px:.1f}",
-            _share(fit.within_a_pixel, fit.frames),
-        )
-        for vessel, fit in figures.shoebox_against_mesh.items()
-    ]
-    header = ("vessel", "area over the mesh's", "at most", "farthest side, px", "frames within a pixel")
-    return page.table(rows, header)
-
-
-def _introduction(figures: ComparisonFigures) -> list[str]:
+def _introduction(figures: ComparisonFigures) -> list[Text]:
     """The answer, and how it was found."""
     if figures.unexplained:
         answer = (
@@ -229,7 +225,7 @@ def _introduction(figures: ComparisonFigures) -> list[str]:
         "front. Where its boxes differ by more than a pixel, every pixel of the vessel was checked: it must be set if "
         "its centre is inside the exact region, and only then."
     )
-    return [page.paragraph(answer, "bad" if figures.unexplained else "lead"), page.paragraph(method, "soft")]
+    return [Text(answer, "bad" if figures.unexplained else "lead"), Text(method, "soft", Where.PAGE)]
 
 
 def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer, styles: Styles) -> Image.Image:

@@ -15,9 +15,9 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.view import palette
-from modsim3d.view.pages.tables import scrolling
+from modsim3d.view.pages.tables import FILL, scrolling
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999933", "#882255")
+COLOURS = (FILL, "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999933", "#882255")
 """Colours that colour-blind people can tell apart: Okabe & Ito (2008), and two of Tol (2021)."""
 MAX_DOTS, MAX_POINTS = 1500, 800
 CHI_SQUARE_95 = 5.991
@@ -220,14 +220,14 @@ def key(names: Sequence[str], bottom: float, colours: Sequence[str] = ()) -> str
     return "".join(parts)
 
 
-def precision_recall(curves: Mapping[str, tuple[Array, Array]], colours: Sequence[str], caption: str) -> str:
-    """A figure of precision against recall, shape (n,) each, for each name with its colour."""
+def precision_recall(curves: Mapping[str, tuple[Array, Array]], colours: Sequence[str]) -> str:
+    """A chart of precision against recall, shape (n,) each, for each name with its colour."""
     axes, content = Axes((0, 1), (0, 1.02)), ""
     for colour, (recall, precision) in zip(colours, curves.values(), strict=True):
         kept = _along(recall, precision)
         content += line(axes, recall[kept], precision[kept], colour)
     content += key(list(curves), axes.height - _MARGIN[3] - 4, colours)
-    return figure([axes.drawing(content, "precision against recall", "recall", "precision")], caption)
+    return axes.drawing(content, "precision against recall", "recall", "precision")
 
 
 def _along(recall: Array, precision: Array) -> Indices:
@@ -237,8 +237,8 @@ def _along(recall: Array, precision: Array) -> Indices:
     return np.unique(np.append(np.searchsorted(walked, np.linspace(0, walked[-1], MAX_POINTS)), len(recall) - 1))
 
 
-def error_scatter(groups: Mapping[str, Array], colours: Sequence[str], x_label: str, y_label: str, caption: str) -> str:
-    """A figure of pairs of errors, shape (n, 2) for each name, with ellipses that hold 95 % of normal ones like them.
+def error_scatter(groups: Mapping[str, Array], colours: Sequence[str], x_label: str, y_label: str) -> str:
+    """A chart of pairs of errors, shape (n, 2) for each name, with ellipses that hold 95 % of normal ones like them.
 
     Each name has a colour. The labels of the axes name the first and the second error of a pair, each with its unit.
     """
@@ -254,11 +254,11 @@ def error_scatter(groups: Mapping[str, Array], colours: Sequence[str], x_label: 
         if name in rims:
             content += line(axes, *rims[name], colour)
     content += key(list(groups), axes.height - _MARGIN[3] - 4, colours)
-    return figure([axes.drawing(content, f"{y_label} against {x_label}", x_label, y_label)], caption)
+    return axes.drawing(content, f"{y_label} against {x_label}", x_label, y_label)
 
 
-def named_bars(values: Mapping[str, float], unit: str, caption: str) -> str:
-    """A figure of horizontal bars with their names and numbers."""
+def named_bars(values: Mapping[str, float], unit: str, label: str) -> str:
+    """A chart of horizontal bars with their names and numbers."""
     height, most = 26 * len(values) + 12, max([*values.values(), 1e-9])
     parts = []
     for index, (name, value) in enumerate(values.items()):
@@ -268,31 +268,7 @@ def named_bars(values: Mapping[str, float], unit: str, caption: str) -> str:
             f'<rect x="114" y="{y}" width="{width:.1f}" height="17" fill="{colour_of(0)}"/>'
             f'<text x="{120 + width:.1f}" y="{y + 13}">{value:.2f} {html.escape(unit)}</text>'
         )
-    return figure([svg(460, height, caption, "".join(parts))], caption)
-
-
-def confusion_table(names: Sequence[str], counts: Array, shares: Array) -> str:
-    """A confusion matrix as a table: counts and, under them, shares of the column; the darker the larger.
-
-    Args:
-        names: Names of the n classes.
-        counts: A row for each detected class and `missed`, a column for each true one and `background`, shape
-            (n + 1, n + 1).
-        shares: Shares of the sum of the column, NaN where unknown, shape (n + 1, n + 1).
-    """
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in [*names, "background"])
-    lines = [f"<tr><th>detected as \\ true</th>{head}</tr>"]
-    for row, name in enumerate([*names, "missed"]):
-        known = len(names) + (row < len(names))  # how often nothing was taken for nothing is no number
-        cells = map(_share_cell, counts[row, :known], np.nan_to_num(shares[row, :known]))
-        lines.append(f"<tr><th>{html.escape(name)}</th>{''.join(cells)}{'' if row < len(names) else '<td></td>'}</tr>")
-    return scrolling('<table class="shares">\n' + "\n".join(lines) + "\n</table>")
-
-
-def _share_cell(count: float, share: float) -> str:
-    shade = f"color-mix(in srgb, {COLOURS[0]} {60 * share:.0f}%, transparent)"
-    number = f'{count:.0f}<br><span class="soft">{share:.3f}</span>'
-    return f'<td class="number" style="background: {shade}">{number}</td>'
+    return svg(460, height, label, "".join(parts))
 
 
 # ---- Charts of means with their intervals ----

@@ -11,9 +11,24 @@ from typing import Any
 
 from PIL.Image import Image
 
+from modsim3d.core.document import (
+    Beside,
+    Block,
+    Document,
+    Figure,
+    Fold,
+    Heading,
+    Items,
+    Table,
+    Text,
+    Tiles,
+    Where,
+    shown,
+)
+from modsim3d.core.text import UNKNOWN
 from modsim3d.io.atomic_write import encoded
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
-from modsim3d.view.pages.tables import TABLE_STYLE, UNKNOWN, facts, scrolling, table
+from modsim3d.view.pages.tables import TABLE_STYLE, facts, scrolling, table
 
 # ---- How pages are printed ----
 
@@ -78,13 +93,14 @@ def _css_text(text: str) -> str:
 __all__ = [
     "STYLE",
     "UNKNOWN",
+    "document_page",
     "facts",
     "folded",
     "heading",
+    "image",
     "listed",
     "page",
     "paragraph",
-    "picture",
     "scrolling",
     "table",
     "tiles",
@@ -106,6 +122,8 @@ summary { cursor: pointer; padding: 0.25rem 0; }
 .scroll { overflow-x: auto; } .scroll:focus-visible { outline-offset: -2px; }
 figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
 figcaption { color: var(--soft); font-size: 0.95rem; }
+.beside { display: flex; flex-wrap: wrap; gap: 0 2.5rem; } .beside > div { min-width: 0; max-width: 34rem; }
+h3 { margin: 1.4rem 0 0.4rem; } code { overflow-wrap: anywhere; }
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(9.5rem, 1fr)); gap: 0.6rem; margin: 1rem 0; }
 .tiles div { border: 1px solid var(--line); border-radius: 8px; padding: 0.4rem 0.7rem; }
 .tiles dt { color: var(--soft); font-size: 0.88rem; }
@@ -129,6 +147,43 @@ def page(title: str, body: Iterable[str], rests_on: Provenance) -> str:
         f"<title>{html.escape(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n"
         f"<main>\n{content}\n</main>\n</body>\n</html>\n"
     )
+
+
+def document_page(document: Document, rests_on: Provenance) -> str:
+    """A whole page of a document."""
+    return page(document.title, map(html_of, shown([*document.lead, *document.blocks], Where.PAGE)), rests_on)
+
+
+def html_of(block: Block) -> str:
+    """A block as HTML."""
+    match block:
+        case Heading():
+            mark = ' class="bad"' if block.bad else ""
+            return f"<h{block.level}{mark}>{html.escape(block.text)}</h{block.level}>"
+        case Text(style="code"):
+            return f"<p><code>{html.escape(block.text)}</code></p>"
+        case Text():
+            return paragraph(block.text, block.style)
+        case Items():
+            return listed(block.texts)
+        case Tiles():
+            return tiles(block.results)
+        case Figure():
+            return f"<figure>\n{block.draw()}\n<figcaption>{html.escape(block.caption)}</figcaption>\n</figure>"
+        case Fold():
+            return folded(block.title, "\n".join(map(html_of, block.blocks)), block.opened)
+        case Beside():
+            inner = "\n".join(f"<div>{html_of(each)}</div>" for each in block.blocks)
+            return f'<div class="beside">\n{inner}\n</div>'
+        case Table():
+            return _table_html(block)
+
+
+def _table_html(block: Table) -> str:
+    title = f"<h3>{html.escape(block.title)}</h3>\n" if block.title else ""
+    if not block.header and all(len(row) == 2 for row in block.rows):
+        return title + facts([(name, text) for name, text in block.texts])
+    return title + table(block.rows, block.header, block.bad, soft=block.soft, notes=block.notes)
 
 
 def paragraph(text: str, kind: str = "") -> str:
@@ -162,11 +217,10 @@ def tiles(results: Sequence[tuple[str, str, str]]) -> str:
     return '<dl class="tiles">\n' + "\n".join(each) + "\n</dl>"
 
 
-def picture(image: Image, caption: str, kind: str = "png", **options: Any) -> str:
-    """A picture inside the page as PNG or JPEG, with its caption."""
-    data = base64.b64encode(encoded(image, f".{kind}", optimize=True, **options)).decode("ascii")
-    alt = html.escape(caption, quote=True)
+def image(picture: Image, alt: str, kind: str = "png", **options: Any) -> str:
+    """A picture inside the page as PNG or JPEG, with a text for those who cannot see it."""
+    data = base64.b64encode(encoded(picture, f".{kind}", optimize=True, **options)).decode("ascii")
     return (
-        f'<figure>\n<img src="data:image/{kind};base64,{data}" alt="{alt}" width="{image.width}" '
-        f'height="{image.height}">\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>'
+        f'<img src="data:image/{kind};base64,{data}" alt="{html.escape(alt, quote=True)}" width="{picture.width}" '
+        f'height="{picture.height}">'
     )

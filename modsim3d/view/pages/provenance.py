@@ -10,13 +10,13 @@ from importlib.metadata import version
 from pathlib import Path
 
 from modsim3d.core.errors import InputError
-from modsim3d.core.text import counted
+from modsim3d.core.text import UNKNOWN, counted
 from modsim3d.io.input_files import data_folder, file_sha256
 from modsim3d.runs.files.block_files import KEPT_TRUTH, SETTINGS_FILE
 from modsim3d.runs.files.overwrite import RUN_FILE, SCENE_FOLDER, UNFINISHED
 from modsim3d.runs.run import VERSIONED
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.view.pages.tables import UNKNOWN, breaking
+from modsim3d.view.pages.tables import breaking
 
 ANCHOR = "rests-on"
 _SHORT = 12

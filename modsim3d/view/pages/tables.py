@@ -7,8 +7,9 @@ import re
 from collections.abc import Container, Mapping, Sequence
 from types import MappingProxyType
 
-UNKNOWN = "–"
-"""What stands for a number that is not known."""
+from modsim3d.core.document import Cell, Row
+from modsim3d.core.text import is_number, is_numeric
+
 MIN_STACKED, MIN_DENSE = 4, 9
 """A table of so many columns is shown as a list of rows on a phone, or is printed small."""
 TABLE_STYLE = """
@@ -29,14 +30,13 @@ td.number { white-space: nowrap; } td.broken { white-space: normal; overflow-wra
 }
 """
 """Style of numbers, and of tables on a phone; it stands behind that of the page."""
+FILL = "#0072b2"
+"""Colour of cells and bars that show a share."""
 _DIGIT, _POINT = "\u2007", "\u2008"
 """Spaces as wide as a digit and as a point."""
 _NUMBER = re.compile(
     r"(?<![\w.])(?P<sign>[-−+±]?)(?P<whole>\d[\d,]*|∞)(?P<rest>\.\d+)?(?P<power>e[-−+]?\d+)?(?![.\d]*\d)"
 )
-_START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d|\d+\. )(\d|∞)")
-"""How a number begins; a version with two points is none, and neither is an ordinal."""
-_CHECKSUM = re.compile(r"[0-9a-f]{32,}")
 _INTERVAL = re.compile(r"\[[^\[\]]+, [^\[\]]+\]")
 _WHOLE = re.compile(rf'(?:(?<= )<i class="pad">[^<]*</i>)?{_INTERVAL.pattern}')
 """An interval of HTML with the spaces before it, which align it and not the number."""
@@ -45,18 +45,17 @@ _UNIT = re.compile(r" ?(?:°|%|px|m|s)(?!\S)")
 _PADS = re.compile(f"[{_DIGIT}{_POINT}]+")
 _LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")
 """Words such as keys and checksums, which may be broken."""
-_MAX_WORDS = 3
 _LONGEST = 28
 """Letters of a cell that is never broken."""
 NO_NOTES: Mapping[int, str] = MappingProxyType({})
 
 
 def table(
-    rows: Sequence[Sequence[str]],
+    rows: Sequence[Row],
     header: Sequence[str] = (),
     bad: Container[int] = (),
     *,
-    markup: Container[int] = (),
+    soft: Container[int] = (),
     notes: Mapping[int, str] = NO_NOTES,
 ) -> str:
     """A table of rows under a header; columns of numbers are set to the right, with their points below each other.
@@ -65,19 +64,17 @@ def table(
     of its column do.
 
     Args:
-        rows: The cells as text.
+        rows: The cells.
         header: Names of the columns; without them there is no row above.
         bad: Rows that stand out.
-        markup: Columns whose cells are HTML already.
+        soft: Rows that stand back.
         notes: What is said below a row, by its number.
     """
-    columns = [list(column) for column in zip(*rows, strict=False)]
+    columns = [[cell.text if isinstance(cell, Cell) else cell for cell in column] for column in zip(*rows, strict=True)]
     named = [*map(bool, header), *[not header] * len(columns)]  # a column without a name has the names of the rows
-    right = [place not in markup and named[place] and is_numeric(column) for place, column in enumerate(columns)]
+    right = [named[place] and is_numeric(column) for place, column in enumerate(columns)]
     shown = [
-        column
-        if place in markup
-        else [_in_number(cell) if _is_number(cell) else breaking(cell) for cell in aligned(column)]
+        [_in_number(cell) if is_number(cell) else breaking(cell) for cell in aligned(column)]
         if right[place]
         else [breaking(cell) for cell in column]
         for place, column in enumerate(columns)
@@ -91,31 +88,34 @@ def table(
     lines.append("<tbody>")
     for number, cells in enumerate(zip(*shown, strict=True)):
         content = "".join(
-            f"<td{_class(right[place], rows[number][place])}{_label(labels[place])}>{cell}</td>"
+            _cell(rows[number][place], cell, _class(right[place], columns[place][number]) + _label(labels[place]))
             for place, cell in enumerate(cells)
         )
-        lines.append(('<tr class="bad">' if number in bad else "<tr>") + content + "</tr>")
+        kind = "bad" if number in bad else "soft" if number in soft else ""
+        lines.append((f'<tr class="{kind}">' if kind else "<tr>") + content + "</tr>")
         if note := notes.get(number):
             lines.append(f'<tr><td colspan="{len(shown)}" class="soft">{html.escape(note)}</td></tr>')
     written = "\n".join([*lines, "</tbody>", "</table>"])
-    return scrolling(written) if len(header) >= MIN_STACKED else written
+    return scrolling(written) if len(header) > 2 else written
+
+
+def _cell(cell: str | Cell, content: str, attributes: str) -> str:
+    """A cell as HTML, with what a page shows of it besides its text."""
+    if isinstance(cell, str):
+        return f"<td{attributes}>{content}</td>"
+    content = cell.draw() if cell.draw else content
+    if cell.share is None:
+        return f"<td{attributes}>{content}</td>"
+    fill = f"color-mix(in srgb, {FILL} {35 if cell.bar else 5 + 55 * cell.share:.0f}%, transparent)"
+    if cell.bar:  # of one width for a share in all columns, so that bars can be compared
+        width = f"{3.5 * min(max(cell.share, 0.0), 1.0):.3g}rem"
+        fill = f"linear-gradient(to right, {fill} {width}, transparent {width}); min-width: 3.5rem"
+    return f'<td{attributes} style="background: {fill}; padding-left: 0.5rem">{content}</td>'
 
 
 def scrolling(content: str) -> str:
     """A table that scrolls sideways where it is too wide, by keyboard too."""
     return f'<div class="scroll" tabindex="0" role="group" aria-label="Table">{content}</div>'
-
-
-def is_numeric(column: Sequence[str]) -> bool:
-    """Whether at least half of the known cells are a number, with a unit, an interval or a few words."""
-    known = [cell for cell in column if cell not in (UNKNOWN, "")]
-    return bool(known) and 2 * sum(map(_is_number, known)) >= len(known)
-
-
-def _is_number(cell: str) -> bool:
-    if _START.match(cell) is None or _CHECKSUM.search(cell):
-        return False
-    return len(re.findall(r"[^\W\d_]{2,}", cell)) <= _MAX_WORDS
 
 
 def aligned(column: Sequence[str]) -> list[str]:
@@ -125,11 +125,11 @@ def aligned(column: Sequence[str]) -> list[str]:
     hyphen before a number.
     """
     cells = [
-        _NUMBER.sub(lambda found: found[0].replace("-", "−"), cell) if _is_number(cell) else cell for cell in column
+        _NUMBER.sub(lambda found: found[0].replace("-", "−"), cell) if is_number(cell) else cell for cell in column
     ]
     groups: dict[str, list[int]] = {}
     for place, cell in enumerate(cells):
-        if _is_number(cell) and not any(found["power"] for found in _NUMBER.finditer(cell)):
+        if is_number(cell) and not any(found["power"] for found in _NUMBER.finditer(cell)):
             groups.setdefault(_NUMBER.sub("0", cell), []).append(place)
     for places in groups.values():
         numbers = [list(_NUMBER.finditer(cells[place])) for place in places]

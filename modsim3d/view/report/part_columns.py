@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.detector.records import KINDS
-from modsim3d.runs.files.tables import NOBODY, indices, number_column
+from modsim3d.runs.files.tables import indices, number_column
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene

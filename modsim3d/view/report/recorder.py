@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 import shapely
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.detector.records import KINDS
 from modsim3d.geometry.camera import Camera
 from modsim3d.runs.counts import Outcome
-from modsim3d.runs.files.tables import NOBODY
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene

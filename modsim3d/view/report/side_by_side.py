@@ -12,12 +12,12 @@ import pyarrow as pa
 
 from modsim3d.core.arrays import Indices, Mask
 from modsim3d.core.errors import RunDirectoryError
-from modsim3d.core.text import listed
+from modsim3d.core.text import UNKNOWN, listed
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages.page import heading
 from modsim3d.view.pages.provenance import Provenance, provenance, run_inputs, run_seeds, run_versions
-from modsim3d.view.pages.tables import UNKNOWN, breaking, table
+from modsim3d.view.pages.tables import table
 from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, Rows, named_values
 from modsim3d.view.report.overview import OutcomeStretches
 from modsim3d.view.report.packing import ROW_BEFORE, Coded, Column, packed
@@ -240,8 +240,8 @@ def _settings(first: StoredRun, second: StoredRun, names: tuple[str, str]) -> st
     one, other = ({row[0]: row[1] for row in named_values(run.settings)} for run in (first, second))
     left_out = ("scene_sha256", "truncation.")
     differ = [key for key in {**one, **other} if one.get(key) != other.get(key) and not key.startswith(left_out)]
-    rows = [(key, *(breaking(each.get(key, UNKNOWN)) for each in (one, other))) for key in differ]
-    shown = table(rows, ("", *names), markup=(1, 2))
+    rows = [(key, *(each.get(key, UNKNOWN) for each in (one, other))) for key in differ]
+    shown = table(rows, ("", *names))
     return f"<section>{heading('Settings that differ')}{shown}</section>"
 
 

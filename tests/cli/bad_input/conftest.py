@@ -1,34 +1,18 @@
-"""A scene to spoil, the command line in this process, and a check that a scene is refused."""
+"""A scene to spoil, and a check that a scene is refused."""
 
 from __future__ import annotations
 
 import copy
-import sys
 from pathlib import Path
 
 import pytest
 
-from modsim3d.cli import main
 from tests.cli.bad_input.builders import GOOD, Call, Inputs, Refused
 
 
 @pytest.fixture
 def inputs(tmp_path: Path) -> Inputs:
     return Inputs(tmp_path / "in", copy.deepcopy(GOOD))
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """A function that runs the command line in this process and returns its exit status and output."""
-
-    def run(*arguments: object) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main.main()
-        said = capsys.readouterr()
-        return int(stopped.value.code or 0), said.out + said.err
-
-    return run
 
 
 @pytest.fixture

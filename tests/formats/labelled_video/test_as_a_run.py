@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import yaml
 from scipy import stats
@@ -19,14 +18,11 @@ from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from tests.detector_variants import thesis_data
+from tests.formats.labelled_video.videos import rows
 from tests.scenes import mistaken_strait
 
 NUMBERS = (*BOX_SIDES, *ERRORS, "confidence")
 ALPHA = 1e-6
-
-
-def rows(path: Path) -> list[dict[str, Any]]:
-    return pq.read_table(path).to_pylist()
 
 
 @pytest.fixture(scope="module")

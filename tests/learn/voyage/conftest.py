@@ -15,7 +15,6 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.runs.streaming.lines import header_line, step_lines
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from tests.cli.bad_input.conftest import call  # noqa: F401 (a fixture)
 
 STEPS = 24
 

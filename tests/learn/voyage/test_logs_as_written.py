@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from benchmarks.voyages.wrong_camera import Voyage
 from modsim3d.core.errors import InputError
-from modsim3d.formats.writing.mcap_messages import DETECTIONS, VISION_MSGS
+from modsim3d.io.ros_bag import DETECTIONS_2D, VISION_MSGS
 from modsim3d.learn.voyage.clock import SceneClock
 from modsim3d.learn.voyage.labelled_voyage import labelled_voyage
 from modsim3d.learn.voyage.log_to_scene import on_scene
@@ -187,12 +187,12 @@ def bag(
     plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
     with Writer(folder, version=8, storage_plugin=plugin) as writer:
         for topic in topics:
-            connection = writer.add_connection(topic, DETECTIONS, typestore=store)
+            connection = writer.add_connection(topic, DETECTIONS_2D, typestore=store)
             for time, found in frames.items():
                 stamp = make("builtin_interfaces/Time", int(time), round(time % 1 * 1e9))
                 header = make("std_msgs/Header", stamp, "bow")
                 message = make("vision_msgs/Detection2DArray", header, [detection(header, *each) for each in found])
-                writer.write(connection, round(time * 1e9), store.serialize_cdr(message, DETECTIONS))
+                writer.write(connection, round(time * 1e9), store.serialize_cdr(message, DETECTIONS_2D))
     return folder
 
 

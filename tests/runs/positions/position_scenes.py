@@ -7,16 +7,12 @@ from typing import Any
 import numpy as np
 
 from modsim3d.scene.scene import Scene
+from tests.scenes import camera_keys
 
 STEPS = 30
 COVARIANCE = [[30.0, 5, 6, 0], [5, 9, 0, -6], [6, 0, 40, 8], [0, -6, 8, 20]]
 OTHER_COVARIANCE = [[60.0, 0, -6, 0], [0, 16, 0, 4], [-6, 0, 90, 0], [0, 4, 0, 50]]
-LENS = {
-    "focal_length_m": 0.01,
-    "pixel_size_m": [1e-5, 1e-5],
-    "principal_point_px": [640, 400],
-    "image_size_px": [1280, 800],
-}
+LENS = camera_keys(1280, 800)
 
 
 def detector(**box_error: Any) -> dict[str, Any]:

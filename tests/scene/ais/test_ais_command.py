@@ -143,19 +143,15 @@ def test_a_region_with_nothing_in_it_says_what_the_files_cover_and_how_to_exchan
     assert "--swap-coordinates exchanges them" in said
 
 
-def test_missing_columns_are_named(monkeypatch, tmp_path, capsys):
-    text = DANISH.read_text()
-    path = tmp_path / "danish.csv"
-    path.write_text(text.replace("Latitude,Longitude", "Breite,Laenge", 1))
-    said = problem(monkeypatch, tmp_path, capsys, path)
-    assert "Danish Maritime Authority CSV, but has no column Latitude, Longitude (it has: # Timestamp" in said
-
-
 @pytest.mark.parametrize(
     ("content", "says"),
     [
         (b"", "the file is empty"),
         (b"\n \n", "the file is empty"),
+        (
+            DANISH.read_bytes().replace(b"Latitude,Longitude", b"Breite,Laenge", 1),
+            "Danish Maritime Authority CSV, but has no column Latitude, Longitude (it has: # Timestamp",
+        ),
         (b"a,b,c\n1,2,3\n", "none of the formats"),
         (b"PK\x03\x04xxxx", "unpack it first (unzip data)"),
         (b"\x28\xb5\x2f\xfdxxxx", "unpack it first (zstd -d data)"),

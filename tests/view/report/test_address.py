@@ -21,8 +21,24 @@ def wait_for(path: Path, patience_s: float = 20.0) -> Path:
     return path
 
 
+@pytest.mark.parametrize(
+    "hash",
+    ["#step=50&camera=nowhere&vessel=nobody&layers=ghosts&x=%", "#vessel=&step=50&&=&layers=constructor,toString"],
+)
+def test_names_that_are_not_there_are_passed_over(browser, page, hash):
+    browser.open(page, hash=hash)
+    assert browser.run("document.querySelector('#failure').hidden")
+    assert browser.run("[player.index, player.camera, player.followed]") == [50, 0, None]
+    assert browser.run("player.shown.detections")
+
+
 def test_the_address_follows_step_camera_vessel_and_layers_and_brings_them_back(browser, page):
     browser.open(page)
+    assert browser.run(SETTLED) == ""  # until something is done, and while the run plays
+    browser.run("(player.playback.setSpeed(0.25), player.go(5), player.play(true))")
+    assert browser.run(SETTLED) == ""
+    browser.run("player.play(false)")
+    assert browser.run(SETTLED) == browser.run("`#step=${player.index}&camera=C1`")
     browser.run("player.look(1)")
     browser.run("(player.go(120), player.choose(2))")
     browser.press("8")
@@ -41,26 +57,6 @@ def test_the_address_follows_step_camera_vessel_and_layers_and_brings_them_back(
     browser.run("(location.hash = '#step=50&camera=C1', new Promise(done => setTimeout(done, 50)))")
     usual = "silhouettes,full,visible,detections,false,missed,labels"
     assert browser.run(state) == [50, 0, None, usual]  # what a link leaves out is as usual, also in an open page
-
-
-def test_the_address_is_left_alone_until_something_is_done_and_while_the_run_plays(browser, page):
-    browser.open(page)
-    assert browser.run(SETTLED) == ""
-    browser.run("(player.playback.setSpeed(0.25), player.go(5), player.play(true))")
-    assert browser.run(SETTLED) == ""
-    browser.run("player.play(false)")
-    assert browser.run(SETTLED) == browser.run("`#step=${player.index}&camera=C1`")
-
-
-@pytest.mark.parametrize(
-    "hash",
-    ["#step=50&camera=nowhere&vessel=nobody&layers=ghosts&x=%", "#vessel=&step=50&&=&layers=constructor,toString"],
-)
-def test_names_that_are_not_there_are_passed_over(browser, page, hash):
-    browser.open(page, hash=hash)
-    assert browser.run("document.querySelector('#failure').hidden")
-    assert browser.run("[player.index, player.camera, player.followed]") == [50, 0, None]
-    assert browser.run("player.shown.detections")
 
 
 def copied(browser: Browser) -> str:

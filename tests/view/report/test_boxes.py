@@ -33,6 +33,13 @@ def separate(browser: Browser, wrong: bool) -> list[Any]:
     return found
 
 
+def assert_ring(browser: Browser, truth: str) -> None:
+    """White on the left of a vessel."""
+    x, y = browser.run(f"(({{ full: [x0, y0, x1, y1] }}) => player.picture.toCanvas(x0, (y0 + y1) / 2))({truth})")
+    left = pixels(browser)[int(y), max(int(x) - 13, 0) : int(x) - 4, :3]
+    assert (left.min(axis=1) > 240).any()
+
+
 def over(browser: Browser, x: float, y: float) -> tuple[str, float, float]:
     """A place of the picture as shares of it."""
     wide, high = browser.run("[player.pane.canvas.clientWidth, player.pane.canvas.clientHeight]")
@@ -93,17 +100,7 @@ def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
     escape(opened)
     assert opened.run("player.followed") is None
     assert not differ(pixels(opened, "timeline"), timeline)
-
-
-def assert_ring(browser: Browser, truth: str) -> None:
-    """White on the left of a vessel."""
-    x, y = browser.run(f"(({{ full: [x0, y0, x1, y1] }}) => player.picture.toCanvas(x0, (y0 + y1) / 2))({truth})")
-    left = pixels(browser)[int(y), max(int(x) - 13, 0) : int(x) - 4, :3]
-    assert (left.min(axis=1) > 240).any()
-
-
-def test_choosing_on_the_timeline_puts_a_ring_around_the_vessel(opened):
-    opened.run("player.go(30)")
+    opened.run("player.go(30)")  # a vessel that is chosen on the timeline has the ring too
     row = opened.run(
         "player.timeline.vessels.findIndex(vessel => player.stage.frames[0].truths.some(each => "
         "each.vessel === vessel && player.picture.toCanvas(each.full[0], 0)[0] > 20))"

@@ -7,6 +7,8 @@ from pathlib import Path
 from tests.view.report.browser import Browser
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "report.md"
+LISTED = """[...document.querySelectorAll('#keys dl div')].map(row =>
+    [row.querySelector('dt').textContent.trim(), row.querySelector('dd').textContent])"""
 
 
 def escape(browser: Browser) -> None:
@@ -15,28 +17,17 @@ def escape(browser: Browser) -> None:
         browser.call("Input.dispatchKeyEvent", type=kind, key="Escape", code="Escape", windowsVirtualKeyCode=27)
 
 
-def listed(browser: Browser) -> list[list[str]]:
-    return browser.run(
-        "[...document.querySelectorAll('#keys dl div')].map(row => "
-        "[row.querySelector('dt').textContent.trim(), row.querySelector('dd').textContent])"
-    )
-
-
 def documented() -> list[list[str]]:
     lines = DOCUMENT.read_text(encoding="utf-8").partition("## Keys")[2].partition("\n## ")[0].splitlines()
     rows = [line for line in lines if line.startswith("| ") and not line.startswith(("| Key", "|---"))]
     return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
 
 
-def test_the_document_lists_the_keys_that_the_page_lists(browser, page):
-    browser.open(page)
-    with_tracks = [row for row in documented() if row[0] == "K"]
-    assert len(with_tracks) == 1
-    assert [row for row in documented() if row not in with_tracks] == listed(browser)
-
-
-def test_the_list_of_keys_takes_the_focus_and_gives_it_back(browser, page):
+def test_the_list_of_keys_is_that_of_the_document_takes_the_focus_and_gives_it_back(browser, page):
     browser.open(page, hash="#step=50")
+    listed = browser.run(LISTED)
+    (of_tracks,) = [row for row in documented() if row[0] == "K"]
+    assert [row for row in documented() if row != of_tracks] == listed
     browser.run("document.querySelector('#slider').focus()")
     browser.press("?")
     assert browser.run("document.querySelector('dialog').matches(':modal')")
@@ -50,10 +41,6 @@ def test_the_list_of_keys_takes_the_focus_and_gives_it_back(browser, page):
     assert browser.run("document.querySelector('dialog').open")
     browser.press("?")
     assert not browser.run("document.querySelector('dialog').open")
-
-
-def test_letters_typed_into_the_search_are_no_keys(browser, page):
-    browser.open(page, hash="#step=50")
     browser.run("document.querySelector('#find').focus()")
-    browser.press("n")
+    browser.press("n")  # a letter of the search
     assert browser.run("[player.index, document.querySelector('#find').value]") == [50, "n"]

@@ -26,7 +26,7 @@ def open_numbers(browser: Browser) -> None:
     )
 
 
-def test_the_table_has_every_column_of_the_truth(browser, mistaken_page, mistaken_folder):
+def test_the_table_has_every_column_of_the_truth_and_is_copied_as_cells(browser, mistaken_page, mistaken_folder):
     browser.open(mistaken_page, hash=f"#step={STEP}")
     open_numbers(browser)
     header, *rows = browser.run(ROWS.format("numbersTruth"))
@@ -49,6 +49,13 @@ def test_the_table_has_every_column_of_the_truth(browser, mistaken_page, mistake
         assert list(said) == [each["id"] for each in sorted(row["occluded_by"], key=lambda each: -each["px"])]
         for each in row["occluded_by"]:
             assert math.isclose(float(said[each["id"]]), each["px"], abs_tol=0.06, rel_tol=1e-6)
+    browser.call("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
+    browser.click("#numbersCopy")
+    text = browser.run("new Promise(done => setTimeout(() => done(navigator.clipboard.readText()), 50))")
+    of, copied, detections = text.rstrip("\n").split("\n\n")
+    assert of == f"bow, {browser.run('player.recording.facts.timestamps[player.index]')} s, step {STEP}"
+    assert [line.split("\t") for line in copied.split("\n")] == [header, *rows]
+    assert [line.split("\t") for line in detections.split("\n")] == browser.run(ROWS.format("numbersDetections"))
 
 
 def test_the_table_has_the_detections_and_follows_steps_but_not_play(browser, mistaken_page, mistaken_folder):
@@ -85,15 +92,3 @@ def test_the_tables_that_are_opened_while_the_run_plays_are_those_of_that_frame(
     assert browser.run("player.alarm") is None  # that was one of another frame
     browser.run(f"(player.go({STEP}), document.querySelector('#numbersDetections').tBodies[0].rows[{place}].click())")
     assert browser.run("player.alarm") == place >= 0
-
-
-def test_the_numbers_are_copied_as_cells(browser, mistaken_page):
-    browser.call("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
-    browser.open(mistaken_page, hash=f"#step={STEP}")
-    open_numbers(browser)
-    browser.click("#numbersCopy")
-    text = browser.run("new Promise(done => setTimeout(() => done(navigator.clipboard.readText()), 50))")
-    of, truth, detections = text.rstrip("\n").split("\n\n")
-    assert of == f"bow, {browser.run('player.recording.facts.timestamps[player.index]')} s, step {STEP}"
-    assert [line.split("\t") for line in truth.split("\n")] == browser.run(ROWS.format("numbersTruth"))
-    assert [line.split("\t") for line in detections.split("\n")] == browser.run(ROWS.format("numbersDetections"))

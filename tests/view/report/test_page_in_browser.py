@@ -61,15 +61,10 @@ def crowded(run_folder: Path) -> int:
     return crowded_index(run_folder)
 
 
-def test_page_loads_without_errors_and_asks_for_nothing_but_itself(browser, page):
-    browser.open(page)
+def test_page_asks_for_nothing_but_itself_and_slider_and_timeline_choose_frame_and_vessel(browser, page, crowded):
+    browser.open(page, hash=f"#step={crowded}")
     assert browser.run("player.recording.length") == STEPS
     assert browser.run("document.querySelector('#failure').hidden")
-    assert browser.requests == [page.resolve().as_uri()]
-
-
-def test_slider_changes_the_frame(browser, page, crowded):
-    browser.open(page, hash=f"#step={crowded}")
     before = pixels(browser)
     browser.run(
         "(slider => { slider.value = 20; slider.dispatchEvent(new Event('input')); })"
@@ -78,6 +73,17 @@ def test_slider_changes_the_frame(browser, page, crowded):
     assert browser.run("player.index") == 20
     assert "step 20 of" in browser.run("document.querySelector('#status').textContent")
     assert differ(pixels(browser), before)
+    left, wide = browser.run("[player.timeline.left, player.timeline.wide]")
+    across = (left + 0.75 * wide) / (left + wide)
+    browser.hover("#timeline", across, 0.1)
+    browser.click("#timeline", across, 0.1)
+    index = browser.run("player.index")
+    assert index == pytest.approx(0.75 * STEPS, abs=1)
+    assert f"step {index}:" in browser.run("document.querySelector('#hint').textContent")
+    top, row, height, vessels = browser.run("(t => [t.rowsTop, t.rowPx, t.height, t.vessels])(player.timeline)")
+    browser.click("#timeline", 0.9, (top + 1.5 * row) / height)
+    assert browser.run("player.followed") == vessels[1]
+    assert [url.partition("#")[0] for url in browser.requests] == [page.resolve().as_uri()]
 
 
 def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, crowded):
@@ -91,6 +97,13 @@ def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, 
         assert differ(pixels(browser), everything), name
         browser.press(str(number))
         assert not differ(pixels(browser), everything), name
+    own = browser.run(
+        "['shapes', 'truths', 'detections'].reduce((sum, name) => "
+        "sum + player.recording[name](player.index, player.camera).length, 0)"
+    )
+    for key in ("ArrowLeft", "ArrowRight"):
+        browser.press(key)
+    assert browser.run("player.drawn.rows") == own > 0  # a frame looks at its own rows only
 
 
 def test_silhouettes_cover_the_truth_boxes_in_the_vessels_colour(browser, page, crowded, run_folder):
@@ -113,24 +126,6 @@ def test_silhouettes_cover_the_truth_boxes_in_the_vessels_colour(browser, page, 
         np.testing.assert_array_equal(picture[int(row), int(column), :3], colour)
         looked_at += 1
     assert looked_at
-
-
-def test_click_on_the_timeline_jumps_and_hovering_says_what_is_there(browser, page):
-    browser.open(page)
-    left, wide = browser.run("[player.timeline.left, player.timeline.wide]")
-    across = (left + 0.75 * wide) / (left + wide)
-    browser.hover("#timeline", across, 0.1)
-    browser.click("#timeline", across, 0.1)
-    index = browser.run("player.index")
-    assert index == pytest.approx(0.75 * STEPS, abs=1)
-    assert f"step {index}:" in browser.run("document.querySelector('#hint').textContent")
-
-
-def test_click_on_a_strip_of_the_timeline_shows_that_vessel_close_up(browser, page):
-    browser.open(page)
-    top, row, height, vessels = browser.run("(t => [t.rowsTop, t.rowPx, t.height, t.vessels])(player.timeline)")
-    browser.click("#timeline", 0.9, (top + 1.5 * row) / height)
-    assert browser.run("player.followed") == vessels[1]
 
 
 def test_keyboard_alone_is_enough(browser, page):
@@ -160,6 +155,11 @@ def test_keyboard_alone_is_enough(browser, page):
     assert browser.run("player.picture.view.width") == pytest.approx(width / 1.5)
     browser.press("9")
     assert browser.run("player.picture.view.width") >= 2464
+    browser.run("document.querySelector('[data-do=forward]').focus({focusVisible: true})")
+    assert browser.run("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    before = browser.run("player.index")
+    browser.press(" ")  # the button that has the focus
+    assert browser.run("[player.index, player.playing]") == [before + 1, False]
 
 
 def choose(browser: Browser, select: str, value: str) -> None:
@@ -219,17 +219,15 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
             assert browser.run("player.followed") == moments[-1]["vessel"]
 
 
-def test_a_moment_outside_what_is_shown_brings_the_whole_image(browser, mistaken_page):
+def test_the_picture_and_the_list_say_what_is_wrong_and_the_whole_image_comes_for_what_is_outside(
+    browser, mistaken_page
+):
     browser.open(mistaken_page)
     choose(browser, "kind", "false")
     browser.run("(player.picture.fit([0, 0, 20, 10]), 0)")
     browser.press("n")
     boxes = browser.run("player.recording.detections(player.index, player.camera).filter(each => each.false)")
     assert boxes and all(browser.run(f"player.picture.shows({json.dumps(each['box'])})") for each in boxes)
-
-
-def test_the_picture_and_the_list_say_what_is_wrong(browser, mistaken_page):
-    browser.open(mistaken_page)
     choose(browser, "kind", "mislabelled")
     browser.press("n")
     vessel = browser.run("player.followed")
@@ -245,11 +243,11 @@ def test_the_picture_and_the_list_say_what_is_wrong(browser, mistaken_page):
     ]
     assert said["text"].endswith(label)
     assert said["colour"] == browser.run("player.recording.facts.colours.alarm")
-    row = browser.run("document.querySelector('#vessels tr.chosen').textContent")
-    assert f"as {found['label']}" in row
+    chosen = "document.querySelector('#vessels tr.chosen').textContent"
+    assert f"as {found['label']}" in browser.run(chosen)
     choose(browser, "kind", "off")
     browser.press("n")
-    assert "off it" in browser.run("document.querySelector('#vessels tr.chosen').textContent")
+    assert "off it" in browser.run(chosen)
     assert "off their vessel" in browser.run("document.querySelector('#status').textContent")
 
 
@@ -288,24 +286,6 @@ def test_legend_and_timeline_have_what_the_run_has(browser, page, mistaken_page)
     assert browser.run(height) < every
 
 
-def test_focus_can_be_seen_and_space_presses_the_button_that_has_it(browser, page):
-    browser.open(page)
-    browser.run("document.querySelector('[data-do=forward]').focus({focusVisible: true})")
-    assert browser.run("getComputedStyle(document.activeElement).outlineStyle") == "solid"
-    before = browser.run("player.index")
-    browser.press(" ")
-    assert browser.run("[player.index, player.playing]") == [before + 1, False]
-
-
-def test_playing_goes_on_and_stops_at_the_end(browser, page):
-    browser.open(page, hash=f"#step={STEPS - 40}")
-    browser.run("player.playback.setSpeed(50)")
-    browser.press(" ")
-    assert browser.run("player.playing")
-    browser.run("new Promise(done => { const look = () => player.playing ? setTimeout(look, 20) : done(1); look(); })")
-    assert browser.run("player.index") == STEPS - 1
-
-
 def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
     colour = "getComputedStyle(document.body).backgroundColor"
     browser.open(page)
@@ -317,18 +297,6 @@ def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
     browser.click("#theme")
     assert browser.run(colour) == light
     assert not differ(pixels(browser, "timeline"), timeline)
-
-
-def test_drawing_a_frame_looks_at_its_own_rows_only(browser, page, crowded):
-    browser.open(page, hash=f"#step={crowded}")
-    own = browser.run(
-        "player.recording.shapes(player.index, player.camera).length"
-        " + player.recording.truths(player.index, player.camera).length"
-        " + player.recording.detections(player.index, player.camera).length"
-    )
-    for key in ("ArrowLeft", "ArrowRight"):
-        browser.press(key)
-    assert browser.run("player.drawn.rows") == own > 0
 
 
 def test_names_are_text_whatever_they_hold(browser, hostile_folder, tmp_path):

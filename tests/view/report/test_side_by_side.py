@@ -45,7 +45,10 @@ def frames(browser: Browser) -> list[dict]:
     )
 
 
-def test_both_runs_show_their_own_detections_of_one_frame(browser, both, mistaken_folder, other_folder):
+def test_both_runs_show_their_own_detections_of_one_camera_and_move_together(
+    browser, both, mistaken_folder, other_folder, tmp_path
+):
+    browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
     browser.open(both, SIZE, "#step=50")
     expected = [
         next(frame for frame in open_run(folder).frames(50, 51) if frame.camera == "bow").detections.boxes_px
@@ -55,10 +58,31 @@ def test_both_runs_show_their_own_detections_of_one_frame(browser, both, mistake
         np.testing.assert_allclose(shown, boxes, atol=0.051)
     titles = browser.run("[...document.querySelectorAll('.run')].map(each => each.textContent)")
     assert titles == [f"A {mistaken_folder.name}", f"B {other_folder.name}"]
+    browser.click("[data-do=save]")
+    said = "new Promise(done => setTimeout(() => done(document.querySelector('#note').textContent), 300))"
+    run, scene = browser.run("[player.pane.run.replace(' ', '-'), player.recording.facts.name]")
+    assert browser.run(said) == f"Saved as {scene}_{run}_bow_50.png"
+    browser.press("+")
+    views = browser.run("player.panes.map(pane => pane.picture.view)")
+    assert views[0] == views[1]
+    browser.click("#picture2")
+    assert browser.run("player.pane.run").startswith("B ")
+    browser.press("c")
+    assert browser.run("player.panes.map(pane => pane.camera)") == [1, 1]
+    assert browser.run("player.timeline.recording.name") == "B"
 
 
-def test_the_images_are_level_and_the_page_is_no_wider_than_a_phone(browser, both):
+def test_the_images_are_level_and_the_page_fits_a_phone_and_says_what_it_rests_on(
+    browser, both, mistaken_folder, other_folder
+):
     browser.open(both, TABLET)
+    said = browser.run("document.body.textContent")
+    for folder in (mistaken_folder, other_folder):
+        assert hashlib.sha256((folder / "detections.parquet").read_bytes()).hexdigest() in said
+    assert "detector_seed" in browser.run(
+        "[...document.querySelectorAll('section')].find(each => "
+        "each.querySelector('h2')?.textContent === 'Settings that differ').textContent"
+    )
     browser.run(
         "(document.querySelectorAll('.run')[1].textContent += ' which has a longer name than the other one', 0)"
     )
@@ -66,15 +90,6 @@ def test_the_images_are_level_and_the_page_is_no_wider_than_a_phone(browser, bot
     assert (one["top"], one["height"]) == (other["top"], other["height"])
     browser.resize(PHONE)
     assert browser.run("document.documentElement.scrollWidth") == PHONE[0]
-
-
-def test_the_saved_picture_says_which_run_it_is_of(browser, both, tmp_path):
-    browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
-    browser.open(both, SIZE, "#step=50")
-    browser.click("[data-do=save]")
-    said = "new Promise(done => setTimeout(() => done(document.querySelector('#note').textContent), 300))"
-    run, scene = browser.run("[player.pane.run.replace(' ', '-'), player.recording.facts.name]")
-    assert browser.run(said) == f"Saved as {scene}_{run}_bow_50.png"
 
 
 def test_differences_are_moments_lanes_and_labels(browser, page_and_differences):
@@ -94,30 +109,12 @@ def test_differences_are_moments_lanes_and_labels(browser, page_and_differences)
     labels = browser.run("player.panes.map(pane => pane.picture.plates.map(plate => plate.text))")
     assert f"B: {_words(b)}" in labels[0]
     assert f"A: {_words(a)}" in labels[1]
+    assert "≠" in browser.run("player.list.rows[player.followed].cells[2].textContent")
 
 
 def _words(outcome: VesselOutcome) -> str:
     named = {VesselOutcome.BELOW_HALF_IOU: "IoU below 0.5", VesselOutcome.DETECTED: "right"}
     return named.get(outcome, outcome.name.lower().replace("off_vessel", "off its vessel").replace("_", " "))
-
-
-def test_the_images_of_two_runs_move_together_and_show_one_camera(browser, both):
-    browser.open(both, SIZE)
-    browser.press("+")
-    views = browser.run("player.panes.map(pane => pane.picture.view)")
-    assert views[0] == views[1]
-    browser.click("#picture2")
-    assert browser.run("player.pane.run").startswith("B ")
-    browser.press("c")
-    assert browser.run("player.panes.map(pane => pane.camera)") == [1, 1]
-    assert browser.run("player.timeline.recording.name") == "B"
-
-
-def test_the_list_says_where_the_runs_differ(browser, both):
-    browser.open(both, SIZE)
-    browser.press("x")
-    vessel = browser.run("player.followed")
-    assert "≠" in browser.run(f"player.list.rows[{vessel}].cells[2].textContent")
 
 
 def test_paired_counts_are_of_all_annotated_vessels(mistaken_folder, other_folder):
@@ -201,18 +198,6 @@ def test_the_command_takes_two_runs(monkeypatch, capsys, mistaken_folder, other_
     )
     assert status == 2 and "--tracks is for one run" in told
     assert not (tmp_path / "no.html").exists()
-
-
-def test_the_page_of_two_runs_fits_a_phone_and_says_what_it_rests_on(browser, both, mistaken_folder, other_folder):
-    browser.open(both, (390, 844))
-    assert browser.run("document.documentElement.scrollWidth") <= 390
-    said = browser.run("document.body.textContent")
-    for folder in (mistaken_folder, other_folder):
-        assert hashlib.sha256((folder / "detections.parquet").read_bytes()).hexdigest() in said
-    assert "detector_seed" in browser.run(
-        "[...document.querySelectorAll('section')].find(each => "
-        "each.querySelector('h2')?.textContent === 'Settings that differ').textContent"
-    )
 
 
 def test_the_same_runs_give_the_same_bytes(mistaken_folder, other_folder, tmp_path):

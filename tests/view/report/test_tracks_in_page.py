@@ -19,9 +19,20 @@ from tests.view.report.unpacking import read
 LANE = "player.lanes.lanes.find(lane => lane.number === {})"
 
 
-def test_each_track_of_the_camera_has_a_lane_in_the_order_in_which_they_begin(browser, tracks_page, followed):
+def test_each_track_of_the_camera_has_a_lane_with_marks_of_a_swap_and_a_false_one_follows_nothing(
+    browser, tracks_page, followed, pair
+):
     browser.open(tracks_page)
-    for camera in (0, 1):
+    marked = browser.run(
+        "player.lanes.lanes.flatMap(({ number, marks }) => marks.map(({ index, switched, moved }) => "
+        "[number, index, switched, moved]))"
+    )
+    assert sorted(marked) == [[number, SWAP, True, True] for number in sorted(pair)]
+    assert "the vessel had another track" in browser.run(f"player.lanes.say({LANE.format(pair[0])}, {SWAP})")
+    (only,) = browser.run(f"{LANE.format(FALSE_TRACK)}.stretches")
+    assert [only["from"], only["to"], only["vessel"]] == [FALSE.start, FALSE.stop, None]
+    assert browser.run(f"player.lanes.say({LANE.format(FALSE_TRACK)}, {FALSE.stop})") == f"track {FALSE_TRACK}: no box"
+    for camera in (0, 1):  # in the order in which they begin
         mine = followed.tracks.take(followed.tracks.camera == camera)
         numbers, first = np.unique(mine.track, return_index=True)
         expected = numbers[np.argsort(first, kind="stable")].tolist()
@@ -31,35 +42,13 @@ def test_each_track_of_the_camera_has_a_lane_in_the_order_in_which_they_begin(br
     assert followed.sentence() in browser.run("document.querySelector('header').textContent")
 
 
-def test_a_lane_has_the_colour_of_the_vessel_that_it_follows_at_that_moment(browser, tracks_page, pair):
-    browser.open(tracks_page, hash="#step=0")
-    for step, vessel in ((SWAP - 3, pair[0]), (SWAP + 3, pair[1])):
-        browser.run("player.lanes.panel.scrollTop = 0")
-        at = browser.run(f"player.lanes.lanes.indexOf({LANE.format(pair[0])})")
-        x, y = browser.run(f"[player.timeline.x({step} + 0.5), ({at} + 0.4) * LANE_PX]".replace("LANE_PX", "13"))
-        np.testing.assert_array_equal(pixels(browser, "lanes")[int(y), int(x), :3], palette.vessel_colour(vessel))
-
-
-def test_a_swap_marks_both_lanes_and_nothing_else(browser, tracks_page, pair):
-    browser.open(tracks_page)
-    marked = browser.run(
-        "player.lanes.lanes.flatMap(({ number, marks }) => marks.map(({ index, switched, moved }) => "
-        "[number, index, switched, moved]))"
-    )
-    assert sorted(marked) == [[number, SWAP, True, True] for number in sorted(pair)]
-    assert "the vessel had another track" in browser.run(f"player.lanes.say({LANE.format(pair[0])}, {SWAP})")
-
-
-def test_a_false_track_is_a_lane_that_follows_nothing_for_as_long_as_it_lasts(browser, tracks_page):
-    browser.open(tracks_page)
-    (only,) = browser.run(f"{LANE.format(FALSE_TRACK)}.stretches")
-    assert [only["from"], only["to"], only["vessel"]] == [FALSE.start, FALSE.stop, None]
-    assert browser.run(f"player.lanes.say({LANE.format(FALSE_TRACK)}, {FALSE.stop})") == f"track {FALSE_TRACK}: no box"
-
-
-def test_click_on_a_lane_jumps_there_and_shows_its_vessel_and_hovering_says_whom_it_follows(browser, tracks_page, pair):
+def test_a_lane_has_the_colour_of_the_vessel_that_it_follows_and_a_click_jumps_there(browser, tracks_page, pair):
     browser.open(tracks_page, hash="#step=0")
     at, high = browser.run(f"[player.lanes.lanes.indexOf({LANE.format(pair[0])}), player.lanes.high]")
+    for step, vessel in ((SWAP - 3, pair[0]), (SWAP + 3, pair[1])):
+        browser.run("player.lanes.panel.scrollTop = 0")
+        x, y = browser.run(f"[player.timeline.x({step} + 0.5), ({at} + 0.4) * 13]")
+        np.testing.assert_array_equal(pixels(browser, "lanes")[int(y), int(x), :3], palette.vessel_colour(vessel))
     x, wide = browser.run(f"[player.timeline.x({SWAP + 3.5}), player.timeline.canvas.clientWidth]")
     browser.click("#lanes", x / wide, (at + 0.5) * 13 / high)
     assert browser.run("[player.index, player.followed]") == [SWAP + 3, pair[1]]
@@ -135,15 +124,12 @@ def test_how_boxes_are_compared_is_an_option_and_in_the_legend(
     assert "1 - distance of centres / 150 px below 0.3" in legend
 
 
-def test_how_boxes_are_compared_needs_tracks(monkeypatch, capsys, run_folder, tmp_path):
-    assert call(monkeypatch, "report", run_folder, "--threshold", 0.3, "--out", tmp_path / "page.html") == 2
-    assert "are for --tracks" in capsys.readouterr().err
-
-
-def test_tracks_that_are_not_there_are_one_message(monkeypatch, capsys, run_folder, tmp_path):
-    missing = tmp_path / "nowhere"
-    assert call(monkeypatch, "report", run_folder, "--tracks", missing, "--out", tmp_path / "page.html") == 2
-    error = capsys.readouterr().err
-    assert str(missing) in error
-    assert "Traceback" not in error
-    assert not (tmp_path / "page.html").exists()
+def test_how_boxes_are_compared_needs_tracks_and_tracks_that_are_not_there_are_one_message(
+    monkeypatch, capsys, run_folder, tmp_path
+):
+    missing, out = tmp_path / "nowhere", tmp_path / "page.html"
+    for options, said in ((("--threshold", 0.3), "are for --tracks"), (("--tracks", missing), str(missing))):
+        assert call(monkeypatch, "report", run_folder, *options, "--out", out) == 2
+        error = capsys.readouterr().err
+        assert said in error and "Traceback" not in error
+    assert not out.exists()

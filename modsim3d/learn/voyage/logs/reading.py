@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.errors import InputError
 from modsim3d.formats.reading.builder import Confidences, Problems
 from modsim3d.formats.reading.mot import number_lines, plain_lines, sequence_info
-from modsim3d.formats.writing.mcap_messages import DETECTIONS, VISION_MSGS
-from modsim3d.io.input_files import COCO_BYTES_PER_VALUE, FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES, note_input, read_text
+from modsim3d.io.input_files import COCO_BYTES_PER_VALUE, FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES, read_text
+from modsim3d.io.ros_bag import DETECTIONS_2D, NANO, BagMessage, is_bag, read_bag
 from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import shown
 from modsim3d.learn.voyage.logs.coco import SECTIONS, read_coco_log, read_lines_log, read_thesis_log
@@ -89,11 +90,9 @@ def read_run_log(folder: Path) -> DetectionLog:
 
 # ---- ROS 2 bags with `vision_msgs/Detection2DArray` ----
 
-_NANO = 1_000_000_000
-
 
 def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
-    """The log of a bag: a folder with `metadata.yaml`, its file in `.db3`, or any in `.mcap`.
+    """The log of a bag: its folder, or a file of it.
 
     A camera is the first part of its topic's name: `/bow/detections` is that of `bow`.
 
@@ -102,30 +101,26 @@ def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
         ModsimError: rosbags is not installed.
     """
     source = f"detections {path}"
-    if path.suffix.lower() == ".db3":
-        path = path.parent
-        if not (path / "metadata.yaml").is_file():
-            raise InputError(source, ["metadata.yaml is missing beside it: give the whole folder of the bag"])
-    messages = list(_messages(path, source))
+    messages = list(read_bag(path, "detections", partial(_chosen, source), _message))
     problems = Problems(source, options.skip_bad)
     topics = {_camera(topic): topic for topic, _, _ in messages}
     every = [(topic, stamp, k, found) for topic, stamp, message in messages for k, found in enumerate(message)]
-    scores = [(f"{topic} at {stamp / _NANO:.12g} s, [{k}]", score) for topic, stamp, k, (_, _, score, _) in every]
+    scores = [(f"{topic} at {stamp / NANO:.12g} s, [{k}]", score) for topic, stamp, k, (_, _, score, _) in every]
     given = any(score is not None for _, score in scores)
     confidences = Confidences.of(scores, options.confidence_scale, problems) if given else None
     rows = LogRows(source, problems, confidences, CENTRE)
-    clock = Clock.UTC if messages and messages[0][1] >= MIN_UNIX_S * _NANO else Clock.STAMP
+    clock = Clock.UTC if messages and messages[0][1] >= MIN_UNIX_S * NANO else Clock.STAMP
     for topic, stamp, message in messages:
-        where, camera = f"{topic} at {stamp / _NANO:.12g} s", _camera(topic)
+        where, camera = f"{topic} at {stamp / NANO:.12g} s", _camera(topic)
         if topics[camera] != topic:
             which = f"{topic} and {topics[camera]} are both of camera {shown(camera)}"
             raise InputError(source, [f"{which}: give a bag with one topic of a camera"])
-        if (stamp >= MIN_UNIX_S * _NANO) != (clock is Clock.UTC):
+        if (stamp >= MIN_UNIX_S * NANO) != (clock is Clock.UTC):
             raise InputError(source, [f"{where}: some stamps are Unix time and others are not"])
-        if rows.has(camera, stamp / _NANO):
+        if rows.has(camera, stamp / NANO):
             problems.add(f"{where}: another message has the same stamp")
             continue
-        frame = rows.frame(camera, stamp / _NANO)
+        frame = rows.frame(camera, stamp / NANO)
         for k, (box, label, score, turn_rad) in enumerate(message):
             if abs(np.sin(turn_rad)) > 1e-6:  # half a turn changes nothing
                 problems.add(f"{where}, [{k}]: bbox.center.theta must be 0, an upright box (got {turn_rad:g})")
@@ -149,32 +144,18 @@ Found = tuple[list[float], str | None, float | None, float]
 """Left, top, width and height, label and score, and the angle by which the box is turned."""
 
 
-def _messages(path: Path, source: str) -> Iterator[tuple[str, int, list[Found]]]:
-    """Topic, stamp in nanoseconds and detections of each message."""
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError:
-        raise ModsimError('detections in a ROS 2 bag need rosbags: pip install "modsim3d[ros]"') from None
-    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-        note_input(file)
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in VISION_MSGS.items():
-        store.register(get_types_from_msg(text, name))
-    try:
-        with AnyReader([path], default_typestore=store) as reader:
-            wanted = [each for each in reader.connections if each.msgtype == DETECTIONS]
-            if not wanted:
-                topics = ", ".join(f"{each.topic} ({each.msgtype})" for each in reader.connections) or "no topic"
-                raise InputError(source, [f"must have a topic of {DETECTIONS} (got {topics})"])
-            for connection, _, raw in reader.messages(wanted):
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                stamp = int(message.header.stamp.sec) * _NANO + int(message.header.stamp.nanosec)
-                yield connection.topic, stamp, [_found(each) for each in message.detections]
-    except ModsimError:
-        raise
-    except Exception as error:  # of a damaged bag the readers raise whatever they meet, not only their own errors
-        raise InputError(source, [f"cannot be read as a ROS 2 bag: {error}"]) from None
+def _chosen(source: str, topics: Mapping[str, str]) -> list[str]:
+    """The topics of detections."""
+    wanted = [topic for topic, kind in topics.items() if kind == DETECTIONS_2D]
+    if not wanted:
+        got = ", ".join(f"{topic} ({kind})" for topic, kind in topics.items()) or "no topic"
+        raise InputError(source, [f"must have a topic of {DETECTIONS_2D} (got {got})"])
+    return wanted
+
+
+def _message(message: BagMessage) -> tuple[str, int, list[Found]]:
+    """Topic, stamp in nanoseconds and detections of a message."""
+    return message.topic, message.stamp_ns, [_found(each) for each in message.content.detections]
 
 
 def _found(detection: Any) -> Found:
@@ -217,12 +198,12 @@ def _reader(path: Path, options: LogOptions) -> DetectionLog:
     if path.is_dir():
         if (path / RUN_FILE).is_file():
             return read_run_log(path)
-        if (path / "metadata.yaml").is_file():
+        if is_bag(path):
             return read_bag_log(path, options)
         raise InputError(source, [f"is a folder, and neither a run nor a ROS 2 bag; a log is {_KNOWN}"])
     kinds = path.name.lower().removesuffix(".gz").rsplit(".", 1)
     kind = kinds[1] if len(kinds) > 1 else ""
-    if kind in ("mcap", "db3"):
+    if is_bag(path):
         return read_bag_log(path, options)
     if kind in ("jsonl", "ndjson"):
         return read_lines_log(path, options)

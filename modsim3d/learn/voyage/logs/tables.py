@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
 from modsim3d.formats.reading.builder import Confidences, Problems
-from modsim3d.io.input_files import MAX_FRAMES, note_input, read_text
+from modsim3d.io.input_files import MAX_FRAMES
 from modsim3d.io.misreadings import no_commas
+from modsim3d.io.text_table import TextTable
 from modsim3d.io.validation import shown
 from modsim3d.learn.voyage.logs.log import (
     MIN_UNIX_S,
@@ -30,7 +28,6 @@ from modsim3d.learn.voyage.logs.log import (
     utc_s,
 )
 from modsim3d.tracks.diagnosis import CENTRE, CORNERS, TOP_LEFT, BoxForm
-from modsim3d.tracks.text_table import RowProblems, TextTable
 
 # ---- Frames without detections, of logs that only say what was detected ----
 
@@ -117,10 +114,10 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
         InputError: The file cannot be read, or is wrong; each problem names its line.
     """
     source = f"detections {path}"
-    table = read_table(path, source)
+    table = TextTable.read(path, "detections")
     time_s, clock = times_of(table, source)
     form = _form(table, source)
-    boxes = np.column_stack([table.numbers(name, needed=False) for name in form.names])
+    boxes = np.column_stack([table.numbers(name, missing=("",)) for name in form.names])
     empty = np.asarray(np.isnan(boxes).all(axis=1), dtype=bool)
     partial = np.isnan(boxes).any(axis=1) & ~empty
     table.problems.refuse(partial, lambda _: f"{', '.join(form.names)} must be numbers, or all be empty")
@@ -147,43 +144,6 @@ def _score(text: str) -> float | str:
     """A finite number, or the text if it is none."""
     number = seconds(text)
     return text if np.isnan(number) else number
-
-
-def read_table(path: Path, source: str) -> TextTable:
-    """The columns of a table, as CSV or Parquet, as texts.
-
-    Raises:
-        InputError: It cannot be read.
-    """
-    if path.suffix == ".parquet":
-        note_input(path)
-        try:
-            read = pq.read_table(path)
-            columns = {
-                name: pc.fill_null(pc.cast(_plain(read[name]), pa.string()), "")
-                for name in read.column_names
-                if not pa.types.is_nested(read[name].type)
-            }
-        except (OSError, KeyError, pa.ArrowException) as error:  # KeyError: two columns of one name
-            raise InputError(source, [f"cannot be read as Parquet: {error}"]) from None
-        return TextTable(columns, RowProblems(source, np.arange(len(read)), "row"))
-    text = read_text(path, "detections")
-    if not text.strip():
-        raise InputError(source, ["the file is empty"])
-    head, _, body = text.partition("\n")
-    names = [name.strip().strip('"') for name in head.split(",")]
-    if repeated := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
-        raise InputError(source, [f"line 1: the column {shown(name)} is there twice" for name in repeated])
-    return TextTable.of(body, names, source, first_line=2)
-
-
-def _plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """A column whose times are texts that `utc_s` reads."""
-    if pa.types.is_dictionary(column.type):
-        return column.cast(column.type.value_type)
-    if not pa.types.is_timestamp(column.type):
-        return column
-    return pc.strftime(column.cast(pa.timestamp(column.type.unit)), "%Y-%m-%dT%H:%M:%S")  # without its zone: in UTC
 
 
 def _first(table: TextTable, names: Sequence[str]) -> str:
@@ -260,7 +220,7 @@ def _add_frames(
     """Add the frames without detections to the rows, and say how they are known."""
     beside = path.with_name(path.name.replace("detections", "frames", 1))
     if beside != path and beside.is_file():
-        frames = read_table(beside, f"frames {beside}")
+        frames = TextTable.read(beside, "frames")
         times, other = times_of(frames, f"frames {beside}")
         if other is not clock:
             raise InputError(f"frames {beside}", [f"has times in {other.value}, and {path.name} in {clock.value}"])

@@ -1,4 +1,4 @@
-"""Columns of a text file with commas, as numbers and names."""
+"""Tables of texts, as CSV or Parquet: their columns as numbers and names, and what is wrong with their rows."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 from pyarrow import csv
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
+from modsim3d.io.input_files import note_input, read_text
 from modsim3d.io.misreadings import LOST, ROUNDED, SCIENTIFIC, are_rounded, has_lost_digits, no_commas
 from modsim3d.io.validation import nearest, shown
-from modsim3d.runs.files.tables import NOBODY
-
-# ---- What is wrong with the rows of a file of tracks ----
 
 _MOST = 10
 """Rows that are named; the others are counted."""
@@ -68,16 +67,6 @@ _MAX_NUMBER = 1e15
 """A larger number is no identity and no place, and neighbours of it cannot be told apart."""
 
 
-def source_of(path: Path) -> str:
-    """Name of a file of tracks in messages."""
-    return f"tracks {path}"
-
-
-def name_of(path: Path) -> str:
-    """Name of somebody's own tracks in a file, in tables."""
-    return path.name.removesuffix(".gz").rsplit(".", 1)[0]
-
-
 @dataclass(frozen=True, eq=False)
 class TextTable:
     """The k rows of a file.
@@ -122,6 +111,27 @@ class TextTable:
             RowProblems(source, line[kept]),
         )
 
+    @classmethod
+    def read(cls, path: Path, what: str) -> TextTable:
+        """Read a table with a line of names, as CSV or, if its name says so, as Parquet.
+
+        Args:
+            path: The file.
+            what: What it is, for messages.
+
+        Raises:
+            InputError: It cannot be read.
+        """
+        source = f"{what} {path}"
+        if path.suffix == ".parquet":
+            return cls(*_parquet(path, source))
+        names, body = named_lines(path, what)
+        if names == [""] and not body.strip():
+            raise InputError(source, ["the file is empty"])
+        if repeated := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+            raise InputError(source, [f"line 1: the column {shown(name)} is there twice" for name in repeated])
+        return cls.of(body, names, source, first_line=2)
+
     def __len__(self) -> int:
         """Number of rows."""
         return len(self.problems.line)
@@ -130,14 +140,18 @@ class TextTable:
         """Whether there is a column of the name."""
         return name in self.columns
 
-    def numbers(self, name: str, *, needed: bool = True) -> Array:
-        """A column of finite numbers; NaN where a cell is empty, if it may be, shape (k,)."""
+    def numbers(self, name: str, *, missing: Sequence[str] = ()) -> Array:
+        """A column of finite numbers, shape (k,).
+
+        Cells with one of the texts of `missing` are NaN, and so is a column that is not there if there are such texts.
+        """
+        if missing and not self.has(name):
+            return np.full(len(self), np.nan)
         texts = self.columns[name]
         good = pc.match_substring_regex(texts, _NUMBER)
-        empty = pc.equal(pc.binary_length(texts), 0)
         cells = pc.if_else(good, texts, pa.scalar(None, pa.string()))
         values = np.asarray(pc.cast(cells, pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
-        bad = ~_mask(good) if needed else ~(_mask(good) | _mask(empty))
+        bad = ~(_mask(good) | _mask(pc.is_in(texts, value_set=pa.array(missing, pa.string()))))
         self.problems.refuse(bad, lambda row: f"{name} must be a number (got {self._shown(name, row)})")
         too_large = np.abs(values) > _MAX_NUMBER
         self.problems.refuse(too_large, lambda row: f"{name} must be at most 1e15 (got {self._shown(name, row)})")
@@ -164,7 +178,12 @@ class TextTable:
         return values
 
     def names(self, name: str, known: Sequence[str], *, needed: bool = True) -> Indices:
-        """A column of names as indices of those that are known; `NOBODY` where empty, if it may be, shape (k,)."""
+        """A column of names as indices of those that are known, shape (k,).
+
+        `NOBODY` where a cell is empty or the column is not there, unless it is needed.
+        """
+        if not needed and not self.has(name):
+            return np.full(len(self), NOBODY)
         texts = self.columns[name]
         index = pc.fill_null(pc.index_in(texts, value_set=pa.array(list(known), pa.string())), NOBODY)
         found = np.asarray(index.to_numpy(zero_copy_only=False), dtype=np.int64)
@@ -178,6 +197,40 @@ class TextTable:
 
     def _shown(self, name: str, row: int) -> str:
         return shown(self.columns[name][row].as_py())
+
+
+def named_lines(path: Path, what: str) -> tuple[list[str], str]:
+    """The names in the first line of a text with commas, and the lines after it.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    head, _, body = read_text(path, what).partition("\n")
+    return [name.strip().strip('"') for name in head.split(",")], body
+
+
+def _parquet(path: Path, source: str) -> tuple[dict[str, pa.ChunkedArray], RowProblems]:
+    """The columns of a Parquet file that are not nested, as texts."""
+    note_input(path)
+    try:
+        read = pq.read_table(path)
+        columns = {
+            name: pc.fill_null(pc.cast(_plain(read[name]), pa.string()), "")
+            for name in read.column_names
+            if not pa.types.is_nested(read[name].type)
+        }
+    except (OSError, KeyError, pa.ArrowException) as error:  # KeyError: two columns of one name
+        raise InputError(source, [f"cannot be read as Parquet: {error}"]) from None
+    return columns, RowProblems(source, np.arange(len(read)), "row")
+
+
+def _plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """A column whose times are texts of ISO 8601."""
+    if pa.types.is_dictionary(column.type):
+        return column.cast(column.type.value_type)
+    if not pa.types.is_timestamp(column.type):
+        return column
+    return pc.strftime(column.cast(pa.timestamp(column.type.unit)), "%Y-%m-%dT%H:%M:%S")  # without its zone: in UTC
 
 
 def _mask(values: pa.ChunkedArray) -> Mask:

@@ -1,0 +1,204 @@
+"""Results as documents: each result fills one, and the terminal, pages and notebooks show it.
+
+What is empty is shown nowhere, and neither is a heading with nothing below it; so a result fills in all that it may
+have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Flag, auto
+from html import escape
+from types import MappingProxyType
+from typing import Literal
+
+from modsim3d.core.text import column_table
+
+
+class Where(Flag):
+    """Places that show a block."""
+
+    PAGE = auto()
+    TERMINAL = auto()
+    NOTEBOOK = auto()
+    TEXT = PAGE | TERMINAL
+    EVERYWHERE = PAGE | TERMINAL | NOTEBOOK
+
+
+Style = Literal["", "lead", "soft", "bad", "code"]
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading of what follows, down to the next one of its level."""
+
+    text: str
+    level: int = 2
+    bad: bool = False
+    where: Where = Where.TEXT
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph. Text of the style `bad` is a warning, `code` is a command line."""
+
+    text: str
+    style: Style = ""
+    where: Where = Where.TEXT
+
+
+@dataclass(frozen=True)
+class Items:
+    """A list of short texts."""
+
+    texts: Sequence[str]
+    where: Where = Where.TEXT
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """The main results: a name, a number and what it means of each."""
+
+    results: Sequence[tuple[str, str, str]]
+    where: Where = Where.PAGE
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table that a page shows with more than its text.
+
+    Attributes:
+        text: Its text, which is all that a terminal shows.
+        share: From 0 to 1: how dark the cell is, or how long the bar behind the text; None for neither.
+        bar: Whether the share is a bar.
+        draw: Makes SVG that stands in place of the text.
+    """
+
+    text: str
+    share: float | None = None
+    bar: bool = False
+    draw: Callable[[], str] | None = None
+
+
+Row = Sequence[str | Cell]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes:
+        title: Stands above; empty for none.
+        header: Names of the columns; without it each row is a name and what is said of it.
+        rows: Cells.
+        bad: Rows that stand out.
+        soft: Rows that stand back.
+        notes: What is said below a row, by its number.
+    """
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Row]
+    bad: Container[int] = ()
+    soft: Container[int] = ()
+    notes: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))
+    where: Where = Where.TEXT
+
+    @property
+    def texts(self) -> list[list[str]]:
+        """The rows as plain text."""
+        return [[cell.text if isinstance(cell, Cell) else cell for cell in row] for row in self.rows]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing or a picture with its caption. `draw` makes its HTML when a page shows it."""
+
+    draw: Callable[[], str]
+    caption: str
+    where: Where = Where.PAGE
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Blocks that a page shows when their title is pressed; a terminal shows those that are for it."""
+
+    title: str
+    blocks: Sequence[Block]
+    opened: bool = False
+    where: Where = Where.TEXT
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Blocks side by side."""
+
+    blocks: Sequence[Block]
+    where: Where = Where.TEXT
+
+
+Block = Heading | Text | Items | Tiles | Table | Figure | Fold | Beside
+
+
+@dataclass(frozen=True)
+class Document:
+    """A result to be read.
+
+    Attributes:
+        title: Title of its page.
+        lead: The outcome: first on a page, last on a terminal.
+        blocks: All else, in the order of a page.
+    """
+
+    title: str
+    lead: Sequence[Text]
+    blocks: Sequence[Block]
+
+    def notebook(self) -> str:
+        """HTML for a notebook: the outcome and the blocks that are for one."""
+        return "".join(map(_in_notebook, shown([*self.lead, *self.blocks], Where.NOTEBOOK)))
+
+
+def shown(blocks: Iterable[Block], where: Where) -> list[Block]:
+    """Blocks that a place shows: nothing that is empty, and no heading with nothing below it."""
+    kept: list[Block] = []
+    for block in reversed(list(blocks)):
+        if isinstance(block, Fold | Beside):
+            block = replace(block, blocks=shown(block.blocks, where))
+        if where not in block.where or not _content(block):
+            continue
+        below = kept[-1] if kept else None
+        if isinstance(block, Heading) and (
+            below is None or (isinstance(below, Heading) and below.level <= block.level)
+        ):
+            continue
+        kept.append(block)
+    return kept[::-1]
+
+
+def _content(block: Block) -> object:
+    match block:
+        case Heading() | Text():
+            return block.text
+        case Items():
+            return block.texts
+        case Tiles():
+            return block.results
+        case Table():
+            return block.rows
+        case Figure():
+            return block.draw
+        case Fold() | Beside():
+            return block.blocks
+
+
+def _in_notebook(block: Block) -> str:
+    match block:
+        case Table():
+            return column_table(block.title, block.header, block.texts)
+        case Items():
+            return "".join(f"<p>{escape(text)}</p>" for text in block.texts)
+        case Text():
+            return f"<p><b>{escape(block.text)}</b></p>" if block.style == "bad" else f"<p>{escape(block.text)}</p>"
+    return ""

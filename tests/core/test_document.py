@@ -1,0 +1,81 @@
+"""Documents: what is empty is shown nowhere, and each place shows what is for it."""
+
+from __future__ import annotations
+
+import io
+
+from modsim3d.cli.terminal import open_console, print_document
+from modsim3d.core.document import (
+    Beside,
+    Cell,
+    Document,
+    Figure,
+    Fold,
+    Heading,
+    Items,
+    Table,
+    Text,
+    Tiles,
+    Where,
+    shown,
+)
+from modsim3d.view.pages.page import document_page
+from modsim3d.view.pages.provenance import Provenance
+
+RESTS_ON = Provenance("a page", "a test", ())
+ROWS = [("sort", "0.5 [0.4, 0.6]"), ("other", "0.25 [0.1, 0.4]")]
+DOCUMENT = Document(
+    "Two <trackers>",
+    [Text("Sort is best.", "lead", Where.EVERYWHERE)],
+    [
+        Tiles([("HOTA", "0.5", "of sort")]),
+        Heading("Scores"),
+        Table("", ("tracker", "HOTA"), ROWS, bad={1}, notes={1: "lost & never found"}, where=Where.EVERYWHERE),
+        Heading("Curves"),
+        Figure(lambda: "<svg></svg>", "A curve."),
+        Heading("Nothing here"),
+        Text(""),
+        Heading("Cells"),
+        Fold("pressed", [Table("", ("", "share"), [("a", Cell("30 %", 0.3))], where=Where.PAGE)]),
+        Beside([Items(["only printed"], Where.TERMINAL)]),
+    ],
+)
+
+
+def test_a_page_has_all_that_is_for_it_and_no_heading_of_nothing():
+    page = document_page(DOCUMENT, RESTS_ON)
+    for part in ("Two &lt;trackers&gt;", "<h2>Scores</h2>", "<h2>Curves</h2>", "<svg>", "lost &amp; never found",
+                 "HOTA", "<summary>pressed</summary>", "30 %", "background: color-mix"):  # fmt: skip
+        assert part in page
+    assert "Nothing here" not in page and "only printed" not in page
+    assert page.index("Sort is best.") < page.index("Scores")
+
+
+def test_a_terminal_shows_the_outcome_last_and_neither_charts_nor_their_headings():
+    file = io.StringIO()
+    print_document(open_console(file=file, width=80), DOCUMENT)
+    assert file.getvalue().split("\n") == [
+        "",
+        "Scores",
+        "tracker             HOTA",
+        "sort      0.5 [0.4, 0.6]",
+        "other    0.25 [0.1, 0.4]",
+        "  other, 0.25 [0.1, 0.4]: lost & never found",
+        "",
+        "Cells",
+        "  only printed",
+        "",
+        "Sort is best.",
+        "",
+    ]
+
+
+def test_a_notebook_has_the_outcome_and_the_tables_that_are_for_it():
+    html = DOCUMENT.notebook()
+    assert html.startswith("<p>Sort is best.</p><table>") and html.count("<tr>") == 3
+    assert "svg" not in html and "0.25 [0.1, 0.4]" in html
+
+
+def test_a_heading_is_shown_only_with_something_before_the_next_of_its_level():
+    blocks = [Heading("a"), Heading("b", 3), Text("x"), Heading("c", 3), Heading("d"), Heading("e", 3)]
+    assert shown(blocks, Where.TERMINAL) == blocks[:3]

@@ -1,0 +1,31 @@
+"""Folders of runs that tests make: what is in them, and runs that are interrupted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.scene import Scene
+
+
+def run_files(folder: Path, *without: str) -> dict[str, bytes]:
+    """Content by path of all files below a folder, but for logs and files of the names that are left out."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name not in ("run.log", *without))
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def interrupt(scene: Scene, folder: Path, blocks: int = 1, **options: Any) -> Path:
+    """Run a scene until some blocks of steps are kept; gives the folder back."""
+    kept: list[int] = []
+
+    def stop(steps: int) -> None:
+        kept.append(steps)
+        if len(kept) == blocks:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(scene, folder, progress=stop, **options)
+    return folder

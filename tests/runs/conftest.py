@@ -1,0 +1,16 @@
+"""Runs that several files of this folder read."""
+
+from __future__ import annotations
+
+import pytest
+
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.scene.reading import load_scene
+
+
+@pytest.fixture(scope="package")
+def strait_run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    """The first 40 steps of the strait, by exact geometry; two cameras of which one is slower."""
+    scene = load_scene("strait", steps=40, source="analytic")
+    return open_run(run_scene(scene, tmp_path_factory.mktemp("strait") / "run").folder)
