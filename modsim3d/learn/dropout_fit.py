@@ -8,6 +8,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.detector.dropout import WHOLLY_VISIBLE
 from modsim3d.learn.bootstrap import Resampling
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.persistence import THINGS_NEEDED
@@ -16,6 +17,8 @@ MISSES_FOR_EACH = 20
 """Misses, and detections, that a regression needs for each effect (Peduzzi et al. (1996) ask for 10)."""
 LOG_ODDS_QUANTILES = 32
 """Numbers that stand for the distribution of log-odds over a learning set."""
+REFERENCES = {"visible_fraction": 1.0, "partly_hidden": 0.0}
+"""References of the effects that change the odds by units: a vessel that is wholly visible."""
 _STEPS = 60
 
 
@@ -35,7 +38,7 @@ class EffectTerm:
     @property
     def doublings(self) -> bool:
         """Whether the odds change by doublings of the attribute, or by units."""
-        return self.attribute != "visible_fraction" and not self.by_units
+        return self.attribute not in REFERENCES and not self.by_units
 
     @property
     def slope_key(self) -> str:
@@ -59,8 +62,10 @@ class EffectTerm:
 def attribute_values(observed: Observed) -> dict[str, Array]:
     """Values of each attribute for the annotations that count, NaN where unknown, shapes (n,), by key in the file."""
     annotations = observed.labelled.annotations
+    visible = annotations.visible_fraction[observed.rows]
     return {
-        "visible_fraction": annotations.visible_fraction[observed.rows],
+        "visible_fraction": visible,
+        "partly_hidden": np.where(np.isnan(visible), np.nan, visible < WHOLLY_VISIBLE),
         "size_px": annotations.size_px[observed.rows],
         "distance_m": annotations.depth_m[observed.rows],
     }

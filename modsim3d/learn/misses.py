@@ -25,7 +25,7 @@ from modsim3d.learn.bootstrap import (
     spread,
     widened,
 )
-from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, EffectTerm, MissFit, attribute_values, fit_misses
+from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, REFERENCES, EffectTerm, MissFit, attribute_values, fit_misses
 from modsim3d.learn.latent_score import LearnedScore, behaves_like_a_score, latent_share, learned_score, miss_lags
 from modsim3d.learn.matches import Observed, kept_share, usual_run_s
 from modsim3d.learn.persistence import Consecutive, vessel_noise, why_no_steps, why_none
@@ -269,8 +269,7 @@ def _candidates(observed: Observed, notes: list[str]) -> tuple[EffectTerm, ...]:
         elif np.ptp(known) < 1e-6 * max(abs(float(known.max())), 1.0):
             notes.append(f"dropout.{name}: none; constant")
         else:
-            reference = 1.0 if name == "visible_fraction" else float(f"{np.median(known):.3g}")
-            chosen.append(EffectTerm(name, reference))
+            chosen.append(EffectTerm(name, REFERENCES.get(name, float(f"{np.median(known):.3g}"))))
     misses = int(observed.missed.sum())
     rarer, needed = min(misses, len(observed.rows) - misses), MISSES_FOR_EACH * len(chosen)
     if rarer >= needed:
@@ -287,6 +286,11 @@ def _significant(
     runs = resample(observed.labelled.images, _TRIALS, 0, usual_run_s(observed)) if effects else None
     while effects and runs is not None:
         fit = fit_misses(observed, effects, runs)
+        hidden = next((effect for effect in effects if effect.attribute == "partly_hidden"), None)
+        if fit is None and hidden is not None and len(effects) > 1:
+            notes.append("dropout.partly_hidden: none; the visible fraction says as much")
+            effects = tuple(effect for effect in effects if effect is not hidden)
+            continue
         if fit is None:
             count = len(observed.rows)
             notes.append(f"dropout: as in the confusion matrix; {count} annotations do not determine the effects")

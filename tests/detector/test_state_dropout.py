@@ -163,7 +163,7 @@ def test_a_state_may_be_the_only_one_with_effects() -> None:
             {"distance_m": FOG},
             "states.fog.dropout: model confusion has no distance_m: choose model logistic or table",
         ),
-        ({"size_px": None}, {}, "dropout: model logistic needs at least one of visible_fraction, size_px, distance_m"),
+        ({"size_px": None}, {}, "dropout: model logistic needs at least one of visible_fraction, partly_hidden"),
     ],
 )
 def test_a_bad_effect_of_a_state_is_told_with_its_path(

@@ -36,6 +36,7 @@ OTHERS: dict[str, list[Any]] = {
     "schedule": [[[1, "haze"]], [[1, "terrible"]]],
     "anchor": ["none", "state_rate"],
     "visible_fraction": [{"per_unit": -3, "reference": 0.5}, {"edges": [0.5], "odds": [1, 5]}],
+    "partly_hidden": [{"per_unit": 1.5, "reference": 0}, {"edges": [0.5], "odds": [1, 5]}],
     "size_px": [{"per_doubling": -0.9, "reference": 20}, {"edges": [50], "odds": [1, 5]}],
     "distance_m": [{"per_doubling": 0.9, "reference": 20}, {"edges": [900], "odds": [1, 5]}],
     "intercept": [[0.5], [0.5] * 2, [0.5] * 3],

@@ -66,6 +66,7 @@ class EffectsSection(Strict):
     """Effects of what a vessel looks like on its misses; those of a state replace the shared ones."""
 
     visible_fraction: EffectSection | None = None
+    partly_hidden: EffectSection | None = None
     size_px: EffectSection | None = None
     distance_m: EffectSection | None = None
     intercept: Annotated[list[Number], AfterValidator(_one_for_each_label)] | None = None
