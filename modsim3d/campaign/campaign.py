@@ -17,7 +17,7 @@ from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.means import MeanRow, mean_rows, mean_table, usual_keys, usual_scores
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.running import Progress, run_plan
-from modsim3d.campaign.search_folder import search_ended, search_table
+from modsim3d.campaign.search_folder import search_table
 from modsim3d.campaign.verdicts.verdict import Verdict, judged
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import CRASHED
@@ -42,16 +42,6 @@ def rows_of(folder: CampaignFolder) -> pa.Table:
         ModsimError: They are damaged.
     """
     return results_table(folder) if folder.keys.search is None else search_table(folder)
-
-
-def has_ended(folder: CampaignFolder) -> bool:
-    """Whether all of them are written."""
-    return folder.finished if folder.keys.search is None else search_ended(folder)
-
-
-def planned_rows(folder: CampaignFolder) -> int:
-    """How many there are at most."""
-    return len(folder.plan) if folder.keys.search is None else folder.keys.search.budget
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +83,7 @@ def present_state(folder: CampaignFolder) -> Present:
     Raises:
         ModsimError: Its results are damaged.
     """
-    table, total, ended = rows_of(folder), planned_rows(folder), has_ended(folder)
+    table, total, ended = rows_of(folder), folder.total, folder.finished
     holder = None if ended else holder_of(folder.path)
     left_s, last_s = (None, None) if ended else _times(folder, total - len(table), holder)
     verdicts = judged(folder.plan, table if ended else complete_batches(folder.plan, table))

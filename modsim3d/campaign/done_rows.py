@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.campaign.folder import FORMAT, RESULTS, VERDICTS, CampaignFolder, ended
+from modsim3d.campaign.folder import FORMAT, RESULTS, VERDICTS, CampaignFolder, results_folder
 from modsim3d.campaign.keys import MAX_SEEDS, Requirement, Seeds
 from modsim3d.campaign.plan import SCENE, Case, Plan, PlannedRun, cases_of, text_of, value_of
 from modsim3d.campaign.verdicts.bounds import (
@@ -171,7 +171,7 @@ def done_rows(folder: CampaignFolder) -> pa.Table:
 
 
 def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> None:
-    """Write the data set, `results/scene=NAME/part-N.parquet`; see `ended`.
+    """Write the data set, `results/scene=NAME/part-N.parquet`; see `results_folder`.
 
     Args:
         folder: The campaign.
@@ -181,7 +181,7 @@ def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Ve
     Raises:
         OutputError: It cannot be written.
     """
-    with ended(folder.path, RESULTS, {VERDICTS: _content_of(folder, verdicts)}) as partial:
+    with results_folder(folder.path, RESULTS, {VERDICTS: _content_of(folder, verdicts)}) as partial:
         for name in dict.fromkeys(table["scene"].to_pylist()):
             rows = table.filter(pc.equal(table["scene"], name)).drop_columns(["scene"])
             write_rows(partial / f"scene={name}", rows)

@@ -44,7 +44,7 @@ _ROWS = "**/*.parquet"
 
 
 @contextmanager
-def ended(folder: Path, final: str, later: Mapping[str, bytes]) -> Iterator[Path]:
+def results_folder(folder: Path, final: str, later: Mapping[str, bytes]) -> Iterator[Path]:
     """A folder to write rows into, which gets its final name with the list of all files when it is whole.
 
     On a file system without locks another process may do the same; whoever comes second leaves the first one's.
@@ -191,8 +191,13 @@ class CampaignFolder:
 
     @property
     def finished(self) -> bool:
-        """Whether the results are there."""
-        return self.results.is_dir()
+        """Whether the results, or the trials of a search, are there."""
+        return (self.results if self.keys.search is None else self.path / SEARCH).is_dir()
+
+    @property
+    def total(self) -> int:
+        """Number of runs of the plan, or of trials of the search, at most."""
+        return len(self.plan) if self.keys.search is None else self.keys.search.budget
 
 
 def opened_campaign(folder: StrPath) -> CampaignFolder:

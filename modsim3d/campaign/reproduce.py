@@ -90,7 +90,7 @@ def row_of_run(folder: CampaignFolder, number: int) -> dict[str, Any] | None:
     Raises:
         ModsimError: The results are damaged.
     """
-    if not folder.finished:  # or a search
+    if not folder.results.is_dir():  # or a search
         table = rows_of(folder)
         found = table.filter(pc.equal(table["run"], number)).to_pylist()
         return found[0] if found else None

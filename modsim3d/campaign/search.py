@@ -28,7 +28,6 @@ from modsim3d.campaign.search_folder import (
     planned_batch,
     proposed,
     score_of,
-    search_ended,
     search_table,
     searched,
     store_batch,
@@ -161,7 +160,7 @@ def run_search(
     with locked_campaign(folder):
         here = planned(campaign, folder)
         search = searched(here)
-        if not search_ended(here):
+        if not here.finished:
             started = time.perf_counter()
             with closing(engine()) as opened:
                 trials = _Trials(here, opened, cache, progress)

@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from modsim3d.campaign.done_rows import with_columns, write_rows
-from modsim3d.campaign.folder import SEARCH, CampaignFolder, ended, opened_campaign
+from modsim3d.campaign.folder import SEARCH, CampaignFolder, opened_campaign, results_folder
 from modsim3d.campaign.keys import Range, SearchKeys
 from modsim3d.campaign.plan import Plan, PlannedRun, detector_seed, text_of, traffic_seed
 from modsim3d.campaign.running import DIED
@@ -236,11 +236,6 @@ VALUES = "values"
 """Column with the values of the keys that were searched, as JSON."""
 
 
-def search_ended(folder: CampaignFolder) -> bool:
-    """Whether all trials are written."""
-    return (folder.path / SEARCH).is_dir()
-
-
 def stored_batch(folder: CampaignFolder, batch: int) -> list[Point] | None:
     """The points of a batch that was proposed before; None if it was not."""
     path = _batch_file(folder, batch)
@@ -292,7 +287,7 @@ def write_trials(folder: CampaignFolder, table: pa.Table) -> None:
     Raises:
         OutputError: They cannot be written.
     """
-    with ended(folder.path, SEARCH, {}) as partial:
+    with results_folder(folder.path, SEARCH, {}) as partial:
         write_rows(partial, table)
 
 
@@ -303,7 +298,7 @@ def search_table(folder: CampaignFolder) -> pa.Table:
         ModsimError: It is no search, or its trials are damaged.
     """
     search = searched(folder)
-    if search_ended(folder):
+    if folder.finished:
         return pq.read_table(folder.path / SEARCH, partitioning=None)
     scenes = Scenes(folder.keys.steps, Path(folder.facts["base"]))
     runs, rows = [], []
@@ -346,7 +341,7 @@ def trial_run(folder: StrPath, number: int) -> PlannedRun:
     """
     found = opened_campaign(folder)
     searched(found)
-    if not search_ended(found):
+    if not found.finished:
         runs = stored_trials(found)
         if 0 <= number < len(runs):
             return runs[number]

@@ -130,7 +130,7 @@ def campaign_table_command(
 
     Example: modsim3d campaign table runs/example --by state --score hota
     """
-    from modsim3d.campaign.campaign import has_ended, rows_of
+    from modsim3d.campaign.campaign import rows_of
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
     from modsim3d.campaign.means import mean_rows, mean_table, usual_keys, usual_scores
     from modsim3d.io.overwrite_guard import claimed
@@ -159,7 +159,7 @@ def campaign_table_command(
             "format": 1,
             "command": "campaign table",
             "folder": campaign,
-            "finished": has_ended(opened),
+            "finished": opened.finished,
             "by": [] if runs else [*dict.fromkeys([*keys, "tracker"])],
             "rows": [asdict(row) for row in rows],
             "written": paths,

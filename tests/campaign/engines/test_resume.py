@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign import done_rows, running
+from modsim3d.campaign import done_rows, folder, running
 from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.work import task
 from modsim3d.campaign.work.row import crashed_row
@@ -22,10 +22,8 @@ from modsim3d.core.errors import OutputError
 from tests.campaign.engines.campaigns import Campaigns, content
 
 STEPS = [
-    (done_rows, "make_folder"),
-    (done_rows, "sync_file"),
-    (done_rows, "sync_folder"),
-    (done_rows.shutil, "rmtree"),
+    *((module, name) for module in (done_rows, folder) for name in ("make_folder", "sync_file", "sync_folder")),
+    (folder.shutil, "rmtree"),
     (done_rows, "write_files"),
     (running, "remove_done"),
     (running, "write_verdicts"),
