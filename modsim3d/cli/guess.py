@@ -1,4 +1,4 @@
-"""What `modsim3d learn --from-condition` does: a detector as it might be in another condition."""
+"""Work of `modsim3d learn --from-condition`: a detector as it might be in another condition."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ class LagTable:
         return _ratios(resampling.counts(np.repeat(self.image, 2), cell, (len(self.lag_s), 2), both.ravel()))
 
     def ratios_without_each(self) -> Array:
-        """Those ratios without each of the things, shape (things, b)."""
+        """Ratios of that kind without each of the things, shape (things, b)."""
         shape = self.things, len(self.lag_s)
         cell = self.thing * shape[1] + self.lag
         each = np.stack(

@@ -336,7 +336,7 @@ class Sources:
 def document(
     report: LearnReport, name: str = "detector", sources: Sequence[str] = (), sections: Sequence[Block] = ()
 ) -> Document:
-    """What was learned, to be read.
+    """Document of what was learned.
 
     Args:
         report: What was learned.

@@ -127,7 +127,7 @@ def _compared(real: Counts, drawn: Sequence[Counts]) -> Iterator[Comparison]:
 
 
 def counts_of(observed: Observed, whole: Observed) -> Counts:
-    """What a tracker feels of some results; ranges of size and distance are those of the `whole` data."""
+    """Counts that a tracker feels of some results; ranges of size and distance are those of the `whole` data."""
     found = observed.missed == 0
     counts = {"share found": _mean(found)}
     counts |= _by_range(observed, whole, found)

@@ -143,7 +143,7 @@ class Evidence:
         return rows
 
     def target_statistics(self, model: DetectorModel) -> TargetStatistics:
-        """What the detector knew of the scene's targets."""
+        """Statistics that the detector knew of the scene's targets."""
         return target_statistics(model, ((seen.frames, seen.targets) for seen in self.cameras))
 
 

@@ -35,7 +35,7 @@ _DIGITS = 16
 
 
 def trace_sections(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:
-    """What each verdict rests on: runs, seeds, checksums, versions, and the commands that repeat it.
+    """Evidence of each verdict: runs, seeds, checksums, versions, and the commands that repeat it.
 
     Args:
         folder: The campaign.
@@ -270,7 +270,7 @@ class CoverageTable:
 
 
 def coverage_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
-    """What the rows of a campaign cover, in the order of a page.
+    """Coverage of the rows of a campaign, in the order of a page.
 
     Args:
         folder: The campaign.
