@@ -82,7 +82,7 @@ WithoutOption = Annotated[
     under(
         MODELS,
         "MODEL,...",
-        "Models to leave out, whatever the data carry: relative, mixed, student_t, effects, persistence, "
+        "Models to leave out, whatever the data carry: relative, mixed, student_t, effects, persistence, score, "
         "vessels, sizes, places, lasting, confidence, slopes, duplicates, merges, splits.",
     ),
 ]

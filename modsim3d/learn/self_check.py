@@ -37,7 +37,7 @@ Counts = dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
-class Comparison:
+class RealityComparison:
     """A number of the real results and of the simulated ones: their mean, and their spread over seeds."""
 
     name: str
@@ -52,7 +52,7 @@ class Comparison:
         return self.p_value < LEVEL
 
 
-def self_check(learned: Learned, settings: LearnSettings, seeds: int = SEEDS) -> tuple[Comparison, ...]:
+def self_check(learned: Learned, settings: LearnSettings, seeds: int = SEEDS) -> tuple[RealityComparison, ...]:
     """Comparisons where the detector was not learned, those that differ most first.
 
     Raises:
@@ -105,7 +105,7 @@ def _add(total: Counts, more: Counts) -> None:
         total[name] = before[0] + amount, before[1] + number
 
 
-def _compared(real: Counts, drawn: Sequence[Counts]) -> Iterator[Comparison]:
+def _compared(real: Counts, drawn: Sequence[Counts]) -> Iterator[RealityComparison]:
     """Comparisons with the p-values of Student's t, adjusted by the method of Holm (1979)."""
     rows = []
     for name, (amount, number) in real.items():
@@ -116,7 +116,7 @@ def _compared(real: Counts, drawn: Sequence[Counts]) -> Iterator[Comparison]:
         mean, spread, seen = float(means.mean()), float(means.std(ddof=1)), amount / number
         strays = (seen - mean) / max(spread * np.sqrt(1 + 1 / len(means)), 1e-12)
         p_value = 2 * float(special.stdtr(len(means) - 1, -abs(strays)))
-        rows.append(Comparison(name, seen, mean, spread, p_value))
+        rows.append(RealityComparison(name, seen, mean, spread, p_value))
     least = 0.0
     for rank, row in enumerate(sorted(rows, key=lambda each: each.p_value)):
         least = max(least, min(1.0, (len(rows) - rank) * row.p_value))

@@ -14,7 +14,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.learned import LearnSettings, learn
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.self_check import Comparison, self_check
+from modsim3d.learn.self_check import RealityComparison, self_check
 from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
@@ -24,7 +24,9 @@ FRAMES, BOATS, STEP_S, SEEDS = 400, 20, 0.5, 12
 SCORE = {"score": {"vessel_share": 0.2, "shares": [0.3, 0.4], "times_s": [1.0, 4.0]}}
 
 
-def compared(without: frozenset[str] = frozenset(), seed: int = 1, frames: int = FRAMES) -> dict[str, Comparison]:
+def compared(
+    without: frozenset[str] = frozenset(), seed: int = 1, frames: int = FRAMES
+) -> dict[str, RealityComparison]:
     """Comparisons of a simulated detector in place of a real one, in two films, by name."""
     image, boat = np.repeat(np.arange(frames), BOATS), np.tile(np.arange(BOATS), frames)
     corner = np.column_stack([100 + 250.0 * (boat % 5), 100 + 250.0 * (boat // 5)])
