@@ -125,11 +125,11 @@ def campaign_run_command(
     if shard is not None and cluster is not None:
         raise ModsimError("--shard is for jobs without a scheduler: leave out --cluster, or --shard")
     engine = engine_of(workers, **(cluster or {}))
-    found = _read(campaign)
+    found = read(campaign)
     if shard is not None and found.file.keys.search is not None:
         raise ModsimError("--shard: what a search runs next depends on all that it has run: leave --shard out")
     folder = out if out is not None else Path("runs") / found.file.path.stem
-    warnings = _introduced(found)
+    warnings = introduced(found)
     with timed("runs"), _interruptible(folder), campaign_progress(folder, found.file.keys.stop == "once") as advance:
         if found.file.keys.search is not None:
             from modsim3d.campaign.search import run_search
@@ -159,7 +159,8 @@ def campaign_run_command(
         raise typer.Exit(status)
 
 
-def _read(campaign: str) -> CheckedCampaign:
+def read(campaign: str) -> CheckedCampaign:
+    """A campaign, read and checked."""
     from modsim3d.campaign.keys import read_campaign
     from modsim3d.campaign.work.checking import checked
 
@@ -187,7 +188,7 @@ def _interruptible(folder: Path) -> Iterator[None]:
         raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None
 
 
-def _introduced(campaign: CheckedCampaign) -> list[str]:
+def introduced(campaign: CheckedCampaign) -> list[str]:
     """Print the plan before it starts; the warnings about it."""
     from modsim3d.campaign.verdicts.wording import warnings_of
     from modsim3d.cli.campaign_text import plan_rows, traffic_warnings
@@ -294,8 +295,8 @@ def campaign_plan_command(
 
     Example: modsim3d campaign plan example --expect hota=0.6:0.05
     """
-    found = _read(campaign)
-    warnings = _introduced(found)
+    found = read(campaign)
+    warnings = introduced(found)
     say_json({**_json(found, None, warnings, "plan"), **_told_plan(found, expect or [], like)})
 
 

@@ -49,7 +49,7 @@ def check_scene_command(
     verbose: VerboseOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Read a scene and every file that it names, and list everything that is wrong.
+    """Read a scene, a campaign or a detector with every file that it names, and list everything that is wrong.
 
     Warns of cameras that see no vessel in their first frames, nor in some others over the whole scene, and of
     vessels for which drawn traffic has no room, of meshes that do not fit their vessels, and of keys of the detector
@@ -61,17 +61,59 @@ def check_scene_command(
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.settings import read_settings
 
+    if (kind := _kind_of_file(scene)) != "scene":
+        if settings or state or state_from is not None:
+            raise ModsimError(f"--set, --state and --from are for scenes, and {scene} is a {kind}")
+        (_check_campaign if kind == "campaign" else _check_detector)(Path(scene))
+        return
     with timed("reading the scene"):
         loaded = load_scene(scene, settings=read_settings(settings or ()), state=state, state_from=state_from)
     tell_files(loaded.copy.read)
     console = open_console()
     warnings = [*scene_warnings(loaded), *blind_at_first(loaded)]
-    found = f"no errors, {len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else "no problems found"
-    print_line(console, f"{loaded.path}: {found}")
+    print_line(console, f"{loaded.path}: {_found(warnings)}")
     print_rows(console, "", _rows(loaded))
     for warning in warnings:
         warn(warning)
     say_json(_check_json(loaded, warnings))
+
+
+def _kind_of_file(name: str) -> str:
+    """`campaign` or `detector` if a file has keys that only they have, else `scene`."""
+    from modsim3d.io.strict_text import load_yaml
+
+    if Path(name).suffix not in (".yaml", ".yml") or not Path(name).is_file():
+        return "scene"
+    try:
+        keys = {*load_yaml(Path(name), "file")}
+    except (ModsimError, TypeError):
+        return "scene"  # whose reader says what is wrong
+    return "campaign" if "trackers" in keys else "detector" if {"labels", "states"} <= keys else "scene"
+
+
+def _check_campaign(path: Path) -> None:
+    from modsim3d.cli.campaign_run import introduced, read
+
+    found = read(str(path))
+    warnings = introduced(found)
+    say_json({"format": 1, "command": "check scene", "path": path, "runs": len(found.plan), "warnings": warnings})
+
+
+def _check_detector(path: Path) -> None:
+    from modsim3d.detector.file.reading import load_detector
+    from modsim3d.detector.file.unread import dead_lines
+
+    detector = load_detector(path)
+    warnings = list(dead_lines(detector))
+    print_line(open_console(), f"{path}: {detector.in_words()}; {_found(warnings)}")
+    print_rows(open_console(), "", _state_rows(detector))
+    for warning in warnings:
+        warn(warning)
+    say_json({"format": 1, "command": "check scene", "path": path, "labels": detector.labels, "warnings": warnings})
+
+
+def _found(warnings: list[str]) -> str:
+    return f"no errors, {len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else "no problems found"
 
 
 def _rows(scene: Scene) -> list[tuple[str, str]]:
